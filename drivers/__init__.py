@@ -1,0 +1,1 @@
+"""How to talk to a controller of a magnetic-bearing rig."""

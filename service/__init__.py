@@ -1,0 +1,1 @@
+"""The commissioning service: experiment, identification, diagnosis, report."""

@@ -1,0 +1,1 @@
+"""Where the twin and the rig differ, which effect explains it, and how far; pure."""

@@ -1,0 +1,1 @@
+"""From frequency responses to a physical model with its uncertainty; pure."""

@@ -1,0 +1,1 @@
+"""The rig in software: pure physics, no input or output."""

@@ -1,0 +1,1 @@
+"""The catalogue of effects that a twin can lack, one small file each."""
