@@ -1,0 +1,54 @@
+"""Errors of talking to a controller. A caller retries `BusError`, waits for `LeaseError`, and stops at the rest.
+
+::
+
+    AmbError (sim.errors)
+    └── ControllerError
+        ├── BusError             the link failed: time-out, bad CRC, refused connection; trying again may help
+        ├── LeaseError           another host holds the rig; names the holder and the time left
+        ├── LimitError           a value outside the controller's limits was refused before it was sent
+        ├── TripError            the controller tripped: excitation is zero, the trip is latched; says why
+        ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
+        └── CancelledError       the caller asked to stop; excitation is off
+"""
+
+from sim.errors import AmbError
+
+
+class ControllerError(AmbError):
+    """Base of every error of a controller."""
+
+
+class BusError(ControllerError):
+    """The link to the controller failed; the same call may be tried again."""
+
+
+class LeaseError(ControllerError):
+    """Another host holds the rig."""
+
+    def __init__(self, holder: str, seconds_left: float) -> None:
+        super().__init__(
+            f"the rig is leased to {holder!r} for another {seconds_left:.1f} s; wait, or ask that host to release it"
+        )
+        self.holder = holder
+        self.seconds_left = seconds_left
+
+
+class LimitError(ControllerError):
+    """A value is outside what the controller allows; nothing was sent."""
+
+
+class TripError(ControllerError):
+    """The controller tripped: the excitation is off and the trip is latched until it is acknowledged."""
+
+    def __init__(self, cause: str, message: str) -> None:
+        super().__init__(message)
+        self.cause = cause
+
+
+class RestartError(ControllerError):
+    """The controller restarted while it was leased."""
+
+
+class CancelledError(ControllerError):
+    """The caller asked to stop; the excitation is off."""

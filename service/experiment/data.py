@@ -1,0 +1,92 @@
+"""An experiment as arrays: what was excited, and what came back. No file format, no controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Demodulated points of one sweep.
+
+    R, U, I, Y: (P, B, H, n_axes) complex amplitudes of B consecutive blocks of whole periods,
+    x(t) = Re(X exp(j h w t)), R at harmonic 1 real and positive. Several consecutive points may share a
+    frequency (one per excited axis). A point with amplitude 0 was not excited.
+    """
+
+    kind: str
+    """"stepped-sine", "multisine" or "noise"."""
+    frequency_hz: Real
+    """(P,)"""
+    axis: NDArray[np.int64]
+    """(P,) index of the excited axis."""
+    amplitude_a: Real
+    """(P,)"""
+    harmonics: tuple[int, ...]
+    R: Complex
+    U: Complex
+    I: Complex | None  # noqa: E741  (the field's letter for current)
+    """None when the controller does not log the coil current."""
+    Y: Complex
+    speed_rad_s: float = 0.0
+    sample_rate_hz: float = 10_000.0
+    comment: str = ""
+    flags: tuple[str, ...] = ()
+    """Per point: "" or why it is marked ("repeated at lower amplitude", "not settled", ...); () for none."""
+
+    @property
+    def n_points(self) -> int:
+        """P."""
+        return len(self.frequency_hz)
+
+    def harmonic(self, h: int) -> int:
+        """Index of harmonic ``h`` in the arrays; ValueError when it was not measured."""
+        return self.harmonics.index(h)
+
+    def select(self, points: NDArray[np.bool_] | NDArray[np.int64]) -> Sweep:
+        """The sweep with some of its points, in order."""
+        index = np.arange(self.n_points)[points]
+        return Sweep(
+            kind=self.kind,
+            frequency_hz=self.frequency_hz[index],
+            axis=self.axis[index],
+            amplitude_a=self.amplitude_a[index],
+            harmonics=self.harmonics,
+            R=self.R[index],
+            U=self.U[index],
+            I=None if self.I is None else self.I[index],
+            Y=self.Y[index],
+            speed_rad_s=self.speed_rad_s,
+            sample_rate_hz=self.sample_rate_hz,
+            comment=self.comment,
+            flags=tuple(self.flags[k] for k in index) if self.flags else (),
+        )
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A whole experiment file: the main sweep first, others (validation, amplifier, noise) by their comment.
+
+    ``comment`` tells what a sweep is for: "main" (plant, 10-1000 Hz), "amplifier" (each amplifier up to 3 kHz),
+    "validation" or any other (unseen by every fit), and kind "noise" for the zero-excitation record.
+    """
+
+    rig: str
+    axes: tuple[str, ...]
+    sweeps: tuple[Sweep, ...]
+    attributes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def main(self) -> Sweep:
+        """The first excited sweep."""
+        return next(s for s in self.sweeps if s.kind != "noise")
+
+    def named(self, comment: str) -> Sweep | None:
+        """The first sweep with that comment, or None."""
+        return next((s for s in self.sweeps if s.comment == comment), None)

@@ -1,0 +1,82 @@
+"""The one shape of an effect: a small function from rig to rig, with its parameters and its words.
+
+An effect names itself and the path of the loop where it acts, describes each parameter with unit, range
+and prior, and returns a rig with a part added or changed. Both the time simulation and the
+frequency-domain model are built from that rig, so an effect is written once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from sim.errors import EffectError
+from sim.rig import Rig
+
+Path = Literal["controller", "amplifier", "plant", "additive"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    ``null`` is the value at which the effect vanishes; ``low`` and ``high`` bound what is physically
+    plausible; ``typical`` is a plainly visible strength. ``scale`` says how a prior spreads over the range:
+    logarithmically for magnitudes over decades, linearly otherwise.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    typical: float
+    null: float
+    scale: Literal["log", "linear"] = "linear"
+    description: str = ""
+    strength: bool = True
+    """False for a parameter that shapes the effect without making it vanish (a resonance's frequency)."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An unmodelled effect that a twin can lack."""
+
+    id: str
+    path: Path
+    parameters: tuple[Parameter, ...]
+    apply: Callable[[Rig, Mapping[str, float]], Rig]
+    """(rig, values by name) -> rig with the effect."""
+    law: str
+    signature: str
+    aliases: tuple[str, ...]
+    """Ids of effects that look alike."""
+    separated_by: str
+    source: str
+    needs_axes: int = 2
+    needs_speed: bool = False
+    nonlinear: bool = False
+    """True when the response is not proportional to the excitation."""
+
+    def on(self, rig: Rig, **values: float) -> Rig:
+        """Rig with this effect; parameters not given keep their typical value.
+
+        Raises
+        ------
+        EffectError
+            An unknown parameter, one out of its range, or a rig with too few axes.
+        """
+        known = {p.name: p for p in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                raise EffectError(f"effect {self.id} has no parameter {name!r}; it has {', '.join(known)}")
+            p = known[name]
+            if not (min(p.low, p.null) <= value <= max(p.high, p.null)):
+                raise EffectError(f"{self.id}.{name} = {value} {p.unit} is outside {p.low} to {p.high} {p.unit}")
+        if rig.n_axes < self.needs_axes:
+            raise EffectError(f"effect {self.id} needs {self.needs_axes} axes; rig {rig.name} has {rig.n_axes}")
+        return self.apply(rig, {p.name: values.get(p.name, p.typical) for p in self.parameters})
+
+    def null(self) -> dict[str, float]:
+        """Parameter values at which the effect vanishes; shape parameters stay typical."""
+        return {p.name: p.null if p.strength else p.typical for p in self.parameters}

@@ -1,0 +1,195 @@
+"""A rig as physics sees it: the parts that an effect may change, and nothing else.
+
+A `Rig` is a value. The time simulation (`sim.stepping`) and the frequency-domain model (`sim.twin`,
+`sim.harmonic_balance`) are both built from it, so whatever is written here acts in both.
+
+The chain of one axis, all signals in SI::
+
+    r ──(+)── u ──[hold, delay]──[crosstalk]──[amplifier]── i ──[magnet]── f ──[rotor, support]── x ──[sensor]── y
+         └───────────────────────────── C(z) of -y ──────────────────────────────────────────────────────────┘
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FlexibleMode:
+    """Mode of the free rotor in one plane, unit modal mass."""
+
+    natural_frequency_rad_s: float
+    damping_ratio: float
+    shape_at_bearings: tuple[float, float]
+    """(A, B), 1/sqrt(kg)."""
+    shape_at_sensors: tuple[float, float]
+    """(A, B), 1/sqrt(kg)."""
+    gyroscopic: float = 0.0
+    """Coupling of the two planes' copies of this mode, per unit modal mass: q'' + gyroscopic W q' (1)."""
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """Rigid body and flexible modes, one tuple of modes per plane."""
+
+    mass_kg: float
+    transverse_inertia_kgm2: float
+    polar_inertia_kgm2: float
+    bearing_from_cog_m: tuple[float, float]
+    sensor_from_cog_m: tuple[float, float]
+    modes: tuple[tuple[FlexibleMode, ...], ...]
+    """modes[plane][k]."""
+    internal_damping_ratio: float = 0.0
+    """Damping that turns with the shaft, added to every flexible mode: circulatory forces at speed."""
+
+
+@dataclass(frozen=True)
+class Support:
+    """Housing on a mass-spring: bearings and sensors see the rotor relative to it, magnets react on it."""
+
+    mass_kg: float
+    natural_frequency_rad_s: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One-sided radial stop in each axis at the bearing: a spring with damping beyond the clearance."""
+
+    clearance_m: float
+    stiffness_n_per_m: float
+    damping_ns_per_m: float
+
+
+@dataclass(frozen=True)
+class Magnets:
+    """Differentially driven magnets, per axis: f = k ((i0 + i)^2/(s0 - x)^2 - (i0 - i)^2/(s0 + x)^2).
+
+    ``ki`` and ``ks`` are the factors of the centred, unloaded bearing; the gap follows from them,
+    s0 = i0 ki / ks, and k = ki s0^2 / (4 i0).
+    """
+
+    ki: Array
+    """Force-current factor, N/A, (n,)."""
+    ks: Array
+    """Position stiffness, N/m, positive destabilises, (n,)."""
+    bias_current_a: Array
+    current_limit_a: float
+    offset_m: Array
+    """Displacement of the magnetic from the sensor's centre, (n,)."""
+    eddy_time_constant_s: Array
+    """tau of 1/(1 + sqrt(s tau)) between coil current and flux, 0 for none, (n,)."""
+    saturation_current_a: Array
+    """i_s of i_s tanh(i/i_s), inf for none, (n,)."""
+    hysteresis_rad: Array
+    """Loss angle of the current's play loop at the reference amplitude, 0 for none, (n,)."""
+    hysteresis_reference_a: float
+    cross_coupling_rad: float
+    """Rotation of the force from x to y at each bearing, rad."""
+
+    @property
+    def gap_m(self) -> Array:
+        """Nominal air gap s0 = i0 ki / ks, (n,)."""
+        return self.bias_current_a * self.ki / self.ks
+
+
+@dataclass(frozen=True)
+class Amplifiers:
+    """Current amplifiers: i/u = gain w^2/(s^2 + 2 zeta w s + w^2), or gain w/(s + w) where zeta is None."""
+
+    gain: Array
+    natural_frequency_rad_s: Array
+    damping_ratio: Array | None
+    delay_s: Array
+    """Delay between u and the coil, (n,)."""
+    crosstalk: Array
+    """Share of u_j that drives coil i, identity for none, (n, n)."""
+    slew_limit_a_per_s: Array
+    """Largest |di/dt| that the supply voltage allows at zero current, inf for none, (n,)."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Displacement sensors: y = gain x through an optional first-order lag and a delay."""
+
+    gain: Array
+    bandwidth_rad_s: Array
+    """First-order pole, inf for none, (n,)."""
+    delay_s: Array
+
+
+@dataclass(frozen=True)
+class ControlLaw:
+    """Discrete controller from -y to u, the same in every axis, highest power of z first."""
+
+    numerator: Array
+    denominator: Array
+    sample_time_s: float
+    computing_delay_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A sinusoid added to one signal: frequency = fixed_hz + order * speed / 2 pi."""
+
+    target: str
+    """"i" (coil current, A) or "y" (sensor output, m)."""
+    amplitude: Array
+    """(n,)."""
+    phase_rad: Array
+    fixed_hz: float = 0.0
+    order: float = 0.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White measurement noise, standard deviations per sample, and quantisation steps (0 for none)."""
+
+    displacement_m: float = 0.0
+    current_a: float = 0.0
+    displacement_step_m: float = 0.0
+    current_step_a: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A whole rig: parts, limits, and the conditions under which it runs."""
+
+    name: str
+    axes: tuple[str, ...]
+    rotor: Rotor
+    magnets: Magnets
+    amplifiers: Amplifiers
+    sensors: Sensors
+    controller: ControlLaw
+    displacement_limit_m: float
+    current_limit_a: float
+    linear_range_m: float
+    support: Support | None = None
+    contact: Contact | None = None
+    seal_cross_stiffness_n_per_m: float = 0.0
+    """k of fx = -k y, fy = +k x at both bearings."""
+    disturbances: tuple[Disturbance, ...] = ()
+    noise: Noise = field(default_factory=Noise)
+    logging_offset_samples: int = 0
+    """Logged u is this many samples early against i and y."""
+    drift_per_hour: tuple[float, float] = (0.0, 0.0)
+    """Relative change of (ki, ks) per hour of running."""
+    speed_rad_s: float = 0.0
+    gravity_m_per_s2: float = 0.0
+    """Weight shared by all axes at 45 degrees; 0 for a vertical or unloaded rotor."""
+
+    @property
+    def n_axes(self) -> int:
+        """Number of axes."""
+        return len(self.axes)
+
+    @property
+    def n_planes(self) -> int:
+        """Number of planes, two axes each."""
+        return len(self.axes) // 2
