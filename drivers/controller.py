@@ -81,7 +81,7 @@ class PointResult:
     harmonics: tuple[int, ...]
     R: NDArray[np.complex128]
     U: NDArray[np.complex128]
-    I: NDArray[np.complex128]  # noqa: E741  (the field's letter for current)
+    I: NDArray[np.complex128]
     Y: NDArray[np.complex128]
     peak_displacement_m: float
     """Largest |y| of any axis while the tone was on, ramps included."""

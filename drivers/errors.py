@@ -8,6 +8,7 @@
         ├── LeaseError           another host holds the rig; names the holder and the time left
         ├── LimitError           a value outside the controller's limits was refused before it was sent
         ├── TripError            the controller tripped: excitation is zero, the trip is latched; says why
+        ├── BusyError            the controller is playing another tone
         ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
         └── CancelledError       the caller asked to stop; excitation is off
 """
@@ -24,11 +25,13 @@ class BusError(ControllerError):
 
 
 class LeaseError(ControllerError):
-    """Another host holds the rig."""
+    """Another host holds the rig, or nobody does (an empty holder) and the caller must lease it first."""
 
     def __init__(self, holder: str, seconds_left: float) -> None:
         super().__init__(
             f"the rig is leased to {holder!r} for another {seconds_left:.1f} s; wait, or ask that host to release it"
+            if holder
+            else "the caller does not hold the rig's lease (never taken, or lapsed); take it and try again"
         )
         self.holder = holder
         self.seconds_left = seconds_left
@@ -44,6 +47,10 @@ class TripError(ControllerError):
     def __init__(self, cause: str, message: str) -> None:
         super().__init__(message)
         self.cause = cause
+
+
+class BusyError(ControllerError):
+    """The controller is playing another tone; wait until it is done, or stop it."""
 
 
 class RestartError(ControllerError):

@@ -1,0 +1,345 @@
+"""The controller of the simulated rig: state machine, lease, watchdog, limits and latched trips.
+
+Everything that puts the rig on a bus, and the in-process driver, goes through `RigDevice`; its rules hold
+for all of them. The rig levitates from the moment it is made.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
+from drivers.device.lease import LeaseTable
+from drivers.device.play import Gauges, Interruption, Pace, Player
+from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, TripError
+from sim.rig import Rig
+from sim.stepping import Simulation
+
+WATCHDOG_S = 0.2
+MAX_SAMPLES = 2_000_000
+MAX_RAW_SAMPLES = 500_000
+MAX_BLOCKS = 64
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened on the device; ``monotonic_s`` is the machine's monotonic clock."""
+
+    number: int
+    monotonic_s: float
+    text: str
+
+
+class RigDevice:
+    """A simulated rig with the behaviour of a real controller.
+
+    Parameters
+    ----------
+    rig
+        The rig as physics sees it.
+    seed
+        Of all noise; the same seed and the same tones give the same results.
+    real_time
+        Hold the rig to the wall clock, and let it run on between tones. Otherwise simulated time passes
+        only while a tone is played, as fast as the machine can.
+    watchdog_s
+        Silence of a remote lease holder after which the excitation ramps to zero.
+
+    Raises
+    ------
+    LevitationError
+        The rig's controller does not hold the rotor.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        seed: int = 0,
+        *,
+        real_time: bool = False,
+        watchdog_s: float = WATCHDOG_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._simulation = Simulation(rig, seed)
+        self._rig = rig
+        self._clock = clock
+        self._born = clock()
+        self._gauges = Gauges(State.LEVITATED, (0.0,) * rig.n_axes, (0.0,) * rig.n_axes)
+        self._pace = Pace(real_time, 1 / rig.controller.sample_time_s)
+        self._player = Player(self._simulation, self._gauges, self._pace, self._guard, self._latch)
+        self._leases = LeaseTable(clock, watchdog_s)
+        self._rig_lock = threading.Lock()
+        self._state_lock = threading.Lock()
+        self._playing = False
+        self._play_token = 0
+        self._stop = threading.Event()
+        self._stopped_from_elsewhere = False
+        self._trip: Interruption | None = None
+        self._sequence = 0
+        self._events: deque[Event] = deque(maxlen=1000)
+        self._event_number = 0
+        self._closed = threading.Event()
+        self.boot_id = secrets.randbelow(2**31 - 1) + 1
+        self._log("levitated")
+        if real_time:
+            threading.Thread(target=self._levitate, name="rig", daemon=True).start()
+
+    # ---- what anyone may read
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that is simulated."""
+        return self._rig
+
+    @property
+    def watchdog_s(self) -> float:
+        """Silence of a remote lease holder that trips, s."""
+        return self._leases.watchdog_s
+
+    @property
+    def rig_time_s(self) -> float:
+        """Time that has passed on the rig, s."""
+        return self._gauges.rig_time_s
+
+    def capabilities(self) -> Capabilities:
+        """What the controller is and allows."""
+        rate = 1 / self._rig.controller.sample_time_s
+        return Capabilities(
+            identity=f"simulated rig {self._rig.name}",
+            axes=self._rig.axes,
+            sample_rate_hz=rate,
+            max_amplitude_a=self._rig.current_limit_a,
+            max_frequency_hz=0.45 * rate,
+            max_samples=MAX_SAMPLES,
+            displacement_limit_m=self._rig.displacement_limit_m,
+            current_limit_a=self._rig.current_limit_a,
+        )
+
+    def status(self) -> Status:
+        """Snapshot; feeds no watchdog."""
+        holder, left = self._leases.holder()
+        trip = self._trip
+        return Status(
+            state=self._gauges.state,
+            trip=TripCause.NONE if trip is None else trip.cause,
+            trip_message="" if trip is None else trip.message,
+            excitation_a=self._gauges.excitation_a,
+            displacement_m=self._gauges.displacement_m,
+            current_a=self._gauges.current_a,
+            lease_holder=holder,
+            lease_seconds_left=left,
+            boot_id=self.boot_id,
+            speed_rad_s=self._rig.speed_rad_s,
+            uptime_s=self._clock() - self._born,
+        )
+
+    def events(self, after: int = 0) -> list[Event]:
+        """Events with a number above ``after``, oldest first; the last thousand are kept."""
+        return [event for event in list(self._events) if event.number > after]
+
+    # ---- lease
+
+    def acquire(self, holder: str, seconds: float = 10.0, attached: bool = False) -> int:
+        """Token of a new lease; `attached` marks a holder in this process, which needs no heartbeat.
+
+        Raises
+        ------
+        LeaseError
+            Another host holds the rig.
+        LimitError
+            No holder's name, or a time that is not between 0.1 and 3600 s.
+        """
+        if not holder.strip():
+            raise LimitError("a lease needs the name of its holder")
+        if not 0.1 <= seconds <= 3600:
+            raise LimitError(f"a lease lasts 0.1 to 3600 s, not {seconds} s")
+        token = self._leases.acquire(holder, seconds, attached)
+        self._stopped_from_elsewhere = False
+        self._log(f"leased to {holder}")
+        return token
+
+    def release(self, token: int) -> None:
+        """End a lease, and with it its excitation; nothing happens when the token does not hold the rig."""
+        if self._leases.holds(token):
+            self.stop(token)
+            self._wait_until_quiet()
+            if self._leases.release(token):
+                self._log("lease released")
+
+    def heartbeat(self, token: int, count: int) -> bool:
+        """Feed the watchdog; False when the token does not hold the rig or the counter stands still."""
+        return self._leases.beat(token, count)
+
+    def holds(self, token: int) -> bool:
+        """Whether this token holds the rig."""
+        return self._leases.holds(token)
+
+    # ---- excitation
+
+    def check(self, tone: Tone) -> None:
+        """Refuse a tone outside the limits with `LimitError`."""
+        check_tone(tone, self.capabilities())
+
+    def measure(self, tone: Tone, token: int) -> PointResult:
+        """Play a tone and measure it, see `drivers.controller.Controller.measure`.
+
+        Raises
+        ------
+        LimitError, LeaseError, TripError, CancelledError
+            As the protocol says.
+        BusyError
+            Another tone is being played.
+        """
+        self.check(tone)
+        with self._playing_for(token):
+            result, interruption = self._player.play(tone, self._sequence + 1)
+            if interruption is None:
+                assert result is not None
+                self._sequence = result.sequence
+                self._gauges.state = State.DONE
+                return result
+            if interruption.cause == TripCause.NONE:
+                self._log("stopped, excitation off")
+                raise CancelledError(interruption.message)
+            self._log("excitation off")
+            raise TripError(interruption.cause.name.lower(), interruption.message)
+
+    def stop(self, token: int = 0) -> None:
+        """Ramp the excitation to zero, whoever asks.
+
+        Asked by anyone but the lease's holder, it also ends the holder's next tone if none is playing: a
+        stranger's stop between two points of a sweep must not go unheard.
+        """
+        with self._state_lock:
+            if self._playing:
+                self._stop.set()
+            elif not self._leases.holds(token) and self._leases.holder()[0]:
+                self._stopped_from_elsewhere = True
+        self._log("stop")
+
+    def acknowledge(self, token: int) -> None:
+        """Clear a latched trip.
+
+        Raises
+        ------
+        LeaseError
+            The token does not hold the rig.
+        """
+        self._leases.require(token)
+        with self._state_lock:
+            if self._playing:
+                return
+            if self._trip is not None:
+                self._trip = None
+                self._gauges.state = State.LEVITATED
+                self._log("trip acknowledged")
+
+    def fault(self, message: str) -> None:
+        """Latch a trip from outside the loop: a part of the device failed."""
+        self.stop()
+        self._wait_until_quiet()
+        self._latch(Interruption(TripCause.FAULT, message))
+
+    def close(self) -> None:
+        """Stop and switch off; safe twice."""
+        self._closed.set()
+        self._stop.set()
+        self._wait_until_quiet()
+        self._gauges.state = State.OFF
+
+    # ---- inside
+
+    @contextmanager
+    def _playing_for(self, token: int) -> Iterator[None]:
+        lease = self._leases.require(token)
+        with self._state_lock:
+            if self._closed.is_set():
+                raise ControllerError("the controller is switched off")
+            if self._trip is not None:
+                raise TripError(
+                    self._trip.cause.name.lower(), f"a trip is latched ({self._trip.message}); acknowledge it first"
+                )
+            if self._playing:
+                raise BusyError("the controller is playing another tone; wait until it is done, or stop it")
+            if self._stopped_from_elsewhere:
+                self._stopped_from_elsewhere = False
+                raise CancelledError("the excitation was stopped from elsewhere")
+            self._playing = True
+            self._play_token = lease.token
+            self._stop.clear()
+            self._gauges.state = State.ARMED
+        try:
+            with self._rig_lock:
+                yield
+        finally:
+            with self._state_lock:
+                self._playing = False
+                self._play_token = 0
+                if self._gauges.state in (State.ARMED, State.SETTLING, State.RECORDING):
+                    self._gauges.state = State.LEVITATED
+
+    def _guard(self) -> Interruption | None:
+        if self._stop.is_set():
+            return Interruption(TripCause.NONE, "stopped; the excitation is off")
+        if not self._leases.holds(self._play_token):
+            return Interruption(TripCause.HOST, "the lease ran out while a tone was playing; the excitation is off")
+        if self._leases.silent():
+            return Interruption(
+                TripCause.HOST,
+                f"no heartbeat of the host for {self._leases.watchdog_s * 1e3:.0f} ms; the excitation is off: "
+                "reconnect, lease the rig and acknowledge",
+            )
+        return None
+
+    def _latch(self, interruption: Interruption) -> None:
+        self._trip = interruption
+        self._gauges.state = State.TRIPPED
+        self._log(f"trip {interruption.cause.name}: {interruption.message}")
+
+    def _wait_until_quiet(self, seconds: float = 5.0) -> None:
+        if self._rig_lock.acquire(timeout=seconds):
+            self._rig_lock.release()
+
+    def _levitate(self) -> None:
+        while not self._closed.is_set():
+            with self._rig_lock:
+                self._player.idle(self._pace.chunk_samples)
+            time.sleep(0)
+
+    def _log(self, text: str) -> None:
+        self._event_number += 1
+        self._events.append(Event(self._event_number, time.monotonic(), text))
+
+
+def check_tone(tone: Tone, capabilities: Capabilities) -> None:
+    """Refuse a tone outside the controller's limits; drivers ask before they send, the device asks again.
+
+    Raises
+    ------
+    LimitError
+        Names the value and the limit.
+    """
+    c = capabilities
+    if not 0 <= tone.axis < len(c.axes):
+        raise LimitError(f"axis {tone.axis} does not exist; the rig has axes 0 to {len(c.axes) - 1}")
+    if not (math.isfinite(tone.amplitude_a) and 0 <= tone.amplitude_a <= c.max_amplitude_a):
+        raise LimitError(f"amplitude {tone.amplitude_a} A is outside 0 to {c.max_amplitude_a} A")
+    if tone.samples < 2 or tone.periods < 1 or not 1 <= tone.blocks <= MAX_BLOCKS or tone.settle_samples < 0:
+        raise LimitError(
+            f"a tone has at least 1 period in 2 samples, 1 to {MAX_BLOCKS} blocks and no negative settling, not {tone}"
+        )
+    frequency = tone.frequency_hz(c.sample_rate_hz)
+    if frequency > c.max_frequency_hz:
+        raise LimitError(f"frequency {frequency:.6g} Hz is above {c.max_frequency_hz:.6g} Hz")
+    total = tone.settle_samples + tone.blocks * tone.samples
+    if total > c.max_samples:
+        raise LimitError(f"{total} samples of settling and blocks are more than {c.max_samples}")
+    if tone.raw and tone.blocks * tone.samples > MAX_RAW_SAMPLES:
+        raise LimitError(f"{tone.blocks * tone.samples} samples of raw record are more than {MAX_RAW_SAMPLES}")

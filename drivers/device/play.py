@@ -1,0 +1,233 @@
+"""Plays one tone on the simulated rig: ramp up, settle, record without gaps, ramp down; or the early end of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.controller import HARMONICS, PointResult, State, Tone, TripCause
+from drivers.device.lockin import LockIn, cosine, quantised_amplitude, ramp_samples, smooth_step
+from sim.rig import Array
+from sim.stepping import Simulation
+
+FAST_CHUNK_SAMPLES = 1000
+REAL_TIME_CHUNK_S = 0.005
+EMERGENCY_RAMP_S = 0.02
+CALM_S = 0.5
+"""Simulated time that passes after an early end, so that the rotor is at rest when the next tone begins."""
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """Why a tone ends early. `TripCause.NONE` is a request to stop."""
+
+    cause: TripCause
+    message: str
+
+
+class Interrupted(Exception):
+    """The way out of a tone, not an error; the excitation has not been ramped down yet."""
+
+    def __init__(self, interruption: Interruption) -> None:
+        self.interruption = interruption
+
+
+@dataclass
+class Gauges:
+    """What the device shows of itself while it runs. Each attribute is replaced whole, so reading needs no lock."""
+
+    state: State
+    displacement_m: tuple[float, ...]
+    current_a: tuple[float, ...]
+    excitation_a: float = 0.0
+    rig_time_s: float = 0.0
+
+
+@dataclass
+class Pace:
+    """Holds the simulation back to real time, or lets it run as fast as it can."""
+
+    real_time: bool
+    sample_rate_hz: float
+    _due: float = field(default_factory=time.monotonic)
+
+    @property
+    def chunk_samples(self) -> int:
+        """Samples between two looks at the guard."""
+        return max(1, round(REAL_TIME_CHUNK_S * self.sample_rate_hz)) if self.real_time else FAST_CHUNK_SAMPLES
+
+    def wait(self, samples: int) -> None:
+        """Sleep until ``samples`` more have had their time; a lag of over 50 ms is forgotten, not caught up."""
+        if not self.real_time:
+            return
+        now = time.monotonic()
+        self._due = max(self._due, now - 0.05) + samples / self.sample_rate_hz
+        if self._due > now:
+            time.sleep(self._due - now)
+
+
+class Player:
+    """Plays tones on one simulation.
+
+    Parameters
+    ----------
+    guard
+        Asked before every chunk; an interruption ends the tone.
+    latch
+        Told of an interruption that is a trip, before the excitation is ramped down.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        gauges: Gauges,
+        pace: Pace,
+        guard: Callable[[], Interruption | None],
+        latch: Callable[[Interruption], None],
+    ) -> None:
+        self._sim = simulation
+        self._rig = simulation.rig
+        self._gauges = gauges
+        self._pace = pace
+        self._guard = guard
+        self._latch = latch
+        self._fs = 1.0 / simulation.rig.controller.sample_time_s
+
+    def idle(self, samples: int) -> None:
+        """Levitate without excitation."""
+        self._advance(np.zeros((samples, self._sim.n_axes)), check_limits=False)
+        self._pace.wait(samples)
+
+    def play(self, tone: Tone, sequence: int) -> tuple[PointResult | None, Interruption | None]:
+        """Result, or None and why the tone ended early; the excitation is zero either way."""
+        run = _Run(tone, quantised_amplitude(tone.amplitude_a), self._sim.n_axes)
+        ramp = ramp_samples(tone, self._fs)
+        record = tone.blocks * tone.samples
+        try:
+            self._segment(run, State.SETTLING, -tone.settle_samples - ramp, ramp, 0.0, 1.0)
+            self._segment(run, State.SETTLING, -tone.settle_samples, tone.settle_samples, 1.0, 1.0)
+            self._segment(run, State.RECORDING, 0, record, 1.0, 1.0, keep=True)
+            self._segment(run, State.RECORDING, record, ramp, 1.0, 0.0)
+        except Interrupted as early:
+            if early.interruption.cause != TripCause.NONE:
+                self._latch(early.interruption)
+            self._emergency_ramp(run)
+            return None, early.interruption
+        except BaseException:
+            # whatever went wrong (Ctrl-C included), the excitation ends before anyone hears of it
+            self._emergency_ramp(run)
+            raise
+        finally:
+            self._gauges.excitation_a = 0.0
+        return run.result(sequence, self._fs), None
+
+    def _segment(
+        self, run: _Run, state: State, first: int, count: int, start: float, end: float, keep: bool = False
+    ) -> None:
+        if count > 0:
+            self._gauges.state = state
+        done = 0
+        while done < count:
+            if (interruption := self._guard()) is not None:
+                raise Interrupted(interruption)
+            n = min(self._pace.chunk_samples, count - done)
+            position = (done + np.arange(n)) / count
+            level = np.full(n, start) if start == end else start + (end - start) * smooth_step(position)
+            r = np.zeros((n, self._sim.n_axes))
+            r[:, run.tone.axis] = run.amplitude_a * level * cosine(run.tone, first + done, n)
+            run.next_sample, run.level = first + done + n, float(level[-1])
+            self._gauges.excitation_a = run.amplitude_a * run.level
+            reached = self._advance(r, run=run, keep=keep)
+            self._pace.wait(n)
+            if reached is not None:
+                raise Interrupted(reached)
+            done += n
+
+    def _emergency_ramp(self, run: _Run) -> None:
+        total = round(EMERGENCY_RAMP_S * self._fs)
+        if run.amplitude_a == 0 or run.level == 0:
+            return
+        for done in range(0, total, self._pace.chunk_samples):
+            n = min(self._pace.chunk_samples, total - done)
+            level = run.level * smooth_step(1 - (done + 1 + np.arange(n)) / total)
+            r = np.zeros((n, self._sim.n_axes))
+            r[:, run.tone.axis] = run.amplitude_a * level * cosine(run.tone, run.next_sample + done, n)
+            self._gauges.excitation_a = run.amplitude_a * float(level[-1])
+            self._advance(r, check_limits=False)
+            self._pace.wait(n)
+        if not self._pace.real_time:
+            self.idle(round(CALM_S * self._fs))
+
+    def _advance(
+        self, r: Array, check_limits: bool = True, run: _Run | None = None, keep: bool = False
+    ) -> Interruption | None:
+        record = self._sim.advance(r, check_limits=check_limits)
+        self._gauges.displacement_m = tuple(record.y[-1].tolist())
+        self._gauges.current_a = tuple(record.i[-1].tolist())
+        self._gauges.rig_time_s = self._sim.time_s
+        if not np.all(np.isfinite(record.y[-1])):
+            return Interruption(TripCause.FAULT, "the rotor is not levitated any more; restart the rig")
+        if run is not None:
+            run.add(record.r, record.u, record.i, record.y, keep)
+        if record.exceeded == "displacement":
+            return self._limit(
+                TripCause.DISPLACEMENT, "displacement", record.y[-1], self._rig.displacement_limit_m, "um"
+            )
+        if record.exceeded == "current":
+            return self._limit(TripCause.CURRENT, "current", record.i[-1], self._rig.current_limit_a, "A")
+        return None
+
+    def _limit(self, cause: TripCause, name: str, last: Array, limit: float, unit: str) -> Interruption:
+        axis = int(np.argmax(np.abs(last)))
+        scale = 1e6 if unit == "um" else 1.0
+        return Interruption(
+            cause,
+            f"{name} of axis {self._rig.axes[axis]} reached {abs(last[axis]) * scale:.4g} {unit}, over the limit of "
+            f"{limit * scale:.4g} {unit}; the excitation is off: acknowledge, and use a lower amplitude",
+        )
+
+
+class _Run:
+    """What one tone has gathered so far."""
+
+    def __init__(self, tone: Tone, amplitude_a: float, n_axes: int) -> None:
+        self.tone = tone
+        self.amplitude_a = amplitude_a
+        self.next_sample = 0
+        self.level = 0.0
+        self._samples = 0
+        self._peak_y = self._peak_i = 0.0
+        self._lockin = LockIn(tone, 4 * n_axes)
+        self._chunks: list[Array] = []
+
+    def add(self, r: Array, u: Array, i: Array, y: Array, keep: bool) -> None:
+        """Take over a chunk; (M, n_axes) each."""
+        self._samples += len(y)
+        self._peak_y = max(self._peak_y, float(np.max(np.abs(y))))
+        self._peak_i = max(self._peak_i, float(np.max(np.abs(i))))
+        if keep:
+            chunk = np.hstack((r, u, i, y))
+            self._lockin.add(chunk)
+            if self.tone.raw:
+                self._chunks.append(chunk)
+
+    def result(self, sequence: int, sample_rate_hz: float) -> PointResult:
+        """What a tone that was played to its end gave."""
+        r, u, i, y = np.split(self._lockin.amplitudes, 4, axis=2)
+        raw = np.split(np.concatenate(self._chunks), 4, axis=1) if self.tone.raw else None
+        return PointResult(
+            tone=self.tone,
+            harmonics=HARMONICS,
+            R=r,
+            U=u,
+            I=i,
+            Y=y,
+            peak_displacement_m=self._peak_y,
+            peak_current_a=self._peak_i,
+            rig_seconds=self._samples / sample_rate_hz,
+            sequence=sequence,
+            records=None if raw is None else dict(zip("ruiy", raw, strict=True)),
+        )

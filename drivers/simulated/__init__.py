@@ -1,0 +1,1 @@
+"""The simulated rig in process: the device of `drivers.device` without a bus."""

@@ -1,0 +1,70 @@
+"""A controller in the caller's own process: the simulated rig's device without a bus between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from drivers.controller import Capabilities, PointResult, Status, Tone
+from drivers.device.lease import NO_TOKEN
+from drivers.device.machine import RigDevice
+from sim.rig import Rig
+
+
+class SimulatedController:
+    """Controller of a simulated rig, in process.
+
+    Parameters
+    ----------
+    rig
+        The rig, or a device that already runs (a second host of the same rig).
+    seed
+        Of all noise of a rig that is started here.
+
+    Raises
+    ------
+    LevitationError
+        The rig's controller does not hold the rotor.
+    """
+
+    def __init__(self, rig: Rig | RigDevice, seed: int = 0) -> None:
+        self._own = not isinstance(rig, RigDevice)
+        self._device = rig if isinstance(rig, RigDevice) else RigDevice(rig, seed)
+        self._token = NO_TOKEN
+
+    def capabilities(self) -> Capabilities:
+        """What the controller is and allows."""
+        return self._device.capabilities()
+
+    def status(self) -> Status:
+        """Snapshot of state, trip, excitation, lease."""
+        return self._device.status()
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
+        """Hold the rig; it cannot lapse, for the holder lives in the device's process."""
+        token = self._device.acquire(holder, seconds, attached=True)
+        self._token = token
+        try:
+            yield
+        finally:
+            self._token = NO_TOKEN
+            self._device.release(token)
+
+    def measure(self, tone: Tone) -> PointResult:
+        """Excite with one tone, measure, ramp back to zero."""
+        return self._device.measure(tone, self._token)
+
+    def stop(self) -> None:
+        """Ramp the excitation to zero, from any thread, at any time."""
+        self._device.stop(self._token)
+
+    def acknowledge(self) -> None:
+        """Clear a latched trip; needs the lease."""
+        self._device.acknowledge(self._token)
+
+    def close(self) -> None:
+        """Stop, and switch the rig off if it was started here."""
+        self.stop()
+        if self._own:
+            self._device.close()
