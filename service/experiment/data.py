@@ -31,7 +31,7 @@ class Sweep:
     harmonics: tuple[int, ...]
     R: Complex
     U: Complex
-    I: Complex | None  # noqa: E741  (the field's letter for current)
+    I: Complex | None
     """None when the controller does not log the coil current."""
     Y: Complex
     speed_rad_s: float = 0.0

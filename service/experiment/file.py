@@ -1,0 +1,184 @@
+"""Experiment files: HDF5 in both forms of the contract, and the same arrays in MATLAB files.
+
+`read` takes whatever the contract allows and refuses the rest with one line; `write` puts a whole experiment in
+place at once, so that a reader sees the old file or the new one and never half of one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from service.experiment import contract, matlab
+from service.experiment.data import Experiment, Sweep
+from service.experiment.errors import ExperimentFileError
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+MATLAB_5 = b"MATLAB 5.0 MAT-file"
+MATLAB_73 = b"MATLAB 7.3 MAT-file"
+
+
+def read(path: Path | str) -> Experiment:
+    """Read an experiment from HDF5 (records or demodulated) or from MATLAB v5 or v7.3.
+
+    Raises
+    ------
+    ExperimentFileError
+        One line that names the file, the dataset, what is wrong with it and what to do.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(len(MATLAB_5))
+            if head == MATLAB_5:
+                return _from_tree(path, matlab.version_5(path))
+        if not h5py.is_hdf5(path):
+            raise ExperimentFileError(
+                f"{path} is no HDF5 or MATLAB file, or its start is cut off; copy it again from the controller"
+            )
+        with h5py.File(path, "r") as file:
+            if head == MATLAB_73 or ("format" not in file.attrs and "sweeps" in file and matlab.made_by_matlab(file)):
+                return _from_tree(path, matlab.version_73(file))
+            return _from_tree(path, _hdf5_tree(path, file))
+    except FileNotFoundError as error:
+        raise ExperimentFileError(f"{path} does not exist; give the path of an experiment file") from error
+    except (OSError, RuntimeError, KeyError, EOFError, matlab.MatReadError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ExperimentFileError(
+            f"{path} cannot be read, it may be truncated or damaged ({reason}); copy it again from where it was made"
+        ) from error
+
+
+def _hdf5_tree(path: Path, file: Any) -> dict[str, Any]:
+    """Attributes and datasets of an HDF5 file as plain dictionaries."""
+    if "format" not in file.attrs:
+        raise ExperimentFileError(
+            f'{path}: attribute format is missing; it must be "{contract.FORMAT}": is it another file?'
+        )
+    tree: dict[str, Any] = {"attributes": dict(file.attrs), "sweeps": {}}
+    if "sweeps" not in file or not isinstance(file["sweeps"], h5py.Group):
+        raise ExperimentFileError(f"{path}: the group /sweeps is missing; an experiment has at least /sweeps/0")
+    for name, group in file["sweeps"].items():
+        if not isinstance(group, h5py.Group):
+            raise ExperimentFileError(f"{path}: /sweeps/{name} is a dataset; it must be a group, one for each sweep")
+        datasets = {}
+        for key, node in group.items():
+            if not isinstance(node, h5py.Dataset):
+                continue
+            try:
+                datasets[key] = node[()]
+            except (OSError, RuntimeError) as error:
+                raise ExperimentFileError(
+                    f"{path}: /sweeps/{name}/{key} cannot be read, the file is truncated or damaged; copy it again"
+                ) from error
+        tree["sweeps"][name] = (datasets, dict(group.attrs))
+    return tree
+
+
+def _from_tree(path: Path, tree: Mapping[str, Any]) -> Experiment:
+    attributes = tree["attributes"]
+    for name in ("format", "version", "rig", "axes"):
+        if name not in attributes:
+            raise ExperimentFileError(f"{path}: attribute {name} is missing; add it as the contract says")
+    contract.format_and_version(str(path), attributes["format"], attributes["version"])
+    axes = _axes(path, attributes["axes"])
+    if not tree["sweeps"]:
+        raise ExperimentFileError(f"{path}: /sweeps holds no sweep; an experiment has at least /sweeps/0")
+    sweeps = [
+        contract.sweep(f"{path}: /sweeps/{name}", datasets, own, len(axes))
+        for name, (datasets, own) in sorted(tree["sweeps"].items(), key=lambda kv: _order(kv[0]))
+    ]
+    if all(s.kind == "noise" for s in sweeps):
+        raise ExperimentFileError(f"{path}: /sweeps holds no excited sweep; there is nothing to identify from")
+    known = {"format", "version", "rig", "axes"}
+    return Experiment(
+        rig=contract.text(attributes["rig"]),
+        axes=axes,
+        sweeps=tuple(sweeps),
+        attributes={k: contract.text(v) for k, v in attributes.items() if k not in known},
+    )
+
+
+def _order(name: str) -> tuple[int, str]:
+    """10 after 9."""
+    digits = "".join(c for c in name if c.isdigit())
+    return (int(digits) if digits else 0, name)
+
+
+def _axes(path: Path, value: Any) -> tuple[str, ...]:
+    """Axes from a JSON list, or from an array of names."""
+    try:
+        names: Any
+        if isinstance(value, np.ndarray) and value.size > 1:
+            names = [contract.text(v) for v in value.ravel()]
+        else:
+            names = json.loads(contract.text(value))
+    except json.JSONDecodeError:
+        names = None
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) and n for n in names):
+        raise ExperimentFileError(
+            f'{path}: attribute axes is {contract.text(value)!r}; it must be a JSON list such as ["xA", "xB"]'
+        )
+    if len(set(names)) != len(names):
+        raise ExperimentFileError(f"{path}: attribute axes names an axis twice: {', '.join(names)}")
+    return tuple(names)
+
+
+def write(path: Path, experiment: Experiment) -> None:
+    """Write an experiment, demodulated form, in one piece: a temporary file that takes the place of ``path``.
+
+    Raises
+    ------
+    ExperimentFileError
+        The folder cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with h5py.File(temporary, "w") as file:
+            file.attrs.update(
+                format=contract.FORMAT,
+                version=contract.VERSION,
+                rig=experiment.rig,
+                axes=json.dumps(list(experiment.axes)),
+            )
+            file.attrs.update(experiment.attributes)
+            for k, sweep in enumerate(experiment.sweeps):
+                _write_sweep(file.create_group(f"sweeps/{k}"), sweep)
+        _to_disk(temporary)
+        os.replace(temporary, path)
+        _to_disk(path.parent)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ExperimentFileError(f"cannot write {path}: {error}; free space or choose another folder") from error
+
+
+def _write_sweep(group: Any, sweep: Sweep) -> None:
+    group.attrs.update(
+        kind=sweep.kind, speed_rad_s=sweep.speed_rad_s, sample_rate_hz=sweep.sample_rate_hz, comment=sweep.comment
+    )
+    group["frequency_hz"] = sweep.frequency_hz
+    group["axis"] = sweep.axis.astype(np.int8)
+    group["amplitude_a"] = sweep.amplitude_a
+    group["harmonics"] = np.array(sweep.harmonics, dtype=np.int8)
+    if sweep.flags:
+        group.create_dataset("flags", data=list(sweep.flags), dtype=h5py.string_dtype())
+    for name in ("R", "U", "I", "Y"):
+        value = getattr(sweep, name)
+        if value is not None:
+            group.create_dataset(name, data=value, compression="gzip", compression_opts=1, shuffle=True)
+
+
+def _to_disk(path: Path) -> None:
+    """Make a file, or the names in a folder, survive a power failure."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
