@@ -147,6 +147,16 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
+class Drift:
+    """Linear change of the magnets while a campaign runs, as they warm up."""
+
+    ki_change: float
+    """Relative change of ki at ``duration_s``."""
+    ks_change: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
 class Noise:
     """White measurement noise, standard deviations per sample, and quantisation steps (0 for none)."""
 
@@ -178,8 +188,7 @@ class Rig:
     noise: Noise = field(default_factory=Noise)
     logging_offset_samples: int = 0
     """Logged u is this many samples early against i and y."""
-    drift_per_hour: tuple[float, float] = (0.0, 0.0)
-    """Relative change of (ki, ks) per hour of running."""
+    drift: Drift | None = None
     speed_rad_s: float = 0.0
     gravity_m_per_s2: float = 0.0
     """Weight shared by all axes at 45 degrees; 0 for a vertical or unloaded rotor."""

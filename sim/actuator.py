@@ -1,0 +1,127 @@
+"""Magnets: the exact differential force law, saturation, hysteresis, eddy currents, and the operating point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from sim.errors import LevitationError
+from sim.rig import Array, Magnets, Rig
+
+Complex = NDArray[np.complex128]
+
+PLAY_THRESHOLDS_A = 3.0 * (np.arange(1, 25) / 24) ** 2
+"""Thresholds of the plays that make a Rayleigh loop, graded so that small currents see several of them."""
+PLAY_WEIGHTS_A = np.diff(np.concatenate([[0.0], PLAY_THRESHOLDS_A]))
+
+
+def saturated(m: Magnets, current_a: Array) -> Array:
+    """Magnetically effective control current, i_s tanh(i / i_s), limited to the amplifier's current limit."""
+    i = np.clip(current_a, -m.current_limit_a, m.current_limit_a)
+    with np.errstate(invalid="ignore"):
+        limited = m.saturation_current_a * np.tanh(i / m.saturation_current_a)
+    return np.where(np.isinf(m.saturation_current_a), i, limited)
+
+
+def force(m: Magnets, current_a: Array, displacement_m: Array) -> Array:
+    """Force of the differential pair, N, for current and displacement of shape (..., n).
+
+    f = k ((i0 + i)^2 / (s0 - x)^2 - (i0 - i)^2 / (s0 + x)^2), k = ki s0^2 / (4 i0); a coil carries no negative
+    current (Schweitzer and Maslen, Magnetic Bearings, 2009, eq. 4.3).
+    """
+    s0, i0 = m.gap_m, m.bias_current_a
+    k = m.ki * s0**2 / (4 * i0)
+    i = saturated(m, current_a)
+    x = displacement_m + m.offset_m
+    upper = np.maximum(i0 + i, 0.0) / (s0 - x)
+    lower = np.maximum(i0 - i, 0.0) / (s0 + x)
+    return np.asarray(k * (upper**2 - lower**2))
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Where the magnets work, and the factors there; all (n,)."""
+
+    current_a: Array
+    load_n: Array
+    """Constant force on the rotor at each bearing axis that the magnets carry."""
+    ki: Array
+    """N/A"""
+    ks: Array
+    """N/m"""
+
+
+def static_load(rig: Rig) -> Array:
+    """Weight on each bearing axis, N, (n,): shared by the lever arms, each axis at 45 degrees."""
+    a, b = rig.rotor.bearing_from_cog_m
+    weight = rig.rotor.mass_kg * rig.gravity_m_per_s2 / math.sqrt(2)
+    return np.tile([-weight * b / (a + b), -weight * a / (a + b)], rig.n_planes)
+
+
+def operating_point(rig: Rig) -> OperatingPoint:
+    """Current that carries the weight at the sensors' centre, and ki, ks there.
+
+    Raises
+    ------
+    LevitationError
+        The magnets cannot carry the weight within the current limit.
+    """
+    m, n = rig.magnets, rig.n_axes
+    load = static_load(rig)
+    current = np.zeros(n)
+    for axis in range(n):
+
+        def excess(i: float, axis: int = axis) -> float:
+            vector = np.zeros(n)
+            vector[axis] = i
+            return float(force(m, vector, np.zeros(n))[axis] + load[axis])
+
+        low, high = -m.current_limit_a, m.current_limit_a
+        if abs(excess(0.0)) < 1e-12:
+            continue
+        if excess(low) * excess(high) > 0:
+            raise LevitationError(
+                f"rig {rig.name}: the magnets of axis {rig.axes[axis]} cannot carry {-load[axis]:.0f} N within "
+                f"{m.current_limit_a:g} A; raise the bias current or the current limit"
+            )
+        current[axis] = brentq(excess, low, high, xtol=1e-12)
+    # Central differences: the law is smooth to well below these steps.
+    di, dx = 1e-5, 1e-10
+    zero = np.zeros(n)
+    ki = (force(m, current + di, zero) - force(m, current - di, zero)) / (2 * di)
+    ks = (force(m, current, zero + dx) - force(m, current, zero - dx)) / (2 * dx)
+    return OperatingPoint(current, load, ki, ks)
+
+
+def rayleigh_coefficient(m: Magnets) -> Array:
+    """alpha of the Rayleigh loop b = (1 + alpha A) i +- alpha/2 (A^2 - i^2), 1/A, (n,).
+
+    The loss angle of that loop's fundamental is 4 alpha A / (3 pi (1 + alpha A)) (Rayleigh 1887).
+    """
+    tangent = np.tan(m.hysteresis_rad)
+    return np.asarray(tangent / ((4 / (3 * math.pi) - tangent) * m.hysteresis_reference_a))
+
+
+def eddy_factor(time_constant_s: Array, omega_rad_s: Array) -> Complex:
+    """1 / (1 + sqrt(j w tau)), (F, n): flux per current of a solid or laminated core (Zhu et al. 2005)."""
+    return np.asarray(1.0 / (1.0 + np.sqrt(1j * np.asarray(omega_rad_s)[:, None] * time_constant_s)))
+
+
+def eddy_states(time_constant_s: float, n_states: int = 12) -> tuple[Array, Array]:
+    """Poles p (rad/s) and weights r of the diffusive realisation sum r_k / (1 + s / p_k) of the eddy factor.
+
+    The exact kernel of 1/(1 + sqrt(s tau)) over real poles is weight(p) dp with
+    weight = sqrt(p tau) / (pi p (1 + p tau)) (Montseny 1998); poles are spaced evenly in log p, the weights then
+    fitted to the exact factor over 1 to 5000 Hz with unit dc gain.
+    """
+    poles = np.geomspace(2 * math.pi * 0.3, 2 * math.pi * 3e5, n_states)
+    omega = 2 * math.pi * np.geomspace(0.5, 8000.0, 200)
+    basis = np.column_stack([np.ones(len(omega), dtype=complex), 1 / (1 + 1j * omega[:, None] / poles)])
+    target = 1 / (1 + np.sqrt(1j * omega * time_constant_s))
+    real = np.concatenate([basis.real, basis.imag])
+    weights, *_ = np.linalg.lstsq(real, np.concatenate([target.real, target.imag]), rcond=1e-12)
+    return np.concatenate([[np.inf], poles]), weights

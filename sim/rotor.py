@@ -1,0 +1,121 @@
+"""Rotor and support: parameters -> M q'' + (D + G) q' + K q = B f, with the exact maps to bearings and sensors.
+
+Coordinates: per plane the translation of the centre of gravity, the tilt, and the flexible modes (free-free,
+unit modal mass); then one displacement of the housing per plane where the rig has a support.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.rig import Array, Rig
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Second-order equations of rotor and support, q coordinates and n axes."""
+
+    mass: Array
+    """(q, q)"""
+    damping: Array
+    """(q, q), gyroscopic terms included"""
+    stiffness: Array
+    """(q, q), circulatory terms included"""
+    force_map: Array
+    """(q, n) bearing forces -> generalised forces, reaction on the housing included"""
+    bearing_map: Array
+    """(n, q) -> displacement at the bearings, relative to the housing"""
+    sensor_map: Array
+    """(n, q) -> displacement at the sensors, relative to the housing"""
+
+    @property
+    def high_frequency(self) -> Array:
+        """C_sensor M^-1 B, (n, n): the receptance tends to -this / w^2."""
+        return self.sensor_map @ np.linalg.solve(self.mass, self.force_map)
+
+
+def plane_maps(rig: Rig, plane: int) -> tuple[Array, Array]:
+    """Displacement at bearings and at sensors per coordinate of one plane, each (2, 2 + modes)."""
+    rotor = rig.rotor
+    modes = rotor.modes[plane]
+    (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
+    bearings = np.column_stack([[1.0, 1.0], [a, -b], *(m.shape_at_bearings for m in modes)])
+    sensors = np.column_stack([[1.0, 1.0], [sa, -sb], *(m.shape_at_sensors for m in modes)])
+    return bearings, sensors
+
+
+def mechanics(rig: Rig) -> Mechanics:
+    """Equations of motion of rotor and support at the rig's speed.
+
+    The gyroscopic moment couples the tilts of the two planes, Ip W (Genta, Dynamics of Rotating Systems, 2005,
+    eq. 2.14); internal damping adds the circulatory stiffness zi w1 W x 2 that makes forward whirl lose damping.
+    """
+    rotor, n, speed = rig.rotor, rig.n_axes, rig.speed_rad_s
+    sizes = [2 + len(m) for m in rotor.modes]
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    n_rotor = int(starts[-1])
+    n_q = n_rotor + (rig.n_planes if rig.support else 0)
+    mass, damping, stiffness = np.zeros((n_q, n_q)), np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
+    bearing_map, sensor_map = np.zeros((n, n_q)), np.zeros((n, n_q))
+    for plane, modes in enumerate(rotor.modes):
+        s, rows = int(starts[plane]), slice(2 * plane, 2 * plane + 2)
+        columns = slice(s, s + sizes[plane])
+        mass[s, s], mass[s + 1, s + 1] = rotor.mass_kg, rotor.transverse_inertia_kgm2
+        for k, m in enumerate(modes, start=s + 2):
+            w, internal = m.natural_frequency_rad_s, rotor.internal_damping_ratio
+            mass[k, k], stiffness[k, k] = 1.0, w**2
+            damping[k, k] = 2 * (m.damping_ratio + internal) * w
+        bearing_map[rows, columns], sensor_map[rows, columns] = plane_maps(rig, plane)
+    if rig.n_planes == 2 and speed:
+        _turning(rig, starts, damping, stiffness)
+    if rig.support:
+        housing = rig.support
+        for plane in range(rig.n_planes):
+            k, rows = n_rotor + plane, slice(2 * plane, 2 * plane + 2)
+            mass[k, k] = housing.mass_kg
+            stiffness[k, k] = housing.mass_kg * housing.natural_frequency_rad_s**2
+            damping[k, k] = 2 * housing.damping_ratio * housing.natural_frequency_rad_s * housing.mass_kg
+            bearing_map[rows, k] = sensor_map[rows, k] = -1.0
+    if rig.seal_cross_stiffness_n_per_m and rig.n_planes == 2:
+        x, y = bearing_map[:2], bearing_map[2:]
+        # fx = -k y, fy = +k x on the right-hand side
+        stiffness += rig.seal_cross_stiffness_n_per_m * (x.T @ y - y.T @ x)
+    return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
+
+
+def _turning(rig: Rig, starts: Array, damping: Array, stiffness: Array) -> None:
+    """Gyroscopic and circulatory coupling of the two planes at speed, added in place."""
+    rotor, speed = rig.rotor, rig.speed_rad_s
+    x, y = int(starts[0]) + 1, int(starts[1]) + 1
+    damping[x, y] += rotor.polar_inertia_kgm2 * speed
+    damping[y, x] -= rotor.polar_inertia_kgm2 * speed
+    for mx, my in zip(rotor.modes[0], rotor.modes[1], strict=True):
+        x, y = x + 1, y + 1
+        gyroscopic = 0.5 * (mx.gyroscopic + my.gyroscopic) * speed
+        damping[x, y] += gyroscopic
+        damping[y, x] -= gyroscopic
+        w = 0.5 * (mx.natural_frequency_rad_s + my.natural_frequency_rad_s)
+        circulatory = 2 * rotor.internal_damping_ratio * w * speed
+        stiffness[x, y] += circulatory
+        stiffness[y, x] -= circulatory
+
+
+def receptances(m: Mechanics, omega_rad_s: Array) -> tuple[Complex, Complex]:
+    """Displacement at bearings and at sensors per bearing force, each (F, n, n), m/N, for the free rotor.
+
+    Modal sums where the matrices are diagonal (no support coupling by inertia, no turning), a solve otherwise.
+    """
+    s = 1j * np.asarray(omega_rad_s, dtype=float)
+    diagonal = all(not np.any(a - np.diag(np.diag(a))) for a in (m.mass, m.damping, m.stiffness))
+    if diagonal:
+        dynamic = np.diag(m.mass) * s[:, None] ** 2 + np.diag(m.damping) * s[:, None] + np.diag(m.stiffness)  # (F, q)
+        q = m.force_map[None] / dynamic[:, :, None]
+    else:
+        full = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + m.stiffness
+        q = np.linalg.solve(full, np.broadcast_to(m.force_map.astype(complex), (len(s), *m.force_map.shape)))
+    return m.bearing_map @ q, m.sensor_map @ q

@@ -1,0 +1,14 @@
+"""Displacement sensors: gain, first-order lag, delay."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.rig import Array, Sensors
+
+
+def response(sensors: Sensors, omega_rad_s: Array) -> NDArray[np.complex128]:
+    """y per displacement at the sensor, (F, n)."""
+    s = 1j * np.asarray(omega_rad_s)[:, None]
+    return np.asarray(sensors.gain * np.exp(-s * sensors.delay_s) / (1 + s / sensors.bandwidth_rad_s))

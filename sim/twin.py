@@ -1,0 +1,196 @@
+"""The twin: datasheet and effects -> one rig, its linear frequency responses and its loop.
+
+>>> import numpy as np
+>>> from sim.reference import reference_rig
+>>> model = linear_model(reference_rig(), np.array([100.0]))
+>>> model.y_per_u.shape
+(1, 4, 4)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import actuator, amplifier, control_law, rotor, sensor
+from sim.datasheet import Datasheet
+from sim.rig import (
+    Amplifiers,
+    Array,
+    ControlLaw,
+    FlexibleMode,
+    Magnets,
+    Rig,
+    Rotor,
+    Sensors,
+)
+
+Complex = NDArray[np.complex128]
+
+
+def rig_from_datasheet(datasheet: Datasheet, effects: Mapping[str, Mapping[str, float]] | None = None) -> Rig:
+    """The rig that a datasheet describes: non-rotating, without noise, with the effects that it names.
+
+    ``effects`` (id -> parameter values) are added after the datasheet's own.
+
+    Raises
+    ------
+    EffectError
+        An unknown effect or parameter.
+    """
+    d, n = datasheet, datasheet.n_axes
+    modes = tuple(
+        FlexibleMode(2 * math.pi * m.frequency_hz, m.damping_ratio, m.shape_at_bearings, m.shape_at_sensors)
+        for m in d.modes
+    )
+    bandwidth = np.full(n, np.inf) if d.sensor_bandwidth_hz is None else 2 * np.pi * np.array(d.sensor_bandwidth_hz)
+    rig = Rig(
+        name=d.name,
+        axes=d.axes,
+        rotor=Rotor(
+            d.mass_kg,
+            d.transverse_inertia_kgm2,
+            d.polar_inertia_kgm2 or 0.0,
+            d.bearing_from_cog_m,
+            d.sensor_from_cog_m,
+            (modes,) * (n // 2),
+        ),
+        magnets=Magnets(
+            ki=np.array(d.current_stiffness_n_per_a),
+            ks=np.array(d.position_stiffness_n_per_m),
+            bias_current_a=np.array(d.bias_current_a),
+            current_limit_a=d.current_limit_a,
+            offset_m=np.zeros(n),
+            eddy_time_constant_s=np.zeros(n),
+            saturation_current_a=np.full(n, np.inf),
+            hysteresis_rad=np.zeros(n),
+            hysteresis_reference_a=0.5,
+            cross_coupling_rad=0.0,
+        ),
+        amplifiers=Amplifiers(
+            gain=np.array(d.amplifier_gain),
+            natural_frequency_rad_s=2 * np.pi * np.array(d.amplifier_natural_frequency_hz),
+            damping_ratio=None if d.amplifier_damping_ratio is None else np.array(d.amplifier_damping_ratio),
+            delay_s=np.zeros(n),
+            crosstalk=np.eye(n),
+            slew_limit_a_per_s=np.full(n, np.inf),
+        ),
+        sensors=Sensors(np.array(d.sensor_gain), bandwidth, np.zeros(n)),
+        controller=ControlLaw(np.array(d.numerator), np.array(d.denominator), d.sample_time_s, d.computing_delay_s),
+        displacement_limit_m=d.displacement_limit_m,
+        current_limit_a=d.current_limit_a,
+        linear_range_m=d.linear_range_m,
+    )
+    return with_effects(rig, {**{k: dict(v) for k, v in d.effects}, **(effects or {})})
+
+
+def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:
+    """Rig with effects of the catalogue added, in order; parameters not given keep their typical values.
+
+    Raises
+    ------
+    EffectError
+        An unknown effect or parameter, or one that this rig cannot have.
+    """
+    from sim.effects import effect  # the catalogue's files import the parts of a rig, so it is read late
+
+    for name, values in effects.items():
+        rig = effect(name).on(rig, **values)
+    return rig
+
+
+def force_rotation(rig: Rig) -> Array:
+    """Rotation of the magnets' forces from x to y at each bearing, (n, n)."""
+    n, angle = rig.n_axes, rig.magnets.cross_coupling_rad
+    rotation = np.eye(n)
+    if angle and n == 4:
+        c, s = math.cos(angle), math.sin(angle)
+        rotation = np.block([[c * np.eye(2), -s * np.eye(2)], [s * np.eye(2), c * np.eye(2)]])
+    return rotation
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Small-signal responses of a rig at F frequencies; matrices are (F, output, input)."""
+
+    omega_rad_s: Array
+    i_per_u: Complex
+    """Sampled coil current per held control signal, A/A."""
+    y_per_u: Complex
+    """Sampled sensor signal per held control signal, m/A."""
+    plant: Complex
+    """Continuous y per coil current, m/A."""
+    baseband: Complex
+    """Component of the coil current at the excited frequency (not its samples) per u, A/A."""
+    controller: Complex
+    """C from -y to u, (F,)."""
+    receptance: Complex
+    """Displacement at the bearings per bearing force, free rotor, m/N."""
+
+    @property
+    def y_per_i(self) -> Complex:
+        """What an ETFE from logged i to logged y sees."""
+        return np.asarray(np.swapaxes(np.linalg.solve(_transposed(self.i_per_u), _transposed(self.y_per_u)), -1, -2))
+
+    @property
+    def sensitivity(self) -> Complex:
+        """u per r, (I + C G)^-1."""
+        n = self.y_per_u.shape[-1]
+        return np.asarray(np.linalg.inv(np.eye(n) + self.controller[:, None, None] * self.y_per_u))
+
+
+def _transposed(a: Complex) -> Complex:
+    return np.swapaxes(a, -1, -2)
+
+
+def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
+    """Exact small-signal responses of the sampled rig, at its operating point.
+
+    u is held between samples; i and y are taken at the samples. The current's samples carry the hold's images,
+    so they come from the sampled amplifier; the displacement sees the baseband current and, at its roll-off of
+    40 dB a decade more, the first pair of images with the receptance's high-frequency limit.
+    """
+    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
+    period = rig.controller.sample_time_s
+    delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    cross = rig.amplifiers.crosstalk
+    mechanics = rotor.mechanics(rig)
+    at_bearings, at_sensors = rotor.receptances(mechanics, omega)
+    point = actuator.operating_point(rig)
+    rotation = force_rotation(rig)
+    eddy = actuator.eddy_factor(rig.magnets.eddy_time_constant_s, omega)
+
+    n = rig.n_axes
+    stiffness = rotation * point.ks  # R Ks
+    force = np.linalg.solve(
+        np.eye(n) - stiffness @ at_bearings, rotation * (point.ki * eddy)[:, None, :]
+    )  # bearing force per baseband current, the magnets' negative stiffness closed
+    plant = sensor.response(rig.sensors, omega)[:, :, None] * (at_sensors @ force)
+
+    def baseband(w: Array) -> Complex:
+        per_axis = amplifier.continuous(rig.amplifiers, w) * np.exp(-1j * w[:, None] * delay)
+        return np.asarray((per_axis * amplifier.hold(w, period)[:, None])[:, :, None] * cross)
+
+    base = baseband(omega)
+    y_per_u = plant @ base
+    limit = mechanics.high_frequency @ rotation
+    for k in (-1, 1):
+        w = omega + k * 2 * np.pi / period
+        gain = sensor.response(rig.sensors, w) / -(w**2)[:, None]
+        image = limit * (point.ki * actuator.eddy_factor(rig.magnets.eddy_time_constant_s, np.abs(w)))[:, None, :]
+        y_per_u = y_per_u + gain[:, :, None] * image @ baseband(w)
+    i_per_u = amplifier.sampled(rig.amplifiers, omega, period, delay)[:, :, None] * cross
+    logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
+    return LinearModel(
+        omega,
+        i_per_u * logged_early,
+        y_per_u * logged_early,
+        plant,
+        base,
+        control_law.response(rig.controller, omega),
+        at_bearings,
+    )
