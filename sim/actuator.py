@@ -65,13 +65,17 @@ def static_load(rig: Rig) -> Array:
 def operating_point(rig: Rig) -> OperatingPoint:
     """Current that carries the weight at the sensors' centre, and ki, ks there.
 
+    The pull of an off-centre rotor at zero current is taken as balanced by the static load that moved it, so an
+    offset changes ki and ks and makes even harmonics, but asks for no current of its own.
+
     Raises
     ------
     LevitationError
         The magnets cannot carry the weight within the current limit.
     """
     m, n = rig.magnets, rig.n_axes
-    load = static_load(rig)
+    weight = static_load(rig)
+    load = weight - force(m, np.zeros(n), np.zeros(n))
     current = np.zeros(n)
     for axis in range(n):
 
@@ -85,7 +89,7 @@ def operating_point(rig: Rig) -> OperatingPoint:
             continue
         if excess(low) * excess(high) > 0:
             raise LevitationError(
-                f"rig {rig.name}: the magnets of axis {rig.axes[axis]} cannot carry {-load[axis]:.0f} N within "
+                f"rig {rig.name}: the magnets of axis {rig.axes[axis]} cannot carry {-weight[axis]:.0f} N within "
                 f"{m.current_limit_a:g} A; raise the bias current or the current limit"
             )
         current[axis] = brentq(excess, low, high, xtol=1e-12)

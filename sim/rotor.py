@@ -118,4 +118,4 @@ def receptances(m: Mechanics, omega_rad_s: Array) -> tuple[Complex, Complex]:
     else:
         full = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + m.stiffness
         q = np.linalg.solve(full, np.broadcast_to(m.force_map.astype(complex), (len(s), *m.force_map.shape)))
-    return m.bearing_map @ q, m.sensor_map @ q
+    return np.asarray(m.bearing_map @ q), np.asarray(m.sensor_map @ q)

@@ -101,10 +101,10 @@ def _propagators(rig: Rig, ss: StateSpace, substeps: int, general: bool) -> _Pro
     return _Propagators(weights, history, n_z)
 
 
-_FAST = {"cache": True, "fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy"}
+_compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _propagate(weights, s, v, out):  # type: ignore[no-untyped-def]
     """Out = weights[s]^T v, four rows at a time; sizes are multiples of 4 and 8. No views: they cost more."""
     columns = weights.shape[2]
@@ -121,7 +121,7 @@ def _propagate(weights, s, v, out):  # type: ignore[no-untyped-def]
             )
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _magnet(law, a, i, x):  # type: ignore[no-untyped-def]
     """Force of the differential pair of axis ``a``; rows of ``law`` are named in `Simulation._law_rows`."""
     p, q = law[2, a] - x - law[3, a], law[2, a] + x + law[3, a]
@@ -129,7 +129,7 @@ def _magnet(law, a, i, x):  # type: ignore[no-untyped-def]
     return law[0, a] * (upper - lower) * (upper + lower) / (p * p * q * q)
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _plain_corrections(now, at, law, state, to):  # type: ignore[no-untyped-def]
     """Force beyond the linear one of magnets without saturation, play, contact, slew limit or rotation."""
     n = law.shape[1]
@@ -139,7 +139,7 @@ def _plain_corrections(now, at, law, state, to):  # type: ignore[no-untyped-def]
         state[to + a] = _magnet(law, a, i, x) + law[6, a] - law[4, a] * flux - law[5, a] * x
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _corrections(now, at, law, rotation, contact, slew, plays, play_w, play_t, scale, f, state, to):  # type: ignore[no-untyped-def]
     """Force and slew beyond the linear ones, with every nonlinear effect; moves the plays along."""
     n = law.shape[1]
@@ -167,7 +167,7 @@ def _corrections(now, at, law, rotation, contact, slew, plays, play_w, play_t, s
         state[to + a] = total
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _control(b, a, state, axis, error):  # type: ignore[no-untyped-def]
     """One sample of the controller of one axis, direct form II transposed."""
     out = b[0] * error + state[axis, 0]
@@ -178,7 +178,7 @@ def _control(b, a, state, axis, error):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _delayed(past, lag_steps):  # type: ignore[no-untyped-def]
     """Cubic interpolation of a signal ``lag_steps`` integration steps ago; past[0] is the latest."""
     k = max(int(lag_steps) - 1, 0)
@@ -191,7 +191,7 @@ def _delayed(past, lag_steps):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(**_FAST)
+@_compiled
 def _advance(  # type: ignore[no-untyped-def]
     r,
     added_i,

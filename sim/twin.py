@@ -128,8 +128,14 @@ class LinearModel:
     """Component of the coil current at the excited frequency (not its samples) per u, A/A."""
     controller: Complex
     """C from -y to u, (F,)."""
-    receptance: Complex
-    """Displacement at the bearings per bearing force, free rotor, m/N."""
+    flux_per_u: Complex
+    """Component at the excited frequency of the current that makes flux, after eddy currents, per u, A/A."""
+    bearing_per_u: Complex
+    """Displacement at the bearings, relative to the housing, per u, m/A."""
+    bearing_per_force: Complex
+    """Displacement at the bearings per force there, the magnets' stiffness closed, m/N."""
+    y_per_force: Complex
+    """Sensor signal per force at the bearings, the magnets' stiffness closed, m/N."""
 
     @property
     def y_per_i(self) -> Complex:
@@ -164,12 +170,12 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     rotation = force_rotation(rig)
     eddy = actuator.eddy_factor(rig.magnets.eddy_time_constant_s, omega)
 
-    n = rig.n_axes
     stiffness = rotation * point.ks  # R Ks
-    force = np.linalg.solve(
-        np.eye(n) - stiffness @ at_bearings, rotation * (point.ki * eddy)[:, None, :]
-    )  # bearing force per baseband current, the magnets' negative stiffness closed
-    plant = sensor.response(rig.sensors, omega)[:, :, None] * (at_sensors @ force)
+    closed = np.linalg.inv(np.eye(rig.n_axes) - stiffness @ at_bearings)  # all bearing force per external force
+    y_per_force = sensor.response(rig.sensors, omega)[:, :, None] * (at_sensors @ closed)
+    bearing_per_force = at_bearings @ closed
+    magnet = rotation * (point.ki * eddy)[:, None, :]  # force per baseband current
+    plant = y_per_force @ magnet
 
     def baseband(w: Array) -> Complex:
         per_axis = amplifier.continuous(rig.amplifiers, w) * np.exp(-1j * w[:, None] * delay)
@@ -192,5 +198,8 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
         plant,
         base,
         control_law.response(rig.controller, omega),
-        at_bearings,
+        eddy[:, :, None] * base,
+        bearing_per_force @ magnet @ base,
+        bearing_per_force,
+        y_per_force,
     )

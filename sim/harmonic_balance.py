@@ -1,0 +1,203 @@
+"""Harmonic balance: what a rig answers to a known periodic control signal, harmonics 0 to 3.
+
+The linear part is exact per harmonic (`sim.twin.linear_model`); the nonlinear part (the magnets' law,
+saturation, hysteresis, contact, the supply's voltage limit) is evaluated in time over one period and fed back
+as forces, the alternating frequency/time method (Cameron and Griffin, J. Appl. Mech. 56, 1989). The rig is
+weakly nonlinear, so a few rounds converge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import actuator, amplifier
+from sim.actuator import PLAY_THRESHOLDS_A, PLAY_WEIGHTS_A, OperatingPoint
+from sim.rig import Array, Rig
+from sim.twin import LinearModel, force_rotation, linear_model
+
+Complex = NDArray[np.complex128]
+Index = NDArray[np.int64]
+
+STATIC_HZ = 1e-2
+"""Frequency at which the static response (harmonic 0) is evaluated: far below every pole of an AMB rig."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Coil current and sensor signal, complex amplitudes, each (P, H, n)."""
+
+    I: Complex
+    Y: Complex
+
+
+def _samples(X: Complex, harmonics: tuple[int, ...], n_time: int) -> Array:
+    """Time samples over one period of sum Re(X_h exp(j h wt)), X (P, H, n) -> (P, n_time, n)."""
+    basis = np.exp(2j * np.pi * np.outer(np.arange(n_time), harmonics) / n_time)
+    P, H, n = X.shape
+    parts = X.transpose(0, 2, 1).reshape(-1, H)
+    real = parts.real @ basis.real.T - parts.imag @ basis.imag.T
+    return np.asarray(real.reshape(P, n, n_time).transpose(0, 2, 1))
+
+
+def _amplitudes(x: Array, harmonics: tuple[int, ...]) -> Complex:
+    """Complex amplitudes of time samples (P, n_time, n) -> (P, H, n)."""
+    n_time = x.shape[1]
+    scale = np.where(np.array(harmonics) == 0, 1.0, 2.0) / n_time
+    basis = np.exp(-2j * np.pi * np.outer(harmonics, np.arange(n_time)) / n_time) * scale[:, None]
+    return np.asarray(basis @ x)
+
+
+class Responder:
+    """A rig made ready to answer at given frequencies; the excitation may then differ from call to call.
+
+    Parameters
+    ----------
+    rig : Rig
+    frequency_hz : (F,) distinct excited frequencies
+    line : (P,) index of each point's frequency
+    harmonics : ascending, 1 among them
+    progress : (P,) share of the campaign at which each point was measured, for rigs that drift
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        frequency_hz: Array,
+        line: Index,
+        harmonics: tuple[int, ...] = (0, 1, 2, 3),
+        progress: Array | None = None,
+    ) -> None:
+        self.rig, self.line, self.harmonics = rig, line, harmonics
+        self.progress = progress
+        self._point: OperatingPoint = actuator.operating_point(rig)
+        grid = np.concatenate([np.maximum(h * frequency_hz, STATIC_HZ) for h in harmonics])
+        self._omega = 2 * np.pi * grid
+        self._model: LinearModel = linear_model(rig, grid)
+        self._strongly = bool(
+            np.any(rig.magnets.hysteresis_rad > 0)
+            or rig.contact
+            or np.any(np.isfinite(rig.magnets.saturation_current_a))
+        )
+        self._slews = bool(np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)))
+
+    def _at_points(self, matrices: Complex, x: Complex) -> Complex:
+        """Matrices (H F, a, b) of each harmonic times amplitudes (P, H, b) -> (P, H, a)."""
+        per_harmonic = matrices.reshape(len(self.harmonics), -1, *matrices.shape[1:])
+        return np.stack(
+            [(per_harmonic[k][self.line] @ x[:, k, :, None])[..., 0] for k in range(len(self.harmonics))], axis=1
+        )
+
+    def answer(self, U: Complex, rounds: int | None = None) -> Answer:
+        """Response to control amplitudes U, (P, H, n), harmonics as given to the constructor."""
+        m = self._model
+        current, U_eff = self._current(U)
+        flux = self._at_points(m.flux_per_u, U_eff)
+        x_linear = self._at_points(m.bearing_per_u, U_eff)
+        force = np.zeros_like(x_linear)
+        x = x_linear
+        for _ in range(rounds or (8 if self._strongly else 3)):
+            force = self._beyond_linear(flux, x)
+            x = x_linear + self._at_points(m.bearing_per_force, force)
+        Y = self._at_points(m.y_per_u, U_eff) + self._at_points(m.y_per_force, force)
+        return Answer(current, self._static_real(Y))
+
+    def _static_real(self, X: Complex) -> Complex:
+        if self.harmonics[0] == 0:
+            X = X.copy()
+            X[:, 0] = X[:, 0].real
+        return X
+
+    def _beyond_linear(self, flux: Complex, x: Complex) -> Complex:
+        """Bearing force beyond the linear one, on the rotor, (P, H, n)."""
+        rig, point, h = self.rig, self._point, self.harmonics
+        n_time = 64 if self._strongly else 16
+        i_t = _samples(flux, h, n_time) + point.current_a
+        x_t = _samples(x, h, n_time)
+        effective = self._play(i_t) if np.any(rig.magnets.hysteresis_rad > 0) else i_t
+        total = actuator.force(rig.magnets, effective, x_t)
+        if rig.drift and self.progress is not None:
+            ki = 1 + rig.drift.ki_change * self.progress[:, None, None]
+            ks = rig.drift.ks_change * self.progress[:, None, None]
+            total = ki * total + (ks - (ki - 1)) * point.ks * x_t
+        excess = (total - point.ki * (i_t - point.current_a) - point.ks * x_t) @ force_rotation(rig).T + point.load_n
+        if rig.contact:
+            depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
+            excess = excess - rig.contact.stiffness_n_per_m * depth * np.sign(x_t)
+        return _amplitudes(excess, h)
+
+    def _play(self, i_t: Array) -> Array:
+        """Current with its Rayleigh loop: plays run over two periods, the second one counts."""
+        alpha = actuator.rayleigh_coefficient(self.rig.magnets)
+        P, n_time, n = i_t.shape
+        plays = np.zeros((P, n, len(PLAY_THRESHOLDS_A)))
+        out = np.empty_like(i_t)
+        for t in range(2 * n_time):
+            now = i_t[:, t % n_time, :, None]
+            np.clip(plays, now - PLAY_THRESHOLDS_A, now + PLAY_THRESHOLDS_A, out=plays)
+            out[:, t % n_time] = now[..., 0] + 2 * alpha * (plays @ PLAY_WEIGHTS_A)
+        return out
+
+    def _current(self, U: Complex) -> tuple[Complex, Complex]:
+        """Sampled coil current, and the control signal that a linear amplifier would need for it."""
+        m = self._model
+        linear = self._static_real(self._at_points(m.i_per_u, U))
+        if not self._slews:
+            return linear, U
+        # i' = v + dv, dv = clip(v) - v, inside the amplifier's own loop; i = A u + N dv with
+        # N = (s + 2 zeta w) / (s^2 + 2 zeta w s + w^2) for second order, 1 / (s + w) for first.
+        amp, s = self.rig.amplifiers, 1j * self._omega[:, None]
+        w = amp.natural_frequency_rad_s
+        if amp.damping_ratio is None:
+            per_slew, rate = 1 / (s + w), -w / (s + w)
+        else:
+            bottom = s**2 + 2 * amp.damping_ratio * w * s + w**2
+            per_slew, rate = (s + 2 * amp.damping_ratio * w) / bottom, -(w**2) / bottom
+        H, P = len(self.harmonics), len(self.line)
+        line = self.line[:, None] + np.arange(H) * (len(s) // H)
+        base = self._at_points(m.baseband, U)
+        v_linear = s[line] * base
+        limit = amp.slew_limit_a_per_s
+        dv = np.zeros((P, H, w.size), dtype=complex)
+        for _ in range(12):
+            v_t = _samples(v_linear + rate[line] * dv, self.harmonics, 64)
+            dv = 0.5 * dv + 0.5 * _amplitudes(np.clip(v_t, -limit, limit) - v_t, self.harmonics)
+        change = per_slew[line] * dv
+        with np.errstate(divide="ignore", invalid="ignore"):
+            drive = amplifier.continuous(amp, self._omega)[line]
+        hold = amplifier.hold(self._omega, self.rig.controller.sample_time_s)[line]
+        delay = np.exp(-1j * self._omega[line][..., None] * (amp.delay_s + self.rig.controller.computing_delay_s))
+        equivalent = U + np.linalg.solve(amp.crosstalk, (change / (drive * hold[..., None] * delay))[..., None])[..., 0]
+        return linear + change, equivalent
+
+
+def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> tuple[Complex, Answer]:
+    """Closed loop: control signal and answer to excitation amplitudes R (P, H, n), u = r - C y.
+
+    Newton-like: the linear loop maps what the nonlinear answer lacks back on u.
+    """
+    m, H = responder._model, len(responder.harmonics)
+    controller = m.controller.reshape(H, -1)[:, responder.line].T[..., None]  # (P, H, 1)
+    sensitivity = m.sensitivity
+    U = responder._at_points(sensitivity, R)
+    answer = responder.answer(U)
+    for _ in range(rounds):
+        lacking = R - controller * answer.Y - U
+        U = U + responder._at_points(sensitivity, lacking)
+        answer = responder.answer(U)
+    return U, answer
+
+
+def time_points(frequency_hz: Array) -> tuple[Array, Index]:
+    """Distinct frequencies and the index of each point's among them.
+
+    >>> time_points(np.array([10.0, 20.0, 10.0]))
+    (array([10., 20.]), array([0, 1, 0]))
+    """
+    distinct, line = np.unique(np.asarray(frequency_hz, dtype=float), return_inverse=True)
+    return distinct, line.astype(np.int64)
+
+
+__all__ = ["Answer", "Responder", "respond_to_excitation", "time_points"]
