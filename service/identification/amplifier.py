@@ -1,0 +1,120 @@
+"""Model of one current amplifier: dc gain, real poles or pole pairs, and the delay before it.
+
+Order 1 is gain w/(s + w), order 2 gain w^2/(s^2 + 2 zeta w s + w^2), order 3 the second with one more lag.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.zoh import Complex, Real, hold, sampled_pole
+
+N_PARAMETERS = {1: 2, 2: 3, 3: 4}
+"""Parameters by order: (gain, w), (gain, w, zeta), (gain, w, zeta, lag frequency)."""
+
+PARAMETER_NAMES = ("gain", "natural_frequency_rad_s", "damping_ratio", "lag_rad_s")
+
+
+@dataclass(frozen=True)
+class Amplifier:
+    """An amplifier without its delay. ``parameters``: see `N_PARAMETERS`."""
+
+    parameters: tuple[float, ...]
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return len(self.parameters) - 1
+
+    @property
+    def dc_gain(self) -> float:
+        """i/u at zero frequency."""
+        return self.parameters[0]
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """(order,) rad/s."""
+        return poles_of(np.asarray(self.parameters))[0]
+
+
+def poles_of(parameters: Real) -> tuple[Complex, Complex]:
+    """Poles and their derivatives to the parameters beyond the gain.
+
+    Returns
+    -------
+    poles, gradient
+        (n,) and (n, n), rad/s and per parameter.
+    """
+    order = len(parameters) - 1
+    w = parameters[1]
+    if order == 1:
+        return np.array([-w], dtype=complex), np.array([[-1.0]], dtype=complex)
+    zeta = parameters[2]
+    if abs(zeta - 1.0) < 1e-7:  # a double pole has no partial fractions
+        zeta = 1.0 + 1e-7
+    root = np.sqrt(complex(zeta**2 - 1.0))
+    pair = np.array([-zeta + root, -zeta - root])
+    poles = np.zeros(order, dtype=complex)
+    gradient = np.zeros((order, order), dtype=complex)
+    poles[:2] = w * pair
+    gradient[:2, 0] = pair
+    gradient[:2, 1] = w * np.array([-1.0 + zeta / root, -1.0 - zeta / root])
+    if order == 3:
+        poles[2] = -parameters[3]
+        gradient[2, 2] = -1.0
+    return poles, gradient
+
+
+def base_band(omega: Real, parameters: Real, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
+    """Current in the coil at the excited line per ampere of held u, with its derivatives.
+
+    Returns
+    -------
+    response, gradient
+        (P,) and (P, n + 2): to the parameters in order, then to the delay.
+    """
+    s = 1j * omega
+    poles, d_poles = poles_of(parameters)
+    away = s[:, None] - poles
+    response = parameters[0] * np.prod(-poles / away, axis=1) * np.exp(-s * delay_s) * hold(omega, sample_time_s)
+    relative = (1.0 / poles + 1.0 / away) @ d_poles
+    gradient = np.empty((len(omega), len(parameters) + 1), dtype=complex)
+    gradient[:, 0] = response / parameters[0]
+    gradient[:, 1:-1] = response[:, None] * relative
+    gradient[:, -1] = -s * response
+    return response, gradient
+
+
+def sampled(omega: Real, parameters: Real, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
+    """Sampled current per ampere of held u: the exact discretisation, with its derivatives.
+
+    Returns
+    -------
+    response, gradient
+        As `base_band`.
+    """
+    poles, d_poles = poles_of(parameters)
+    n = len(poles)
+    apart = poles[:, None] - poles + np.eye(n)
+    residues = parameters[0] * np.prod(-poles) / np.prod(apart, axis=1)
+    response = np.zeros(len(omega), dtype=complex)
+    d_pole = np.zeros((len(omega), n), dtype=complex)
+    d_delay = np.zeros(len(omega), dtype=complex)
+    inverse = (1.0 - np.eye(n)) / apart
+    for k in range(n):
+        f, df, dt = sampled_pole(omega, complex(poles[k]), delay_s, sample_time_s)
+        response += residues[k] * f
+        d_delay += residues[k] * dt
+        d_pole[:, k] += residues[k] * df
+        # residue k moves with every pole
+        d_log = 1.0 / poles + inverse[k]
+        d_log[k] -= inverse[k].sum()
+        d_pole += np.outer(residues[k] * f, d_log)
+    gradient = np.empty((len(omega), len(parameters) + 1), dtype=complex)
+    gradient[:, 0] = response / parameters[0]
+    gradient[:, 1:-1] = d_pole @ d_poles
+    gradient[:, -1] = d_delay
+    return response, gradient

@@ -1,0 +1,108 @@
+"""Empirical transfer function estimates: one matrix per frequency, one experiment per column, with covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import chi2
+
+from service.experiment.data import Sweep
+from service.identification.noise import block_noise
+from service.identification.points import PlanePoints, same_frequency
+from service.identification.zoh import Complex, Real
+from sim.errors import AmbError
+
+Path = Literal["u->i", "u->y", "i->y", "r->u"]
+MAX_CONDITION = 1e4
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """A measured frequency response with the covariance of its entries."""
+
+    omega: Real
+    """(F,) rad/s, ascending."""
+    value: Complex
+    """(F, n_out, n_in)"""
+    std: Real
+    """(F, n_out, n_in) standard deviation of the complex entry, E|dG|^2 = std^2."""
+
+    @property
+    def frequency_hz(self) -> Real:
+        """(F,)"""
+        return self.omega / (2 * np.pi)
+
+    def radius(self, level: float = 0.99) -> Real:
+        """Radius of the circle that holds the true entry with that probability, (F, n_out, n_in)."""
+        return np.asarray(self.std * np.sqrt(0.5 * chi2.ppf(level, 2)))
+
+
+def etfe(points: PlanePoints, path: Path) -> FrequencyResponse:
+    """Frequency response of one plane, (F, 2, 2), at every frequency at which both axes were excited.
+
+    G = Y U^-1 with one column per experiment (eq. 3.11); the covariance is that of the residual Y - G U across
+    blocks, carried through U^-1.
+
+    Raises
+    ------
+    AmbError
+        No currents logged; no frequency with both inputs; a singular input matrix.
+    """
+    signals: Mapping[str, Complex | None] = {"u": points.U, "i": points.I, "y": points.Y, "r": points.R}
+    source, target = path.split("->")
+    x, z = signals[source], signals[target]
+    if x is None or z is None:
+        raise AmbError(f"plane {points.plane}: {path} needs the coil currents, which this experiment does not log")
+    return _estimate(x, z, points.omega, points.axis, f"plane {points.plane}", points.axes, path)
+
+
+def etfe_all(sweep: Sweep, axes: tuple[str, ...], path: Path) -> FrequencyResponse:
+    """Frequency response of all axes together, (F, n, n), at every frequency at which all were excited."""
+    h = sweep.harmonic(1)
+    stored: Mapping[str, Complex | None] = {"u": sweep.U, "i": sweep.I, "y": sweep.Y, "r": sweep.R}
+    source, target = path.split("->")
+    raw_x, raw_z = stored[source], stored[target]
+    if raw_x is None or raw_z is None:
+        raise AmbError(f"{path} needs the coil currents, which this experiment does not log")
+    x, z = np.asarray(raw_x[:, :, h, :], dtype=complex), np.asarray(raw_z[:, :, h, :], dtype=complex)
+    good = np.isfinite(x).all(axis=(1, 2)) & np.isfinite(z).all(axis=(1, 2)) & (sweep.amplitude_a > 0)
+    omega = 2 * np.pi * sweep.frequency_hz.astype(float)
+    return _estimate(x[good], z[good], omega[good], sweep.axis[good], f"sweep {sweep.comment!r}", axes, path)
+
+
+def _estimate(
+    x: Complex, z: Complex, omega: Real, axis: np.ndarray, where: str, axes: tuple[str, ...], path: str
+) -> FrequencyResponse:
+    n_in = x.shape[2]
+    mean_x, mean_z = x.mean(axis=1), z.mean(axis=1)
+    groups = [g for g in same_frequency(omega) if len(np.unique(axis[g])) == n_in]
+    if not groups:
+        raise AmbError(
+            f"{where}: {path} needs every one of {', '.join(axes)} excited at the same frequency, and none has that"
+        )
+    value = np.empty((len(groups), z.shape[2], n_in), dtype=complex)
+    gain = np.empty_like(z)  # the model of each point's own blocks
+    inverses = []
+    for k, g in enumerate(groups):
+        columns = mean_x[g].T  # (n_in, experiments)
+        condition = np.linalg.cond(columns)
+        if not condition < MAX_CONDITION:
+            raise AmbError(
+                f"{where}: the {path[0]} matrix at {omega[g[0]] / 2 / np.pi:.4g} Hz is singular (condition number "
+                f"{condition:.2g}); excite the axes one at a time, or with independent phases, at this frequency"
+            )
+        inverse = np.linalg.pinv(columns)
+        inverses.append(inverse)
+        value[k] = mean_z[g].T @ inverse
+        gain[g] = np.einsum("yx,pbx->pby", value[k], x[g])
+    used = np.concatenate(groups)
+    noise = block_noise((z - gain)[used], omega[used], correlated=False)
+    variance = np.zeros((len(omega), z.shape[2]))
+    variance[used] = np.asarray(noise.sigma) ** 2
+    std = np.empty(value.shape)
+    for k, g in enumerate(groups):
+        std[k] = np.sqrt(variance[g].T @ np.abs(inverses[k]) ** 2)
+    return FrequencyResponse(np.array([omega[g].mean() for g in groups]), value, std)

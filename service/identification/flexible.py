@@ -1,0 +1,155 @@
+"""Step 5: flexible modes, their number, frequencies and damping, and the split from the rigid rotor, found from the data.
+
+What the rigid model leaves is searched for poles one after another (orthogonal matching pursuit over a grid of
+frequencies and damping ratios, all residues refitted each time). The search only gives starts; how many modes are kept
+is decided by the joint fits' evidence in `service.identification.selection`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from service.identification.zoh import Complex, Real
+
+DAMPING_GRID = (0.0005, 0.002, 0.008, 0.03, 0.1)
+
+
+@dataclass(frozen=True)
+class PoleResidue:
+    """G = sum of R_k / (s^2 + 2 sigma_k s + nu_k^2): the modal form of the thesis's flexible model."""
+
+    nu_rad_s: Real
+    """(n,)"""
+    sigma_rad_s: Real
+    """(n,)"""
+    residues: Real
+    """(n, 2, 2)"""
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes."""
+        return len(self.nu_rad_s)
+
+    def response(self, omega: Real) -> Complex:
+        """(P, 2, 2)"""
+        return np.asarray(np.tensordot(_basis(omega, self.nu_rad_s, self.sigma_rad_s), self.residues, axes=(1, 0)))
+
+
+def _basis(omega: Real, nu: Real, sigma: Real) -> Complex:
+    s = 1j * omega[:, None]
+    return np.asarray(1.0 / (s**2 + 2 * sigma * s + nu**2))
+
+
+def split_frequency(omega: Real, plant: Complex) -> float:
+    """Frequency below which the rigid rotor may be fitted alone, rad/s.
+
+    A rigid rotor's receptance times w^2 + w0^2 is flat; the first frequency at which its largest singular value stands
+    three times above the median of what lies below is the foot of the first flexible mode, and the split is at 60 %
+    of it. Without such a rise all of the band counts as rigid.
+    """
+    size = np.linalg.svd(plant, compute_uv=False)[:, 0] * omega**2
+    start = max(4, len(omega) // 6)
+    for k in range(start, len(omega)):
+        # below the rigid poles the product grows as w^2: compare with the largest so far
+        if size[k] > 2.5 * np.max(size[: k - 1][omega[: k - 1] < 0.9 * omega[k]], initial=size[0]):
+            peak = k + int(np.argmax(size[k : k + max(6, len(omega) // 10)]))
+            return float(0.5 * omega[peak])
+    return float(omega[-1] * 1.001)
+
+
+def candidate_poles(omega: Real, above: float = 3.0, per_gap: int = 6) -> tuple[Real, Real]:
+    """Grid of (nu, sigma) on which modes are looked for: between the measured lines, and above the band."""
+    inside = np.concatenate([np.linspace(a, b, per_gap, endpoint=False) for a, b in zip(omega, omega[1:], strict=False)])
+    outside = np.geomspace(omega[-1], above * omega[-1], 12)
+    nu = np.concatenate([inside, outside])
+    zeta = np.array(DAMPING_GRID)
+    return np.repeat(nu, len(zeta)), (nu[:, None] * zeta).ravel()
+
+
+def search(
+    omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s: float, real_residues: bool = True
+) -> list[PoleResidue]:
+    """Models with 1 to ``n_modes`` poles for what the rigid model leaves.
+
+    Parameters
+    ----------
+    omega, left
+        (F,), (F, 2, 2) measured plant less the rigid one.
+    weight
+        (F, 2, 2) multiplies residuals.
+    n_modes
+        Largest number of modes.
+    lowest_rad_s
+        No mode is looked for below.
+    """
+    nu_grid, sigma_grid = candidate_poles(omega)
+    keep = nu_grid >= lowest_rad_s
+    nu_grid, sigma_grid = nu_grid[keep], sigma_grid[keep]
+    if not len(nu_grid):
+        return []
+    basis = _basis(omega, nu_grid, sigma_grid)  # (F, C)
+    target = left * weight
+    nu = np.empty(0)
+    sigma = np.empty(0)
+    models: list[PoleResidue] = []
+    rest = target
+    power = np.abs(basis) ** 2
+    norm = np.einsum("fc,fab->cab", power, weight**2)
+    for _ in range(n_modes):
+        along = np.einsum("fc,fab->cab", basis.conj(), rest * weight).real
+        score = np.sum(along**2 / norm, axis=(1, 2))
+        taken = np.min(np.abs(nu_grid[:, None] - nu) / nu_grid[:, None], axis=1, initial=1.0) < 1e-4
+        score[taken] = -1.0
+        best = int(np.argmax(score))
+        nu, sigma = np.append(nu, nu_grid[best]), np.append(sigma, sigma_grid[best])
+        nu, sigma = _polished(omega, target, weight, nu, sigma)
+        order = np.argsort(nu)
+        nu, sigma = nu[order], sigma[order]
+        residues = _residues(omega, target, weight, nu, sigma)
+        model = PoleResidue(nu, sigma, residues)
+        models.append(model)
+        rest = target - model.response(omega) * weight
+    return models
+
+
+def _residues(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real) -> Real:
+    """Real residues by linear least squares, entry by entry, (n, 2, 2)."""
+    basis = _basis(omega, nu, sigma)
+    out = np.empty((len(nu), 2, 2))
+    for a in range(2):
+        for b in range(2):
+            columns = basis * weight[:, a, b, None]
+            scale = np.linalg.norm(columns, axis=0)
+            matrix = np.concatenate([columns.real, columns.imag]) / scale
+            vector = np.concatenate([target[:, a, b].real, target[:, a, b].imag])
+            out[:, a, b] = np.linalg.lstsq(matrix, vector, rcond=None)[0] / scale
+    return out
+
+
+def _polished(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real) -> tuple[Real, Real]:
+    """Poles after a few steps of variable projection."""
+    n = len(nu)
+
+    def rest(z: Real) -> Real:
+        now = PoleResidue(nu * (1 + z[:n]), sigma * np.exp(z[n:]), np.empty(0))
+        residues = _residues(omega, target, weight, now.nu_rad_s, now.sigma_rad_s)
+        e = target - PoleResidue(now.nu_rad_s, now.sigma_rad_s, residues).response(omega) * weight
+        return np.concatenate([e.real.ravel(), e.imag.ravel()])
+
+    step = np.concatenate([np.full(n, 3e-3), np.full(n, 2.5)])
+    z = least_squares(rest, np.zeros(2 * n), bounds=(-step, step), max_nfev=6, x_scale=step).x
+    return nu * (1 + z[:n]), sigma * np.exp(z[n:])
+
+
+def shapes_of(residue: Real, ki: Real) -> tuple[Real, Real]:
+    """Shapes at bearings and sensors from one residue of the plant, as near to rank one as it is, (2,) each.
+
+    The scale is split evenly; a later step puts it right.
+    """
+    left, singular, right = np.linalg.svd(residue / ki)
+    bearing, sensor = right[0] * np.sqrt(singular[0]), left[:, 0] * np.sqrt(singular[0])
+    sign = np.sign(bearing[np.argmax(np.abs(bearing))]) or 1.0
+    return bearing * sign, sensor * sign

@@ -1,0 +1,169 @@
+"""The excited points of one plane, taken from a sweep and checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+from service.identification.zoh import Complex, Real
+from sim.errors import AmbError
+
+UNUSABLE = ("trip", "not settled", "unsettled", "excluded", "aborted")
+"""A point whose flag has one of these words is left out of every fit."""
+
+
+@dataclass(frozen=True)
+class PlanePoints:
+    """Fundamentals of the points that excite one plane, block by block."""
+
+    plane: str
+    axes: tuple[str, str]
+    omega: Real
+    """(P,) rad/s."""
+    axis: NDArray[np.int64]
+    """(P,) 0 for bearing A, 1 for B."""
+    R: Complex
+    """(P, B, 2) A; so are U, I, and Y in m."""
+    U: Complex
+    I: Complex | None
+    Y: Complex
+    index: NDArray[np.int64]
+    """(P,) place in the sweep."""
+    left_out: tuple[str, ...]
+    """Why points were not used, one line each."""
+
+    @property
+    def n_blocks(self) -> int:
+        """B."""
+        return int(self.U.shape[1])
+
+    @property
+    def u(self) -> Complex:
+        """(P, 2) mean over the blocks; so are r, i and y."""
+        return np.asarray(self.U.mean(axis=1))
+
+    @property
+    def r(self) -> Complex:
+        """(P, 2) A."""
+        return np.asarray(self.R.mean(axis=1))
+
+    @property
+    def i(self) -> Complex | None:
+        """(P, 2) A."""
+        return None if self.I is None else np.asarray(self.I.mean(axis=1))
+
+    @property
+    def y(self) -> Complex:
+        """(P, 2) m."""
+        return np.asarray(self.Y.mean(axis=1))
+
+    def select(self, keep: NDArray[np.bool_]) -> PlanePoints:
+        """Some of the points."""
+        return PlanePoints(
+            self.plane,
+            self.axes,
+            self.omega[keep],
+            self.axis[keep],
+            self.R[keep],
+            self.U[keep],
+            None if self.I is None else self.I[keep],
+            self.Y[keep],
+            self.index[keep],
+            self.left_out,
+        )
+
+
+def planes_of(axes: tuple[str, ...]) -> dict[str, tuple[int, int]]:
+    """Planes and the places of their two axes.
+
+    >>> planes_of(("xA", "xB", "yA", "yB"))
+    {'x': (0, 1), 'y': (2, 3)}
+    """
+    return {axes[k][0]: (k, k + 1) for k in range(0, len(axes) - 1, 2)}
+
+
+def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints:
+    """Usable points of a sweep that excite one plane.
+
+    Points with amplitude 0, not-a-number or a flag in `UNUSABLE` are left out and listed.
+
+    Raises
+    ------
+    AmbError
+        No harmonic 1, or fewer than two blocks: without them there is no noise estimate.
+    """
+    if 1 not in sweep.harmonics:
+        raise AmbError(f"sweep {sweep.comment!r} has harmonics {sweep.harmonics} only; the excited line, 1, is needed")
+    if sweep.U.shape[1] < 2:
+        raise AmbError(
+            f"sweep {sweep.comment!r} has {sweep.U.shape[1]} block per point; at least 2 blocks of whole periods are "
+            "needed to tell signal from noise"
+        )
+    pair = planes_of(axes)[plane]
+    h = sweep.harmonic(1)
+    where = (slice(None), slice(None), h, list(pair))
+    members = np.isin(sweep.axis, pair) & (sweep.frequency_hz > 0)
+    signals = [sweep.R[where], sweep.U[where], sweep.Y[where]] + ([] if sweep.I is None else [sweep.I[where]])
+    finite = np.all([np.isfinite(x).all(axis=(1, 2)) for x in signals], axis=0)
+    driven = (sweep.amplitude_a > 0) & (np.abs(np.nan_to_num(signals[1])).max(axis=(1, 2)) > 0)
+    flags = sweep.flags or ("",) * sweep.n_points
+    sound = np.array([not any(word in f.lower() for word in UNUSABLE) for f in flags], dtype=bool)
+    left_out = []
+    for p in np.flatnonzero(members & ~(finite & driven & sound)):
+        why = "not finite" if not finite[p] else "amplitude 0" if not driven[p] else flags[p]
+        left_out.append(f"{axes[sweep.axis[p]]} at {sweep.frequency_hz[p]:.4g} Hz: {why}")
+    keep = np.flatnonzero(members & finite & driven & sound)
+    keep = keep[np.lexsort((sweep.axis[keep], sweep.frequency_hz[keep]))]
+    r, u, y = (np.ascontiguousarray(x[keep], dtype=complex) for x in signals[:3])
+    i = np.ascontiguousarray(signals[3][keep], dtype=complex) if len(signals) == 4 else None
+    return PlanePoints(
+        plane,
+        (axes[pair[0]], axes[pair[1]]),
+        2 * np.pi * sweep.frequency_hz[keep].astype(float),
+        (sweep.axis[keep] - pair[0]).astype(np.int64),
+        r,
+        u,
+        i,
+        y,
+        keep,
+        tuple(left_out),
+    )
+
+
+def check_excitation(points: PlanePoints, minimum: int = 8) -> None:
+    """Refuse a plane that cannot be told apart.
+
+    Raises
+    ------
+    AmbError
+        Only one axis excited, or too few points.
+    """
+    counts = np.bincount(points.axis, minlength=2)
+    for axis in range(2):
+        if counts[axis] == 0 and counts[1 - axis]:
+            raise AmbError(
+                f"plane {points.plane}: only {points.axes[1 - axis]} is excited; a 2 x 2 plant needs points that "
+                f"excite {points.axes[axis]} as well"
+            )
+    if counts.min() < minimum:
+        why = f" ({points.left_out[0]}, ...)" if points.left_out else ""
+        raise AmbError(
+            f"plane {points.plane}: {counts[0]} and {counts[1]} usable points excite {points.axes[0]} and "
+            f"{points.axes[1]}; at least {minimum} each are needed{why}"
+        )
+
+
+def same_frequency(omega: Real, relative: float = 1e-6) -> list[NDArray[np.int64]]:
+    """Places of points that share a frequency, ascending.
+
+    >>> [g.tolist() for g in same_frequency(np.array([1.0, 2.0, 1.0]))]
+    [[0, 2], [1]]
+    """
+    order = np.argsort(omega, kind="stable")
+    if not len(order):
+        return []
+    breaks = np.flatnonzero(np.diff(omega[order]) > relative * omega[order][:-1]) + 1
+    return [np.sort(g) for g in np.split(order, breaks)]

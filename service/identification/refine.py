@@ -1,0 +1,275 @@
+"""Joint refinement of a plane: everything at once, in units of the measured noise.
+
+Residuals are e = [I - A U; Y - P A U]. In closed loop the controller computes u, so u is known exactly and
+carries no noise of its own; what scatters is i and y, and the scatter of exactly these residuals is what
+they are weighted with. That is maximum likelihood, errors in variables included, and takes each point by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.least_squares import Fit, minimise
+from service.identification.noise import NoiseModel, block_noise
+from service.identification.plane_model import Amplitude, PlaneModel, Points
+from service.identification.points import PlanePoints
+from service.identification.zoh import Complex, Real
+
+
+@dataclass(frozen=True)
+class Data:
+    """What a joint fit looks at: the plane's points, and points that tell of the amplifiers only."""
+
+    plant: PlanePoints
+    amplifier: PlanePoints | None = None
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Whitening of the residuals, one per data set."""
+
+    plant: Complex
+    """(P, c, c) for [i_A, i_B, y_A, y_B], or [y_A, y_B] without currents."""
+    amplifier: Complex | None
+    """(P, 2, 2) for [i_A, i_B]."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian knowledge of some parameters."""
+
+    index: NDArray[np.int64]
+    mean: Real
+    std: Real
+
+
+@dataclass(frozen=True)
+class ShapePrior:
+    """Bearing and sensor sit close together, so a mode's shape changes little between them, but near a node.
+
+    u, i and y fix the product of a mode's shapes at sensors and bearings, but hardly how it splits. What splits it is
+    the position stiffness at work on the flexible displacement at the bearings, and for n modes the data hold one such
+    combination only. So g = (phi_s - phi_b)/sqrt(phi_s^2 + phi_b^2) has a Student prior per bearing, with heavy tails
+    for the bearing that has a node close by.
+    """
+
+    scale: float
+    """Of g; about the distance from bearing to sensor over the bearing span."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A refined plane."""
+
+    model: PlaneModel
+    fit: Fit
+    noise: NoiseModel
+    """Of the plant's points."""
+    amplitude: Amplitude | None
+    weights: Weights
+
+
+def residual_blocks(points: PlanePoints, i: Complex, y: Complex) -> Complex:
+    """[I - i, Y - y] of each block, (P, B, 4), or (P, B, 2) without currents; i and y (P, B, 2) or (P, 1, 2)."""
+    parts = [] if points.I is None else [points.I - i]
+    return np.concatenate([*parts, points.Y - y], axis=2)
+
+
+def predicted_blocks(
+    model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None
+) -> tuple[Complex, Complex]:
+    """Model's i and y for each block's own u, (P, B, 2) each: the mean's prediction, and the small signal beyond it."""
+    mean = model.predict(Points(points.omega, points.u), amplitude)
+    away = points.U - points.u[:, None, :]
+    i = mean.i[:, None, :] + away * model.amplifier_response(points.omega, base_band=False)[:, None, :]
+    y = mean.y[:, None, :] + np.einsum("pyu,pbu->pby", model.response(points.omega), away)
+    return i, y
+
+
+def noise_of(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> NoiseModel:
+    """Noise of the residuals under a model."""
+    i, y = predicted_blocks(model, points, amplitude)
+    return block_noise(residual_blocks(points, i, y), points.omega)
+
+
+def weights_of(
+    model: PlaneModel, data: Data, amplitude: Amplitude | None, relative: float = 0.0
+) -> tuple[Weights, NoiseModel]:
+    """Whitening by the measured noise.
+
+    ``relative`` adds that share of the model's own magnitude to each standard deviation, to make a first search
+    forgiving of what is still wrong; 0 for the estimate itself.
+    """
+    noise = noise_of(model, data.plant, amplitude)
+    covariance = noise.covariance
+    if relative:
+        p = model.predict(Points(data.plant.omega, data.plant.u), amplitude)
+        size = p.y if data.plant.I is None else np.hstack([p.i, p.y])
+        seen = data.plant.y if data.plant.I is None else np.hstack([data.plant.I.mean(axis=1), data.plant.y])
+        extra = (relative * np.maximum(np.abs(size), np.abs(seen))) ** 2
+        covariance = covariance + extra[:, :, None] * np.eye(extra.shape[1])
+    plant = np.linalg.inv(np.linalg.cholesky(covariance))
+    amplifier = None
+    if data.amplifier is not None and data.amplifier.I is not None:
+        i = model.amplifier_response(data.amplifier.omega, base_band=False)[:, None, :] * data.amplifier.U
+        amplifier = block_noise(data.amplifier.I - i, data.amplifier.omega).whitener()
+    return Weights(np.asarray(plant), amplifier), noise
+
+
+def residuals(
+    model: PlaneModel, data: Data, weights: Weights, amplitude: Amplitude | None, gradient: bool = True
+) -> tuple[Real, Real | None]:
+    """Whitened residuals of the means, unit variance each, and their Jacobian.
+
+    Returns
+    -------
+    residual, jacobian
+        (N,) and (N, size): plant's points first, real parts then imaginary ones.
+    """
+    points = data.plant
+    p = model.predict(Points(points.omega, points.u), amplitude, gradient)
+    has_i = points.I is not None
+    e = np.concatenate([points.i - p.i, points.y - p.y], axis=1) if points.i is not None else points.y - p.y
+    rows = [_stacked(np.einsum("pab,pb->pa", weights.plant, e))]
+    jacobians = []
+    if gradient:
+        assert p.d_i is not None
+        assert p.d_y is not None
+        d = np.concatenate([p.d_i, p.d_y], axis=1) if has_i else p.d_y
+        jacobians.append(-_stacked(weights.plant @ d))
+    if weights.amplifier is not None and data.amplifier is not None and data.amplifier.i is not None:
+        e, d_e = _amplifier_residual(model, data.amplifier, gradient)
+        rows.append(_stacked(np.einsum("pab,pb->pa", weights.amplifier, e)))
+        if gradient:
+            jacobians.append(-_stacked(weights.amplifier @ d_e))
+    return np.concatenate(rows), np.concatenate(jacobians) if gradient else None
+
+
+def _stacked(values: Complex) -> Real:
+    """Real then imaginary parts as rows, unit variance for a unit complex variance."""
+    flat = values.reshape(-1, *values.shape[2:])
+    return np.asarray(np.sqrt(2.0) * np.concatenate([flat.real, flat.imag]))
+
+
+def _amplifier_residual(model: PlaneModel, points: PlanePoints, gradient: bool) -> tuple[Complex, Complex]:
+    from service.identification import amplifier as amp
+
+    assert points.i is not None
+    delay = model.delay_s + model.known.computing_delay_s
+    i = np.empty_like(points.u)
+    d = np.zeros((*points.u.shape, model.layout.size if gradient else 0), dtype=complex)
+    for j, place in enumerate(model.layout.amplifiers):
+        response, slope = amp.sampled(points.omega, model.theta[place], delay, model.known.sample_time_s)
+        i[:, j] = response * points.u[:, j]
+        if gradient:
+            d[:, j, place] = slope[:, :-1] * points.u[:, j, None]
+            d[:, j, model.layout.delay] = slope[:, -1] * points.u[:, j]
+    return points.i - i, d
+
+
+def amplitude_of(model: PlaneModel, points: PlanePoints, rounds: int = 3) -> Amplitude:
+    """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included."""
+    at = Points(points.omega, points.u)
+    p = model.predict(at)
+    for _ in range(rounds):
+        p = model.predict(at, Amplitude(p.coil, p.x))
+    return Amplitude(p.coil, p.x)
+
+
+def refine(
+    model: PlaneModel,
+    data: Data,
+    free: NDArray[np.bool_],
+    *,
+    relative: float = 0.0,
+    nonlinear: bool = True,
+    prior: Prior | None = None,
+    shape_prior: ShapePrior | None = None,
+    weights: Weights | None = None,
+    max_iterations: int = 60,
+) -> Refined:
+    """Model that is most likely under the measured noise.
+
+    Parameters
+    ----------
+    model, data, free
+        Start, measured points, and which parameters may move.
+    relative
+        See `weights_of`.
+    nonlinear
+        Whether the force law's excess at the measured amplitudes is taken into account.
+    prior
+        Knowledge beside the data.
+    weights
+        Whitening to use; by default that of the start, and once more that of the outcome.
+    """
+    rounds = (2 if nonlinear else 1) if relative or weights is not None else (3 if nonlinear else 2)
+    fit: Fit | None = None
+    amplitude: Amplitude | None = None
+    now = weights
+    noise: NoiseModel | None = None
+    for _ in range(rounds):
+        if nonlinear:
+            amplitude = amplitude_of(model, data.plant)
+        if weights is None:
+            now, noise = weights_of(model, data, amplitude, relative)
+        assert now is not None
+        fit = _minimise(model, data, now, amplitude, free, prior, shape_prior, max_iterations)
+        model = model.at(fit.theta)
+    if noise is None:
+        noise = noise_of(model, data.plant, amplitude)
+    assert fit is not None
+    assert now is not None
+    return Refined(model, fit, noise, amplitude, now)
+
+
+def shape_rows(model: PlaneModel, prior: ShapePrior) -> tuple[Real, Real]:
+    """Residuals of the shape prior, two per mode, and their Jacobian: r^2 = 2 ln(1 + (g/scale)^2)."""
+    modes = model.modes
+    rows = np.zeros(2 * len(modes))
+    jacobian = np.zeros((2 * len(modes), model.layout.size))
+    for k, mode in enumerate(modes):
+        for j in range(2):
+            b, s = mode[2 + j], mode[4 + j]
+            norm2 = b * b + s * s + 1e-12
+            g = (s - b) / np.sqrt(norm2) / prior.scale
+            r = np.sign(g) * np.sqrt(2.0 * np.log1p(g * g))
+            slope = np.sqrt(2.0) if abs(g) < 1e-6 else 2.0 * g / (1.0 + g * g) / r
+            at = model.layout.mode(k).start
+            rows[2 * k + j] = r
+            jacobian[2 * k + j, at + 2 + j] = slope * (-1.0 - b * (s - b) / norm2) / np.sqrt(norm2) / prior.scale
+            jacobian[2 * k + j, at + 4 + j] = slope * (1.0 - s * (s - b) / norm2) / np.sqrt(norm2) / prior.scale
+    return rows, jacobian
+
+
+def _minimise(
+    model: PlaneModel,
+    data: Data,
+    weights: Weights,
+    amplitude: Amplitude | None,
+    free: NDArray[np.bool_],
+    prior: Prior | None,
+    shape_prior: ShapePrior | None,
+    max_iterations: int,
+) -> Fit:
+    def residual(theta: Real, gradient: bool) -> tuple[Real, Real | None] | None:
+        trial = model.at(theta)
+        if not trial.is_physical:
+            return None
+        r, j = residuals(trial, data, weights, amplitude, gradient)
+        if prior is not None:
+            r = np.concatenate([r, (theta[prior.index] - prior.mean) / prior.std])
+            if j is not None:
+                extra = np.zeros((len(prior.index), len(theta)))
+                extra[np.arange(len(prior.index)), prior.index] = 1.0 / prior.std
+                j = np.concatenate([j, extra])
+        if shape_prior is not None and trial.layout.n_modes:
+            more, slope = shape_rows(trial, shape_prior)
+            r = np.concatenate([r, more])
+            j = None if j is None else np.concatenate([j, slope])
+        return r, j
+
+    return minimise(residual, model.theta, free, max_iterations)

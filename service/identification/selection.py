@@ -1,0 +1,223 @@
+"""How many flexible modes: joint fits with one mode less and one more, judged by their description length."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.identification.etfe import FrequencyResponse
+from service.identification.evidence import Evidence
+from service.identification.flexible import PoleResidue, search, shapes_of
+from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
+from service.identification.refine import Data, Refined, ShapePrior, Weights, refine, residuals, shape_rows
+from service.identification.zoh import Real
+
+MAX_MODES = 6
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The joint fit with the number of modes that the data support."""
+
+    refined: Refined
+    evidence: tuple[Evidence, ...]
+
+
+def with_modes(model: PlaneModel, modes: Real) -> PlaneModel:
+    """The same plane with other modes, (n, 6) in the order of `MODE_NAMES`, ascending."""
+    modes = np.asarray(modes, dtype=float).reshape(-1, N_MODE)
+    modes = modes[np.argsort(modes[:, 0])]
+    layout = Layout(model.layout.amplifier_orders, len(modes))
+    start = model.layout.delay + 1
+    theta = np.concatenate([model.theta[:start], modes.ravel(), model.theta[model.layout.extended]])
+    return replace(model, layout=layout, theta=theta)
+
+
+def modes_from(search_result: PoleResidue, ki: Real) -> Real:
+    """Start of the modes' parameters from a pole-residue model of the plant, (n, 6)."""
+    rows = []
+    for nu, sigma, residue in zip(
+        search_result.nu_rad_s, search_result.sigma_rad_s, search_result.residues, strict=True
+    ):
+        bearing, sensor = shapes_of(residue, ki)
+        rows.append([nu, sigma, *bearing, *sensor])
+    return np.array(rows).reshape(-1, len(MODE_NAMES))
+
+
+def coarse_number(models: list[PoleResidue], left: FrequencyResponse, weight: Real, floor: float) -> tuple[int, Real]:
+    """Number of modes that a pole-residue model needs to come down to a relative misfit ``floor``, and the misfits.
+
+    The joint fit decides; this only says where to start.
+    """
+    n = 2 * left.value.size
+    cost = [float(np.sum(np.abs(left.value * weight) ** 2))]
+    cost += [float(np.sum(np.abs((left.value - m.response(left.omega)) * weight) ** 2)) for m in models]
+    level = 4 * len(left.omega) * floor**2
+    score = [n * np.log(c + level) + 6 * k * np.log(n) for k, c in enumerate(cost)]
+    return int(np.argmin(score)), np.array(cost)
+
+
+def choose_modes(
+    start: PlaneModel, data: Data, plant: FrequencyResponse, coarse: list[PoleResidue], n_start: int,
+    lowest_rad_s: float, shape_prior: ShapePrior | None,
+) -> Selected:
+    """Joint fit with the number of modes that the description length supports.
+
+    Parameters
+    ----------
+    start
+        Rigid plane with amplifiers fitted.
+    plant
+        Measured plant from coil current to y, for the search of further modes.
+    coarse, n_start
+        Pole-residue models with 1, 2, ... modes, and which number to begin with.
+    lowest_rad_s
+        No mode is looked for below.
+    """
+    modes = modes_from(coarse[n_start - 1], start.ki) if n_start else np.empty((0, N_MODE))
+    first = _joint(with_modes(start, modes), data, shape_prior)
+    weights = _weights(first)
+    tried: dict[int, Refined] = {n_start: first}
+    # fewer: leave out the mode that matters least, while that is no loss
+    now = n_start
+    while now > 0:
+        tried[now - 1] = _without_one(tried[now], data, weights, shape_prior)
+        if _score(tried[now - 1], data) > _score(tried[now], data) - 0.0:
+            break
+        now -= 1
+    # more: while it pays
+    if now == n_start:
+        while now < MAX_MODES:
+            more = _with_one_more(tried[now], data, plant, weights, lowest_rad_s, shape_prior)
+            if more is None:
+                break
+            tried[now + 1] = more
+            if not _pays(tried[now], more, data):
+                break
+            now += 1
+    evidence = tuple(
+        Evidence(
+            f"{n} modes" if n != 1 else "1 mode",
+            r.fit.n_free,
+            _n_data(r, data),
+            _data_cost(r, data),
+            n == now,
+            r.fit.status,
+        )
+        for n, r in sorted(tried.items())
+    )
+    return Selected(tried[now], evidence)
+
+
+def _weights(refined: Refined) -> Weights:
+    return refined.weights
+
+
+def _joint(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) -> Refined:
+    """Forgiving first, then in units of the noise."""
+    free = model.layout.free(fixed=("delay_s",) if data.plant.I is None else ())
+    if data.plant.I is None:
+        for k, place in enumerate(model.layout.amplifiers):
+            free[place] = False
+            del k
+    rough = refine(model, data, free, relative=0.03, nonlinear=False, shape_prior=shape_prior, max_iterations=40)
+    better = refine(rough.model, data, free, relative=0.003, nonlinear=True, shape_prior=shape_prior)
+    return refine(_scaled_shapes(better.model, better, shape_prior), data, free, shape_prior=shape_prior)
+
+
+def _scaled_shapes(model: PlaneModel, refined: Refined, prior: ShapePrior | None) -> PlaneModel:
+    """Best of the starts in which each mode's shape is split so that it agrees at bearing A, at B, or stays as it is.
+
+    The shape prior has a minimum for each; the data's own combination is taken to second order.
+    """
+    n = model.layout.n_modes
+    if prior is None or n == 0 or n > 4:
+        return model
+    free = refined.fit.free
+    jacobian = refined.fit.jacobian[: len(refined.fit.residual) - 2 * n]
+    names = model.layout.names
+    places = np.flatnonzero(free)
+    directions = np.zeros((jacobian.shape[1], n))
+    for k in range(n):
+        at = model.layout.mode(k).start
+        for offset, sign in ((2, 0.5), (3, 0.5), (4, -0.5), (5, -0.5)):
+            directions[np.searchsorted(places, at + offset), k] = sign * model.theta[at + offset]
+    # every other direction is refitted: leave the scale directions out of the span by dropping one shape each
+    others = [j for j, p in enumerate(places) if not names[p].endswith("sensor_B") or not names[p].startswith("mode_")]
+    rest = jacobian[:, others]
+    rest = rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
+    along = jacobian @ directions
+    along = along - rest @ np.linalg.lstsq(rest, along, rcond=None)[0]
+    curvature = along.T @ along
+    options = []
+    for mode in model.modes:
+        ratio = np.abs(mode[4:6]) / np.maximum(np.abs(mode[2:4]), 1e-12)
+        options.append([0.0, *np.log(np.clip(ratio, 0.05, 20.0))])
+    best, best_score = model, np.inf
+    for choice in itertools.product(*options):
+        # a = factor of phi_b^2; the data's misfit is quadratic in a
+        shift = np.exp(np.array(choice)) - 1.0
+        modes = model.modes.copy()
+        modes[:, 2:4] *= np.exp(0.5 * np.array(choice))[:, None]
+        modes[:, 4:6] *= np.exp(-0.5 * np.array(choice))[:, None]
+        trial = with_modes(model, modes)
+        rows, _ = shape_rows(trial, prior)
+        score = float(shift @ curvature @ shift + rows @ rows)
+        if score < best_score:
+            best, best_score = trial, score
+    return best
+
+
+def _without_one(refined: Refined, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
+    modes = refined.model.modes
+    strength = [
+        np.linalg.norm(m[2:4]) * np.linalg.norm(m[4:6]) / (2 * abs(m[1]) * m[0] + 1e-12) for m in modes
+    ]
+    keep = np.delete(modes, int(np.argmin(strength)), axis=0)
+    return _again(with_modes(refined.model, keep), data, weights, shape_prior)
+
+
+def _with_one_more(
+    refined: Refined, data: Data, plant: FrequencyResponse, weights: Weights, lowest: float,
+    shape_prior: ShapePrior | None,
+) -> Refined | None:
+    left = plant.value - refined.model.plant_response(plant.omega)
+    found = search(plant.omega, left, 1.0 / plant.std, 1, lowest)
+    if not found:
+        return None
+    extra = modes_from(found[0], refined.model.ki)
+    return _again(with_modes(refined.model, np.vstack([refined.model.modes, extra])), data, weights, shape_prior)
+
+
+def _again(model: PlaneModel, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
+    free = model.layout.free(fixed=("delay_s",) if data.plant.I is None else ())
+    if data.plant.I is None:
+        for place in model.layout.amplifiers:
+            free[place] = False
+    return refine(model, data, free, shape_prior=shape_prior, weights=weights, max_iterations=25)
+
+
+def _data_cost(refined: Refined, data: Data) -> float:
+    r, _ = residuals(refined.model, data, refined.weights, refined.amplitude, gradient=False)
+    return float(r @ r)
+
+
+def _n_data(refined: Refined, data: Data) -> int:
+    return len(residuals(refined.model, data, refined.weights, refined.amplitude, gradient=False)[0])
+
+
+def _score(refined: Refined, data: Data) -> float:
+    return Evidence("", refined.fit.n_free, _n_data(refined, data), _data_cost(refined, data)).mdl
+
+
+def _pays(now: Refined, more: Refined, data: Data) -> bool:
+    """Whether one more mode is worth it: clearly better, and a mode rather than a patch on another effect."""
+    if _score(more, data) > _score(now, data) - 10.0:
+        return False
+    return _data_cost(more, data) < 0.8 * _data_cost(now, data) or _rms(now, data) < 1.5
+
+
+def _rms(refined: Refined, data: Data) -> float:
+    return float(np.sqrt(_data_cost(refined, data) / _n_data(refined, data)))
