@@ -10,6 +10,7 @@
         ├── TripError            the controller tripped: excitation is zero, the trip is latched; says why
         ├── BusyError            the controller is playing another tone
         ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
+        ├── MapError             a rig's own map of registers or objects is wrong; names the object
         └── CancelledError       the caller asked to stop; excitation is off
 """
 
@@ -51,6 +52,10 @@ class TripError(ControllerError):
 
 class BusyError(ControllerError):
     """The controller is playing another tone; wait until it is done, or stop it."""
+
+
+class MapError(ControllerError):
+    """A rig's own map of registers or objects is wrong."""
 
 
 class RestartError(ControllerError):

@@ -49,8 +49,8 @@ class LeaseTable:
             self._lease = lease = None
         return lease
 
-    def acquire(self, holder: str, seconds: float, attached: bool = False) -> int:
-        """Token of a new lease.
+    def acquire(self, holder: str, seconds: float, attached: bool = False, token: int | None = None) -> int:
+        """Token of a new lease; asking again with the ``token`` that already holds renews it.
 
         Raises
         ------
@@ -60,9 +60,12 @@ class LeaseTable:
         with self._lock:
             held = self._current()
             now = self._clock()
+            if held is not None and held.token == token:
+                held.last_beat, held.deadline = now, now + held.seconds
+                return held.token
             if held is not None:
                 raise LeaseError(held.holder, held.seconds if held.attached else held.deadline - now)
-            token = secrets.randbelow(2**32 - 1) + 1
+            token = token or secrets.randbelow(2**32 - 1) + 1
             self._lease = Lease(token, holder, seconds, now + seconds, attached, now)
             return token
 

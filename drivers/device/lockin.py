@@ -7,7 +7,7 @@ import numpy as np
 from drivers.controller import HARMONICS, Tone
 from sim.rig import Array
 
-AMPLITUDE_STEP_A = 1e-6
+AMPLITUDE_STEPS_PER_A = 1_000_000
 """Resolution of the excitation's amplitude; every driver therefore excites with the same amplitude."""
 
 
@@ -17,7 +17,7 @@ def quantised_amplitude(amplitude_a: float) -> float:
     >>> quantised_amplitude(0.1234567)
     0.123457
     """
-    return round(amplitude_a / AMPLITUDE_STEP_A) / 1_000_000
+    return round(amplitude_a * AMPLITUDE_STEPS_PER_A) / AMPLITUDE_STEPS_PER_A
 
 
 def cosine(tone: Tone, first: int, count: int) -> Array:

@@ -6,26 +6,22 @@ for all of them. The rig levitates from the moment it is made.
 
 from __future__ import annotations
 
-import math
 import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
 from drivers.device.lease import LeaseTable
+from drivers.device.limits import MAX_SAMPLES, check_tone
 from drivers.device.play import Gauges, Interruption, Pace, Player
 from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, TripError
 from sim.rig import Rig
 from sim.stepping import Simulation
 
 WATCHDOG_S = 0.2
-MAX_SAMPLES = 2_000_000
-MAX_RAW_SAMPLES = 500_000
-MAX_BLOCKS = 64
 
 
 @dataclass(frozen=True)
@@ -146,8 +142,10 @@ class RigDevice:
 
     # ---- lease
 
-    def acquire(self, holder: str, seconds: float = 10.0, attached: bool = False) -> int:
+    def acquire(self, holder: str, seconds: float = 10.0, attached: bool = False, token: int | None = None) -> int:
         """Token of a new lease; `attached` marks a holder in this process, which needs no heartbeat.
+
+        A remote host draws the ``token`` itself, so that asking again after a lost answer is harmless.
 
         Raises
         ------
@@ -160,7 +158,7 @@ class RigDevice:
             raise LimitError("a lease needs the name of its holder")
         if not 0.1 <= seconds <= 3600:
             raise LimitError(f"a lease lasts 0.1 to 3600 s, not {seconds} s")
-        token = self._leases.acquire(holder, seconds, attached)
+        token = self._leases.acquire(holder, seconds, attached, token)
         self._stopped_from_elsewhere = False
         self._log(f"leased to {holder}")
         return token
@@ -187,29 +185,61 @@ class RigDevice:
         """Refuse a tone outside the limits with `LimitError`."""
         check_tone(tone, self.capabilities())
 
-    def measure(self, tone: Tone, token: int) -> PointResult:
-        """Play a tone and measure it, see `drivers.controller.Controller.measure`.
+    def arm(self, tone: Tone, token: int) -> Callable[[], PointResult]:
+        """Accept a tone; what is returned must be called once, and plays it.
 
         Raises
         ------
-        LimitError, LeaseError, TripError, CancelledError
-            As the protocol says.
+        LimitError, LeaseError, TripError
+            As the protocol says; nothing is excited.
         BusyError
-            Another tone is being played.
+            Another tone is armed or being played.
+        CancelledError
+            Someone else's stop since the last tone.
         """
         self.check(tone)
-        with self._playing_for(token):
-            result, interruption = self._player.play(tone, self._sequence + 1)
-            if interruption is None:
-                assert result is not None
-                self._sequence = result.sequence
-                self._gauges.state = State.DONE
-                return result
-            if interruption.cause == TripCause.NONE:
-                self._log("stopped, excitation off")
-                raise CancelledError(interruption.message)
-            self._log("excitation off")
-            raise TripError(interruption.cause.name.lower(), interruption.message)
+        lease = self._leases.require(token)
+        with self._state_lock:
+            if self._closed.is_set():
+                raise ControllerError("the controller is switched off")
+            if self._trip is not None:
+                raise TripError(
+                    self._trip.cause.name.lower(), f"a trip is latched ({self._trip.message}); acknowledge it first"
+                )
+            if self._playing:
+                raise BusyError("the controller is playing another tone; wait until it is done, or stop it")
+            if self._stopped_from_elsewhere:
+                self._stopped_from_elsewhere = False
+                raise CancelledError("the excitation was stopped from elsewhere")
+            self._playing = True
+            self._play_token = lease.token
+            self._stop.clear()
+            self._gauges.state = State.ARMED
+        return lambda: self._play(tone)
+
+    def measure(self, tone: Tone, token: int) -> PointResult:
+        """Play a tone and measure it, see `drivers.controller.Controller.measure`."""
+        return self.arm(tone, token)()
+
+    def _play(self, tone: Tone) -> PointResult:
+        try:
+            with self._rig_lock:
+                result, interruption = self._player.play(tone, self._sequence + 1)
+        finally:
+            with self._state_lock:
+                self._playing = False
+                self._play_token = 0
+                if self._gauges.state in (State.ARMED, State.SETTLING, State.RECORDING):
+                    self._gauges.state = State.LEVITATED
+        if interruption is None:
+            assert result is not None
+            self._sequence = result.sequence
+            self._gauges.state = State.DONE
+            return result
+        self._log("excitation off")
+        if interruption.cause == TripCause.NONE:
+            raise CancelledError(interruption.message)
+        raise TripError(interruption.cause.name.lower(), interruption.message)
 
     def stop(self, token: int = 0) -> None:
         """Ramp the excitation to zero, whoever asks.
@@ -256,35 +286,6 @@ class RigDevice:
 
     # ---- inside
 
-    @contextmanager
-    def _playing_for(self, token: int) -> Iterator[None]:
-        lease = self._leases.require(token)
-        with self._state_lock:
-            if self._closed.is_set():
-                raise ControllerError("the controller is switched off")
-            if self._trip is not None:
-                raise TripError(
-                    self._trip.cause.name.lower(), f"a trip is latched ({self._trip.message}); acknowledge it first"
-                )
-            if self._playing:
-                raise BusyError("the controller is playing another tone; wait until it is done, or stop it")
-            if self._stopped_from_elsewhere:
-                self._stopped_from_elsewhere = False
-                raise CancelledError("the excitation was stopped from elsewhere")
-            self._playing = True
-            self._play_token = lease.token
-            self._stop.clear()
-            self._gauges.state = State.ARMED
-        try:
-            with self._rig_lock:
-                yield
-        finally:
-            with self._state_lock:
-                self._playing = False
-                self._play_token = 0
-                if self._gauges.state in (State.ARMED, State.SETTLING, State.RECORDING):
-                    self._gauges.state = State.LEVITATED
-
     def _guard(self) -> Interruption | None:
         if self._stop.is_set():
             return Interruption(TripCause.NONE, "stopped; the excitation is off")
@@ -316,30 +317,3 @@ class RigDevice:
     def _log(self, text: str) -> None:
         self._event_number += 1
         self._events.append(Event(self._event_number, time.monotonic(), text))
-
-
-def check_tone(tone: Tone, capabilities: Capabilities) -> None:
-    """Refuse a tone outside the controller's limits; drivers ask before they send, the device asks again.
-
-    Raises
-    ------
-    LimitError
-        Names the value and the limit.
-    """
-    c = capabilities
-    if not 0 <= tone.axis < len(c.axes):
-        raise LimitError(f"axis {tone.axis} does not exist; the rig has axes 0 to {len(c.axes) - 1}")
-    if not (math.isfinite(tone.amplitude_a) and 0 <= tone.amplitude_a <= c.max_amplitude_a):
-        raise LimitError(f"amplitude {tone.amplitude_a} A is outside 0 to {c.max_amplitude_a} A")
-    if tone.samples < 2 or tone.periods < 1 or not 1 <= tone.blocks <= MAX_BLOCKS or tone.settle_samples < 0:
-        raise LimitError(
-            f"a tone has at least 1 period in 2 samples, 1 to {MAX_BLOCKS} blocks and no negative settling, not {tone}"
-        )
-    frequency = tone.frequency_hz(c.sample_rate_hz)
-    if frequency > c.max_frequency_hz:
-        raise LimitError(f"frequency {frequency:.6g} Hz is above {c.max_frequency_hz:.6g} Hz")
-    total = tone.settle_samples + tone.blocks * tone.samples
-    if total > c.max_samples:
-        raise LimitError(f"{total} samples of settling and blocks are more than {c.max_samples}")
-    if tone.raw and tone.blocks * tone.samples > MAX_RAW_SAMPLES:
-        raise LimitError(f"{tone.blocks * tone.samples} samples of raw record are more than {MAX_RAW_SAMPLES}")

@@ -1,0 +1,178 @@
+"""Modbus servers of the device: TCP, TLS, and RTU on a serial line. One thread for each connection.
+
+The frames are taken apart here and not by pymodbus's server: that one answers a single frame of what it receives
+at once, and copies every register through objects (docs/decisions). The drivers use pymodbus's client, an
+independent reading of the same protocol.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import ssl
+import struct
+import threading
+from contextlib import suppress
+
+from pymodbus.framer.rtu import FramerRTU
+
+from drivers.device.front import DeviceFront
+from drivers.device.registers import RegisterSession
+from drivers.errors import ControllerError
+from drivers.modbus.map import DEFAULT_MAP, RegisterMap
+
+MAX_PDU = 253
+GATEWAY_TARGET_FAILED = 0x0B
+
+
+class TcpServer:
+    """Modbus TCP, or TLS when a context is given, on its own threads until `close`.
+
+    Parameters
+    ----------
+    port
+        0 takes a free one; ``port`` then says which.
+    context
+        Of TLS; it says whether hosts must show a certificate.
+
+    Raises
+    ------
+    ControllerError
+        The address cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        front: DeviceFront,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        unit: int = 1,
+        registers: RegisterMap = DEFAULT_MAP,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
+        self._front, self._unit, self._map, self._context = front, unit, registers, context
+        self._connections: set[socket.socket] = set()
+        self._closing = threading.Event()
+        try:
+            self._listener = socket.create_server((host, port))
+        except OSError as error:
+            raise ControllerError(f"cannot listen on {host}:{port}: {error}; choose another port") from error
+        self.port: int = self._listener.getsockname()[1]
+        self._thread = threading.Thread(target=self._accept, name="modbus", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop listening and drop every connection; safe twice."""
+        self._closing.set()
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        for connection in list(self._connections):
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+        self._thread.join(timeout=2.0)
+
+    def _accept(self) -> None:
+        while not self._closing.is_set():
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=self._serve, args=(connection,), name="modbus-host", daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        try:
+            if self._context is not None:
+                connection.settimeout(5.0)
+                connection = self._context.wrap_socket(connection, server_side=True)
+                connection.settimeout(None)
+            self._connections.add(connection)
+            self._converse(connection)
+        except (OSError, ValueError):
+            pass  # the host went away, or is not one of ours: its lease and the watchdog see to the rest
+        finally:
+            self._connections.discard(connection)
+            connection.close()
+
+    def _converse(self, connection: socket.socket) -> None:
+        session = RegisterSession(self._front, self._map)
+        buffer = bytearray()
+        while chunk := connection.recv(65536):
+            buffer += chunk
+            answers = bytearray()
+            while len(buffer) >= 7:
+                transaction, protocol, length, unit = struct.unpack_from(">HHHB", buffer)
+                if protocol != 0 or not 2 <= length <= MAX_PDU + 1:
+                    return  # out of step: only a new connection helps
+                if len(buffer) < 6 + length:
+                    break
+                request = bytes(buffer[7 : 6 + length])
+                del buffer[: 6 + length]
+                answer = self._answer(session, unit, request)
+                answers += struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer
+            if answers:
+                connection.sendall(answers)
+
+    def _answer(self, session: RegisterSession, unit: int, request: bytes) -> bytes:
+        if unit not in (self._unit, 0, 255):
+            return bytes([request[0] | 0x80, GATEWAY_TARGET_FAILED])
+        return session.answer(request)
+
+
+class RtuServer:
+    """Modbus RTU on an open serial port or pseudo-terminal (a file descriptor), on its own thread until `close`."""
+
+    def __init__(self, front: DeviceFront, fd: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> None:
+        self._fd, self._unit = fd, unit
+        self._session = RegisterSession(front, registers)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="modbus-rtu", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering; the port stays open. Safe twice."""
+        self._closing.set()
+        self._thread.join(timeout=2.0)
+
+    def _run(self) -> None:
+        buffer = bytearray()
+        while not self._closing.is_set():
+            try:
+                # A frame ends in silence: what is incomplete after 50 ms is noise, and the host will ask again.
+                ready = select.select([self._fd], [], [], 0.05)[0]
+                chunk = os.read(self._fd, 512) if ready else b""
+            except OSError:
+                return
+            if not chunk:
+                buffer.clear()
+                continue
+            buffer += chunk
+            size = _request_size(buffer)
+            if size is not None and len(buffer) >= size:
+                frame = bytes(buffer[:size])
+                del buffer[:size]
+                self._serve(frame)
+
+    def _serve(self, frame: bytes) -> None:
+        if frame[0] != self._unit or not _crc_fits(frame):
+            return
+        answer = frame[:1] + self._session.answer(frame[1:-2])
+        raw = answer + struct.pack(">H", FramerRTU.compute_CRC(answer))
+        while raw:
+            select.select([], [self._fd], [], 1.0)
+            raw = raw[os.write(self._fd, raw) :]
+
+
+def _request_size(buffer: bytearray) -> int | None:
+    """Length of the request that the buffer begins with; None while that is not known."""
+    if len(buffer) < 2:
+        return None
+    if buffer[1] in (15, 16):
+        return 9 + buffer[6] if len(buffer) >= 7 else None
+    return 8
+
+
+def _crc_fits(frame: bytes) -> bool:
+    return struct.pack(">H", FramerRTU.compute_CRC(frame[:-2])) == frame[-2:]

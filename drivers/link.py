@@ -1,0 +1,58 @@
+"""The seam between what a controller means and how a bus carries it: every bus is one `Link`."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from drivers.errors import ControllerError
+from drivers.objects import Refusal
+from drivers.packing import Order, Value, Values
+
+
+class RefusedError(ControllerError):
+    """The device answered, and refused a write or a read."""
+
+    def __init__(self, refusal: Refusal, message: str) -> None:
+        super().__init__(message)
+        self.refusal = refusal
+
+
+class Link(Protocol):
+    """One connection to a device. Not safe from two threads at once; every method may raise `BusError`.
+
+    After a `BusError` the link has cleared itself, and the next call connects anew.
+    """
+
+    order: Order
+    """Byte order of payloads."""
+
+    def read(self, group: str) -> dict[str, Value]:
+        """Snapshot of a group, its CRC checked; objects that the device's map lacks are missing."""
+
+    def write(self, group: str, values: Values) -> None:
+        """Carry out a command; raises `RefusedError` when the device refuses it."""
+
+    def lockin_payload(self, size: int) -> bytes:
+        """Lock-in payload of the last result, not checked."""
+
+    def raw_record(self, result: int, size: int) -> bytes:
+        """Raw record of a result, not checked."""
+
+    def wait_for_change(self, seconds: float) -> None:
+        """Wait until the device says that something happened, or the time is over."""
+
+    def close(self) -> None:
+        """Give up the connection; safe twice."""
+
+
+class LinkFactory(Protocol):
+    """Makes connections to one device: one for the measurement, one for heartbeat and stop."""
+
+    description: str
+    """For messages: scheme, host, unit."""
+
+    def link(self, urgent: bool = False) -> Link:
+        """Connection that opens itself at the first call; `urgent` has short time-outs."""
+
+    def close(self) -> None:
+        """Give up what the links share."""

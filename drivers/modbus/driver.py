@@ -1,0 +1,293 @@
+"""A controller on Modbus TCP, TLS or RTU: `ModbusLink` is one connection, `ModbusLinks` makes them."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from pymodbus import FramerType, ModbusException
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.pdu import ModbusPDU
+
+from drivers.errors import BusError
+from drivers.link import RefusedError
+from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_response, to_bytes, to_registers
+from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
+from drivers.objects import BY_NAME, Refusal
+from drivers.packing import Order, Value, Values, check_crc, with_crc
+
+Client = Any  # ModbusTcpClient or ModbusSerialClient, which are only partly typed
+TIMEOUT_S = 0.3
+URGENT_TIMEOUT_S = 0.08
+SEGMENT_REGISTERS = 48_000
+
+# pymodbus writes every time-out to the log as an error; here they are raised, and counted, by those who retry.
+logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+
+_REFUSALS = {refusal.modbus: refusal for refusal in Refusal}
+
+
+class ModbusLink:
+    """One connection, or one turn on a serial line. pymodbus's client underneath, one request at a time.
+
+    Parameters
+    ----------
+    make_client
+        Makes a client that is not yet connected.
+    shared
+        Held for every request, on a line that several links share.
+    """
+
+    order: Order = "big"
+
+    def __init__(
+        self,
+        make_client: Callable[[], Client],
+        registers: RegisterMap,
+        unit: int,
+        shared: threading.RLock | None = None,
+    ) -> None:
+        self._make_client = make_client
+        self._map = registers
+        self._unit = unit
+        self._turn = shared or threading.RLock()
+        self._client: Client | None = None
+        self._transaction = 0
+
+    def read(self, group: str) -> dict[str, Value]:
+        """Snapshot of a group."""
+        values: dict[str, Value] = {}
+        for span in self._map.spans(group, MAX_READ):
+            address, count = span[0].address, span[-1].end - span[0].address
+            answer = self._ask("read_holding_registers", address, count=count)
+            if len(answer.registers) != count:
+                self._fail(f"{group} has {len(answer.registers)} registers instead of {count}")
+            values |= self._decoded(span, to_bytes(answer.registers))
+        check_crc(BY_NAME[group], values)
+        return values
+
+    def _decoded(self, span: tuple[Entry, ...], raw: bytes) -> dict[str, Value]:
+        start = span[0].address
+        return {
+            e.obj.name: entry_value(e, raw[2 * (e.address - start) : 2 * (e.end - start)], self._map.word_order)
+            for e in span
+        }
+
+    def write(self, group: str, values: Values) -> None:
+        """Carry out a command; it acts when its last object is written."""
+        sealed = with_crc(BY_NAME[group], values)
+        for span in self._map.spans(group, MAX_WRITE):
+            raw = b"".join(entry_bytes(e, sealed[e.obj.name], self._map.word_order) for e in span)
+            address, registers = span[0].address, to_registers(raw)
+            self._ask("write_registers", address, registers)
+
+    def lockin_payload(self, size: int) -> bytes:
+        """Lock-in payload from the data area."""
+        return self._data(self._map.lockin_address, size)
+
+    def raw_record(self, result: int, size: int) -> bytes:
+        """Raw record, segment by segment through the data area."""
+        parts = []
+        for segment in range(-(-size // (2 * SEGMENT_REGISTERS))):
+            self.write("window", {"result": result, "segment": segment})
+            left = size - 2 * SEGMENT_REGISTERS * segment
+            parts.append(self._data(self._map.raw_address, min(left, 2 * SEGMENT_REGISTERS)))
+        return b"".join(parts)
+
+    def wait_for_change(self, seconds: float) -> None:
+        """Modbus devices never speak first: sleep."""
+        time.sleep(seconds)
+
+    def close(self) -> None:
+        """Close the connection; the next call opens it again."""
+        with self._turn:
+            client, self._client = self._client, None
+            if client is not None:
+                with suppress(Exception):
+                    client.close()
+
+    # ---- inside
+
+    def _data(self, address: int, size: int) -> bytes:
+        registers = size // 2
+        blocks = [(address + at, min(MAX_READ, registers - at)) for at in range(0, registers, MAX_READ)]
+        return b"".join(self._block(a, n) for a, n in blocks)
+
+    def _block(self, address: int, count: int) -> bytes:
+        """One block of input registers; on a socket without the library's way through objects, for speed."""
+        with self._turn:
+            client = self._connected()
+            if isinstance(client, ModbusSerialClient):
+                answer = self._ask("read_input_registers", address, count=count)
+                if len(answer.registers) != count:
+                    self._fail("a block of data was cut short")
+                return to_bytes(answer.registers)
+            self._transaction = self._transaction % 0xFFFF + 1
+            try:
+                connection = client.socket
+                assert connection is not None
+                connection.settimeout(client.comm_params.timeout_connect)
+                connection.sendall(read_request(self._transaction, self._unit, address, count))
+                return read_response(_received(connection, 9 + 2 * count), self._transaction, self._unit, count)
+            except (OSError, BusError) as error:
+                self.close()
+                raise BusError(f"reading data failed: {error}") from error
+
+    def _connected(self) -> Client:
+        if self._client is None:
+            client = self._make_client()
+            try:
+                connected = client.connect()
+            except (OSError, ssl.SSLError, ModbusException) as error:
+                raise BusError(f"cannot connect: {error}") from error
+            if not connected:
+                raise BusError("cannot connect: nothing answers there, or it refused")
+            connection = getattr(client, "socket", None)
+            if isinstance(connection, socket.socket):
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
+        return self._client
+
+    def _ask(self, verb: str, *arguments: Any, **more: Any) -> ModbusPDU:
+        """Answer to one request of pymodbus's client."""
+        with self._turn:
+            client = self._connected()
+            try:
+                answer: ModbusPDU = getattr(client, verb)(*arguments, **more, device_id=self._unit)
+            except (ModbusException, OSError, ValueError, IndexError) as error:
+                self._fail(str(error).removeprefix("Modbus Error: ").removeprefix("[Input/Output] "))
+            if answer.isError():
+                code = getattr(answer, "exception_code", 0)
+                if code not in _REFUSALS:
+                    self._fail(f"the device answered with exception {code}")
+                raise RefusedError(_REFUSALS[code], f"Modbus exception {code}")
+            return answer
+
+    def _fail(self, message: str) -> Any:
+        self.close()
+        raise BusError(message)
+
+
+def _received(connection: socket.socket, size: int) -> bytes:
+    """Exactly ``size`` bytes; an exception's shorter frame ends in a time-out or is seen at once."""
+    parts = bytearray()
+    while len(parts) < size:
+        chunk = connection.recv(size - len(parts))
+        if not chunk:
+            raise BusError("the connection was closed")
+        parts += chunk
+        if len(parts) >= 9 and parts[7] & 0x80:
+            raise BusError(f"the device answered with exception {parts[8]}")
+    return bytes(parts)
+
+
+class ModbusLinks:
+    """Connections to one Modbus device.
+
+    Parameters
+    ----------
+    make_client
+        Makes a client with the given time-out, s.
+    serial
+        A line that all links share, one request at a time.
+    """
+
+    def __init__(
+        self,
+        description: str,
+        make_client: Callable[[float], Client],
+        unit: int = 1,
+        registers: RegisterMap = DEFAULT_MAP,
+        serial: bool = False,
+    ) -> None:
+        self.description = description
+        self._make_client = make_client
+        self._unit = unit
+        self._map = registers
+        self._line: _SharedLine | None = _SharedLine(make_client) if serial else None
+
+    def link(self, urgent: bool = False) -> ModbusLink:
+        """Connection that opens itself at the first call."""
+        if self._line is not None:
+            return ModbusLink(self._line.client, self._map, self._unit, self._line.turn)
+        timeout = URGENT_TIMEOUT_S if urgent else TIMEOUT_S
+        return ModbusLink(lambda: self._make_client(timeout), self._map, self._unit)
+
+    def close(self) -> None:
+        """Close the serial line."""
+        if self._line is not None:
+            self._line.close()
+
+
+class _SharedLine:
+    """A serial line: one port for all links of this host, which take turns."""
+
+    def __init__(self, make_client: Callable[[float], Client]) -> None:
+        self.turn = threading.RLock()
+        self._client = make_client(TIMEOUT_S / 2)
+
+    def client(self) -> Client:
+        """The one client; it opens the port again when a link has closed it."""
+        return self._client
+
+    def close(self) -> None:
+        """Close the port."""
+        with self.turn:
+            self._client.close()
+
+
+class _TlsClient(ModbusTcpClient):
+    """pymodbus's TCP client in TLS. Its own TLS client neither checks the host's name nor the frame's length."""
+
+    def __init__(self, host: str, port: int, timeout: float, context: ssl.SSLContext) -> None:
+        super().__init__(host, port=port, timeout=timeout, retries=0)
+        self._context = context
+
+    def connect(self) -> bool:
+        """Connect, and check both certificates."""
+        if self.socket is None:
+            host = str(self.comm_params.host)
+            plain = socket.create_connection((host, self.comm_params.port), timeout=2.0)
+            try:
+                self.socket = self._context.wrap_socket(plain, server_hostname=host)
+            except BaseException:
+                plain.close()
+                raise
+        return True
+
+
+def tcp_links(host: str, port: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> ModbusLinks:
+    """Links over plain TCP."""
+
+    def client(timeout: float) -> Client:
+        return ModbusTcpClient(host, port=port, timeout=timeout, retries=0)
+
+    return ModbusLinks(f"modbus://{host}:{port}", client, unit, registers)
+
+
+def tls_links(
+    host: str, port: int, context: ssl.SSLContext, unit: int = 1, registers: RegisterMap = DEFAULT_MAP
+) -> ModbusLinks:
+    """Links over TLS, with the certificates of the context."""
+
+    def client(timeout: float) -> Client:
+        return _TlsClient(host, port, timeout, context)
+
+    return ModbusLinks(f"modbuss://{host}:{port}", client, unit, registers)
+
+
+def rtu_links(port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> ModbusLinks:
+    """Links over a serial line, 8 bits, no parity."""
+
+    def client(timeout: float) -> Client:
+        return ModbusSerialClient(
+            port, framer=FramerType.RTU, baudrate=baud, timeout=max(timeout, 3 * 260 * 11 / baud), retries=0
+        )
+
+    return ModbusLinks(f"modbus+rtu://{port}", client, unit, registers, serial=True)

@@ -1,0 +1,206 @@
+"""Recorded traffic: a session saved as JSON lines, and replayed as a controller, for support and regression tests.
+
+What the measuring connection asks and gets is recorded, one object a line; heartbeats and stops are not. A replay
+answers the same questions in the same order; a question that was not asked then is an error that names the line.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import BusError, ControllerError
+from drivers.link import Link, LinkFactory, RefusedError
+from drivers.objects import Refusal
+from drivers.packing import Order, Value, Values
+
+FORMAT = "amb-transcript"
+_DRAWN_ANEW = ("token", "command", "crc")
+
+
+class RecordingLinks:
+    """Links whose measuring connection writes down what passes."""
+
+    def __init__(self, links: LinkFactory, path: Path) -> None:
+        self._links = links
+        self.description = links.description
+        try:
+            self._file = path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise ControllerError(f"cannot write the transcript {path}: {error}") from error
+        self._lock = threading.Lock()
+        self._note({"format": FORMAT, "version": 1, "controller": links.description})
+
+    def link(self, urgent: bool = False) -> Link:
+        """The connection; recorded unless urgent."""
+        link = self._links.link(urgent)
+        return link if urgent else _RecordingLink(link, self)
+
+    def close(self) -> None:
+        """Close the file and the links."""
+        self._links.close()
+        with self._lock:
+            self._file.close()
+
+    def _note(self, line: dict[str, Any]) -> None:
+        with self._lock:
+            if not self._file.closed:
+                self._file.write(json.dumps(line) + "\n")
+                self._file.flush()
+
+
+class _RecordingLink:
+    def __init__(self, link: Link, transcript: RecordingLinks) -> None:
+        self._link = link
+        self._transcript = transcript
+        self.order: Order = link.order
+
+    def read(self, group: str) -> dict[str, Value]:
+        return self._kept({"read": group}, lambda: self._link.read(group))
+
+    def write(self, group: str, values: Values) -> None:
+        self._kept({"write": group, "values": dict(values)}, lambda: self._link.write(group, values))
+
+    def lockin_payload(self, size: int) -> bytes:
+        return self._kept({"lockin": size}, lambda: self._link.lockin_payload(size))
+
+    def raw_record(self, result: int, size: int) -> bytes:
+        return self._kept({"raw": size, "result": result}, lambda: self._link.raw_record(result, size))
+
+    def wait_for_change(self, seconds: float) -> None:
+        self._link.wait_for_change(seconds)
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _kept(self, line: dict[str, Any], call: Any) -> Any:
+        line["order"] = self.order
+        try:
+            answer = call()
+        except RefusedError as refused:
+            self._transcript._note(line | {"refused": refused.refusal.name, "message": str(refused)})
+            raise
+        except BusError as error:
+            self._transcript._note(line | {"bus_error": str(error)})
+            raise
+        kept = {"base64": base64.b64encode(answer).decode("ascii")} if isinstance(answer, bytes) else answer
+        self._transcript._note(line | {"answer": kept})
+        return answer
+
+
+def replay_links(path: Path) -> _ReplayLinks:
+    """Links that answer from a transcript.
+
+    Raises
+    ------
+    ControllerError
+        The file cannot be read, or is not a transcript.
+    """
+    try:
+        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ControllerError(f"cannot read the transcript {path}: {error}") from error
+    if not lines or lines[0].get("format") != FORMAT or lines[0].get("version") != 1:
+        raise ControllerError(f"{path} is not a transcript of version 1")
+    return _ReplayLinks(path, lines[1:])
+
+
+class _ReplayLinks:
+    def __init__(self, path: Path, lines: list[dict[str, Any]]) -> None:
+        self.description = f"replay://{path}"
+        self._replay = _ReplayLink(path, lines)
+
+    def link(self, urgent: bool = False) -> Link:
+        return _SilentLink() if urgent else self._replay
+
+    def close(self) -> None:
+        pass
+
+
+class _ReplayLink:
+    """The measuring connection of a transcript."""
+
+    def __init__(self, path: Path, lines: list[dict[str, Any]]) -> None:
+        self._path = path
+        self._lines = lines
+        self._next = 0
+        self._commands: dict[int, int] = {}
+        self.order: Order = lines[0]["order"] if lines else "big"
+
+    def read(self, group: str) -> dict[str, Value]:
+        answer = self._answer("read", group)
+        values = {name: tuple(v) if isinstance(v, list) else v for name, v in answer.items()}
+        if "command" in values:
+            values["command"] = self._commands.get(values["command"], values["command"])
+        return values
+
+    def write(self, group: str, values: Values) -> None:
+        line = self._line("write", group)
+        then = line.get("values", {})
+        for name, value in values.items():
+            if name not in _DRAWN_ANEW and then.get(name) != value:
+                raise ControllerError(
+                    f"{self._path}, line {self._next + 1}: {group}.{name} was {then.get(name)}, and is now {value}"
+                )
+        if "command" in values:
+            self._commands[int(then["command"])] = int(values["command"])  # type: ignore[arg-type]
+        self._result(line)
+
+    def lockin_payload(self, size: int) -> bytes:
+        return base64.b64decode(self._answer("lockin", size)["base64"])
+
+    def raw_record(self, result: int, size: int) -> bytes:
+        return base64.b64decode(self._answer("raw", size)["base64"])
+
+    def wait_for_change(self, seconds: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def _line(self, verb: str, what: str | int) -> dict[str, Any]:
+        if self._next >= len(self._lines):
+            raise ControllerError(f"{self._path} ends before this {verb} of {what}")
+        line = self._lines[self._next]
+        self._next += 1
+        if line.get(verb) != what:
+            asked = next((f"{v} {line[v]}" for v in ("read", "write", "lockin", "raw") if v in line), "nothing")
+            raise ControllerError(f"{self._path}, line {self._next + 1}: recorded {asked}, and not {verb} {what}")
+        return line
+
+    def _result(self, line: dict[str, Any]) -> Any:
+        if "refused" in line:
+            raise RefusedError(Refusal[line["refused"]], line["message"])
+        if "bus_error" in line:
+            raise BusError(line["bus_error"])
+        return line.get("answer")
+
+    def _answer(self, verb: str, what: str | int) -> Any:
+        return self._result(self._line(verb, what))
+
+
+class _SilentLink:
+    """Heartbeats and stops of a replay: nobody listens."""
+
+    order: Order = "big"
+
+    def read(self, group: str) -> dict[str, Value]:
+        raise ControllerError("a replay answers on its measuring connection only")
+
+    def write(self, group: str, values: Values) -> None:
+        pass
+
+    def lockin_payload(self, size: int) -> bytes:
+        raise ControllerError("a replay answers on its measuring connection only")
+
+    def raw_record(self, result: int, size: int) -> bytes:
+        raise ControllerError("a replay answers on its measuring connection only")
+
+    def wait_for_change(self, seconds: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
