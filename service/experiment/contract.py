@@ -124,6 +124,8 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     d = _Datasets(where, datasets, n_axes)
     frequency, axis, amplitude = _points(d, rate, kind)
     flags = _flags(d, len(frequency))
+    block_samples = d.integers("block_samples", len(frequency)) if "block_samples" in datasets else None
+    time_s = d.vector("time_s", len(frequency)) if "time_s" in datasets else None
     shared: dict[str, Any] = {
         "kind": kind,
         "speed_rad_s": number(where, "speed_rad_s", attributes["speed_rad_s"]),
@@ -134,13 +136,22 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
         harmonics, values = _demodulated(d, axis, amplitude, excited=kind != "noise")
     elif "sample_start" in datasets or "r" in datasets:
         frequency, axis, amplitude, harmonics, values = _records(d, frequency, axis, amplitude, rate, kind)
-        flags = flags if len(flags) == len(frequency) else ()
+        if kind == "noise":  # its points are now spectral lines
+            flags, block_samples, time_s = (), None, None
     else:
         raise ExperimentFileError(
             f"{where} holds neither records (sample_start, r, u, i, y) nor demodulated blocks (harmonics, R, U, I, Y)"
         )
     return Sweep(
-        frequency_hz=frequency, axis=axis, amplitude_a=amplitude, harmonics=harmonics, flags=flags, **values, **shared
+        frequency_hz=frequency,
+        axis=axis,
+        amplitude_a=amplitude,
+        harmonics=harmonics,
+        flags=flags,
+        block_samples=block_samples,
+        time_s=time_s,
+        **values,
+        **shared,
     )
 
 
@@ -280,6 +291,12 @@ def _spectral_lines(
     samples = int(start[1] - start[0]) // SPECTRAL_BLOCKS
     if samples < 16:
         raise d.fail("sample_start", f"leaves a noise record of {start[1] - start[0]} samples; record at least 100")
-    top = samples // 2 - 1
-    lines = np.unique(np.round(np.geomspace(1, top, 1 + int(20 * np.log10(top)))).astype(np.int64))
+    lines = spectral_lines(samples)
     return start[:2], lines * rate / samples, np.full(len(lines), axis[0]), np.zeros(len(lines))
+
+
+def spectral_lines(samples: int) -> NDArray[np.int64]:
+    """Periods per block of ``samples`` of the lines at which a noise record is read: 20 a decade, none twice."""
+    top = samples // 2 - 1
+    lines: NDArray[np.int64] = np.unique(np.round(np.geomspace(1, top, 1 + int(20 * np.log10(top)))).astype(np.int64))
+    return lines

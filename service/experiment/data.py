@@ -39,6 +39,10 @@ class Sweep:
     comment: str = ""
     flags: tuple[str, ...] = ()
     """Per point: "" or why it is marked ("repeated at lower amplitude", "not settled", ...); () for none."""
+    block_samples: NDArray[np.int64] | None = None
+    """(P,) length of a block, samples; None when the file does not tell."""
+    time_s: Real | None = None
+    """(P,) rig time at which the point was measured, s from the campaign's start; None when the file does not tell."""
 
     @property
     def n_points(self) -> int:
@@ -66,6 +70,8 @@ class Sweep:
             sample_rate_hz=self.sample_rate_hz,
             comment=self.comment,
             flags=tuple(self.flags[k] for k in index) if self.flags else (),
+            block_samples=None if self.block_samples is None else self.block_samples[index],
+            time_s=None if self.time_s is None else self.time_s[index],
         )
 
 

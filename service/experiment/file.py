@@ -167,6 +167,10 @@ def _write_sweep(group: Any, sweep: Sweep) -> None:
     group["axis"] = sweep.axis.astype(np.int8)
     group["amplitude_a"] = sweep.amplitude_a
     group["harmonics"] = np.array(sweep.harmonics, dtype=np.int8)
+    if sweep.block_samples is not None:
+        group["block_samples"] = sweep.block_samples
+    if sweep.time_s is not None:
+        group["time_s"] = sweep.time_s
     if sweep.flags:
         group.create_dataset("flags", data=list(sweep.flags), dtype=h5py.string_dtype())
     for name in ("R", "U", "I", "Y"):

@@ -1,0 +1,249 @@
+"""The automated experiment: runs the plan on a controller. The only module of this package that moves a rotor."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from drivers.controller import Capabilities, Controller, State, TripCause
+from drivers.errors import CancelledError, ControllerError
+from service.experiment import file, journal, phases
+from service.experiment.data import Experiment
+from service.experiment.errors import CampaignError, ExperimentFileError
+from service.experiment.plan import Limits, Profile
+from service.experiment.points import experiment
+from service.experiment.progress import Meter, ProgressCallback
+from service.experiment.rig_access import RigAccess
+from sim.datasheet import Datasheet, to_toml
+
+EXPERIMENT = "experiment.h5"
+JOURNAL = "experiment.journal"
+PREVIOUS = "previous"
+WATCH_S = 0.1
+
+
+def run_campaign(
+    controller: Controller,
+    datasheet: Datasheet,
+    out_dir: Path,
+    progress: ProgressCallback | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    resume: bool = True,
+    profile: Profile | None = None,
+    holder: str = "ambit campaign",
+) -> Experiment:
+    """Run the whole experiment on a controller and write ``out_dir/experiment.h5``.
+
+    Parameters
+    ----------
+    controller
+        Any driver. Leased for as long as this runs.
+    datasheet
+        Of the rig: limits, linear range, bias current.
+    out_dir
+        Made when it does not exist. Every finished point is on disk there, in ``experiment.journal``, before the
+        next one begins; the journal is removed when experiment.h5 is complete.
+    progress
+        Called after every point.
+    cancelled
+        Polled some ten times a second, from another thread; True ends the campaign.
+    resume
+        Go on with a journal that lies in ``out_dir``; otherwise it is put aside and the campaign starts anew.
+    profile
+        What to reach; the default suits the reference rig.
+    holder
+        Name under which the rig is leased.
+
+    Returns
+    -------
+    experiment
+        Sweeps "main", "validation", "amplifier", "noise", "preliminary".
+
+    Raises
+    ------
+    ExperimentFileError
+        ``out_dir`` cannot be written; nothing has moved.
+    CampaignError
+        The controller does not fit the datasheet, or is tripped.
+    JournalError
+        A journal in ``out_dir`` is of another rig or plan.
+    CancelledError
+        Cancelled or interrupted from the keyboard. The rig is stopped, ``experiment.h5`` has what was measured, and
+        the journal what is needed to resume.
+    ControllerError
+        The controller failed for good; what was measured is kept in the same way.
+    """
+    profile = profile or Profile()
+    capabilities = controller.capabilities()
+    limits = checked_limits(capabilities, datasheet)
+    prepare_folder(out_dir, resume)
+    header = fingerprint(capabilities, datasheet, profile)
+    log = journal.Journal(out_dir / JOURNAL, header)
+    meter = Meter(progress)
+    done: dict[str, list[Any]] = {}
+    speed = 0.0
+
+    def assembled() -> Experiment:
+        attributes = {"controller": capabilities.identity, "rig_seconds": f"{meter.rig_seconds:.3f}"}
+        return experiment(
+            datasheet.name,
+            capabilities.axes,
+            done,
+            capabilities.harmonics,
+            capabilities.sample_rate_hz,
+            speed,
+            attributes,
+        )
+
+    try:
+        with _stopped_by(controller, cancelled), controller.lease(holder):
+            speed = _ready(controller)
+            access = RigAccess(controller, log, cancelled or (lambda: False))
+            phases.run(access, limits, profile, capabilities.raw_records, meter, done)
+        result = assembled()
+        _put_aside(out_dir / EXPERIMENT)
+        file.write(out_dir / EXPERIMENT, result)
+    except BaseException as error:
+        with suppress(ControllerError):
+            controller.stop()
+        kept = _keep(out_dir / EXPERIMENT, assembled)
+        log.close()
+        if isinstance(error, KeyboardInterrupt | CancelledError):
+            raise CancelledError(
+                f"the campaign was stopped and the excitation is off; {kept} points are kept in {out_dir}: "
+                "run it again to go on where it stopped"
+            ) from None
+        raise
+    log.close()
+    (out_dir / JOURNAL).unlink(missing_ok=True)
+    return result
+
+
+def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
+    """Limits of controller and datasheet together.
+
+    Raises
+    ------
+    CampaignError
+        They describe different rigs.
+    """
+    c = capabilities
+    if tuple(c.axes) != datasheet.axes:
+        raise CampaignError(
+            f"the controller has axes {', '.join(c.axes)}, the datasheet {datasheet.name} has "
+            f"{', '.join(datasheet.axes)}; give the datasheet of this rig"
+        )
+    if abs(c.sample_rate_hz * datasheet.sample_time_s - 1) > 1e-6:
+        raise CampaignError(
+            f"the controller samples at {c.sample_rate_hz:g} Hz, the datasheet {datasheet.name} says "
+            f"{datasheet.sample_rate_hz:g} Hz; correct controller.sample_time_s"
+        )
+    return Limits.of(
+        datasheet,
+        c.sample_rate_hz,
+        c.max_frequency_hz,
+        c.max_samples,
+        c.max_amplitude_a,
+        c.displacement_limit_m,
+        c.current_limit_a,
+    )
+
+
+def prepare_folder(out_dir: Path, resume: bool) -> None:
+    """Make the folder, prove that it can be written, and put an old journal aside unless it shall be resumed.
+
+    Raises
+    ------
+    ExperimentFileError
+        It cannot be written.
+    """
+    probe = out_dir / f".write-test.{os.getpid()}"
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"x")
+        probe.unlink()
+    except OSError as error:
+        raise ExperimentFileError(
+            f"cannot write to {out_dir}: {error.strerror or error}; nothing has moved: choose another folder"
+        ) from error
+    if not resume:
+        _put_aside(out_dir / JOURNAL)
+
+
+def fingerprint(capabilities: Capabilities, datasheet: Datasheet, profile: Profile) -> journal.Entry:
+    """What must be the same for a journal to be continued."""
+    c = capabilities
+    return {
+        "rig": datasheet.name,
+        "controller": c.identity,
+        "axes": list(c.axes),
+        "sample_rate_hz": float(c.sample_rate_hz),
+        "limits": [float(c.max_amplitude_a), float(c.displacement_limit_m), float(c.current_limit_a)],
+        "harmonics": list(c.harmonics),
+        "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
+        "profile": asdict(profile),
+    }
+
+
+def _ready(controller: Controller) -> float:
+    """Speed of the rig, rad/s; a latched trip is acknowledged only if it was a host that went away."""
+    status = controller.status()
+    if status.state == State.TRIPPED:
+        if status.trip != TripCause.HOST:
+            raise CampaignError(
+                f"the controller is tripped ({status.trip_message}); find the cause and acknowledge it first"
+            )
+        controller.acknowledge()
+    if status.state == State.OFF:
+        raise CampaignError("the rotor does not levitate: the controller is off; switch it on first")
+    return float(status.speed_rad_s)
+
+
+@contextmanager
+def _stopped_by(controller: Controller, cancelled: Callable[[], bool] | None) -> Iterator[None]:
+    """Watch ``cancelled`` from another thread and stop the tone that is being played when it turns true."""
+    if cancelled is None:
+        yield
+        return
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(WATCH_S):
+            if cancelled():
+                with suppress(ControllerError):
+                    controller.stop()
+                return
+
+    thread = threading.Thread(target=watch, name="campaign-watch", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _keep(path: Path, assembled: Callable[[], Experiment]) -> int:
+    """Write what there is of an unfinished campaign; the number of points kept. Never hides the first error."""
+    partial = assembled()
+    count = sum(s.n_points for s in partial.sweeps)
+    if any(s.kind != "noise" for s in partial.sweeps):
+        with suppress(ExperimentFileError):
+            file.write(path, partial)
+    return count
+
+
+def _put_aside(path: Path) -> None:
+    """Rename a file that would be lost, to a name that is free."""
+    if not path.exists():
+        return
+    k = 1
+    while (target := path.with_name(f"{path.stem}.{PREVIOUS}-{k}{path.suffix}")).exists():
+        k += 1
+    path.rename(target)

@@ -1,0 +1,175 @@
+"""The campaign's journal: one line for every finished measurement, on disk before the next one begins.
+
+An append-only text file. Every line is ``crc32 in hexadecimal, a space, one JSON object``; the first object is the
+header, the others are entries. Arrays are ``{"dtype", "shape", "base64"}`` of little-endian bytes. A line whose
+check sum does not match, or that has no end, was being written when the power went: it is cut off, and all lines
+before it are good. See docs/decisions.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.errors import ExperimentFileError, JournalError
+
+FORMAT = "amb-campaign-journal"
+VERSION = 1
+
+Entry = dict[str, Any]
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        little = np.ascontiguousarray(value, dtype=value.dtype.newbyteorder("<"))
+        return {
+            "dtype": little.dtype.str,
+            "shape": list(little.shape),
+            "base64": base64.b64encode(little.tobytes()).decode("ascii"),
+        }
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a journal holds no {type(value).__name__}")
+
+
+def _decoded(value: dict[str, Any]) -> Any:
+    if value.keys() == {"dtype", "shape", "base64"}:
+        flat: NDArray[Any] = np.frombuffer(base64.b64decode(value["base64"]), dtype=value["dtype"])
+        return flat.reshape(value["shape"]).copy()
+    return value
+
+
+def line(entry: Entry) -> bytes:
+    r"""One line of a journal.
+
+    >>> line({"phase": "main"})
+    b'6952a777 {"phase":"main"}\n'
+    """
+    text = json.dumps(entry, default=_encoded, separators=(",", ":"), allow_nan=False).encode("ascii")
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def entries(content: bytes) -> tuple[list[Entry], int]:
+    """Entries of a journal's bytes, and how many bytes are good.
+
+    Reading ends at the first line that is incomplete or does not match its check sum.
+    """
+    found: list[Entry] = []
+    good = 0
+    while (end := content.find(b"\n", good)) >= 0:
+        check, _, text = content[good:end].partition(b" ")
+        if len(check) != 8 or check != b"%08x" % zlib.crc32(text):
+            break
+        try:
+            found.append(json.loads(text, object_hook=_decoded))
+        except ValueError:
+            break
+        good = end + 1
+    return found, good
+
+
+def read(path: Path) -> tuple[Entry, list[Entry]]:
+    """Header and entries of a journal; what a crash left unfinished at its end is passed over.
+
+    Raises
+    ------
+    JournalError
+        Not a journal, or one of another version.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise JournalError(f"cannot read the journal {path}: {error}") from error
+    found, _ = entries(content)
+    if not found or found[0].get("format") != FORMAT or found[0].get("version") != VERSION:
+        raise JournalError(f"{path} is not a campaign journal of version {VERSION}; move it away to start anew")
+    return found[0], found[1:]
+
+
+class Journal:
+    """A journal that is open for appending.
+
+    Parameters
+    ----------
+    path
+        The file. It is made with ``header`` when it does not exist, or holds not even a whole header.
+    header
+        What the campaign is; an existing journal must have the same.
+
+    Raises
+    ------
+    JournalError
+        The journal belongs to another rig or plan.
+    ExperimentFileError
+        The folder cannot be written.
+    """
+
+    def __init__(self, path: Path, header: Entry) -> None:
+        self.path = path
+        header = {"format": FORMAT, "version": VERSION, **header}
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise ExperimentFileError(f"cannot write {path}: {error}; choose another folder") from error
+        try:
+            self.found = self._recover(header)
+        except BaseException:
+            os.close(self._descriptor)
+            raise
+
+    def _recover(self, header: Entry) -> list[Entry]:
+        content = self.path.read_bytes()
+        found, good = entries(content)
+        if not found and b"\n" in content:
+            raise JournalError(f"{self.path} is not a campaign journal; move it away to start anew")
+        if found and found[0] != json.loads(json.dumps(header, default=_encoded)):
+            raise JournalError(
+                f"{self.path} belongs to {_difference(found[0], header)}; "
+                "choose another folder, or start anew without resuming"
+            )
+        os.ftruncate(self._descriptor, good)
+        os.lseek(self._descriptor, good, os.SEEK_SET)
+        if not found:
+            self.append(header)
+            folder = os.open(self.path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        return found[1:]
+
+    def append(self, entry: Entry) -> None:
+        """Add an entry; when this returns it survives a crash."""
+        data = memoryview(line(entry))
+        try:
+            while data:
+                data = data[os.write(self._descriptor, data) :]
+            os.fsync(self._descriptor)
+        except OSError as error:
+            raise ExperimentFileError(f"cannot write {self.path}: {error}; free space and resume") from error
+
+    def close(self) -> None:
+        """Close the file; it stays on disk. Safe twice."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def _difference(found: Entry, wanted: Entry) -> str:
+    """The first thing in which two headers differ, in words."""
+    for key in wanted:
+        if found.get(key) != wanted[key]:
+            return f"another campaign (its {key} is {_short(found.get(key))}, not {_short(wanted[key])})"
+    return "another campaign"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, default=_encoded)
+    return text if len(text) <= 60 else text[:57] + "..."

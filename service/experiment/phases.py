@@ -1,0 +1,337 @@
+"""The phases of a campaign in order: noise, preliminary sweep, main sweep, peaks, validation, amplifiers.
+
+Every decision follows from the profile and from what has been measured, nothing from the clock, so the same answers of
+the rig give the same questions: that is what makes a campaign resumable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment import noise, plan
+from service.experiment.contract import spectral_lines
+from service.experiment.demodulate import BlockPlan, amplitudes
+from service.experiment.errors import CampaignError
+from service.experiment.knowledge import Knowledge
+from service.experiment.noise import NoiseSpectra
+from service.experiment.peaks import densification, merged, peaks, resolved
+from service.experiment.plan import Aim, Limits, Profile, Request
+from service.experiment.points import Point, responses, unmeasured
+from service.experiment.progress import Meter
+from service.experiment.quality import judge
+from service.experiment.rig_access import RigAccess, Trip
+from service.experiment.settling import Agreement, longer, stationary
+
+Real = NDArray[np.float64]
+
+NOISE_S = 3.0
+"""Zero-excitation record: twenty independent looks at the noise with 4 Hz resolution."""
+PERIODIC_S = 0.5
+PEAK_ROUNDS = 6
+TRIPS = 7
+"""A point whose amplitude was halved that often and still trips is given up."""
+
+
+class Phases:
+    """A campaign under way.
+
+    Parameters
+    ----------
+    access
+        The rig, through the journal.
+    limits, profile
+        What is allowed and what is wanted.
+    meter
+        Told of every point.
+    done
+        Finished points by sweep; filled as they come, so that an interrupted campaign can keep them.
+    """
+
+    def __init__(
+        self, access: RigAccess, limits: Limits, profile: Profile, meter: Meter, done: dict[str, list[Point]]
+    ) -> None:
+        self.access, self.limits, self.profile, self.meter, self.done = access, limits, profile, meter, done
+        self.aims = plan.aims(profile, limits)
+        self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
+
+    # ---- noise
+
+    def noise_step(self, raw: bool) -> None:
+        """Zero-excitation record: spectra for the plan, and the noise sweep of the file."""
+        rate, blocks = self.limits.sample_rate_hz, self.profile.blocks
+        if not raw:
+            self._noise_from_tones()
+            return
+        samples = min(round(NOISE_S * rate), self.limits.max_samples) // blocks
+        request = Request(0, 0.0, 1, samples, blocks, 0, raw=True)
+
+        def reduction(records: dict[str, Real]) -> dict[str, Any]:
+            spectra = noise.spectra(records, rate)
+            return {
+                "frequency_hz": spectra.frequency_hz,
+                "lines_hz": list(spectra.lines_hz),
+                **{f"density_{s}": d for s, d in spectra.density.items()},
+                **_lines(records, samples, blocks, self.access.harmonics),
+            }
+
+        found = self._certainly("noise", request, reduction)
+        spectra = NoiseSpectra(
+            found["frequency_hz"], {s: found[f"density_{s}"] for s in noise.SIGNALS}, tuple(found["lines_hz"])
+        )
+        self.knowledge = Knowledge(spectra, self.limits.n_axes)
+        self.done["noise"] = [
+            Point(
+                request=replace(request, periods=int(k), raw=False),
+                frequency_hz=int(k) * rate / samples,
+                R=found["R"][j],
+                U=found["U"][j],
+                I=found["I"][j],
+                Y=found["Y"][j],
+                peak_displacement_m=0.0,
+                peak_current_a=0.0,
+                time_s=self.access.rig_seconds,
+            )
+            for j, k in enumerate(found["periods"])
+        ]
+        self._report("noise", "zero-excitation record")
+
+    def _noise_from_tones(self) -> None:
+        """The same from a controller that gives no records: unexcited tones, one frequency at a time."""
+        rate = self.limits.sample_rate_hz
+        requests = []
+        top = min(self.profile.amplifier_to_hz, self.limits.max_frequency_hz)
+        for f in plan.grid(self.profile.from_hz / 2, top, self.profile.coarse_points):
+            periods, samples = plan.whole_periods(f, max(0.1, 1 / f), rate)
+            requests.append(Request(0, 0.0, periods, samples, self.profile.blocks, 0))
+        found = [self._tone_at_rest(r) for r in requests]
+        self.done["noise"] = found
+        f = np.array([p.frequency_hz for p in found])
+        block = np.array([p.request.samples / rate for p in found])
+        values = {s: np.array([getattr(p, s.upper())[:, 1] for p in found]) for s in noise.SIGNALS}
+        self.knowledge = Knowledge(noise.from_blocks(f, values, block), self.limits.n_axes)
+
+    def _tone_at_rest(self, request: Request) -> Point:
+        outcome = self.access.measure("noise", request)
+        if isinstance(outcome, Trip):
+            raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
+        self._report("noise", f"{outcome.frequency_hz:.4g} Hz at rest")
+        return outcome
+
+    def _certainly(self, phase: str, request: Request, reduction: Any) -> dict[str, Any]:
+        outcome = self.access.reduce(phase, request, reduction)
+        if isinstance(outcome, Trip):
+            raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
+        return outcome
+
+    def periodic_step(self) -> None:
+        """Noise under excitation: the mean block of a periodic record subtracted, axis by axis (thesis, section 3)."""
+        rate, blocks = self.limits.sample_rate_hz, self.profile.blocks
+        middle = math.sqrt(self.profile.from_hz * min(self.profile.to_hz, self.limits.max_frequency_hz))
+        periods, samples = plan.whole_periods(middle, PERIODIC_S / blocks, rate)
+        for axis in range(self.limits.n_axes):
+            frequency = periods * rate / samples
+            a = plan.amplitude(
+                self.knowledge, axis, frequency, self.aims["coarse"], blocks * samples / rate, self.limits
+            )
+            request = Request(axis, a, periods, samples, blocks, samples, raw=True)
+
+            def reduction(records: dict[str, Real]) -> dict[str, Any]:
+                spectra = noise.spectra(noise.without_mean_block(records, samples), rate)
+                return {"frequency_hz": spectra.frequency_hz} | {f"density_{s}": d for s, d in spectra.density.items()}
+
+            outcome = self.access.reduce("periodic", request, reduction)
+            if not isinstance(outcome, Trip):
+                excited = NoiseSpectra(outcome["frequency_hz"], {s: outcome[f"density_{s}"] for s in noise.SIGNALS})
+                self.knowledge.noise = self.knowledge.noise.joined(excited)
+            self._report("noise", f"axis {axis} periodic record at {frequency:.4g} Hz")
+
+    # ---- sweeps
+
+    def preliminary_sweep(self) -> None:
+        """A coarse sweep from the top down, where a rotor moves least per ampere."""
+        to = min(self.profile.to_hz, self.limits.max_frequency_hz)
+        for f in plan.grid(self.profile.from_hz, to, self.profile.coarse_points)[::-1]:
+            self._frequency("preliminary", "coarse", float(f))
+
+    def main_sweep(self) -> None:
+        """The log-spaced grid, then what its peaks need."""
+        aim, lines = self.aims["main"], self.knowledge.noise.lines_hz
+        for f in plan.main_grid(self.profile, self.limits, aim, lines):
+            self._frequency("main", "main", float(f))
+        for _ in range(PEAK_ROUNDS):
+            new = self._missing_at_peaks()
+            if not len(new):
+                return
+            self.meter.total += len(new) * self.limits.n_axes
+            for f, tolerance in new:
+                self._frequency("main", "main", f, tolerance, shown="peaks")
+
+    def _missing_at_peaks(self) -> list[tuple[float, float]]:
+        """Frequencies that peaks of the plant still need, each with how closely it must be met."""
+        f, U, Y = responses(self.done["main"], self.limits.n_axes)
+        if not len(f):
+            return []
+        G = Y @ np.linalg.inv(U)
+        found = []
+        for start in range(0, self.limits.n_axes, 2):
+            entries = G[:, start : start + 2, start : start + 2].reshape(len(f), -1)
+            size = np.linalg.norm(entries, axis=1, keepdims=True)
+            deviation = self.aims["main"].accuracy * size * np.ones((1, entries.shape[1]))
+            found += peaks(f, entries, deviation, self.aims["main"].accuracy)
+        new: list[tuple[float, float]] = []
+        known = f
+        for peak in merged(found):
+            if resolved(peak, f, self.profile.peak_points):
+                continue
+            step = peak.half_width_hz / self.profile.peak_points / 2
+            added = densification(peak, known, self.profile.peak_points)
+            known = np.sort(np.concatenate([known, added]))
+            new += [(float(x), step) for x in added]
+        return sorted(new)
+
+    def validation_sweep(self) -> None:
+        """Other frequencies, another amplitude: no fit sees them."""
+        f, _, _ = responses(self.done["main"], self.limits.n_axes)
+        if len(f) < 2:
+            return
+        frequencies = plan.validation_grid(self.profile, self.aims["validation"], f, self.knowledge.noise.lines_hz)
+        self._expect(len(frequencies), self.profile.validation_points)
+        for x in frequencies:
+            self._frequency("validation", "validation", float(x), tolerance_hz=0.1 * float(np.min(np.abs(f - x))))
+
+    def amplifier_sweep(self) -> None:
+        """Each amplifier alone, to the top of its range."""
+        aim = self.aims["amplifier"]
+        for f in plan.amplifier_grid(self.profile, self.limits, aim, self.knowledge.noise.lines_hz):
+            self._frequency("amplifier", "amplifier", float(f))
+
+    def _frequency(
+        self, sweep: str, aim_name: str, frequency_hz: float, tolerance_hz: float = np.inf, shown: str = ""
+    ) -> None:
+        """All axes at one frequency."""
+        aim = self.aims[aim_name]
+        for request in plan.tones(self.knowledge, frequency_hz, aim, self.profile, self.limits, tolerance_hz):
+            if sweep == "validation":
+                request = plan.other_amplitude(request, self.knowledge, self.aims, self.profile, self.limits)
+            point = self._point(sweep, request, aim)
+            self.done.setdefault(sweep, []).append(point)
+            self._report(
+                shown or sweep,
+                f"{point.frequency_hz:.5g} Hz axis {point.request.axis} {point.request.amplitude_a:.3g} A"
+                + (f" ({point.flag})" if point.flag else ""),
+            )
+
+    # ---- one point
+
+    def _point(self, phase: str, request: Request, aim: Aim) -> Point:
+        """Measure one point until it is good or its tries are spent; what was wrong is written on it."""
+        rate = self.limits.sample_rate_hz
+        flags: list[str] = []
+        trips, best = 0, None
+        attempts: list[tuple[float, Agreement]] = []
+        ceiling = math.inf
+        tries = self.profile.tries
+        while tries > 0:
+            outcome = self.access.measure(phase, request)
+            if isinstance(outcome, Trip):
+                self.knowledge.tripped(request.axis)
+                trips += 1
+                _mark(flags, f"repeated at lower amplitude after a {outcome.cause} trip")
+                ceiling = request.amplitude_a / 2
+                if best is not None:
+                    break
+                if trips >= TRIPS:
+                    why = f"not measured: {outcome.cause} trip at every amplitude down to {request.amplitude_a:.2g} A"
+                    f = request.frequency_hz(rate)
+                    return unmeasured(
+                        request, f, self.limits.n_axes, len(self.access.harmonics), self.access.rig_seconds, why
+                    )
+                request = request.with_amplitude(ceiling)
+                continue
+            tries -= 1
+            best = outcome
+            self.knowledge.held(request.axis)
+            waited = request.settle_samples / rate
+            self.knowledge.add(request.axis, outcome.frequency_hz, *outcome.per_ampere(), waited)
+            verdict = judge(outcome, self.knowledge, aim, self.limits)
+            a = min(verdict.better_amplitude_a, ceiling)
+            if verdict.saturated and tries > 1:
+                _mark(flags, "repeated at lower amplitude: the current was distorted")
+                request = request.with_amplitude(a)
+                ceiling = a
+                continue
+            if tries and (verdict.too_large or (verdict.too_small and a > 1.2 * request.amplitude_a)):
+                _mark(flags, f"repeated at {'lower' if verdict.too_large else 'higher'} amplitude")
+                request = request.with_amplitude(a)
+                continue
+            steady = verdict.agreement.settled or (bool(attempts) and stationary(attempts[-1][1], verdict.agreement))
+            if steady:
+                break
+            if not tries:
+                _mark(flags, "not settled")
+                break
+            attempts.append((waited, verdict.agreement))
+            before = attempts[-2] if len(attempts) > 1 else None
+            settle = longer(waited, verdict.agreement, request.samples / rate, before)
+            request = replace(request, settle_samples=math.ceil(settle * rate))
+        assert best is not None
+        return replace(best, flag="; ".join(flags))
+
+    # ---- progress
+
+    def expected(self) -> int:
+        """Points of the whole plan, before peaks are known."""
+        p = self.profile
+        return self.limits.n_axes * (p.coarse_points + p.points + p.validation_points + p.amplifier_points)
+
+    def _expect(self, found: int, planned: int) -> None:
+        self.meter.total += (found - planned) * self.limits.n_axes
+
+    def _report(self, phase: str, last: str) -> None:
+        self.meter.rig_seconds = self.access.rig_seconds
+        self.meter.finished(phase, last, self.access.replaying)
+
+
+def _mark(flags: list[str], flag: str) -> None:
+    if flag not in flags:
+        flags.append(flag)
+
+
+def _lines(records: dict[str, Real], samples: int, blocks: int, harmonics: tuple[int, ...]) -> dict[str, Any]:
+    """Complex amplitudes of a record at the lines of a noise sweep: (lines, blocks, H, n_axes)."""
+    periods = spectral_lines(samples)
+    cut = BlockPlan(0, samples, blocks)
+    names = ("r", "u", "i", "y")
+    n = records["r"].shape[1]
+    stacked = np.concatenate([records[k] for k in names], axis=1)
+    values = np.array([amplitudes(stacked, cut, int(k) / samples, harmonics) for k in periods])
+    return {"periods": periods} | {name.upper(): values[..., j * n : (j + 1) * n] for j, name in enumerate(names)}
+
+
+def run(
+    access: RigAccess,
+    limits: Limits,
+    profile: Profile,
+    raw_records: bool,
+    meter: Meter,
+    done: dict[str, list[Point]],
+) -> None:
+    """All phases in order; points appear in ``done`` as they are finished."""
+    phases = Phases(access, limits, profile, meter, done)
+    meter.total = phases.expected() + (1 + limits.n_axes if raw_records else profile.coarse_points)
+    steps: Iterable[Any] = (
+        (lambda: phases.noise_step(raw_records)),
+        *((phases.periodic_step,) if raw_records else ()),
+        phases.preliminary_sweep,
+        phases.main_sweep,
+        phases.validation_sweep,
+        phases.amplifier_sweep,
+    )
+    for step in steps:
+        step()

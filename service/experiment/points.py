@@ -1,0 +1,108 @@
+"""Finished points of a campaign, and the experiment that they make. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Experiment, Sweep
+from service.experiment.plan import Request
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+SWEEPS = ("main", "validation", "amplifier", "noise", "preliminary")
+"""Sweeps of an experiment file, in order; the phase of a point names its sweep."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One finished point. Arrays are (blocks, harmonics, n_axes)."""
+
+    request: Request
+    frequency_hz: float
+    R: Complex
+    U: Complex
+    I: Complex
+    Y: Complex
+    peak_displacement_m: float
+    peak_current_a: float
+    time_s: float
+    """Rig time at the end of the point, s from the campaign's start."""
+    flag: str = ""
+
+    @property
+    def excitation_a(self) -> complex:
+        """R at harmonic 1 of the excited axis, mean of the blocks."""
+        return complex(self.R[:, 1, self.request.axis].mean())
+
+    def per_ampere(self) -> tuple[Complex, Complex, Complex]:
+        """Mean U, I and Y at harmonic 1 per ampere of excitation, (n_axes,) each."""
+        r = self.excitation_a
+        return tuple(x[:, 1].mean(axis=0) / r for x in (self.U, self.I, self.Y))
+
+    @property
+    def excited(self) -> bool:
+        """False for a point that could not be measured."""
+        return abs(self.excitation_a) > 0
+
+
+def unmeasured(request: Request, frequency_hz: float, n_axes: int, harmonics: int, time_s: float, why: str) -> Point:
+    """A point that tripped at every amplitude: it stays in the sweep, with amplitude 0 and its flag."""
+    zero = np.zeros((request.blocks, harmonics, n_axes), dtype=np.complex128)
+    return Point(request.with_amplitude(0.0), frequency_hz, zero, zero, zero, zero, 0.0, 0.0, time_s, why)
+
+
+def sweep(
+    points: Sequence[Point], harmonics: tuple[int, ...], sample_rate_hz: float, speed_rad_s: float, comment: str
+) -> Sweep:
+    """Points as one sweep, by frequency and then by axis."""
+    ordered = sorted(points, key=lambda p: (p.frequency_hz, p.request.axis))
+    return Sweep(
+        kind="noise" if comment == "noise" else "stepped-sine",
+        frequency_hz=np.array([p.frequency_hz for p in ordered]),
+        axis=np.array([p.request.axis for p in ordered], dtype=np.int64),
+        amplitude_a=np.array([p.request.amplitude_a for p in ordered]),
+        harmonics=harmonics,
+        R=np.array([p.R for p in ordered]),
+        U=np.array([p.U for p in ordered]),
+        I=np.array([p.I for p in ordered]),
+        Y=np.array([p.Y for p in ordered]),
+        speed_rad_s=speed_rad_s,
+        sample_rate_hz=sample_rate_hz,
+        comment=comment,
+        flags=tuple(p.flag for p in ordered),
+        block_samples=np.array([p.request.samples for p in ordered], dtype=np.int64),
+        time_s=np.array([p.time_s for p in ordered]),
+    )
+
+
+def experiment(
+    rig: str,
+    axes: tuple[str, ...],
+    phases: dict[str, list[Point]],
+    harmonics: tuple[int, ...],
+    sample_rate_hz: float,
+    speed_rad_s: float,
+    attributes: dict[str, str],
+) -> Experiment:
+    """All sweeps that have points, in the order of `SWEEPS`."""
+    sweeps = tuple(
+        sweep(phases[name], harmonics, sample_rate_hz, speed_rad_s, name) for name in SWEEPS if phases.get(name)
+    )
+    return Experiment(rig, axes, sweeps, attributes)
+
+
+def responses(points: Sequence[Point], n_axes: int) -> tuple[Real, Complex, Complex]:
+    """Frequencies at which every axis was excited, and there U and Y per ampere, (F, output, excited axis)."""
+    by_frequency: dict[float, dict[int, Point]] = {}
+    for p in points:
+        if p.excited:
+            by_frequency.setdefault(p.frequency_hz, {})[p.request.axis] = p
+    frequencies = sorted(f for f, found in by_frequency.items() if len(found) == n_axes)
+    columns = [[by_frequency[f][axis].per_ampere() for axis in range(n_axes)] for f in frequencies]
+    stacked = np.array(columns).reshape(len(frequencies), n_axes, 3, n_axes)
+    return np.array(frequencies), stacked[:, :, 0].swapaxes(1, 2), stacked[:, :, 2].swapaxes(1, 2)

@@ -1,0 +1,60 @@
+"""How far a campaign is: figures for a bar, a page or a log."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One report, after every finished point."""
+
+    phase: str
+    """"noise", "preliminary", "main", "peaks", "validation", "amplifier" or "done"."""
+    done: int
+    """Finished points of the whole campaign."""
+    total: int
+    """Points that the plan knows of; it grows when peaks are found."""
+    points_per_s: float
+    """Finished points per second of wall time, those of an earlier run left out."""
+    seconds_left: float
+    """Wall time to the end of the plan, estimated; 0 before the rate is known."""
+    rig_seconds: float
+    """Time that the rig has spent."""
+    last: str
+    """The last point in words."""
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+class Meter:
+    """Counts points and time, and reports."""
+
+    def __init__(self, callback: ProgressCallback | None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._callback = callback
+        self._clock = clock
+        self._started = clock()
+        self._replayed = 0
+        self.done = 0
+        self.total = 0
+        self.rig_seconds = 0.0
+
+    def finished(self, phase: str, last: str, replayed: bool) -> None:
+        """One more point is finished; ``replayed`` when an earlier run had measured it."""
+        self.done += 1
+        self.total = max(self.total, self.done)
+        if replayed:
+            self._replayed += 1
+            self._started = self._clock()
+        if self._callback is not None:
+            self._callback(self.state(phase, last))
+
+    def state(self, phase: str, last: str) -> Progress:
+        """Where the campaign is."""
+        elapsed, new = self._clock() - self._started, self.done - self._replayed
+        rate = new / elapsed if new and elapsed > 0 else 0.0
+        left = (self.total - self.done) / rate if rate else 0.0
+        return Progress(phase, self.done, self.total, rate, left, self.rig_seconds, last)
