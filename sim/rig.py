@@ -59,11 +59,10 @@ class Support:
 
 @dataclass(frozen=True)
 class Contact:
-    """One-sided radial stop in each axis at the bearing: a spring with damping beyond the clearance."""
+    """Radial stop on either side of each axis at the bearing: a spring beyond the clearance."""
 
     clearance_m: float
     stiffness_n_per_m: float
-    damping_ns_per_m: float
 
 
 @dataclass(frozen=True)
@@ -91,6 +90,8 @@ class Magnets:
     hysteresis_reference_a: float
     cross_coupling_rad: float
     """Rotation of the force from x to y at each bearing, rad."""
+    cross_coupling_symmetric: float = 0.0
+    """Share of the x force that acts in y, and the reverse, at each bearing."""
 
     @property
     def gap_m(self) -> Array:
@@ -121,6 +122,8 @@ class Sensors:
     bandwidth_rad_s: Array
     """First-order pole, inf for none, (n,)."""
     delay_s: Array
+    lag_s: float = 0.0
+    """Time constant of a further first-order pole, the same in every axis."""
 
 
 @dataclass(frozen=True)
@@ -186,8 +189,8 @@ class Rig:
     """k of fx = -k y, fy = +k x at both bearings."""
     disturbances: tuple[Disturbance, ...] = ()
     noise: Noise = field(default_factory=Noise)
-    logging_offset_samples: int = 0
-    """Logged u is this many samples early against i and y."""
+    logging_offset_samples: float = 0.0
+    """Logged u is this many samples early against i and y; whole where the rig runs in time."""
     drift: Drift | None = None
     speed_rad_s: float = 0.0
     gravity_m_per_s2: float = 0.0

@@ -114,8 +114,8 @@ def receptances(m: Mechanics, omega_rad_s: Array) -> tuple[Complex, Complex]:
     diagonal = all(not np.any(a - np.diag(np.diag(a))) for a in (m.mass, m.damping, m.stiffness))
     if diagonal:
         dynamic = np.diag(m.mass) * s[:, None] ** 2 + np.diag(m.damping) * s[:, None] + np.diag(m.stiffness)  # (F, q)
-        q = m.force_map[None] / dynamic[:, :, None]
+        q: Complex = m.force_map[None] / dynamic[:, :, None]
     else:
         full = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + m.stiffness
-        q = np.linalg.solve(full, np.broadcast_to(m.force_map.astype(complex), (len(s), *m.force_map.shape)))
+        q = np.asarray(np.linalg.solve(full, np.broadcast_to(m.force_map + 0j, (len(s), *m.force_map.shape))))
     return np.asarray(m.bearing_map @ q), np.asarray(m.sensor_map @ q)

@@ -1,4 +1,4 @@
-"""Displacement sensors: gain, first-order lag, delay."""
+"""Displacement sensors: gain, first-order lags, delay."""
 
 from __future__ import annotations
 
@@ -11,4 +11,5 @@ from sim.rig import Array, Sensors
 def response(sensors: Sensors, omega_rad_s: Array) -> NDArray[np.complex128]:
     """y per displacement at the sensor, (F, n)."""
     s = 1j * np.asarray(omega_rad_s)[:, None]
-    return np.asarray(sensors.gain * np.exp(-s * sensors.delay_s) / (1 + s / sensors.bandwidth_rad_s))
+    lags = (1 + s / sensors.bandwidth_rad_s) * (1 + s * sensors.lag_s)
+    return np.asarray(sensors.gain * np.exp(-s * sensors.delay_s) / lags)

@@ -7,6 +7,7 @@ the supply cannot give (``slew_input``). The time loop integrates the linear par
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         sum(len(e[0]) - 1 for e in eddy if e),
         n_q,
         n_q,
-        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum()),
+        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum()) + (n if rig.sensors.lag_s > 0 else 0),
     ]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     n_z = int(starts[-1])
@@ -100,8 +101,10 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     sensor[:, q] = rig.sensors.gain[:, None] * m.sensor_map
     s = int(starts[4])
     for axis in range(n):
-        w = rig.sensors.bandwidth_rad_s[axis]
-        if np.isfinite(w):
+        further = 1 / rig.sensors.lag_s if rig.sensors.lag_s > 0 else math.inf
+        for w in (float(rig.sensors.bandwidth_rad_s[axis]), further):
+            if math.isinf(w):
+                continue
             A[s] = w * sensor[axis]
             A[s, s] = -w
             sensor[axis] = 0.0

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from sim import actuator, control_law
-from sim.errors import LevitationError
+from sim.errors import EffectError, LevitationError
 from sim.rig import Array, Rig
 from sim.state_space import StateSpace, state_space
 from sim.twin import force_rotation
@@ -297,9 +297,16 @@ class Simulation:
     ------
     LevitationError
         The closed loop is unstable; the message tells the fastest growing pole.
+    EffectError
+        The log is off by a fraction of a sample.
     """
 
     def __init__(self, rig: Rig, seed: int = 0, substeps: int = 4) -> None:
+        if rig.logging_offset_samples != round(rig.logging_offset_samples):
+            raise EffectError(
+                f"rig {rig.name}: a logging offset of {rig.logging_offset_samples:g} samples cannot run in time; "
+                "give a whole number"
+            )
         self.rig, self.n_axes, self.substeps = rig, rig.n_axes, substeps
         self._point = actuator.operating_point(rig)
         self._ss = state_space(rig, self._point)
@@ -316,6 +323,7 @@ class Simulation:
             or c
             or d
             or m.cross_coupling_rad
+            or m.cross_coupling_symmetric
         )
         self._p = _propagators(rig, self._ss, substeps, self._general)
         self._require_stability()
@@ -467,7 +475,7 @@ class Simulation:
 
     def _logged(self, *signals: Array) -> tuple[Array, ...]:
         """Signals r, u, i, y as they are logged: u ``logging_offset_samples`` early, that is, the others late."""
-        shift = self.rig.logging_offset_samples
+        shift = round(self.rig.logging_offset_samples)
         if shift == 0:
             return signals
         out = []

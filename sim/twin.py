@@ -104,13 +104,12 @@ def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:
 
 
 def force_rotation(rig: Rig) -> Array:
-    """Rotation of the magnets' forces from x to y at each bearing, (n, n)."""
-    n, angle = rig.n_axes, rig.magnets.cross_coupling_rad
-    rotation = np.eye(n)
-    if angle and n == 4:
-        c, s = math.cos(angle), math.sin(angle)
-        rotation = np.block([[c * np.eye(2), -s * np.eye(2)], [s * np.eye(2), c * np.eye(2)]])
-    return rotation
+    """How the magnets' forces turn from x to y and share at each bearing, (n, n), identity without coupling."""
+    n, angle, share = rig.n_axes, rig.magnets.cross_coupling_rad, rig.magnets.cross_coupling_symmetric
+    if n != 4:
+        return np.eye(n)
+    c, s = math.cos(angle), math.sin(angle)
+    return np.kron(np.array([[c, share - s], [share + s, c]]), np.eye(2))
 
 
 @dataclass(frozen=True)

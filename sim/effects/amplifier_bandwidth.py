@@ -1,0 +1,44 @@
+"""Amplifiers slower or faster, better or worse damped than the datasheet says."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.rig import Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    amplifiers = rig.amplifiers
+    damping = amplifiers.damping_ratio
+    return replace(
+        rig,
+        amplifiers=replace(
+            amplifiers,
+            natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * (1 + p["frequency_change"]),
+            damping_ratio=None if damping is None else damping * (1 + p["damping_change"]),
+        ),
+    )
+
+
+EFFECT = Effect(
+    id="amplifier_bandwidth",
+    path="amplifier",
+    parameters=(
+        Parameter("frequency_change", "1", -0.5, 0.5, -0.13, 0.0, description="relative change of wa, every axis"),
+        Parameter(
+            "damping_change",
+            "1",
+            -0.5,
+            1.0,
+            0.05,
+            0.0,
+            description="relative change of the damping ratio; nothing on a first-order amplifier",
+        ),
+    ),
+    apply=_apply,
+    law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa)",
+    signature="i/u: gain falls and phase lags together towards high frequency, the same at any amplitude",
+    aliases=("loop_delay", "eddy_currents", "amplifier_voltage_limit"),
+    separated_by="logged i; gain of i/u (a delay leaves it flat); amplitude at one frequency (a voltage limit)",
+    source="Schweitzer and Maslen (eds.), Magnetic Bearings, Springer 2009, chapter 3 (power amplifiers)",
+)

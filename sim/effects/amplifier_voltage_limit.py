@@ -1,0 +1,42 @@
+"""The supply voltage limits how fast the coil current can change."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sim.effect import Effect, Parameter
+from sim.rig import Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    if p["slew_inverse_s_per_a"] == 0:
+        return rig
+    slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / p["slew_inverse_s_per_a"])
+    return replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=slew))
+
+
+EFFECT = Effect(
+    id="amplifier_voltage_limit",
+    path="amplifier",
+    parameters=(
+        Parameter(
+            "slew_inverse_s_per_a",
+            "s/A",
+            2e-5,
+            2e-3,
+            5e-4,
+            0.0,
+            "log",
+            "inverse of the largest |di/dt| = U/L",
+        ),
+    ),
+    apply=_apply,
+    law="|di/dt| <= U_dc/L; below it the amplifier is linear",
+    signature="i/u falls above a threshold in amplitude times frequency; odd harmonics in i",
+    aliases=("amplifier_bandwidth", "magnetic_saturation"),
+    separated_by="a second amplitude at one frequency (bandwidth stays); harmonics in i (clean with saturation)",
+    source="Maslen, Hermann, Scott and Humphris, Practical limits to the performance of magnetic bearings, "
+    "J. Tribology 111, 1989, pp. 331-336",
+    nonlinear=True,
+)

@@ -1,0 +1,56 @@
+"""A flexible mode that the twin does not have."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.rig import FlexibleMode, Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    at_bearings = (p["bearing_A_per_sqrt_kg"], p["bearing_B_per_sqrt_kg"])
+    if at_bearings == (0.0, 0.0):
+        return rig  # not driven, not seen by the magnets
+    at_sensors = (p["sensor_A_per_sqrt_kg"], p["sensor_B_per_sqrt_kg"])
+    mode = FlexibleMode(2 * math.pi * p["frequency_hz"], p["damping_ratio"], at_bearings, at_sensors)
+    modes = tuple((*plane, mode) for plane in rig.rotor.modes)
+    return replace(rig, rotor=replace(rig.rotor, modes=modes))
+
+
+EFFECT = Effect(
+    id="extra_flexible_mode",
+    path="plant",
+    parameters=(
+        Parameter("frequency_hz", "Hz", 5.0, 3000.0, 700.0, 700.0, "log", "natural frequency", strength=False),
+        Parameter("damping_ratio", "1", 1e-4, 0.1, 2e-3, 2e-3, "log", strength=False),
+        Parameter("bearing_A_per_sqrt_kg", "1/sqrt(kg)", -0.3, 0.3, 0.03, 0.0, description="shape, unit modal mass"),
+        Parameter("bearing_B_per_sqrt_kg", "1/sqrt(kg)", -0.3, 0.3, -0.02, 0.0, description="shape, unit modal mass"),
+        Parameter(
+            "sensor_A_per_sqrt_kg",
+            "1/sqrt(kg)",
+            -0.3,
+            0.3,
+            0.03,
+            0.03,
+            description="shape, unit modal mass",
+            strength=False,
+        ),
+        Parameter(
+            "sensor_B_per_sqrt_kg",
+            "1/sqrt(kg)",
+            -0.3,
+            0.3,
+            -0.03,
+            -0.03,
+            description="shape, unit modal mass",
+            strength=False,
+        ),
+    ),
+    apply=_apply,
+    law="+ phi_s phi_b^T/(s^2 + 2 z w s + w^2) in the receptance of each plane",
+    signature="one more peak of y/i with a residue of rank one, which may be negative where sensor and bearing differ",
+    aliases=("support_resonance",),
+    separated_by="signs of the residues (a support's are all of one kind); speed splits a rotor mode only",
+    source="Ewins, Modal Testing, 2nd ed., Research Studies Press 2000, chapter 2",
+)

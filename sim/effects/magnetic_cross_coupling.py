@@ -1,0 +1,37 @@
+"""Magnets that pull across: the force of the x pair has a part in y, and the reverse."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.rig import Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    m = rig.magnets
+    return replace(
+        rig,
+        magnets=replace(
+            m,
+            cross_coupling_rad=m.cross_coupling_rad + p["rotation_rad"],
+            cross_coupling_symmetric=m.cross_coupling_symmetric + p["symmetric_share"],
+        ),
+    )
+
+
+EFFECT = Effect(
+    id="magnetic_cross_coupling",
+    path="plant",
+    parameters=(
+        Parameter("rotation_rad", "rad", -0.2, 0.2, 0.04, 0.0, description="magnets turned against the sensors"),
+        Parameter("symmetric_share", "1", -0.2, 0.2, 0.01, 0.0, description="share of the flux that closes across"),
+    ),
+    apply=_apply,
+    law="f = (Rot(phi) + c [[0, 1], [1, 0]]) f0 at each bearing, f0 of the uncoupled magnets",
+    signature="off-diagonal x-y of y/i at standstill, at all frequencies in proportion to the diagonal",
+    aliases=("cross_coupled_stiffness", "gyroscopic_coupling"),
+    separated_by="a seal is antisymmetric and quasi-static only; gyroscopic coupling vanishes at standstill",
+    source="Meeker, Maslen and Noh, Augmented circuit model for magnetic bearings including eddy currents, fringing "
+    "and leakage, IEEE Trans. Magnetics 32, 1996, pp. 3219-3227",
+    needs_axes=4,
+)

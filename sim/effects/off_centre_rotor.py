@@ -1,0 +1,41 @@
+"""Rotor held off the magnetic centre, axis by axis."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sim.effect import Effect, Parameter
+from sim.rig import Rig
+
+_TYPICAL = {"xA": 45e-6, "xB": -30e-6, "yA": 25e-6, "yB": -40e-6}
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    offset = np.array([p[f"offset_{axis}_m"] for axis in rig.axes])
+    return replace(rig, magnets=replace(rig.magnets, offset_m=rig.magnets.offset_m + offset))
+
+
+EFFECT = Effect(
+    id="off_centre_rotor",
+    path="plant",
+    parameters=tuple(
+        Parameter(
+            f"offset_{axis}_m",
+            "m",
+            -6e-5,
+            6e-5,
+            typical,
+            0.0,
+            description=f"magnetic against sensor centre in {axis}; not used on a rig without that axis",
+        )
+        for axis, typical in _TYPICAL.items()
+    ),
+    apply=_apply,
+    law="exact force law at x + x0: ki (1 + xi^2)/(1 - xi^2)^2, ks (1 + 3 xi^2)/(1 - xi^2)^3, xi = x0/s0",
+    signature="ki and ks of one channel rise, ks about twice as much; even harmonics in y; a static current",
+    aliases=("sensor_gain", "thermal_drift"),
+    separated_by="second harmonic and mean of i; a sweep of the set-point (a wrong bias too has dln ks/dln ki of 2)",
+    source="Schweitzer and Maslen (eds.), Magnetic Bearings, Springer 2009, chapter 4 (exact force law)",
+    nonlinear=True,
+)

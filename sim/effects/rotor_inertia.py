@@ -1,0 +1,32 @@
+"""Rotor heavier or longer than the datasheet says."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.rig import Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    rotor = replace(
+        rig.rotor,
+        mass_kg=rig.rotor.mass_kg * (1 + p["mass_change"]),
+        transverse_inertia_kgm2=rig.rotor.transverse_inertia_kgm2 * (1 + p["inertia_change"]),
+    )
+    return replace(rig, rotor=rotor)
+
+
+EFFECT = Effect(
+    id="rotor_inertia",
+    path="plant",
+    parameters=(
+        Parameter("mass_change", "1", -0.3, 0.5, 0.05, 0.0, description="relative"),
+        Parameter("inertia_change", "1", -0.3, 0.5, 0.08, 0.0, description="relative, transverse inertia"),
+    ),
+    apply=_apply,
+    law="M^-1 = 1/m [[1, 1], [1, 1]] + 1/I [[dA^2, -dA dB], [-dA dB, dB^2]] with m (1 + dm), I (1 + dI)",
+    signature="y/i above the rigid poles scales, with a pattern over A and B that neither gain of a channel gives",
+    aliases=("sensor_position", "sensor_gain"),
+    separated_by="zeros and the residues of two flexible modes (sensor position); an added known mass",
+    source="Genta, Dynamics of Rotating Systems, Springer 2005, chapter 3 (four degrees of freedom)",
+)

@@ -1,0 +1,37 @@
+"""Housing or foundation that moves under the magnets' reaction."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.errors import EffectError
+from sim.rig import Rig, Support
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    if p["inverse_mass_per_kg"] == 0:
+        return rig
+    if rig.support is not None:
+        raise EffectError(f"rig {rig.name} already has a resonant support; change that one instead of adding another")
+    return replace(
+        rig, support=Support(1 / p["inverse_mass_per_kg"], 2 * math.pi * p["frequency_hz"], p["damping_ratio"])
+    )
+
+
+EFFECT = Effect(
+    id="support_resonance",
+    path="plant",
+    parameters=(
+        Parameter("inverse_mass_per_kg", "1/kg", 1e-6, 2e-2, 1 / 900, 0.0, "log", "of the part that moves, each plane"),
+        Parameter("frequency_hz", "Hz", 5.0, 1500.0, 430.0, 430.0, "log", "of the part on its spring", strength=False),
+        Parameter("damping_ratio", "1", 1e-3, 0.3, 0.01, 0.01, "log", strength=False),
+    ),
+    apply=_apply,
+    law="mh xh'' + dh xh' + kh xh = -sum f; bearings and sensors see the rotor relative to xh",
+    signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
+    aliases=("extra_flexible_mode",),
+    separated_by="signs of the residues; speed splits a rotor mode only; an accelerometer on the housing",
+    source="Genta, Dynamics of Rotating Systems, Springer 2005, chapter 2 (rotor on compliant supports); "
+    "Khader, System Identification of Active Magnetic Bearing for Commissioning, section 5.3.2 (the split first peak)",
+)

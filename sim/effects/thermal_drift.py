@@ -1,0 +1,32 @@
+"""Magnets whose factors drift while they warm up."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.rig import Drift, Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    ki, ks, duration = p["ki_change"], p["ks_change"], p["duration_s"]
+    if rig.drift is not None:
+        ki += rig.drift.ki_change * duration / rig.drift.duration_s
+        ks += rig.drift.ks_change * duration / rig.drift.duration_s
+    return replace(rig, drift=Drift(ki, ks, duration) if ki or ks else None)
+
+
+EFFECT = Effect(
+    id="thermal_drift",
+    path="plant",
+    parameters=(
+        Parameter("ki_change", "1", -0.2, 0.2, -0.05, 0.0, description="relative change of ki after duration_s"),
+        Parameter("ks_change", "1", -0.2, 0.2, -0.03, 0.0, description="relative change of ks after duration_s"),
+        Parameter("duration_s", "s", 1.0, 36e3, 300.0, 300.0, "log", "time that the change takes", strength=False),
+    ),
+    apply=_apply,
+    law="ki (1 + dki t/T), ks (1 + dks t/T)",
+    signature="error of y/i grows with the time of the point, not with its frequency or amplitude",
+    aliases=("off_centre_rotor",),
+    separated_by="the first points repeated last",
+    source="Schweitzer and Maslen (eds.), Magnetic Bearings, Springer 2009, chapter 4 (ki, ks and the gap)",
+)

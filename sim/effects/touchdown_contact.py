@@ -1,0 +1,34 @@
+"""Rotor that touches something: a stop, a seal lip, a loose auxiliary bearing."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from sim.effect import Effect, Parameter
+from sim.errors import EffectError
+from sim.rig import Contact, Rig
+
+
+def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    if p["stiffness_n_per_m"] == 0:
+        return rig
+    if rig.contact is not None:
+        raise EffectError(f"rig {rig.name} already has a contact; change that one instead of adding another")
+    return replace(rig, contact=Contact(p["clearance_m"], p["stiffness_n_per_m"]))
+
+
+EFFECT = Effect(
+    id="touchdown_contact",
+    path="plant",
+    parameters=(
+        Parameter("stiffness_n_per_m", "N/m", 1e4, 1e8, 1e6, 0.0, "log", "of the stop, at each bearing"),
+        Parameter("clearance_m", "m", 1e-6, 2.5e-4, 12e-6, 12e-6, "log", "free way to either side", strength=False),
+    ),
+    apply=_apply,
+    law="f = -k (|x| - c) sign x where |x| > c",
+    signature="nothing below a threshold in displacement, above it gain falls, jumps, rich odd harmonics in y",
+    aliases=("magnetic_saturation",),
+    separated_by="a lower amplitude; the threshold is in displacement at low frequency, saturation's is in current",
+    source="Black, Interaction of a whirling rotor with a vibrating stator across a clearance annulus, "
+    "J. Mech. Eng. Sci. 10, 1968, pp. 1-12",
+    nonlinear=True,
+)
