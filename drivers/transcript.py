@@ -59,16 +59,19 @@ class _RecordingLink:
         self.order: Order = link.order
 
     def read(self, group: str) -> dict[str, Value]:
-        return self._kept({"read": group}, lambda: self._link.read(group))
+        values: dict[str, Value] = self._kept({"read": group}, lambda: self._link.read(group))
+        return values
 
     def write(self, group: str, values: Values) -> None:
         self._kept({"write": group, "values": dict(values)}, lambda: self._link.write(group, values))
 
     def lockin_payload(self, size: int) -> bytes:
-        return self._kept({"lockin": size}, lambda: self._link.lockin_payload(size))
+        payload: bytes = self._kept({"lockin": size}, lambda: self._link.lockin_payload(size))
+        return payload
 
     def raw_record(self, result: int, size: int) -> bytes:
-        return self._kept({"raw": size, "result": result}, lambda: self._link.raw_record(result, size))
+        raw: bytes = self._kept({"raw": size, "result": result}, lambda: self._link.raw_record(result, size))
+        return raw
 
     def wait_for_change(self, seconds: float) -> None:
         self._link.wait_for_change(seconds)
@@ -132,7 +135,7 @@ class _ReplayLink:
 
     def read(self, group: str) -> dict[str, Value]:
         answer = self._answer("read", group)
-        values = {name: tuple(v) if isinstance(v, list) else v for name, v in answer.items()}
+        values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in answer.items()}
         if "command" in values:
             values["command"] = self._commands.get(values["command"], values["command"])
         return values

@@ -48,6 +48,9 @@ class RigDevice:
     watchdog_s
         Silence of a remote lease holder after which the excitation ramps to zero.
 
+    on_event
+        Called with every event, from the thread where it happened.
+
     Raises
     ------
     LevitationError
@@ -62,6 +65,7 @@ class RigDevice:
         real_time: bool = False,
         watchdog_s: float = WATCHDOG_S,
         clock: Callable[[], float] = time.monotonic,
+        on_event: Callable[[Event], None] | None = None,
     ) -> None:
         self._simulation = Simulation(rig, seed)
         self._rig = rig
@@ -81,6 +85,7 @@ class RigDevice:
         self._sequence = 0
         self._events: deque[Event] = deque(maxlen=1000)
         self._event_number = 0
+        self._on_event = on_event
         self._closed = threading.Event()
         self.boot_id = secrets.randbelow(2**31 - 1) + 1
         self._log("levitated")
@@ -316,4 +321,7 @@ class RigDevice:
 
     def _log(self, text: str) -> None:
         self._event_number += 1
-        self._events.append(Event(self._event_number, time.monotonic(), text))
+        event = Event(self._event_number, time.monotonic(), text)
+        self._events.append(event)
+        if self._on_event is not None:
+            self._on_event(event)

@@ -1,0 +1,68 @@
+"""``python -m drivers.device``: the device process without the service's command line around it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from drivers.device.machine import WATCHDOG_S, RigDevice
+from drivers.device.rigs import RigOptions, build_rig
+from drivers.device.serve import (
+    EventLog,
+    ModbusOptions,
+    RtuOptions,
+    Served,
+    run,
+    serve_modbus,
+    serve_modbus_rtu,
+    serve_modbus_tls,
+)
+from sim.errors import AmbError
+
+
+def _parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(prog="python -m drivers.device", description="A simulated rig as a device on a bus.")
+    p.add_argument("--protocol", choices=("modbus", "modbus-tls", "modbus-rtu"), default="modbus")
+    p.add_argument("--rig", type=Path, help="datasheet; the reference rig without it")
+    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--effect", action="append", default=[], help="id, id=value or id:name=value,name=value")
+    p.add_argument("--real-time", action="store_true", help="hold the rig to the wall clock")
+    p.add_argument("--watchdog-s", type=float, default=WATCHDOG_S)
+    p.add_argument("--events", type=Path, help="file for the device's events, JSON lines")
+    p.add_argument("--host", default="127.0.0.1")
+    p.add_argument("--port", type=int, default=0)
+    p.add_argument("--unit", type=int, default=1)
+    p.add_argument("--map", type=Path)
+    p.add_argument("--certificate", type=Path)
+    p.add_argument("--key", type=Path)
+    p.add_argument("--client-ca", type=Path)
+    p.add_argument("--device", default="", help="serial port of modbus-rtu; a pseudo-terminal without it")
+    return p
+
+
+def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
+    if a.protocol == "modbus-rtu":
+        return serve_modbus_rtu(device, RtuOptions(a.device, unit=a.unit, map=a.map))
+    options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca)
+    return serve_modbus(device, options) if a.protocol == "modbus" else serve_modbus_tls(device, options)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Serve until a signal; prints the URL when ready."""
+    a = _parser().parse_args(arguments)
+    try:
+        built = build_rig(RigOptions(a.rig, a.seed, tuple(a.effect)))
+        log = EventLog(a.events) if a.events else None
+        device = RigDevice(built.rig, a.seed, real_time=a.real_time, watchdog_s=a.watchdog_s, on_event=log)
+        served = _serve(device, a)
+    except AmbError as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(served.url, flush=True)
+    run(served)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

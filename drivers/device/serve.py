@@ -1,0 +1,197 @@
+"""The device process: a simulated rig on a bus. One plain function for each protocol, and `run`, which waits.
+
+>>> from sim.reference import reference_rig
+>>> from drivers.device.machine import RigDevice
+>>> served = serve_modbus(RigDevice(reference_rig()), ModbusOptions(port=0))
+>>> served.url.startswith("modbus://127.0.0.1:")
+True
+>>> served.close()
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import ssl
+import threading
+import tty
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from drivers.controller import State
+from drivers.device.front import DeviceFront
+from drivers.device.machine import Event, RigDevice
+from drivers.device.modbus import RtuServer, TcpServer
+from drivers.errors import ControllerError
+from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
+
+
+@dataclass(frozen=True)
+class ModbusOptions:
+    """Modbus TCP, and TLS when certificates are given."""
+
+    host: str = "127.0.0.1"
+    port: int = 5020
+    """0 takes a free one."""
+    unit: int = 1
+    map: Path | None = None
+    """A rig's own register map."""
+    certificate: Path | None = None
+    key: Path | None = None
+    client_ca: Path | None = None
+    """Hosts must show a certificate of this authority."""
+
+
+@dataclass(frozen=True)
+class RtuOptions:
+    """Modbus RTU."""
+
+    device: str = ""
+    """Serial port; empty makes a pseudo-terminal, whose name is in the URL."""
+    baud: int = 115200
+    unit: int = 1
+    map: Path | None = None
+
+
+@dataclass(frozen=True)
+class Served:
+    """A device on a bus."""
+
+    url: str
+    """For `drivers.url.connect`."""
+    device: RigDevice
+    shut: Callable[[], None]
+
+    def close(self) -> None:
+        """Excitation off, then off the bus."""
+        self.device.close()
+        self.shut()
+
+
+def _registers(path: Path | None) -> RegisterMap:
+    return DEFAULT_MAP if path is None else read_map(path)
+
+
+def serve_modbus(device: RigDevice, options: ModbusOptions) -> Served:
+    """The device on Modbus TCP.
+
+    Raises
+    ------
+    ControllerError
+        The address cannot be listened on, or the map is wrong.
+    """
+    server = TcpServer(
+        DeviceFront(device, "big"), options.host, options.port, options.unit, _registers(options.map), None
+    )
+    return Served(f"modbus://{options.host}:{server.port}?unit={options.unit}", device, server.close)
+
+
+def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
+    """The device on Modbus TCP in TLS; hosts need a certificate of ``client_ca`` when that is given."""
+    if options.certificate is None:
+        raise ControllerError("Modbus in TLS needs a certificate and its key (PEM files)")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(options.certificate, options.key)
+        if options.client_ca is not None:
+            context.load_verify_locations(options.client_ca)
+            context.verify_mode = ssl.CERT_REQUIRED
+    except (OSError, ssl.SSLError) as error:
+        raise ControllerError(f"cannot use the certificates: {error}") from error
+    server = TcpServer(
+        DeviceFront(device, "big"), options.host, options.port, options.unit, _registers(options.map), context
+    )
+    return Served(f"modbuss://{options.host}:{server.port}?unit={options.unit}", device, server.close)
+
+
+def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
+    """The device on Modbus RTU: a serial port, or a new pseudo-terminal."""
+    import serial
+
+    front = DeviceFront(device, "big")
+    registers = _registers(options.map)
+    if options.device:
+        try:
+            port = serial.Serial(options.device, options.baud, timeout=0)
+        except (OSError, serial.SerialException, ValueError) as error:
+            raise ControllerError(f"cannot open the serial port {options.device}: {error}") from error
+        server = RtuServer(front, port.fileno(), options.unit, registers)
+        name, close_port = options.device, port.close
+    else:
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        server = RtuServer(front, master, options.unit, registers)
+        name = os.ttyname(slave)
+
+        def close_port() -> None:
+            os.close(master)
+            os.close(slave)
+
+    def shut() -> None:
+        server.close()
+        close_port()
+
+    return Served(f"modbus+rtu://{name}?baud={options.baud}&unit={options.unit}", device, shut)
+
+
+class EventLog:
+    """Writes a device's events to a file as JSON lines, at once, so that they outlive the process."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = path.open("a", encoding="utf-8")
+        except OSError as error:
+            raise ControllerError(f"cannot write the events to {path}: {error}") from error
+        self._lock = threading.Lock()
+
+    def __call__(self, event: Event) -> None:
+        """Write one event."""
+        line = json.dumps({"number": event.number, "monotonic_s": event.monotonic_s, "text": event.text})
+        with self._lock:
+            if not self._file.closed:
+                self._file.write(line + "\n")
+                self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._file.close()
+
+
+def status_line(device: RigDevice) -> str:
+    """One line that shows what the device does now."""
+    s = device.status()
+    y = " ".join(f"{a} {v * 1e6:+7.2f}" for a, v in zip(device.rig.axes, s.displacement_m, strict=True))
+    text = f"{s.state.name:<10} y/um {y}  r {s.excitation_a:.3f} A  rig time {device.rig_time_s:9.1f} s"
+    if s.lease_holder:
+        text += f"  leased to {s.lease_holder} ({s.lease_seconds_left:.0f} s)"
+    return text + (f"  TRIP {s.trip_message}" if s.state is State.TRIPPED else "")
+
+
+def run(served: Served, draw: Callable[[str], None] | None = None, period_s: float = 0.2) -> None:
+    """Serve until SIGINT or SIGTERM, then switch the excitation off and leave the bus.
+
+    Parameters
+    ----------
+    draw
+        Gets the status line whenever it has changed.
+    """
+    end = threading.Event()
+
+    def ask(signum: int, frame: FrameType | None) -> None:
+        end.set()
+
+    before = {s: signal.signal(s, ask) for s in (signal.SIGINT, signal.SIGTERM)}
+    shown = ""
+    try:
+        while not end.wait(period_s):
+            if draw is not None and (line := status_line(served.device)) != shown:
+                draw(line)
+                shown = line
+    finally:
+        served.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
