@@ -15,6 +15,8 @@ from service.identification.refine import Data, Refined, ShapePrior, Weights, re
 from service.identification.zoh import Real
 
 MAX_MODES = 6
+ADEQUATE = 1.5
+"""Residual over noise below which a model counts as agreeing with the data while modes are counted."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +80,13 @@ def choose_modes(
     """
     modes = modes_from(coarse[n_start - 1], start.ki) if n_start else np.empty((0, N_MODE))
     first = _joint(with_modes(start, modes), data, shape_prior)
-    weights = _weights(first)
+    weights = first.weights
     tried: dict[int, Refined] = {n_start: first}
     # fewer: leave out the mode that matters least, while that is no loss
     now = n_start
     while now > 0:
         tried[now - 1] = _without_one(tried[now], data, weights, shape_prior)
-        if _score(tried[now - 1], data) > _score(tried[now], data) - 0.0:
+        if _score(tried[now - 1], data) > _score(tried[now], data) + 10.0:
             break
         now -= 1
     # more: while it pays
@@ -109,10 +111,6 @@ def choose_modes(
         for n, r in sorted(tried.items())
     )
     return Selected(tried[now], evidence)
-
-
-def _weights(refined: Refined) -> Weights:
-    return refined.weights
 
 
 def _joint(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) -> Refined:
@@ -213,10 +211,26 @@ def _score(refined: Refined, data: Data) -> float:
 
 
 def _pays(now: Refined, more: Refined, data: Data) -> bool:
-    """Whether one more mode is worth it: clearly better, and a mode rather than a patch on another effect."""
+    """Whether one more mode is worth it: clearly better, and a mode rather than a patch on another effect.
+
+    A mode above the band, one without a peak, or one that lies between two lines and rings for longer than they can
+    tell, is taken only where it makes the model agree with the data.
+    """
     if _score(more, data) > _score(now, data) - 10.0:
         return False
-    return _data_cost(more, data) < 0.8 * _data_cost(now, data) or _rms(now, data) < 1.5
+    return _rms(more, data) < ADEQUATE or (
+        _data_cost(more, data) < 0.7 * _data_cost(now, data) and all_visible(more.model, data)
+    )
+
+
+def all_visible(model: PlaneModel, data: Data) -> bool:
+    """Whether every mode has a peak that the measured lines can show."""
+    omega = np.unique(data.plant.omega)
+    for nu, sigma in model.modes[:, :2]:
+        near = np.sort(np.abs(omega - nu))[:2].mean()
+        if nu > omega[-1] or not 1e-5 * nu < sigma < 0.2 * nu or sigma < 0.02 * near:
+            return False
+    return True
 
 
 def _rms(refined: Refined, data: Data) -> float:

@@ -1,0 +1,185 @@
+"""The identification of a rig: from an experiment and a datasheet to a commissioning result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
+from service.identification import amplifier as amp
+from service.identification.amplifier_fit import AmplifierFit, amplifier_fit
+from service.identification.assemble import assemble
+from service.identification.etfe import FrequencyResponse, etfe
+from service.identification.plane_model import EXTENDED, Known, Layout, PlaneModel
+from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
+from service.identification.refine import Data, ShapePrior
+from service.identification.result import CommissioningResult, PlaneResult
+from service.identification.selection import choose_modes
+from service.identification.staged import StagedFit, staged_fit
+from sim.datasheet import Datasheet
+from sim.errors import AmbError
+
+DEFAULT_EXTENDED = {name: value for name, value in zip(EXTENDED, (1.0, 1.0, 0.0, 1.0, 1.0), strict=True)}
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to identify. The defaults need no thought."""
+
+    shape_prior: bool = True
+    """Whether the split of a mode's shape between bearings and sensors is helped by their closeness (`ShapePrior`)."""
+    shape_scale: float | None = None
+    """Scale of that prior; by default the distance from bearing to sensor over the bearing span."""
+
+
+def identify(experiment: Experiment, datasheet: Datasheet, options: Options | None = None) -> CommissioningResult:
+    """Identify every plane of a rig that the experiment excites.
+
+    Parameters
+    ----------
+    experiment
+        The main sweep is fitted; one with comment "amplifier" helps with the amplifiers; the first other one is kept for
+        cross-validation and no step of any fit sees it.
+    datasheet
+        Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted.
+
+    Raises
+    ------
+    AmbError
+        Data that cannot be identified: one line that names what is missing and the remedy.
+    """
+    options = options or Options()
+    if tuple(experiment.axes) != tuple(datasheet.axes):
+        raise AmbError(
+            f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
+            "give the datasheet of the rig that was measured"
+        )
+    excited = [s for s in experiment.sweeps if s.kind != "noise" and s.n_points and np.any(s.amplitude_a > 0)]
+    if not excited:
+        raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
+    main = next((s for s in excited if s.comment != "amplifier"), excited[0])
+    amplifier_sweep = next((s for s in excited if s.comment == "amplifier" and s is not main), None)
+    others = [s for s in excited if s is not main and s is not amplifier_sweep]
+    validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
+
+    warnings: list[str] = []
+    if main.speed_rad_s:
+        warnings.append(f"measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling of the planes is not in the model")
+    if validation is None:
+        warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
+    planes: dict[str, PlaneResult] = {}
+    for plane, pair in planes_of(tuple(experiment.axes)).items():
+        if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
+            warnings.append(f"plane {plane} is not excited and not identified")
+            continue
+        planes[plane] = identify_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
+    if not planes:
+        raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
+    return CommissioningResult(
+        datasheet.name,
+        tuple(experiment.axes),
+        planes,
+        _name(experiment, main),
+        None if validation is None else _name(experiment, validation),
+        tuple(warnings),
+    )
+
+
+def _name(experiment: Experiment, sweep: Sweep) -> str:
+    place = next(k for k, s in enumerate(experiment.sweeps) if s is sweep)
+    return f"sweeps/{place} ({sweep.comment})" if sweep.comment else f"sweeps/{place}"
+
+
+def identify_plane(
+    main: Sweep,
+    amplifier_sweep: Sweep | None,
+    validation: Sweep | None,
+    axes: tuple[str, ...],
+    plane: str,
+    datasheet: Datasheet,
+    options: Options | None = None,
+) -> PlaneResult:
+    """Identify one plane: the six steps, then the joint refinement and its validation."""
+    options = options or Options()
+    points = plane_points(main, axes, plane)
+    check_excitation(points)
+    u_to_y = etfe(points, "u->y")
+    amplifier_points = _amplifier_points(amplifier_sweep, axes, plane)
+    data = Data(points, amplifier_points)
+
+    start, fits = start_model(datasheet, plane, axes, data)
+    gain = start.amplifier_response(u_to_y.omega)
+    plant = FrequencyResponse(u_to_y.omega, u_to_y.value / gain[:, None, :], u_to_y.std / np.abs(gain)[:, None, :])
+    staged = staged_fit(start, points, plant)
+    prior = shape_prior_of(datasheet, options)
+    selected = choose_modes(
+        staged.rigid_model, data, plant, staged.search, staged.n_modes, staged.lowest_mode_rad_s, prior
+    )
+    held_out = None if validation is None else plane_points(validation, axes, plane)
+    if held_out is not None and len(held_out.omega) == 0:
+        held_out = None
+    return assemble(datasheet, data, held_out, u_to_y, plant, fits, staged, selected, prior)
+
+
+def shape_prior_of(datasheet: Datasheet, options: Options) -> ShapePrior | None:
+    """Prior of the shapes from the rig's geometry."""
+    if not options.shape_prior:
+        return None
+    if options.shape_scale is not None:
+        return ShapePrior(options.shape_scale)
+    (a, b), (sa, sb) = datasheet.bearing_from_cog_m, datasheet.sensor_from_cog_m
+    return ShapePrior(float(np.clip(0.5 * (abs(sa - a) + abs(sb - b)) / (a + b), 0.02, 0.3)))
+
+
+def _amplifier_points(sweep: Sweep | None, axes: tuple[str, ...], plane: str) -> PlanePoints | None:
+    if sweep is None or sweep.I is None:
+        return None
+    points = plane_points(sweep, axes, plane)
+    return points if len(points.omega) else None
+
+
+def start_model(
+    datasheet: Datasheet, plane: str, axes: tuple[str, ...], data: Data
+) -> tuple[PlaneModel, tuple[AmplifierFit, AmplifierFit] | None]:
+    """Plane with the datasheet's values, and amplifiers fitted where currents are logged (step 3)."""
+    pair = list(planes_of(axes)[plane])
+    nominal = [_nominal_amplifier(datasheet, k) for k in pair]
+    fits = None
+    parameters, delay = nominal, 0.0
+    if data.plant.I is not None:
+        sets = [data.plant] + ([data.amplifier] if data.amplifier is not None else [])
+        fits = tuple(
+            amplifier_fit(sets, c, nominal[c], datasheet.sample_time_s, datasheet.computing_delay_s) for c in (0, 1)
+        )
+        parameters = [f.parameters for f in fits]
+        delay = float(np.mean([f.delay_s for f in fits]))
+    bandwidth = datasheet.sensor_bandwidth_hz
+    known = Known(
+        datasheet.bearing_from_cog_m,
+        datasheet.sensor_from_cog_m,
+        np.array([datasheet.bias_current_a[k] for k in pair]),
+        datasheet.sample_time_s,
+        datasheet.computing_delay_s,
+        np.full(2, np.inf) if bandwidth is None else 2 * np.pi * np.array([bandwidth[k] for k in pair]),
+    )
+    orders = (len(parameters[0]) - 1, len(parameters[1]) - 1)
+    theta = np.concatenate(
+        [
+            [datasheet.current_stiffness_n_per_a[k] for k in pair],
+            [datasheet.position_stiffness_n_per_m[k] for k in pair],
+            *parameters,
+            [delay],
+            [datasheet.mass_kg, datasheet.transverse_inertia_kgm2, 0.0],
+            [datasheet.sensor_gain[k] for k in pair],
+        ]
+    )
+    return PlaneModel(known, Layout(orders), theta), fits  # type: ignore[return-value]
+
+
+def _nominal_amplifier(datasheet: Datasheet, axis: int) -> tuple[float, ...]:
+    w = 2 * np.pi * datasheet.amplifier_natural_frequency_hz[axis]
+    gain = datasheet.amplifier_gain[axis]
+    if datasheet.amplifier_damping_ratio is None:
+        return (gain, w)
+    return (gain, w, datasheet.amplifier_damping_ratio[axis])

@@ -1,0 +1,141 @@
+"""Margins of the running loop: sensitivity measured directly, S = U R^-1, and from the model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.identification.etfe import FrequencyResponse
+from service.identification.plane_model import PlaneModel
+from service.identification.zoh import Complex, Real, discrete_response
+
+ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
+"""Zones of ISO 14839-3 by peak sensitivity, upper limits in dB."""
+
+
+@dataclass(frozen=True)
+class AxisMargins:
+    """Margins of one axis with the other loops closed."""
+
+    sensitivity_peak: float
+    """max |S|, from the model."""
+    peak_hz: float
+    peak_std: float
+    measured_peak: float | None
+    """Largest measured |S|: at the lines of the experiment only, so at most the true peak."""
+    measured_peak_hz: float | None
+    measured_std: float | None
+    gain_margin_db: tuple[float | None, float | None]
+    """How far the gain may fall and rise, dB; None where it never meets the limit."""
+    phase_margin_deg: float | None
+    delay_margin_s: float | None
+
+
+def zone(peak: float, limits: tuple[tuple[str, float], ...] = ISO_14839_3_DB) -> str:
+    """Zone of ISO 14839-3 for a peak sensitivity (not in dB).
+
+    >>> [zone(x) for x in (2.9, 3.5, 4.9, 5.1)]
+    ['A', 'B', 'C', 'D']
+    """
+    decibel = 20 * math.log10(max(peak, 1e-12))
+    return next(name for name, limit in limits if decibel < limit or math.isinf(limit))
+
+
+def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -> Complex:
+    """S = (I + G C)^-1 at the plant's input, u = S r, from the sampled model, (P, 2, 2)."""
+    c = discrete_response(*controller, omega, model.known.sample_time_s)
+    loop = model.response(omega) * c[:, None, None]
+    loop[:, 0, 0] += 1.0
+    loop[:, 1, 1] += 1.0
+    return np.linalg.inv(loop)
+
+
+def dense_grid(model: PlaneModel, highest_hz: float = 3000.0) -> Real:
+    """Frequencies that show every peak of the model, rad/s."""
+    highest = 2 * np.pi * min(highest_hz, 0.49 / model.known.sample_time_s)
+    base = np.geomspace(2 * np.pi, highest, 500)
+    near = [m[0] * (1 + np.linspace(-0.02, 0.02, 41)) for m in model.modes if 0 < m[0] < highest]
+    return np.unique(np.concatenate([base, *near]))
+
+
+def axis_margins(
+    model: PlaneModel,
+    controller: tuple[Real, Real],
+    covariance: Real,
+    free: np.ndarray,
+    measured: FrequencyResponse | None,
+) -> tuple[AxisMargins, AxisMargins]:
+    """Margins of both axes of a plane.
+
+    Parameters
+    ----------
+    covariance, free
+        Of the fitted parameters, and which they are.
+    measured
+        ETFE r->u of the plane.
+    """
+    omega = dense_grid(model)
+    s = sensitivity(model, controller, omega)
+    out = []
+    for j in range(2):
+        k = int(np.argmax(np.abs(s[:, j, j])))
+        peak = float(np.abs(s[k, j, j]))
+        std = _peak_std(model, controller, omega[k : k + 1], j, covariance, free)
+        seen = seen_hz = seen_std = None
+        if measured is not None:
+            m = int(np.argmax(np.abs(measured.value[:, j, j])))
+            seen, seen_hz = float(np.abs(measured.value[m, j, j])), float(measured.frequency_hz[m])
+            seen_std = float(measured.std[m, j, j] / math.sqrt(2))
+        gains, phase, delay = _classical(omega, 1.0 / s[:, j, j] - 1.0)
+        out.append(
+            AxisMargins(peak, float(omega[k] / 2 / np.pi), std, seen, seen_hz, seen_std, gains, phase, delay)
+        )
+    return out[0], out[1]
+
+
+def _peak_std(
+    model: PlaneModel, controller: tuple[Real, Real], omega: Real, j: int, covariance: Real, free: np.ndarray
+) -> float:
+    """Standard deviation of |S_jj| at its peak; the peak's place does not matter to first order."""
+    gradient = []
+    std = np.sqrt(np.maximum(np.diag(covariance), 0))
+    for place, size in zip(np.flatnonzero(free), std, strict=True):
+        step = np.zeros_like(model.theta)
+        step[place] = min(0.1 * size, 1e-4 * abs(model.theta[place])) or 1e-12
+        up = np.abs(sensitivity(model.at(model.theta + step), controller, omega)[0, j, j])
+        down = np.abs(sensitivity(model.at(model.theta - step), controller, omega)[0, j, j])
+        gradient.append((up - down) / (2 * step[place]))
+    g = np.array(gradient)
+    return float(np.sqrt(max(g @ covariance @ g, 0.0)))
+
+
+def _classical(omega: Real, loop: Complex) -> tuple[tuple[float | None, float | None], float | None, float | None]:
+    """Gain margins (down, up) in dB, phase margin in degrees and delay margin in s of L = 1/S - 1."""
+    real, imag = loop.real, loop.imag
+    crossings = np.flatnonzero((imag[:-1] * imag[1:] < 0))
+    down: float | None = None
+    up: float | None = None
+    for k in crossings:
+        t = imag[k] / (imag[k] - imag[k + 1])
+        x = real[k] + t * (real[k + 1] - real[k])
+        if x >= 0 or abs(x) < 1e-6:
+            continue
+        db = -20 * math.log10(-x)
+        if db < 0:
+            down = db if down is None else max(down, db)
+        else:
+            up = db if up is None else min(up, db)
+    size = np.abs(loop)
+    phase_margin: float | None = None
+    delay_margin: float | None = None
+    for k in np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) < 0):
+        t = (size[k] - 1) / (size[k] - size[k + 1])
+        angle = float(np.angle(loop[k] * (1 - t) + loop[k + 1] * t))
+        w = float(omega[k] * (1 - t) + omega[k + 1] * t)
+        away = math.pi - abs(angle)
+        phase_margin = math.degrees(away) if phase_margin is None else min(phase_margin, math.degrees(away))
+        lag = (angle + math.pi) % (2 * math.pi)
+        delay_margin = lag / w if delay_margin is None else min(delay_margin, lag / w)
+    return (down, up), phase_margin, delay_margin

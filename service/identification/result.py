@@ -1,0 +1,325 @@
+"""The commissioning result: what the identification found, as data, and as the JSON of contracts.md section 3."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from service.identification.combine import StateSpace
+from service.identification.etfe import FrequencyResponse
+from service.identification.evidence import Evidence
+from service.identification.margins import AxisMargins, zone
+from service.identification.plane_model import PlaneModel
+from service.identification.validation import CorrelationTest
+from service.identification.zoh import Complex, Real
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its standard deviation."""
+
+    value: float
+    std: float
+    unit: str = ""
+    nominal: float | None = None
+    """What the datasheet says."""
+    std_from_data: float | None = None
+    """The part of ``std`` that noise brings, without the shape prior's and without widening."""
+
+    @property
+    def error_percent(self) -> float | None:
+        """How far the datasheet is from the estimate, percent of the estimate."""
+        return None if self.nominal is None else 100.0 * (self.nominal - self.value) / self.value
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        out: dict[str, Any] = {"value": self.value, "std": self.std, "unit": self.unit}
+        if self.nominal is not None:
+            out |= {"nominal": self.nominal, "error_percent": self.error_percent}
+        if self.std_from_data is not None:
+            out["std_from_data"] = self.std_from_data
+        return out
+
+
+@dataclass(frozen=True)
+class AmplifierResult:
+    """One amplifier as refined."""
+
+    order: int
+    poles: Complex
+    dc_gain: float
+    parameters: dict[str, Estimate]
+    fit_percent: float
+    """NRMSE of the sampled model against the measured i/u."""
+    first_order_fit_percent: float
+    evidence: tuple[Evidence, ...]
+
+
+@dataclass(frozen=True)
+class ModeResult:
+    """A flexible mode of the free rotor."""
+
+    natural_frequency_rad_s: Estimate
+    damping_ratio: Estimate
+    levitated_frequency_rad_s: Estimate
+    """Of the plant's pole, with the position stiffness at work."""
+    shape_at_bearings: tuple[Estimate, Estimate]
+    shape_at_sensors: tuple[Estimate, Estimate]
+    kind: str
+    """"rotor", or "beyond" for one that stands for what lies outside the band, or "patch" without a peak."""
+
+
+@dataclass(frozen=True)
+class PoleResult:
+    """A pole of the levitated plant."""
+
+    value: complex
+    std: float
+    """Standard deviation of |dp|."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Measured and modelled responses of a plane for the Bode plots (Figures 5.4 to 5.8)."""
+
+    measured: FrequencyResponse
+    """u->y"""
+    plant: FrequencyResponse
+    """Coil current -> y: u->y over the amplifiers' base-band response."""
+    amplifier: FrequencyResponse | None
+    """u->i, diagonal entries of the plant's points."""
+    amplifier_points: tuple[tuple[Real, Complex, Real], tuple[Real, Complex, Real]] | None
+    """Per axis (omega, i/u, std) of all points that excite it, the amplifier's own sweep included."""
+    validation: FrequencyResponse | None
+    """u->y on the unseen sweep."""
+    omega: Real
+    """Dense grid for the model, rad/s."""
+    model: Complex
+    """u->y, (F, 2, 2); model_std its standard deviation."""
+    model_std: Real
+    model_plant: Complex
+    """Coil current -> y."""
+    model_amplifier: Complex
+    """u->i as sampled, (F, 2)."""
+    model_at_lines: Complex
+    """u->y at the measured lines and amplitudes."""
+    rigid_plant: Complex
+    """The staged rigid model on the dense grid."""
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Displacements that the experiment reached, per point, against the linear range (Figure 5.3)."""
+
+    frequency_hz: Real
+    axis: np.ndarray
+    amplitude_m: Real
+    """(P, 2) at the sensors."""
+    linear_range_m: float
+    r_a: Real
+    u_a: Complex
+
+
+@dataclass(frozen=True)
+class Staged:
+    """The thesis's steps one after another, before the joint refinement."""
+
+    split_hz: float
+    split_evidence: tuple[dict[str, float], ...]
+    ki: Real
+    ks: Real
+    rigid_fit_percent: Real
+    flexible_fit_percent: Real | None
+    complete_fit_percent: Real
+    flexible_nu_rad_s: Real
+    flexible_sigma_rad_s: Real
+
+
+@dataclass(frozen=True)
+class PlaneResult:
+    """Everything about one plane."""
+
+    plane: str
+    axes: tuple[str, str]
+    model: PlaneModel
+    covariance: Real
+    """Of the free parameters, prior and widening included; order of ``parameter_names``."""
+    parameter_names: tuple[str, ...]
+    amplifiers: dict[str, AmplifierResult]
+    stiffness: dict[str, Estimate]
+    modes: tuple[ModeResult, ...]
+    delay_s: Estimate
+    poles: tuple[PoleResult, ...]
+    zeros: Complex
+    extended: dict[str, Any]
+    fit_percent: Real
+    cross_validation_fit_percent: Real | None
+    cross_validation_rms: Real | None
+    """Residual over noise per entry of y on the unseen sweep."""
+    staged: Staged
+    residual_rms: Real
+    """(outputs, excited axis) rms of residual over noise; outputs i_A, i_B, y_A, y_B or y only."""
+    residual_rms_total: float
+    tests: dict[str, list[CorrelationTest]]
+    tests_passed: bool
+    adequate: bool
+    """Whether the residuals are of the size of the noise; if not, every std is widened."""
+    widening: float
+    """Largest factor by which a std was widened."""
+    mode_evidence: tuple[Evidence, ...]
+    state_space: StateSpace
+    amplifier_state_space: StateSpace
+    margins: dict[str, AxisMargins]
+    curves: Curves
+    displacement: Displacement
+    status: str
+    warnings: tuple[str, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """As JSON, contracts.md section 3."""
+        peak = {a: m.sensitivity_peak for a, m in self.margins.items()}
+        worst = max([*peak.values(), *(m.measured_peak or 0.0 for m in self.margins.values())])
+        return {
+            "amplifiers": {
+                axis: {
+                    "order": a.order,
+                    "poles_rad_s": _complex(a.poles),
+                    "dc_gain": a.dc_gain,
+                    "fit_percent": a.fit_percent,
+                    "first_order_fit_percent": a.first_order_fit_percent,
+                    "parameters": {k: v.document() for k, v in a.parameters.items()},
+                    "evidence": [evidence_document(e) for e in a.evidence],
+                }
+                for axis, a in self.amplifiers.items()
+            },
+            "delay_s": self.delay_s.document(),
+            "stiffness": {k: v.document() for k, v in self.stiffness.items()},
+            "rotor_modes": [_mode(m) for m in self.modes if m.kind == "rotor"],
+            "other_modes": [_mode(m) for m in self.modes if m.kind != "rotor"],
+            "mode_evidence": [evidence_document(e) for e in self.mode_evidence],
+            "plant_poles": [{"re": p.value.real, "im": p.value.imag, "std": p.std} for p in self.poles],
+            "plant_zeros": _complex(self.zeros),
+            "extended": self.extended,
+            "fit_percent": self.fit_percent.tolist(),
+            "cross_validation_fit_percent": _matrix(self.cross_validation_fit_percent),
+            "cross_validation_rms": _matrix(self.cross_validation_rms),
+            "staged": {
+                "rigid_fit_percent": self.staged.rigid_fit_percent.tolist(),
+                "flexible_fit_percent": _matrix(self.staged.flexible_fit_percent),
+                "complete_fit_percent": self.staged.complete_fit_percent.tolist(),
+                "split_hz": self.staged.split_hz,
+                "split_evidence": list(self.staged.split_evidence),
+                "ki_n_per_a": self.staged.ki.tolist(),
+                "ks_n_per_m": self.staged.ks.tolist(),
+            },
+            "residuals": {
+                "whiteness": {t.name: t.document() for t in self.tests["whiteness"]},
+                "independence": {t.name: t.document() for t in self.tests["independence"]},
+                "level": 0.99,
+                "passed": self.tests_passed,
+                "rms_over_sigma": self.residual_rms_total,
+                "rms_over_sigma_by_entry": self.residual_rms.tolist(),
+                "model_adequate": self.adequate,
+                "std_widened_by": self.widening,
+            },
+            "state_space": self.state_space.document(),
+            "amplifier_state_space": self.amplifier_state_space.document(),
+            "margins": {
+                "sensitivity_peak": peak,
+                "sensitivity_peak_std": {a: m.peak_std for a, m in self.margins.items()},
+                "sensitivity_peak_hz": {a: m.peak_hz for a, m in self.margins.items()},
+                "measured_sensitivity_peak": {a: m.measured_peak for a, m in self.margins.items()},
+                "measured_sensitivity_peak_hz": {a: m.measured_peak_hz for a, m in self.margins.items()},
+                "measured_sensitivity_peak_std": {a: m.measured_std for a, m in self.margins.items()},
+                "gain_margin_db": {a: list(m.gain_margin_db) for a, m in self.margins.items()},
+                "phase_margin_deg": {a: m.phase_margin_deg for a, m in self.margins.items()},
+                "delay_margin_s": {a: m.delay_margin_s for a, m in self.margins.items()},
+                "iso_14839_3_zone": zone(worst),
+            },
+            "status": self.status,
+            "warnings": list(self.warnings),
+        }
+
+
+@dataclass(frozen=True)
+class CommissioningResult:
+    """Result of identifying a whole rig."""
+
+    rig: str
+    axes: tuple[str, ...]
+    planes: dict[str, PlaneResult]
+    main_sweep: str
+    validation_sweep: str | None
+    warnings: tuple[str, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
+        """The contents of result.json; every number in it is finite or null."""
+        return _finite(
+            {
+                "format": "amb-commissioning-result",
+                "version": 1,
+                "rig": self.rig,
+                "planes": {name: p.document() for name, p in self.planes.items()},
+                "experiment": experiment,
+                "warnings": list(self.warnings),
+                "provenance": {
+                    "main_sweep": self.main_sweep,
+                    "validation_sweep": self.validation_sweep,
+                    **self.provenance,
+                },
+            }
+        )
+
+
+def evidence_document(e: Evidence) -> dict[str, Any]:
+    """Scores of one candidate as JSON."""
+    return {
+        "name": e.name,
+        "parameters": e.n_parameters,
+        "data": e.n_data,
+        "cost": e.cost,
+        "rms_over_sigma": e.rms,
+        "aic": e.aic,
+        "mdl": e.mdl,
+        "fpe": e.fpe,
+        "chosen": e.chosen,
+        "note": e.note,
+    }
+
+
+def _mode(m: ModeResult) -> dict[str, Any]:
+    return {
+        "natural_frequency_rad_s": m.natural_frequency_rad_s.document(),
+        "damping_ratio": m.damping_ratio.document(),
+        "levitated_frequency_rad_s": m.levitated_frequency_rad_s.document(),
+        "shape_at_bearings": [e.document() for e in m.shape_at_bearings],
+        "shape_at_sensors": [e.document() for e in m.shape_at_sensors],
+        "kind": m.kind,
+    }
+
+
+def _complex(values: Complex) -> list[list[float]]:
+    return [[float(v.real), float(v.imag)] for v in values]
+
+
+def _matrix(values: Real | None) -> list[list[float]] | None:
+    return None if values is None else values.tolist()
+
+
+def _finite(value: Any) -> Any:
+    """The same document with null for what is not finite and plain Python numbers for numpy's."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

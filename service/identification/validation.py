@@ -1,0 +1,103 @@
+"""Validation: NRMSE fit (eq. 6.1), whiteness and independence of the residuals, and how large they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from service.identification.zoh import Complex, Real
+
+LEVEL = 0.99
+
+
+def nrmse_percent(measured: Complex, model: Complex) -> float:
+    """Fit of eq. 6.1, percent: 100 (1 - ||G - Gm|| / ||G - mean G||) over the frequencies.
+
+    >>> g = np.array([1.0 + 1j, 2.0, 4.0])
+    >>> nrmse_percent(g, g), nrmse_percent(g, np.full(3, g.mean()))
+    (100.0, 0.0)
+    """
+    spread = float(np.linalg.norm(measured - measured.mean()))
+    if spread == 0:
+        return 100.0 if np.allclose(measured, model) else -math.inf
+    return 100.0 * (1.0 - float(np.linalg.norm(measured - model)) / spread)
+
+
+def nrmse_matrix(measured: Complex, model: Complex) -> Real:
+    """Fit of every entry, (n_out, n_in), of two responses (F, n_out, n_in)."""
+    _, rows, columns = measured.shape
+    return np.array([[nrmse_percent(measured[:, a, b], model[:, a, b]) for b in range(columns)] for a in range(rows)])
+
+
+@dataclass(frozen=True)
+class CorrelationTest:
+    """A correlation function of residuals along frequency with its bound."""
+
+    name: str
+    lags: Real
+    """(L,) in measured lines."""
+    correlation: Real
+    """(L,) real part, normalised."""
+    bound: float
+    """What white residuals stay within at `LEVEL`, lag by lag."""
+    statistic: float
+    """Portmanteau: sum over the lags in units of its expectation under white residuals, chi-square."""
+    degrees_of_freedom: int
+    p_value: float
+
+    def document(self) -> dict[str, object]:
+        """As JSON."""
+        return {
+            "statistic": self.statistic,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "p_value": self.p_value,
+            "bound": self.bound,
+            "lags": [int(k) for k in self.lags],
+            "correlation": self.correlation.tolist(),
+        }
+
+
+def whiteness(name: str, residual: Complex, max_lag: int = 15) -> CorrelationTest:
+    """Correlation of a residual with itself at neighbouring lines.
+
+    ``residual`` (F,) in units of its noise, ascending in frequency.
+    """
+    n = len(residual)
+    lags = np.arange(1, min(max_lag, n // 3) + 1)
+    power = float(np.sum(np.abs(residual) ** 2)) or 1.0
+    rho = np.array([np.sum(residual[:-k].conj() * residual[k:]) / power for k in lags])
+    weight = n / np.maximum(n - lags, 1)  # fewer products at long lags
+    return _test(name, lags.astype(float), rho, n, weight)
+
+
+def independence(name: str, residual: Complex, direction: Complex, max_lag: int = 8) -> CorrelationTest:
+    """Correlation of a residual with what the model says there: what is left of the input in it.
+
+    ``direction`` (F,) is the model's response; only its phase counts, so a relative error shows as a real correlation
+    and an error of phase as an imaginary one.
+    """
+    n = len(residual)
+    lags = np.arange(-min(max_lag, n // 4), min(max_lag, n // 4) + 1)
+    unit = direction / np.maximum(np.abs(direction), 1e-300)
+    power = float(np.sqrt(np.mean(np.abs(residual) ** 2))) or 1.0
+    rho, weight = [], []
+    for k in lags:
+        a, b = (unit[: n - k], residual[k:]) if k >= 0 else (unit[-k:], residual[: n + k])
+        rho.append(np.sum(a.conj() * b) / (n * power))
+        weight.append(n / max(n - abs(k), 1))
+    return _test(name, lags.astype(float), np.array(rho), n, np.array(weight))
+
+
+def _test(name: str, lags: Real, rho: Complex, n: int, weight: Real) -> CorrelationTest:
+    statistic = float(2 * n * np.sum(weight * np.abs(rho) ** 2))
+    dof = 2 * len(rho)
+    bound = float(norm.ppf(0.5 + LEVEL / 2) / math.sqrt(2 * n))
+    return CorrelationTest(name, lags, np.asarray(rho.real), bound, statistic, dof, float(chi2.sf(statistic, dof)))
+
+
+def all_pass(tests: list[CorrelationTest], level: float = LEVEL) -> bool:
+    """Whether no test rejects at a joint ``level`` (Holm's bound on the smallest p-value)."""
+    return all(t.p_value > (1 - level) / max(len(tests), 1) for t in tests)
