@@ -35,6 +35,8 @@ class Response:
     """(n_axes,) m/A."""
     i_excited: float
     """Of the excited axis, A/A."""
+    i_times_y: float
+    """Largest product of both in one axis, m/A."""
 
 
 @dataclass
@@ -97,7 +99,12 @@ class Knowledge:
             low, high = np.log(np.maximum(a.magnitudes[k - 1], 1e-300)), np.log(np.maximum(a.magnitudes[k], 1e-300))
             m = np.exp((1 - w) * low + w * high)
         return Response(
-            u=float(m[0, axis]), i=float(m[1].max()), y=float(m[2].max()), y_vector=m[2], i_excited=float(m[1, axis])
+            u=float(m[0, axis]),
+            i=float(m[1].max()),
+            y=float(m[2].max()),
+            y_vector=m[2],
+            i_excited=float(m[1, axis]),
+            i_times_y=float(np.max(m[1] * m[2])),
         )
 
     def noise_at_unit(self, axis: int, frequency_hz: float, amplifier: bool = False) -> float:

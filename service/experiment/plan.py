@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,8 @@ class Profile:
     current_share: float = 0.25
     """Share of the bias current, and of the current limit, that the main sweep may use."""
     nonlinearity: float = 0.2
-    """Share of the accuracy that the magnets' cubic terms, (displacement / gap)^2, may take."""
+    """Share of the accuracy that the cubic terms of the magnets' force may take: displacement over gap squared, and
+    displacement over gap times current over bias current."""
     rig_seconds: float = 1200.0
     """Time of the rig that a campaign over four axes should need; others in proportion."""
     peak_points: int = 5
@@ -142,6 +144,8 @@ class Aim:
     block_s: float
     """Wanted length of a block; longer when a period is, or when limits cut the amplitude."""
     longest_block_s: float
+    cubic: float
+    """Largest relative cubic term of the magnets' force."""
     amplifier: bool = False
     """Only u and i matter, not y."""
     gain: float = 1.0
@@ -154,18 +158,21 @@ def aims(profile: Profile, limits: Limits) -> dict[str, Aim]:
     # half of the displacement limit is left for the operating point, noise and the transient of the ramp
     free_y = 0.5 * min(limits.displacement_limit_m, limits.linear_range_m)
     free_i = 0.5 * min(limits.current_limit_a, limits.bias_current_a)
-    cubic = limits.gap_m * math.sqrt(p.nonlinearity * p.accuracy)
-    y = min(p.displacement_share * min(limits.displacement_limit_m, limits.linear_range_m), cubic)
+    cubic = p.nonlinearity * p.accuracy
+    y = min(
+        p.displacement_share * min(limits.displacement_limit_m, limits.linear_range_m), limits.gap_m * math.sqrt(cubic)
+    )
     i = p.current_share * min(limits.current_limit_a, limits.bias_current_a)
     # a block of the main sweep: its share of the budget, half of a point's time for settling and ramps
     weight = p.points + 0.5 * (p.validation_points + p.amplifier_points + p.coarse_points) + 12 * p.peak_points
     block = p.rig_seconds / 4 / weight / 2 / p.blocks
     wide = p.validation_gain
+    free = wide**2 * cubic
     return {
-        "coarse": Aim(p.coarse_accuracy, y, i, block / 2, 2 * block),
-        "main": Aim(p.accuracy, y, i, block, 3 * block),
-        "validation": Aim(p.accuracy, min(wide * y, free_y), min(wide * i, free_i), block, 2 * block, gain=wide),
-        "amplifier": Aim(p.accuracy, y, i, block / 4, block, amplifier=True),
+        "coarse": Aim(p.coarse_accuracy, y, i, block / 2, 2 * block, cubic),
+        "main": Aim(p.accuracy, y, i, block, 3 * block, cubic),
+        "validation": Aim(p.accuracy, min(wide * y, free_y), min(wide * i, free_i), block, 2 * block, free, gain=wide),
+        "amplifier": Aim(p.accuracy, y, i, block / 4, block, cubic, amplifier=True),
     }
 
 
@@ -202,7 +209,7 @@ def clear_grid(from_hz: float, to_hz: float, n: int, resolution_hz: float, lines
     moved = off_lines(grid(from_hz, to_hz, n), resolution_hz, lines)
     moved = moved[(moved >= from_hz) & (moved <= to_hz)]
     kept = moved[np.concatenate([[True], np.diff(np.log(moved)) > np.log(step) / 3])]
-    gaps = list(zip(kept[:-1], kept[1:], strict=True))
+    gaps = list(pairwise(kept))
     while len(kept) < n and gaps:
         gaps.sort(key=lambda g: g[1] / g[0])
         low, high = gaps.pop()
@@ -250,6 +257,7 @@ def largest_amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim:
     return min(
         caution * aim.displacement_m / max(response.y, 1e-300),
         caution * aim.current_a / max(response.i, 1e-300),
+        caution * math.sqrt(aim.cubic * limits.bias_current_a * limits.gap_m / max(response.i_times_y, 1e-300)),
         aim.current_a,
         limits.max_amplitude_a,
     )

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.experiment.knowledge import Knowledge
 from service.experiment.plan import Aim, Limits, largest_amplitude, needed_amplitude
 from service.experiment.points import Point
 from service.experiment.settling import Agreement, agreement
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
 
 DISTORTION = 0.05
 """Share of harmonics in the current above which an amplifier is at its voltage or current limit."""
@@ -32,15 +36,29 @@ class Judgement:
 
 
 def settled(point: Point, knowledge: Knowledge, aim: Aim, sample_rate_hz: float) -> Agreement:
-    """Agreement of the blocks of all displacements and of the excited axis's current."""
+    """Agreement of the blocks: of all displacements, and of what drives them in the excited plane.
+
+    Both are looked at, each against its own size: near a resonance the displacement is large where the control
+    signal is small, and the response is the quotient of both.
+    """
     k = point.request.axis
-    blocks = np.concatenate([point.Y[:, 1], point.I[:, 1, k : k + 1]], axis=1)
+    plane = [a for a in (k // 2 * 2, k // 2 * 2 + 1) if a < point.Y.shape[2]]
     variance = knowledge.noise.block_variance(point.frequency_hz, point.request.samples / sample_rate_hz)
-    y_size = float(np.linalg.norm(point.Y[:, 1].mean(axis=0)))
-    i_size = float(abs(point.I[:, 1, k].mean()))
-    n = point.Y.shape[2]
-    negligible = 0.25 * aim.accuracy * np.array([y_size] * n + [i_size])
-    return agreement(blocks, np.append(variance["y"], variance["i"][k]), negligible)
+    moved = _group([(point.Y[:, 1], variance["y"])], aim)
+    drive = _group(
+        [(point.U[:, 1, plane], variance["u"][plane]), (point.I[:, 1, k : k + 1], variance["i"][k : k + 1])], aim
+    )
+    return Agreement(max(moved.excess, drive.excess), max(moved.drift, drive.drift), moved.settled and drive.settled)
+
+
+def _group(signals: list[tuple[Complex, Real]], aim: Aim) -> Agreement:
+    """Agreement of signals (B, n) with their noise variances (n,); a quarter of the accuracy does not matter."""
+    negligible = [np.full(x.shape[1], 0.25 * aim.accuracy * float(np.linalg.norm(x.mean(axis=0)))) for x, _ in signals]
+    return agreement(
+        np.concatenate([x for x, _ in signals], axis=1),
+        np.concatenate([v for _, v in signals]),
+        np.concatenate(negligible),
+    )
 
 
 def distortion(point: Point) -> float:
