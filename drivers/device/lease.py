@@ -94,6 +94,13 @@ class LeaseTable:
             held.deadline = held.last_beat + held.seconds
             return True
 
+    def feed(self, token: int) -> None:
+        """Count a command of the holder as a sign of life, for the watchdog only."""
+        with self._lock:
+            held = self._current()
+            if held is not None and held.token == token:
+                held.last_beat = self._clock()
+
     def silent(self) -> bool:
         """Whether the holder has been silent for longer than the watchdog allows."""
         return self.silence_s() > self.watchdog_s

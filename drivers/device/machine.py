@@ -220,6 +220,8 @@ class RigDevice:
             self._play_token = lease.token
             self._stop.clear()
             self._gauges.state = State.ARMED
+            # After a gap on the bus, the command may come before the next heartbeat does.
+            self._leases.feed(token)
         return lambda: self._play(tone)
 
     def measure(self, tone: Tone, token: int) -> PointResult:
@@ -227,6 +229,8 @@ class RigDevice:
         return self.arm(tone, token)()
 
     def _play(self, tone: Tone) -> PointResult:
+        frequency = tone.frequency_hz(1 / self._rig.controller.sample_time_s)
+        self._log(f"excitation on: {tone.amplitude_a:.6g} A at {frequency:.6g} Hz on {self._rig.axes[tone.axis]}")
         try:
             with self._rig_lock:
                 result, interruption = self._player.play(tone, self._sequence + 1)

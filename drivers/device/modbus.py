@@ -58,6 +58,7 @@ class TcpServer:
             self._listener = socket.create_server((host, port))
         except OSError as error:
             raise ControllerError(f"cannot listen on {host}:{port}: {error}; choose another port") from error
+        self._listener.settimeout(0.1)
         self.port: int = self._listener.getsockname()[1]
         self._thread = threading.Thread(target=self._accept, name="modbus", daemon=True)
         self._thread.start()
@@ -65,20 +66,21 @@ class TcpServer:
     def close(self) -> None:
         """Stop listening and drop every connection; safe twice."""
         self._closing.set()
-        with suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
+        self._thread.join(timeout=2.0)
         self._listener.close()
         for connection in list(self._connections):
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
-        self._thread.join(timeout=2.0)
 
     def _accept(self) -> None:
         while not self._closing.is_set():
             try:
                 connection, _ = self._listener.accept()
+            except TimeoutError:
+                continue
             except OSError:
                 return
+            connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             threading.Thread(target=self._serve, args=(connection,), name="modbus-host", daemon=True).start()
 

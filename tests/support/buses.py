@@ -95,3 +95,9 @@ BUSES: dict[str, Callable[[Path], AbstractContextManager[Bench]]] = {
     "modbus-tls": modbus_tls,
     "modbus-rtu": modbus_rtu,
 }
+
+PROTOCOLS = {
+    "modbus": ("--protocol", "modbus"),
+    "modbus-rtu": ("--protocol", "modbus-rtu"),
+}
+"""Arguments of the device process, for the protocols that need no certificates."""
