@@ -50,7 +50,6 @@ class DeviceFront:
         self.device = device
         self.order = order
         self._lock = threading.Lock()
-        self._snapshot = 0
         self._command = 0
         self._accepted = (0, 0)
         self._outcome = Outcome.DONE
@@ -98,11 +97,10 @@ class DeviceFront:
 
     def _read_status(self) -> dict[str, Value]:
         with self._lock:
-            self._snapshot = (self._snapshot + 1) % 2**32
-            snapshot, command, outcome, finished = self._snapshot, self._command, self._outcome, self._finished
+            command, outcome, finished = self._command, self._outcome, self._finished
         s = self.device.status()
         return {
-            "snapshot": snapshot,
+            "snapshot": self.device.next_snapshot(),
             "boot_id": s.boot_id,
             "state": int(s.state),
             "trip": int(s.trip),

@@ -83,6 +83,7 @@ class RigDevice:
         self._stopped_from_elsewhere = False
         self._trip: Interruption | None = None
         self._sequence = 0
+        self._snapshot = 0
         self._events: deque[Event] = deque(maxlen=1000)
         self._event_number = 0
         self._on_event = on_event
@@ -140,6 +141,12 @@ class RigDevice:
             speed_rad_s=self._rig.speed_rad_s,
             uptime_s=self._clock() - self._born,
         )
+
+    def next_snapshot(self) -> int:
+        """Number of a snapshot that is sent to a host, rising: a stale one shows by it."""
+        with self._state_lock:
+            self._snapshot = (self._snapshot + 1) % 2**32
+            return self._snapshot
 
     def events(self, after: int = 0) -> list[Event]:
         """Events with a number above ``after``, oldest first; the last thousand are kept."""
