@@ -64,12 +64,13 @@ def assemble(
     omega = omega[omega <= 1.2 * points.omega.max()]
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
     peaks = axis_margins(model, controller, u.covariance, u.free, _measured_sensitivity(points))
+    total = float(np.sqrt(np.mean(rms**2)))
     warnings = list(points.left_out)
     if not u.adequate:
         warnings.insert(
             0,
-            f"residuals are {u.rms:.2g} times the noise: something acts that the model does not have; "
-            f"standard deviations are widened by up to {u.widening:.2g}",
+            f"residuals are {total:.2g} times the noise: something acts that the model does not have; "
+            "standard deviations allow for an error of that size, not for a bias that it may bring",
         )
     names = tuple(np.array(model.layout.names)[u.free].tolist())
     return PlaneResult(
@@ -100,7 +101,7 @@ def assemble(
             np.empty(0) if staged.flexible is None else staged.flexible.sigma_rad_s,
         ),
         residual_rms=rms,
-        residual_rms_total=u.rms,
+        residual_rms_total=total,
         tests=tests,
         tests_passed=passed,
         adequate=u.adequate,

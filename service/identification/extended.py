@@ -41,7 +41,7 @@ def extended_report(refined: Refined, data: Data, datasheet: Datasheet, u: Uncer
     free = refined.fit.free.copy()
     for name in asked:
         free[model.layout.index(name)] = True
-    step, covariance = _one_step(full[:, free], np.concatenate([r, np.zeros(len(wide))]), u.rms if not u.adequate else 1.0)
+    step, covariance = _one_step(full[:, free], np.concatenate([r, np.zeros(len(wide))]), 1.0 if u.adequate else u.scale)
     places = np.flatnonzero(free)
     out: dict[str, Any] = {}
     tolerance = {

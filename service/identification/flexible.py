@@ -19,7 +19,11 @@ DAMPING_GRID = (0.0005, 0.002, 0.008, 0.03, 0.1)
 
 @dataclass(frozen=True)
 class PoleResidue:
-    """G = sum of R_k / (s^2 + 2 sigma_k s + nu_k^2): the modal form of the thesis's flexible model."""
+    """G = sum of (R_k + s/nu_k V_k) / (s^2 + 2 sigma_k s + nu_k^2): the modal form of the thesis's flexible model.
+
+    V_k is nil for a rotor with modal damping; it takes up a lag that the model does not have, which would else call
+    for further modes beside the true ones.
+    """
 
     nu_rad_s: Real
     """(n,)"""
@@ -27,6 +31,8 @@ class PoleResidue:
     """(n,)"""
     residues: Real
     """(n, 2, 2)"""
+    lags: Real
+    """(n, 2, 2) V_k."""
 
     @property
     def n_modes(self) -> int:
@@ -35,12 +41,19 @@ class PoleResidue:
 
     def response(self, omega: Real) -> Complex:
         """(P, 2, 2)"""
-        return np.asarray(np.tensordot(_basis(omega, self.nu_rad_s, self.sigma_rad_s), self.residues, axes=(1, 0)))
+        both = _both(omega, self.nu_rad_s, self.sigma_rad_s)
+        return np.asarray(np.tensordot(both, np.concatenate([self.residues, self.lags]), axes=(1, 0)))
 
 
 def _basis(omega: Real, nu: Real, sigma: Real) -> Complex:
     s = 1j * omega[:, None]
     return np.asarray(1.0 / (s**2 + 2 * sigma * s + nu**2))
+
+
+def _both(omega: Real, nu: Real, sigma: Real) -> Complex:
+    """Displacement-like and velocity-like basis side by side, (P, 2 n)."""
+    basis = _basis(omega, nu, sigma)
+    return np.hstack([basis, basis * (1j * omega[:, None] / nu)])
 
 
 def split_frequency(omega: Real, plant: Complex) -> float:
@@ -69,9 +82,7 @@ def candidate_poles(omega: Real, above: float = 3.0, per_gap: int = 6) -> tuple[
     return np.repeat(nu, len(zeta)), (nu[:, None] * zeta).ravel()
 
 
-def search(
-    omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s: float, real_residues: bool = True
-) -> list[PoleResidue]:
+def search(omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s: float) -> list[PoleResidue]:
     """Models with 1 to ``n_modes`` poles for what the rigid model leaves.
 
     Parameters
@@ -92,15 +103,14 @@ def search(
         return []
     basis = _basis(omega, nu_grid, sigma_grid)  # (F, C)
     target = left * weight
-    nu = np.empty(0)
-    sigma = np.empty(0)
+    nu, sigma = np.empty(0), np.empty(0)
     models: list[PoleResidue] = []
     rest = target
-    power = np.abs(basis) ** 2
-    norm = np.einsum("fc,fab->cab", power, weight**2)
+    # d and s d are orthogonal in the real inner product up to a little, so both projections add up
+    power = np.einsum("fc,fab->cab", np.abs(basis) ** 2, weight**2)
     for _ in range(n_modes):
-        along = np.einsum("fc,fab->cab", basis.conj(), rest * weight).real
-        score = np.sum(along**2 / norm, axis=(1, 2))
+        along = np.einsum("fc,fab->cab", basis.conj(), rest * weight)
+        score = np.sum(np.abs(along) ** 2 / power, axis=(1, 2))
         taken = np.min(np.abs(nu_grid[:, None] - nu) / nu_grid[:, None], axis=1, initial=1.0) < 1e-4
         score[taken] = -1.0
         best = int(np.argmax(score))
@@ -108,17 +118,16 @@ def search(
         nu, sigma = _polished(omega, target, weight, nu, sigma)
         order = np.argsort(nu)
         nu, sigma = nu[order], sigma[order]
-        residues = _residues(omega, target, weight, nu, sigma)
-        model = PoleResidue(nu, sigma, residues)
+        model = _fitted(omega, target, weight, nu, sigma)
         models.append(model)
         rest = target - model.response(omega) * weight
     return models
 
 
-def _residues(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real) -> Real:
-    """Real residues by linear least squares, entry by entry, (n, 2, 2)."""
-    basis = _basis(omega, nu, sigma)
-    out = np.empty((len(nu), 2, 2))
+def _fitted(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real) -> PoleResidue:
+    """Residues by linear least squares, entry by entry, the poles given."""
+    basis = _both(omega, nu, sigma)
+    out = np.empty((2 * len(nu), 2, 2))
     for a in range(2):
         for b in range(2):
             columns = basis * weight[:, a, b, None]
@@ -126,7 +135,7 @@ def _residues(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real)
             matrix = np.concatenate([columns.real, columns.imag]) / scale
             vector = np.concatenate([target[:, a, b].real, target[:, a, b].imag])
             out[:, a, b] = np.linalg.lstsq(matrix, vector, rcond=None)[0] / scale
-    return out
+    return PoleResidue(nu, sigma, out[: len(nu)], out[len(nu) :])
 
 
 def _polished(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real) -> tuple[Real, Real]:
@@ -134,9 +143,8 @@ def _polished(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real)
     n = len(nu)
 
     def rest(z: Real) -> Real:
-        now = PoleResidue(nu * (1 + z[:n]), sigma * np.exp(z[n:]), np.empty(0))
-        residues = _residues(omega, target, weight, now.nu_rad_s, now.sigma_rad_s)
-        e = target - PoleResidue(now.nu_rad_s, now.sigma_rad_s, residues).response(omega) * weight
+        model = _fitted(omega, target, weight, nu * (1 + z[:n]), sigma * np.exp(z[n:]))
+        e = target - model.response(omega) * weight
         return np.concatenate([e.real.ravel(), e.imag.ravel()])
 
     step = np.concatenate([np.full(n, 3e-3), np.full(n, 2.5)])

@@ -70,6 +70,8 @@ class Refined:
     """Of the plant's points."""
     amplitude: Amplitude | None
     weights: Weights
+    relative: float = 0.0
+    """Relative model error that the weights allow for beside the noise."""
 
 
 def residual_blocks(points: PlanePoints, i: Complex, y: Complex) -> Complex:
@@ -223,7 +225,7 @@ def refine(
         noise = noise_of(model, data.plant, amplitude)
     assert fit is not None
     assert now is not None
-    return Refined(model, fit, noise, amplitude, now)
+    return Refined(model, fit, noise, amplitude, now, relative)
 
 
 def shape_rows(model: PlaneModel, prior: ShapePrior) -> tuple[Real, Real]:

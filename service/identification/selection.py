@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
@@ -57,7 +58,7 @@ def coarse_number(models: list[PoleResidue], left: FrequencyResponse, weight: Re
     cost = [float(np.sum(np.abs(left.value * weight) ** 2))]
     cost += [float(np.sum(np.abs((left.value - m.response(left.omega)) * weight) ** 2)) for m in models]
     level = 4 * len(left.omega) * floor**2
-    score = [n * np.log(c + level) + 6 * k * np.log(n) for k, c in enumerate(cost)]
+    score = [n * np.log(c + level) + 10 * k * np.log(n) for k, c in enumerate(cost)]
     return int(np.argmin(score)), np.array(cost)
 
 
@@ -79,6 +80,8 @@ def choose_modes(
         No mode is looked for below.
     """
     modes = modes_from(coarse[n_start - 1], start.ki) if n_start else np.empty((0, N_MODE))
+    modes = modes[[is_visible(m[0], m[1], data.plant.omega) for m in modes]]
+    n_start = len(modes)
     first = _joint(with_modes(start, modes), data, shape_prior)
     weights = first.weights
     tried: dict[int, Refined] = {n_start: first}
@@ -110,16 +113,40 @@ def choose_modes(
         )
         for n, r in sorted(tried.items())
     )
+    if _rms(tried[now], data) > ADEQUATE:
+        return Selected(_forgiving(with_modes(start, modes), data, shape_prior), evidence)
     return Selected(tried[now], evidence)
+
+
+def _forgiving(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) -> Refined:
+    """Joint fit for a model that cannot agree with the data: its error counts as a relative one beside the noise.
+
+    Weighted by noise alone such a fit would follow the loudest lines wherever their error leads. The size of the
+    relative error is what makes the residuals fit it.
+    """
+    level = 0.03
+    found = refine(model, data, _free(model, data), relative=level, nonlinear=True, shape_prior=shape_prior)
+    for _ in range(3):
+        r, _ = residuals(found.model, data, found.weights, found.amplitude, gradient=False)
+        level = float(np.clip(level * np.sqrt(r @ r / len(r)), 1e-4, 0.3))
+        found = refine(found.model, data, _free(model, data), relative=level, shape_prior=shape_prior)
+    best_split = _scaled_shapes(found.model, found, shape_prior)
+    return refine(best_split, data, _free(model, data), relative=level, shape_prior=shape_prior)
+
+
+def _free(model: PlaneModel, data: Data) -> NDArray[np.bool_]:
+    """What a joint fit moves: without currents, amplifiers and delay stay as the datasheet has them."""
+    free = model.layout.free()
+    if data.plant.I is None:
+        free[model.layout.delay] = False
+        for place in model.layout.amplifiers:
+            free[place] = False
+    return free
 
 
 def _joint(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) -> Refined:
     """Forgiving first, then in units of the noise."""
-    free = model.layout.free(fixed=("delay_s",) if data.plant.I is None else ())
-    if data.plant.I is None:
-        for k, place in enumerate(model.layout.amplifiers):
-            free[place] = False
-            del k
+    free = _free(model, data)
     rough = refine(model, data, free, relative=0.03, nonlinear=False, shape_prior=shape_prior, max_iterations=40)
     better = refine(rough.model, data, free, relative=0.003, nonlinear=True, shape_prior=shape_prior)
     return refine(_scaled_shapes(better.model, better, shape_prior), data, free, shape_prior=shape_prior)
@@ -190,11 +217,9 @@ def _with_one_more(
 
 
 def _again(model: PlaneModel, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
-    free = model.layout.free(fixed=("delay_s",) if data.plant.I is None else ())
-    if data.plant.I is None:
-        for place in model.layout.amplifiers:
-            free[place] = False
-    return refine(model, data, free, shape_prior=shape_prior, weights=weights, max_iterations=25)
+    return refine(
+        model, data, _free(model, data), shape_prior=shape_prior, weights=weights, max_iterations=25
+    )
 
 
 def _data_cost(refined: Refined, data: Data) -> float:
@@ -225,12 +250,14 @@ def _pays(now: Refined, more: Refined, data: Data) -> bool:
 
 def all_visible(model: PlaneModel, data: Data) -> bool:
     """Whether every mode has a peak that the measured lines can show."""
-    omega = np.unique(data.plant.omega)
-    for nu, sigma in model.modes[:, :2]:
-        near = np.sort(np.abs(omega - nu))[:2].mean()
-        if nu > omega[-1] or not 1e-5 * nu < sigma < 0.2 * nu or sigma < 0.02 * near:
-            return False
-    return True
+    return all(is_visible(m[0], m[1], data.plant.omega) for m in model.modes)
+
+
+def is_visible(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:
+    """Whether a pole is a peak within the band, wide enough for the lines around it to tell."""
+    near = float(np.sort(np.abs(np.unique(omega) - nu_rad_s))[:2].mean())
+    in_band = nu_rad_s <= omega.max()
+    return bool(in_band and 1e-5 * nu_rad_s < sigma_rad_s < 0.2 * nu_rad_s and sigma_rad_s > 0.02 * near)
 
 
 def _rms(refined: Refined, data: Data) -> float:

@@ -27,8 +27,9 @@ class Uncertainty:
     adequate: bool
     """Whether the residuals are of the size of the noise."""
     widening: float
-    """Largest factor of a standard deviation."""
-    rms: float
+    """Largest factor by which a standard deviation is larger than noise alone would make it."""
+    scale: float
+    """Residuals in units of what the weights allow for."""
 
     def std(self, model: PlaneModel, of: Callable[[PlaneModel], Real]) -> tuple[Real, Real]:
         """Standard deviations of functions of the model: reported, and from data alone.
@@ -66,23 +67,23 @@ def uncertainty_of(refined: Refined, n_prior_rows: int, level: float = 0.999) ->
     data_rows, rest = jacobian[:n_data], residual[:n_data]
     dof = max(n_data - jacobian.shape[1], 1)
     chi = float(rest @ rest)
-    rms = float(np.sqrt(chi / dof))
+    scale = np.sqrt(chi / dof)
     total = covariance_of(jacobian)
     # noise alone: the prior's share of the information leaves P^-1 - Jp^T Jp, so cov_data = P Jd^T Jd P
     part = data_rows @ total
     from_data = part.T @ part
-    adequate = chi < chi2.ppf(level, dof)
+    adequate = refined.relative == 0 and chi < chi2.ppf(level, dof)
     widening = 1.0
     if not adequate:
-        prior_part = np.maximum(total - from_data, 0) * 0 + (total - from_data)
-        scaled = from_data * rms**2
+        prior_part = total - from_data
+        scaled = from_data * max(scale, 1.0) ** 2
         sandwich = _sandwich(part, rest)
         growth = np.sqrt(np.maximum(np.diag(scaled), np.diag(sandwich)) / np.maximum(np.diag(scaled), 1e-300))
         from_wrong = scaled * np.outer(growth, growth)
         new = from_wrong + prior_part
         widening = float(np.max(np.sqrt(np.diag(new) / np.diag(total))))
         total = new
-    return Uncertainty(total, from_data, refined.fit.free, bool(adequate), widening, rms)
+    return Uncertainty(total, from_data, refined.fit.free, bool(adequate), widening, float(scale))
 
 
 def _sandwich(influence: Real, residual: Real, bands: int = 24) -> Real:
