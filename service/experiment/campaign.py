@@ -4,28 +4,34 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from drivers.controller import Capabilities, Controller, State, TripCause
-from drivers.errors import CancelledError, ControllerError
+from drivers.controller import Capabilities, Controller, PointResult, State, Tone, TripCause
+from drivers.errors import BusError, CancelledError, ControllerError, TripError
 from service.experiment import file, journal, phases
 from service.experiment.data import Experiment
-from service.experiment.errors import CampaignError, ExperimentFileError
-from service.experiment.plan import Limits, Profile
-from service.experiment.points import experiment
+from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
+from service.experiment.plan import Limits, Profile, Request
+from service.experiment.points import Point, experiment
 from service.experiment.progress import Meter, ProgressCallback
-from service.experiment.rig_access import RigAccess
+from service.experiment.recorder import Recorder, Trip
 from sim.datasheet import Datasheet, to_toml
+
+T = TypeVar("T")
 
 EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
 PREVIOUS = "previous"
 WATCH_S = 0.1
+BUS_TRIES = 6
+"""With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
+FIRST_PAUSE_S = 0.1
 
 
 def run_campaign(
@@ -83,11 +89,11 @@ def run_campaign(
     capabilities = controller.capabilities()
     limits = checked_limits(capabilities, datasheet)
     prepare_folder(out_dir, resume)
-    header = fingerprint(capabilities, datasheet, profile)
+    speed = float(controller.status().speed_rad_s)
+    header = fingerprint(capabilities, datasheet, limits, profile) | {"about": {"speed_rad_s": speed}}
     log = journal.Journal(out_dir / JOURNAL, header)
     meter = Meter(progress)
-    done: dict[str, list[Any]] = {}
-    speed = 0.0
+    done: dict[str, list[Point]] = {}
 
     def assembled() -> Experiment:
         attributes = {"controller": capabilities.identity, "rig_seconds": f"{meter.rig_seconds:.3f}"}
@@ -103,14 +109,15 @@ def run_campaign(
 
     try:
         with _stopped_by(controller, cancelled), controller.lease(holder):
-            speed = _ready(controller)
-            access = RigAccess(controller, log, cancelled or (lambda: False))
-            phases.run(access, limits, profile, capabilities.raw_records, meter, done)
+            _make_ready(controller)
+            measure = _Patient(controller, cancelled or (lambda: False))
+            recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
+            phases.run(recorder, limits, profile, capabilities.raw_records, meter, done)
         result = assembled()
         _put_aside(out_dir / EXPERIMENT)
         file.write(out_dir / EXPERIMENT, result)
     except BaseException as error:
-        with suppress(ControllerError):
+        with suppress(Exception):  # the first error is the one to tell
             controller.stop()
         kept = _keep(out_dir / EXPERIMENT, assembled)
         log.close()
@@ -123,6 +130,38 @@ def run_campaign(
     log.close()
     (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
+
+
+class _EndOfJournal(Exception):
+    """The way out of a replay: nothing more was measured."""
+
+
+def recover(out_dir: Path) -> Experiment:
+    """What the journal of an interrupted campaign holds, without a controller.
+
+    Raises
+    ------
+    JournalError
+        There is no journal in ``out_dir``, or it cannot be read.
+    """
+    header, entries = journal.read(out_dir / JOURNAL)
+
+    def measure(_: Request) -> Trip:
+        raise _EndOfJournal
+
+    try:
+        limits, profile = Limits(**header["limits"]), Profile(**header["profile"])
+        harmonics, about = tuple(header["harmonics"]), header["about"]
+    except (KeyError, TypeError) as error:
+        raise JournalError(f"{out_dir / JOURNAL} was written by another version: {error}; resume with that") from error
+    recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics)
+    done: dict[str, list[Point]] = {}
+    with suppress(_EndOfJournal):
+        phases.run(recorder, limits, profile, header["raw_records"], Meter(None), done)
+    attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
+    return experiment(
+        header["rig"], tuple(header["axes"]), done, harmonics, limits.sample_rate_hz, about["speed_rad_s"], attributes
+    )
 
 
 def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
@@ -176,23 +215,58 @@ def prepare_folder(out_dir: Path, resume: bool) -> None:
         _put_aside(out_dir / JOURNAL)
 
 
-def fingerprint(capabilities: Capabilities, datasheet: Datasheet, profile: Profile) -> journal.Entry:
+def fingerprint(capabilities: Capabilities, datasheet: Datasheet, limits: Limits, profile: Profile) -> journal.Entry:
     """What must be the same for a journal to be continued."""
-    c = capabilities
     return {
         "rig": datasheet.name,
-        "controller": c.identity,
-        "axes": list(c.axes),
-        "sample_rate_hz": float(c.sample_rate_hz),
-        "limits": [float(c.max_amplitude_a), float(c.displacement_limit_m), float(c.current_limit_a)],
-        "harmonics": list(c.harmonics),
+        "controller": capabilities.identity,
+        "axes": list(capabilities.axes),
+        "harmonics": list(capabilities.harmonics),
+        "raw_records": capabilities.raw_records,
+        "limits": asdict(limits),
         "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
         "profile": asdict(profile),
     }
 
 
-def _ready(controller: Controller) -> float:
-    """Speed of the rig, rad/s; a latched trip is acknowledged only if it was a host that went away."""
+class _Patient:
+    """Plays tones on a leased controller, and gives a failing bus time to come back."""
+
+    def __init__(self, controller: Controller, cancelled: Callable[[], bool]) -> None:
+        self._controller = controller
+        self._cancelled = cancelled
+
+    def __call__(self, request: Request) -> PointResult | Trip:
+        """One tone, or how it tripped; the trip is acknowledged."""
+        tone = Tone(**asdict(request))
+        for attempt in range(BUS_TRIES):
+            if self._cancelled():
+                raise CancelledError("the campaign was cancelled; the excitation is off")
+            try:
+                return self._through(lambda: self._controller.measure(tone))
+            except TripError as trip:
+                self._through(self._controller.acknowledge)
+                if trip.cause != "host":
+                    return Trip(trip.cause, str(trip))
+                # a watchdog that tripped says something of the bus, not of the tone
+                if attempt == BUS_TRIES - 1:
+                    raise
+        raise AssertionError("the last attempt returns or raises")
+
+    def _through(self, call: Callable[[], T]) -> T:
+        """Result of a call over the bus, tried again while the bus fails."""
+        pause = FIRST_PAUSE_S
+        for _ in range(BUS_TRIES - 1):
+            try:
+                return call()
+            except BusError:
+                time.sleep(pause)
+                pause *= 2
+        return call()
+
+
+def _make_ready(controller: Controller) -> None:
+    """Refuse a rig that is off or tripped; the trip of a host that went away, as a killed run does, is acknowledged."""
     status = controller.status()
     if status.state == State.TRIPPED:
         if status.trip != TripCause.HOST:
@@ -202,7 +276,6 @@ def _ready(controller: Controller) -> float:
         controller.acknowledge()
     if status.state == State.OFF:
         raise CampaignError("the rotor does not levitate: the controller is off; switch it on first")
-    return float(status.speed_rad_s)
 
 
 @contextmanager

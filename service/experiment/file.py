@@ -47,7 +47,10 @@ def read(path: Path | str) -> Experiment:
                 return _from_tree(path, matlab.version_73(file))
             return _from_tree(path, _hdf5_tree(path, file))
     except FileNotFoundError as error:
-        raise ExperimentFileError(f"{path} does not exist; give the path of an experiment file") from error
+        remedy = "give the path of an experiment file"
+        if path.with_suffix(".journal").exists():
+            remedy = "an interrupted campaign lies beside it: resume that"
+        raise ExperimentFileError(f"{path} does not exist; {remedy}") from error
     except (OSError, RuntimeError, KeyError, EOFError, matlab.MatReadError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ExperimentFileError(

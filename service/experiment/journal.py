@@ -12,6 +12,8 @@ import base64
 import json
 import os
 import zlib
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +103,7 @@ class Journal:
     path
         The file. It is made with ``header`` when it does not exist, or holds not even a whole header.
     header
-        What the campaign is; an existing journal must have the same.
+        What the campaign is; an existing journal must have the same, but for what is under "about".
 
     Raises
     ------
@@ -118,10 +120,12 @@ class Journal:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise ExperimentFileError(f"cannot write {path}: {error}; choose another folder") from error
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="journal")
+        self._forcing: Future[None] | None = None
         try:
             self.found = self._recover(header)
         except BaseException:
-            os.close(self._descriptor)
+            self.close()
             raise
 
     def _recover(self, header: Entry) -> list[Entry]:
@@ -129,7 +133,7 @@ class Journal:
         found, good = entries(content)
         if not found and b"\n" in content:
             raise JournalError(f"{self.path} is not a campaign journal; move it away to start anew")
-        if found and found[0] != json.loads(json.dumps(header, default=_encoded)):
+        if found and _compared(found[0]) != _compared(json.loads(json.dumps(header, default=_encoded))):
             raise JournalError(
                 f"{self.path} belongs to {_difference(found[0], header)}; "
                 "choose another folder, or start anew without resuming"
@@ -146,25 +150,45 @@ class Journal:
         return found[1:]
 
     def append(self, entry: Entry) -> None:
-        """Add an entry; when this returns it survives a crash."""
+        """Add an entry.
+
+        When this returns the entry survives the end of this process, however sudden. It is being forced to the
+        disk's platter while the rig measures the next point, and is there before the next entry is written: a power
+        failure can cost one point.
+        """
         data = memoryview(line(entry))
         try:
+            self._forced()
             while data:
                 data = data[os.write(self._descriptor, data) :]
-            os.fsync(self._descriptor)
         except OSError as error:
             raise ExperimentFileError(f"cannot write {self.path}: {error}; free space and resume") from error
+        self._forcing = self._disk.submit(os.fsync, self._descriptor)
+
+    def _forced(self) -> None:
+        """Wait until what was written is on the platter."""
+        if self._forcing is not None:
+            forcing, self._forcing = self._forcing, None
+            forcing.result()
 
     def close(self) -> None:
         """Close the file; it stays on disk. Safe twice."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        if self._descriptor < 0:
+            return
+        with suppress(OSError):
+            self._forced()
+        self._disk.shutdown()
+        os.close(self._descriptor)
+        self._descriptor = -1
+
+
+def _compared(header: Entry) -> Entry:
+    return {k: v for k, v in header.items() if k != "about"}
 
 
 def _difference(found: Entry, wanted: Entry) -> str:
     """The first thing in which two headers differ, in words."""
-    for key in wanted:
+    for key in _compared(wanted):
         if found.get(key) != wanted[key]:
             return f"another campaign (its {key} is {_short(found.get(key))}, not {_short(wanted[key])})"
     return "another campaign"

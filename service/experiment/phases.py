@@ -25,7 +25,7 @@ from service.experiment.plan import Aim, Limits, Profile, Request
 from service.experiment.points import Point, responses, unmeasured
 from service.experiment.progress import Meter
 from service.experiment.quality import judge
-from service.experiment.rig_access import RigAccess, Trip
+from service.experiment.recorder import Recorder, Trip
 from service.experiment.settling import Agreement, longer, stationary
 
 Real = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Phases:
 
     Parameters
     ----------
-    access
+    recorder
         The rig, through the journal.
     limits, profile
         What is allowed and what is wanted.
@@ -54,9 +54,9 @@ class Phases:
     """
 
     def __init__(
-        self, access: RigAccess, limits: Limits, profile: Profile, meter: Meter, done: dict[str, list[Point]]
+        self, recorder: Recorder, limits: Limits, profile: Profile, meter: Meter, done: dict[str, list[Point]]
     ) -> None:
-        self.access, self.limits, self.profile, self.meter, self.done = access, limits, profile, meter, done
+        self.recorder, self.limits, self.profile, self.meter, self.done = recorder, limits, profile, meter, done
         self.aims = plan.aims(profile, limits)
         self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
 
@@ -77,7 +77,7 @@ class Phases:
                 "frequency_hz": spectra.frequency_hz,
                 "lines_hz": list(spectra.lines_hz),
                 **{f"density_{s}": d for s, d in spectra.density.items()},
-                **_lines(records, samples, blocks, self.access.harmonics),
+                **_lines(records, samples, blocks, self.recorder.harmonics),
             }
 
         found = self._certainly("noise", request, reduction)
@@ -95,7 +95,7 @@ class Phases:
                 Y=found["Y"][j],
                 peak_displacement_m=0.0,
                 peak_current_a=0.0,
-                time_s=self.access.rig_seconds,
+                time_s=self.recorder.rig_seconds,
             )
             for j, k in enumerate(found["periods"])
         ]
@@ -117,14 +117,14 @@ class Phases:
         self.knowledge = Knowledge(noise.from_blocks(f, values, block), self.limits.n_axes)
 
     def _tone_at_rest(self, request: Request) -> Point:
-        outcome = self.access.measure("noise", request)
+        outcome = self.recorder.point("noise", request)
         if isinstance(outcome, Trip):
             raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
         self._report("noise", f"{outcome.frequency_hz:.4g} Hz at rest")
         return outcome
 
     def _certainly(self, phase: str, request: Request, reduction: Any) -> dict[str, Any]:
-        outcome = self.access.reduce(phase, request, reduction)
+        outcome = self.recorder.reduced(phase, request, reduction)
         if isinstance(outcome, Trip):
             raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
         return outcome
@@ -145,7 +145,7 @@ class Phases:
                 spectra = noise.spectra(noise.without_mean_block(records, samples), rate)
                 return {"frequency_hz": spectra.frequency_hz} | {f"density_{s}": d for s, d in spectra.density.items()}
 
-            outcome = self.access.reduce("periodic", request, reduction)
+            outcome = self.recorder.reduced("periodic", request, reduction)
             if not isinstance(outcome, Trip):
                 excited = NoiseSpectra(outcome["frequency_hz"], {s: outcome[f"density_{s}"] for s in noise.SIGNALS})
                 self.knowledge.noise = self.knowledge.noise.joined(excited)
@@ -238,7 +238,7 @@ class Phases:
         ceiling = math.inf
         tries = self.profile.tries
         while tries > 0:
-            outcome = self.access.measure(phase, request)
+            outcome = self.recorder.point(phase, request)
             if isinstance(outcome, Trip):
                 self.knowledge.tripped(request.axis)
                 trips += 1
@@ -250,7 +250,7 @@ class Phases:
                     why = f"not measured: {outcome.cause} trip at every amplitude down to {request.amplitude_a:.2g} A"
                     f = request.frequency_hz(rate)
                     return unmeasured(
-                        request, f, self.limits.n_axes, len(self.access.harmonics), self.access.rig_seconds, why
+                        request, f, self.limits.n_axes, len(self.recorder.harmonics), self.recorder.rig_seconds, why
                     )
                 request = request.with_amplitude(ceiling)
                 continue
@@ -294,8 +294,8 @@ class Phases:
         self.meter.total += (found - planned) * self.limits.n_axes
 
     def _report(self, phase: str, last: str) -> None:
-        self.meter.rig_seconds = self.access.rig_seconds
-        self.meter.finished(phase, last, self.access.replaying)
+        self.meter.rig_seconds = self.recorder.rig_seconds
+        self.meter.finished(phase, last, self.recorder.replaying)
 
 
 def _mark(flags: list[str], flag: str) -> None:
@@ -315,7 +315,7 @@ def _lines(records: dict[str, Real], samples: int, blocks: int, harmonics: tuple
 
 
 def run(
-    access: RigAccess,
+    recorder: Recorder,
     limits: Limits,
     profile: Profile,
     raw_records: bool,
@@ -323,7 +323,7 @@ def run(
     done: dict[str, list[Point]],
 ) -> None:
     """All phases in order; points appear in ``done`` as they are finished."""
-    phases = Phases(access, limits, profile, meter, done)
+    phases = Phases(recorder, limits, profile, meter, done)
     meter.total = phases.expected() + (1 + limits.n_axes if raw_records else profile.coarse_points)
     steps: Iterable[Any] = (
         (lambda: phases.noise_step(raw_records)),

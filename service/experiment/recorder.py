@@ -1,0 +1,157 @@
+"""Every measurement is in the journal before the next one begins, and is never made twice.
+
+A resumed campaign asks the same questions in the same order. As long as the journal has answers they are returned at
+once, and the rig rests; where it ends, the rig goes on. No driver is known here: whoever moves the rig hands over a
+function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.errors import CampaignError, JournalError
+from service.experiment.journal import Entry
+from service.experiment.plan import Request
+from service.experiment.points import Point
+
+Reduction = Callable[[dict[str, NDArray[np.float64]]], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A tone that tripped instead of giving a point; acknowledged."""
+
+    cause: str
+    message: str
+
+
+class Answer(Protocol):
+    """What the rig gave for a tone: the fields of `drivers.controller.PointResult` that are kept."""
+
+    @property
+    def R(self) -> NDArray[np.complex128]:
+        """(blocks, H, n_axes), A; so are U, I, and Y in m."""
+
+    @property
+    def U(self) -> NDArray[np.complex128]: ...  # noqa: D102
+
+    @property
+    def I(self) -> NDArray[np.complex128]: ...  # noqa: D102, E743
+
+    @property
+    def Y(self) -> NDArray[np.complex128]: ...  # noqa: D102
+
+    @property
+    def peak_displacement_m(self) -> float: ...  # noqa: D102
+
+    @property
+    def peak_current_a(self) -> float: ...  # noqa: D102
+
+    @property
+    def rig_seconds(self) -> float: ...  # noqa: D102
+
+    @property
+    def records(self) -> dict[str, NDArray[np.float64]] | None: ...  # noqa: D102
+
+
+class Recorder:
+    """Measures through a journal.
+
+    Parameters
+    ----------
+    measure
+        Plays one tone on the rig, or says how it tripped.
+    found
+        Entries of the journal of an earlier run.
+    append
+        Puts an entry in the journal.
+    sample_rate_hz, harmonics
+        Of the controller.
+    """
+
+    def __init__(
+        self,
+        measure: Callable[[Request], Answer | Trip],
+        found: list[Entry],
+        append: Callable[[Entry], None],
+        sample_rate_hz: float,
+        harmonics: tuple[int, ...],
+    ) -> None:
+        self._measure = measure
+        self._append = append
+        self._found = list(reversed(found))
+        self._rate = sample_rate_hz
+        self.harmonics = harmonics
+        self.rig_seconds = 0.0
+        """Rig time spent so far, by this run and by those that it goes on from."""
+
+    @property
+    def replaying(self) -> bool:
+        """Whether the next answer comes from the journal."""
+        return bool(self._found)
+
+    def point(self, phase: str, request: Request) -> Point | Trip:
+        """One tone: a point, or the trip in which it ended."""
+        entry = self._entry(phase, request, None)
+        if entry["outcome"] == "trip":
+            return Trip(entry["cause"], entry["message"])
+        return Point(
+            request=request,
+            frequency_hz=request.frequency_hz(self._rate),
+            R=entry["R"],
+            U=entry["U"],
+            I=entry["I"],
+            Y=entry["Y"],
+            peak_displacement_m=entry["peak_displacement_m"],
+            peak_current_a=entry["peak_current_a"],
+            time_s=entry["time_s"],
+        )
+
+    def reduced(self, phase: str, request: Request, reduction: Reduction) -> dict[str, Any] | Trip:
+        """One tone with its records, of which only ``reduction(records)`` is kept."""
+        entry = self._entry(phase, request, reduction)
+        if entry["outcome"] == "trip":
+            return Trip(entry["cause"], entry["message"])
+        result: dict[str, Any] = entry["reduced"]
+        return result
+
+    def _entry(self, phase: str, request: Request, reduction: Reduction | None) -> Entry:
+        asked = {"phase": phase, "request": asdict(request)}
+        if self._found:
+            entry = self._found.pop()
+            if {k: entry.get(k) for k in asked} != asked:
+                raise JournalError(
+                    f"the journal was written by another plan: its next point is {entry.get('request')}, "
+                    f"this one asks for {asked['request']}; start anew without resuming"
+                )
+        else:
+            entry = asked | self._live(request, reduction)
+            self._append(entry)
+        self.rig_seconds = entry["time_s"]
+        return entry
+
+    def _live(self, request: Request, reduction: Reduction | None) -> Entry:
+        answer = self._measure(request)
+        if isinstance(answer, Trip):
+            return {
+                "outcome": "trip",
+                "cause": answer.cause,
+                "message": answer.message,
+                "time_s": self.rig_seconds + request.seconds(self._rate),
+            }
+        entry: Entry = {
+            "outcome": "point",
+            "peak_displacement_m": float(answer.peak_displacement_m),
+            "peak_current_a": float(answer.peak_current_a),
+            "time_s": self.rig_seconds + float(answer.rig_seconds),
+        }
+        if reduction is None:
+            return entry | {"R": answer.R, "U": answer.U, "I": answer.I, "Y": answer.Y}
+        if answer.records is None:
+            raise CampaignError("the controller sent no records although its capabilities promise them")
+        return entry | {"reduced": reduction(answer.records)}
