@@ -14,9 +14,11 @@ from sim.rig import Array, Magnets, Rig
 
 Complex = NDArray[np.complex128]
 
-PLAY_THRESHOLDS_A = 3.0 * (np.arange(1, 25) / 24) ** 2
-"""Thresholds of the plays that make a Rayleigh loop, graded so that small currents see several of them."""
-PLAY_WEIGHTS_A = np.diff(np.concatenate([[0.0], PLAY_THRESHOLDS_A]))
+_PLAY_EDGES_A = 3.0 * (np.arange(33) / 32) ** 2
+PLAY_THRESHOLDS_A = (_PLAY_EDGES_A[1:] + _PLAY_EDGES_A[:-1]) / 2
+"""Thresholds of the plays that make a Rayleigh loop, graded so that small currents see several of them; in the
+middle of their share of the current, so that the sum of plays is the loop to second order."""
+PLAY_WEIGHTS_A = np.diff(_PLAY_EDGES_A)
 
 
 def saturated(m: Magnets, current_a: Array) -> Array:

@@ -109,7 +109,7 @@ def force_rotation(rig: Rig) -> Array:
     if n != 4:
         return np.eye(n)
     c, s = math.cos(angle), math.sin(angle)
-    return np.kron(np.array([[c, share - s], [share + s, c]]), np.eye(2))
+    return np.kron(np.array([[c, share + s], [share - s, c]]), np.eye(2))
 
 
 @dataclass(frozen=True)
@@ -135,6 +135,8 @@ class LinearModel:
     """Displacement at the bearings per force there, the magnets' stiffness closed, m/N."""
     y_per_force: Complex
     """Sensor signal per force at the bearings, the magnets' stiffness closed, m/N."""
+    log_phase: Complex
+    """exp(-j w T n) of a log whose u is n samples early, in ``i_per_u`` and ``y_per_u``, (F,)."""
 
     @property
     def y_per_i(self) -> Complex:
@@ -143,9 +145,16 @@ class LinearModel:
 
     @property
     def sensitivity(self) -> Complex:
-        """u per r, (I + C G)^-1."""
+        """(I + C G)^-1, G from the u and y that are logged; u per r where the log is right."""
         n = self.y_per_u.shape[-1]
         return np.asarray(np.linalg.inv(np.eye(n) + self.controller[:, None, None] * self.y_per_u))
+
+    @property
+    def u_per_r(self) -> Complex:
+        """Logged u per r of the loop that runs, whatever the log: its size is the sensitivity of that loop."""
+        n = self.y_per_u.shape[-1]
+        loop = self.log_phase[:, None, None] * np.eye(n) + self.controller[:, None, None] * self.y_per_u
+        return np.asarray(np.linalg.inv(loop))
 
 
 def _transposed(a: Complex) -> Complex:
@@ -186,7 +195,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     for k in (-1, 1):
         w = omega + k * 2 * np.pi / period
         gain = sensor.response(rig.sensors, w) / -(w**2)[:, None]
-        image = limit * (point.ki * actuator.eddy_factor(rig.magnets.eddy_time_constant_s, np.abs(w)))[:, None, :]
+        image = limit * (point.ki * actuator.eddy_factor(rig.magnets.eddy_time_constant_s, w))[:, None, :]
         y_per_u = y_per_u + gain[:, :, None] * image @ baseband(w)
     i_per_u = amplifier.sampled(rig.amplifiers, omega, period, delay)[:, :, None] * cross
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
@@ -201,4 +210,5 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
         bearing_per_force @ magnet @ base,
         bearing_per_force,
         y_per_force,
+        logged_early[:, 0, 0],
     )

@@ -25,7 +25,7 @@ EFFECT = Effect(
             "s/A",
             2e-5,
             2e-3,
-            5e-4,
+            2.5e-4,
             0.0,
             "log",
             "inverse of the largest |di/dt| = U/L",

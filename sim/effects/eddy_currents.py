@@ -34,7 +34,7 @@ EFFECT = Effect(
     apply=_apply,
     law="flux/current = 1/(1 + sqrt(s tau))",
     signature="y/i: phase lag and gain loss both grow with the root of frequency, at any amplitude",
-    aliases=("sensor_lag", "magnetic_hysteresis", "loop_delay"),
+    aliases=("sensor_lag", "magnetic_hysteresis", "loop_delay", "amplifier_bandwidth"),
     separated_by="a wide band: dln|H|/darg H is 1 here, wT/2 for a first-order lag, 0 for a delay; "
     "a sweep of amplitude at low frequency for hysteresis",
     source="Zhu, Knospe and Maslen, Analytic model for a nonlaminated cylindrical magnetic actuator including eddy "

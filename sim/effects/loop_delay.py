@@ -19,7 +19,7 @@ EFFECT = Effect(
     apply=_apply,
     law="i(t) = A(s) u(t - tau)",
     signature="i/u: phase falls linearly with frequency, gain unchanged, the same at any amplitude",
-    aliases=("amplifier_bandwidth", "logging_offset", "sensor_lag"),
+    aliases=("amplifier_bandwidth", "logging_offset", "sensor_lag", "eddy_currents"),
     separated_by="logged i; gain of i/u against its phase; with an offset of the log only, U - R + C Y is not nil",
     source="Franklin, Powell and Workman, Digital Control of Dynamic Systems, 3rd ed., section 5.3",
 )

@@ -27,7 +27,8 @@ EFFECT = Effect(
         Parameter("symmetric_share", "1", -0.2, 0.2, 0.01, 0.0, description="share of the flux that closes across"),
     ),
     apply=_apply,
-    law="f = (Rot(phi) + c [[0, 1], [1, 0]]) f0 at each bearing, f0 of the uncoupled magnets",
+    law="f_x = cos(phi) f0_x + (c + sin(phi)) f0_y, f_y = (c - sin(phi)) f0_x + cos(phi) f0_y, "
+    "f0 of the uncoupled magnets",
     signature="off-diagonal x-y of y/i at standstill, at all frequencies in proportion to the diagonal",
     aliases=("cross_coupled_stiffness", "gyroscopic_coupling"),
     separated_by="a seal is antisymmetric and quasi-static only; gyroscopic coupling vanishes at standstill",
