@@ -208,8 +208,7 @@ class RemoteController:
                 return
             if values["command"] != command and not self._holds(values):
                 raise LeaseError(str(values.get("lease_holder", "")), _number(values.get("lease_seconds_left", 0.0)))
-            with self._lock:
-                self._link.wait_for_change(pause)
+            self._link.wait_for_change(pause)
             pause = min(2 * pause, POLL_S)
 
     def _judge(self, outcome: Outcome, values: Values) -> None:

@@ -54,6 +54,14 @@ def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:
     return rtu_links(url.path, _whole(query, "baud", 115200), _whole(query, "unit", 1), _map(query))
 
 
+def _canopen(url: SplitResult, query: Query) -> LinkFactory:
+    from drivers.canopen.driver import CanopenLinks
+
+    if "node" not in query:
+        raise ControllerError(f"{url.geturl()!r} names no node; write canopen://socketcan/can0?node=5")
+    return CanopenLinks(url.netloc + url.path, _whole(query, "node", 0), _whole(query, "bitrate", 1_000_000))
+
+
 def _replay(url: SplitResult, query: Query) -> LinkFactory:
     return replay_links(Path(url.netloc + url.path))
 
@@ -62,6 +70,7 @@ _BUSES: dict[str, tuple[Callable[[SplitResult, Query], LinkFactory], frozenset[s
     "modbus": (_modbus, frozenset({"unit", "map"})),
     "modbuss": (_modbus_tls, frozenset({"unit", "map", "ca", "cert", "key"})),
     "modbus+rtu": (_modbus_rtu, frozenset({"unit", "map", "baud"})),
+    "canopen": (_canopen, frozenset({"node", "bitrate"})),
     "replay": (_replay, frozenset()),
 }
 _IN_PROCESS = {"simulated": frozenset({"rig", "seed"})}
@@ -77,6 +86,9 @@ def connect(url: str, rig: Rig | None = None) -> Controller:
     ``modbus://host:502?unit=1``                                 Modbus TCP
     ``modbuss://host:802?ca=ca.pem&cert=host.pem&key=host.key``  Modbus TCP in TLS
     ``modbus+rtu:///dev/ttyUSB0?baud=115200``                    Modbus RTU
+    ``canopen://socketcan/can0?node=5&bitrate=1000000``          CANopen; also ``socketcand/host:port/can0``,
+                                                                 ``udp_multicast/239.74.163.2:43113`` and
+                                                                 ``virtual/name`` (one process)
     ``replay:///path/session.jsonl``                             a recorded session
     ============================================================ ==============================================
 

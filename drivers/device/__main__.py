@@ -9,11 +9,13 @@ from pathlib import Path
 from drivers.device.machine import WATCHDOG_S, RigDevice
 from drivers.device.rigs import RigOptions, build_rig
 from drivers.device.serve import (
+    CanOptions,
     EventLog,
     ModbusOptions,
     RtuOptions,
     Served,
     run,
+    serve_canopen,
     serve_modbus,
     serve_modbus_rtu,
     serve_modbus_tls,
@@ -23,7 +25,7 @@ from sim.errors import AmbError
 
 def _parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m drivers.device", description="A simulated rig as a device on a bus.")
-    p.add_argument("--protocol", choices=("modbus", "modbus-tls", "modbus-rtu"), default="modbus")
+    p.add_argument("--protocol", choices=("modbus", "modbus-tls", "modbus-rtu", "canopen"), default="modbus")
     p.add_argument("--rig", type=Path, help="datasheet; the reference rig without it")
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--effect", action="append", default=[], help="id, id=value or id:name=value,name=value")
@@ -38,12 +40,18 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--key", type=Path)
     p.add_argument("--client-ca", type=Path)
     p.add_argument("--device", default="", help="serial port of modbus-rtu; a pseudo-terminal without it")
+    p.add_argument("--bus", default="", help="CAN bus of canopen; a socketcand hub of its own without it")
+    p.add_argument("--node", type=int, default=5)
+    p.add_argument("--bitrate", type=int, default=1_000_000)
+    p.add_argument("--throttle", action="store_true", help="hold the hub's frames back to the bit rate")
     return p
 
 
 def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
     if a.protocol == "modbus-rtu":
         return serve_modbus_rtu(device, RtuOptions(a.device, unit=a.unit, map=a.map))
+    if a.protocol == "canopen":
+        return serve_canopen(device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle))
     options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca)
     return serve_modbus(device, options) if a.protocol == "modbus" else serve_modbus_tls(device, options)
 

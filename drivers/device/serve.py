@@ -57,6 +57,19 @@ class RtuOptions:
 
 
 @dataclass(frozen=True)
+class CanOptions:
+    """CANopen. ``bus`` is an address of `drivers.canopen.bus`; empty starts a hub that speaks socketcand."""
+
+    bus: str = ""
+    node: int = 5
+    bitrate: int = 1_000_000
+    hub_host: str = "127.0.0.1"
+    hub_port: int = 0
+    throttle: bool = False
+    """Hold the hub's frames back to the bit rate."""
+
+
+@dataclass(frozen=True)
 class Served:
     """A device on a bus."""
 
@@ -135,6 +148,33 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
         close_port()
 
     return Served(f"modbus+rtu://{name}?baud={options.baud}&unit={options.unit}", device, shut)
+
+
+def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
+    """The device as a CANopen node, on a bus that exists or on a hub of its own."""
+    from drivers.device.canopen import CanopenNode
+    from drivers.device.hub import CanHub
+
+    if not 1 <= options.node <= 127:
+        raise ControllerError(f"a CANopen node has a number from 1 to 127, not {options.node}")
+    hub = None
+    address = options.bus
+    if not address:
+        hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None)
+        address = f"socketcand/{hub.host}:{hub.port}/can0"
+    try:
+        node = CanopenNode(DeviceFront(device, "little"), address, options.node, options.bitrate)
+    except ControllerError:
+        if hub is not None:
+            hub.close()
+        raise
+
+    def shut() -> None:
+        node.close()
+        if hub is not None:
+            hub.close()
+
+    return Served(f"canopen://{address}?node={options.node}&bitrate={options.bitrate}", device, shut)
 
 
 class EventLog:

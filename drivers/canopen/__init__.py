@@ -1,0 +1,1 @@
+"""CANopen: object dictionary and EDS, codec, driver."""
