@@ -30,6 +30,8 @@ class NoiseSpectra:
     """"u", "i" in A^2/Hz and "y" in m^2/Hz, (F, n_axes) each."""
     lines_hz: tuple[float, ...] = ()
     """Spectral lines found in the zero-excitation record."""
+    raw: dict[str, Real] | None = None
+    """The same densities before smoothing, lines and all, when ``frequency_hz`` is evenly spaced."""
 
     def at(self, frequency_hz: float) -> dict[str, Real]:
         """Densities at a frequency, (n_axes,) each, log-log interpolated and held beyond the ends."""
@@ -39,17 +41,28 @@ class NoiseSpectra:
         return {s: np.exp((1 - w) * np.log(d[k - 1]) + w * np.log(d[k])) for s, d in self.density.items()}
 
     def block_variance(self, frequency_hz: float, seconds: float) -> dict[str, Real]:
-        """Variance E|X|^2 of a complex amplitude measured over ``seconds``: 2 S / T, (n_axes,) each."""
-        return {s: 2 * d / seconds for s, d in self.at(frequency_hz).items()}
+        """Variance E|X|^2 of a complex amplitude measured over ``seconds``, (n_axes,) each.
+
+        2 S / T in a smooth spectrum. A line beside the frequency leaks into a short block: as long as the spectrum
+        resolves the block's width 1/T, S is averaged over the block's own window, sinc^2.
+        """
+        step = float(self.frequency_hz[1] - self.frequency_hz[0])
+        if self.raw is None or seconds * step > 1:
+            return {s: 2 * d / seconds for s, d in self.at(frequency_hz).items()}
+        window = np.sinc((self.frequency_hz - frequency_hz) * seconds) ** 2
+        return {s: 2 * step * (window @ d) for s, d in self.raw.items()}
 
     def joined(self, other: NoiseSpectra) -> NoiseSpectra:
         """The larger of both at every frequency."""
         density = {s: d.copy() for s, d in self.density.items()}
+        raw = None if self.raw is None else {s: d.copy() for s, d in self.raw.items()}
         for k, f in enumerate(self.frequency_hz):
             more = other.at(float(f))
             for s in density:
                 density[s][k] = np.maximum(density[s][k], more[s])
-        return NoiseSpectra(self.frequency_hz, density, self.lines_hz)
+                if raw is not None:
+                    raw[s][k] = np.maximum(raw[s][k], more[s])
+        return NoiseSpectra(self.frequency_hz, density, self.lines_hz, raw)
 
 
 def welch(signal: Real, sample_rate_hz: float) -> tuple[Real, Real]:
@@ -87,18 +100,16 @@ def spectra(records: dict[str, Real], sample_rate_hz: float) -> NoiseSpectra:
     """
     lines: set[float] = set()
     density: dict[str, Real] = {}
+    raw: dict[str, Real] = {}
     frequency = np.zeros(0)
     for s in SIGNALS:
-        frequency, raw = welch(records[s], sample_rate_hz)
-        frequency, raw = frequency[1:], raw[1:]
-        floor = smoothed(raw)
-        for k in range(1, len(frequency) - 1):
-            column = raw[k] / floor[k]
-            if np.any((column > LINE_RATIO) & (raw[k] >= raw[k - 1]) & (raw[k] >= raw[k + 1])):
-                lines.add(float(frequency[k]))
-        # finer than the floor: a resonance of the loop makes a narrow rise of the noise
-        density[s] = smoothed(raw, 1 / 24)
-    return NoiseSpectra(frequency, density, tuple(sorted(lines)))
+        frequency, p = welch(records[s], sample_rate_hz)
+        frequency, p = frequency[1:], np.maximum(p[1:], np.finfo(float).tiny)
+        high = np.any((p > LINE_RATIO * smoothed(p))[1:-1] & (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]), axis=1)
+        lines |= set(frequency[1:-1][high].tolist())
+        # finer than for the lines: a resonance of the loop makes a narrow rise of the noise
+        density[s], raw[s] = smoothed(p, 1 / 24), p
+    return NoiseSpectra(frequency, density, tuple(sorted(lines)), raw)
 
 
 def without_mean_block(records: dict[str, Real], block_samples: int) -> dict[str, Real]:

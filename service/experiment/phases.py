@@ -26,7 +26,7 @@ from service.experiment.points import Point, responses, unmeasured
 from service.experiment.progress import Meter
 from service.experiment.quality import judge
 from service.experiment.recorder import Recorder, Trip
-from service.experiment.settling import Agreement, longer, stationary
+from service.experiment.settling import Agreement, longer, stationary, tolerable
 
 Real = NDArray[np.float64]
 
@@ -74,16 +74,12 @@ class Phases:
         def reduction(records: dict[str, Real]) -> dict[str, Any]:
             spectra = noise.spectra(records, rate)
             return {
-                "frequency_hz": spectra.frequency_hz,
-                "lines_hz": list(spectra.lines_hz),
-                **{f"density_{s}": d for s, d in spectra.density.items()},
+                **_stored(spectra),
                 **_lines(records, samples, blocks, self.recorder.harmonics),
             }
 
         found = self._certainly("noise", request, reduction)
-        spectra = NoiseSpectra(
-            found["frequency_hz"], {s: found[f"density_{s}"] for s in noise.SIGNALS}, tuple(found["lines_hz"])
-        )
+        spectra = _restored(found)
         self.knowledge = Knowledge(spectra, self.limits.n_axes)
         self.done["noise"] = [
             Point(
@@ -143,12 +139,11 @@ class Phases:
 
             def reduction(records: dict[str, Real]) -> dict[str, Any]:
                 spectra = noise.spectra(noise.without_mean_block(records, samples), rate)
-                return {"frequency_hz": spectra.frequency_hz} | {f"density_{s}": d for s, d in spectra.density.items()}
+                return _stored(spectra)
 
             outcome = self.recorder.reduced("periodic", request, reduction)
             if not isinstance(outcome, Trip):
-                excited = NoiseSpectra(outcome["frequency_hz"], {s: outcome[f"density_{s}"] for s in noise.SIGNALS})
-                self.knowledge.noise = self.knowledge.noise.joined(excited)
+                self.knowledge.noise = self.knowledge.noise.joined(_restored(outcome))
             self._report("noise", f"axis {axis} periodic record at {frequency:.4g} Hz")
 
     # ---- sweeps
@@ -270,16 +265,21 @@ class Phases:
                 _mark(flags, f"repeated at {'lower' if verdict.too_large else 'higher'} amplitude")
                 request = request.with_amplitude(a)
                 continue
-            steady = verdict.agreement.settled or (bool(attempts) and stationary(attempts[-1][1], verdict.agreement))
-            if steady:
+            if verdict.agreement.settled:
                 break
-            if not tries:
-                _mark(flags, "not settled")
+            if attempts and stationary(attempts[-1][1], verdict.agreement):
+                if not tolerable(verdict.agreement):
+                    _mark(flags, "scatters more than the noise at rest")
                 break
             attempts.append((waited, verdict.agreement))
             before = attempts[-2] if len(attempts) > 1 else None
-            settle = longer(waited, verdict.agreement, request.samples / rate, before)
-            request = replace(request, settle_samples=math.ceil(settle * rate))
+            settle = plan.longest_settling(
+                request, self.limits, longer(waited, verdict.agreement, request.samples / rate, before)
+            )
+            if not tries or settle <= request.settle_samples:
+                _mark(flags, "not settled")
+                break
+            request = replace(request, settle_samples=settle)
         assert best is not None
         return replace(best, flag="; ".join(flags))
 
@@ -296,6 +296,21 @@ class Phases:
     def _report(self, phase: str, last: str) -> None:
         self.meter.rig_seconds = self.recorder.rig_seconds
         self.meter.finished(phase, last, self.recorder.replaying)
+
+
+def _stored(spectra: NoiseSpectra) -> dict[str, Any]:
+    """Spectra as a journal keeps them."""
+    assert spectra.raw is not None
+    return {
+        "noise_hz": spectra.frequency_hz,
+        "lines_hz": list(spectra.lines_hz),
+        "density": dict(spectra.density),
+        "raw": dict(spectra.raw),
+    }
+
+
+def _restored(stored: dict[str, Any]) -> NoiseSpectra:
+    return NoiseSpectra(stored["noise_hz"], stored["density"], tuple(stored["lines_hz"]), stored["raw"])
 
 
 def _mark(flags: list[str], flag: str) -> None:

@@ -319,6 +319,12 @@ def tones(
     ]
 
 
+def longest_settling(request: Request, limits: Limits, wanted_s: float) -> int:
+    """Samples of settling for a wanted time: at most what the controller takes, and twenty times the record."""
+    record = request.blocks * request.samples
+    return min(math.ceil(wanted_s * limits.sample_rate_hz), limits.max_samples - record, 20 * record)
+
+
 def other_amplitude(
     request: Request, knowledge: Knowledge, aims_by_name: dict[str, Aim], profile: Profile, limits: Limits
 ) -> Request:

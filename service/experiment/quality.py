@@ -61,15 +61,18 @@ def _group(signals: list[tuple[Complex, Real]], aim: Aim) -> Agreement:
     )
 
 
-def distortion(point: Point) -> float:
-    """Largest harmonic of the excited axis's current above what its scatter explains, over the fundamental."""
-    current = point.I[:, :, point.request.axis]
-    first = abs(current[:, 1].mean())
-    if first == 0:
+def distortion(point: Point, knowledge: Knowledge, sample_rate_hz: float) -> float:
+    """Largest harmonic of the excited axis's current over its fundamental, less what the rig does at rest there."""
+    current = point.I[:, :, point.request.axis].mean(axis=0)
+    if current[1] == 0:
         return 0.0
-    mean = np.abs(current[:, 2:].mean(axis=0))
-    scatter = current[:, 2:].std(axis=0) / np.sqrt(max(1, len(current) - 1))
-    return float(np.max(np.maximum(mean - 3 * scatter, 0), initial=0.0) / first)
+    seconds = point.request.samples / sample_rate_hz
+    largest = 0.0
+    for h in range(2, len(current)):
+        if h * point.frequency_hz < sample_rate_hz / 2:
+            variance = knowledge.noise.block_variance(h * point.frequency_hz, seconds)["i"][point.request.axis]
+            largest = max(largest, float(np.abs(current[h]) - 3 * np.sqrt(variance)))
+    return largest / float(np.abs(current[1]))
 
 
 def judge(point: Point, knowledge: Knowledge, aim: Aim, limits: Limits) -> Judgement:
@@ -78,7 +81,7 @@ def judge(point: Point, knowledge: Knowledge, aim: Aim, limits: Limits) -> Judge
     seconds = point.request.blocks * point.request.samples / limits.sample_rate_hz
     largest = largest_amplitude(knowledge, axis, f, aim, limits)
     wanted = min(largest, needed_amplitude(knowledge, axis, f, aim, seconds))
-    saturated = distortion(point) > DISTORTION
+    saturated = distortion(point, knowledge, limits.sample_rate_hz) > DISTORTION
     too_large = a > OVERSHOOT * largest
     too_small = WEAKNESS * a < wanted and not saturated
     return Judgement(

@@ -67,8 +67,16 @@ def agreement(blocks: Complex, variance: Real, negligible: Real) -> Agreement:
 
 
 def stationary(before: Agreement, after: Agreement) -> bool:
-    """Whether a longer wait did not help: what scatters is noise that comes with excitation, not a transient."""
-    return after.excess > 0.7 * before.excess and after.drift < 4.0
+    """Whether a longer wait did not help: what scatters is noise or interference that excitation brings, no transient.
+
+    A transient would have decayed; three tenths are what chance can hide.
+    """
+    return after.excess > 0.7 * before.excess and after.drift > 0.7 * before.drift
+
+
+def tolerable(now: Agreement) -> bool:
+    """Whether a scatter that waiting does not lower is still about what the noise at rest explains."""
+    return now.excess < 2.0 and now.drift < 4.0
 
 
 def longer(waited_s: float, now: Agreement, block_s: float, before: tuple[float, Agreement] | None) -> float:
