@@ -98,7 +98,7 @@ def _fit(
     def residual(t: Real, gradient: bool) -> tuple[Real, Real | None] | None:
         if np.any(t[:-1] <= 0) or not np.all(np.isfinite(t)) or abs(t[-1]) > 20 * sample_time_s:
             return None
-        if np.max(t[1:-1]) * sample_time_s > 60:  # a pole that far beyond the samples is no pole
+        if t[1] * sample_time_s > 20 or t[-2] * sample_time_s > 20:  # beyond what the samples can tell
             return None
         response, slope = amplifier.sampled(omega, t[:-1], t[-1] + computing_delay_s, sample_time_s)
         e = weight * (i - response * u)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from service.identification import amplifier as amp
 from service.identification.amplifier_fit import AmplifierFit
 from service.identification.combine import amplifier_state_space, plant_poles, plant_state_space, transmission_zeros
 from service.identification.etfe import FrequencyResponse, etfe
@@ -37,7 +38,6 @@ from service.identification.validation import (
     whiteness,
 )
 from service.identification.zoh import Complex, Real
-from service.identification import amplifier as amp
 from sim.datasheet import Datasheet
 
 
@@ -57,7 +57,7 @@ def assemble(
     n_prior = 2 * model.layout.n_modes if prior is not None else 0
     u = uncertainty_of(refined, n_prior)
     fit, at_lines = frequency_fit(model, points, refined)
-    cross, cross_rms, validation_frf = _cross_validation(model, held_out)
+    cross, cross_rms, validation_frf, validation_model = _cross_validation(model, held_out)
     rms, tests = _residual_tests(refined, points)
     passed = all_pass([*tests["whiteness"], *tests["independence"]])
     omega = dense_grid(model)
@@ -123,6 +123,8 @@ def assemble(
             model.amplifier_response(omega, base_band=False),
             at_lines,
             rigid_response(model, staged.rigid_model.ki, staged.rigid_model.ks, omega),
+            staged.response(omega),
+            validation_model,
         ),
         displacement=Displacement(
             points.omega / (2 * np.pi),
@@ -149,10 +151,10 @@ def frequency_fit(model: PlaneModel, points: PlanePoints, refined: Refined | Non
 
 def _cross_validation(
     model: PlaneModel, points: PlanePoints | None
-) -> tuple[Real | None, Real | None, FrequencyResponse | None]:
-    """Fit and rms/sigma on points that no step of the fit has seen."""
+) -> tuple[Real | None, Real | None, FrequencyResponse | None, Complex | None]:
+    """Fit and rms/sigma on points that no step of the fit has seen, the response there, measured and of the model."""
     if points is None:
-        return None, None, None
+        return None, None, None, None
     groups = [g for g in same_frequency(points.omega) if len(np.unique(points.axis[g])) == 2]
     amplitude = amplitude_of(model, points)
     y = model.predict(Points(points.omega, points.u), amplitude).y
@@ -163,23 +165,23 @@ def _cross_validation(
         if np.any(points.axis == k):
             rms[:, k] = np.sqrt(np.mean(e[points.axis == k] ** 2, axis=0))
     if len(groups) < 3:
-        return None, rms, None
-    fit, _ = frequency_fit(model, points)
-    return fit, rms, etfe(points, "u->y")
+        return None, rms, None, None
+    fit, response = frequency_fit(model, points)
+    return fit, rms, etfe(points, "u->y"), response
 
 
 def _residual_tests(refined: Refined, points: PlanePoints) -> tuple[Real, dict[str, list[CorrelationTest]]]:
     """rms/sigma per channel and excited axis, and the correlation tests of the displacement's residuals."""
     p = refined.model.predict(Points(points.omega, points.u), refined.amplitude)
     sigma = refined.noise.sigma
-    if points.I is None:
-        e, shown = (points.y - p.y) / sigma, p.y
-        channels = [f"y_{a}" for a in points.axes]
-    else:
-        e = np.hstack([points.I.mean(axis=1) - p.i, points.y - p.y]) / sigma
-        shown = np.hstack([p.i, p.y])
-        channels = [f"{s}_{a}" for s in "iy" for a in points.axes]
-    rms = np.array([[np.sqrt(np.mean(np.abs(e[points.axis == k, c]) ** 2)) for k in range(2)] for c in range(e.shape[1])])
+    e, shown = np.asarray((points.y - p.y) / sigma[:, -2:], dtype=np.complex128), p.y
+    channels = [f"y_{a}" for a in points.axes]
+    if points.i is not None:
+        e, shown = np.hstack([(points.i - p.i) / sigma[:, :2], e]), np.hstack([p.i, p.y])
+        channels = [f"i_{a}" for a in points.axes] + channels
+    rms = np.array(
+        [[np.sqrt(np.mean(np.abs(e[points.axis == k, c]) ** 2)) for k in range(2)] for c in range(e.shape[1])]
+    )
     tests: dict[str, list[CorrelationTest]] = {"whiteness": [], "independence": []}
     for c in range(e.shape[1] - 2, e.shape[1]):
         for k in range(2):
@@ -210,9 +212,7 @@ def _stiffness(model: PlaneModel, u: Uncertainty, datasheet: Datasheet, points: 
     places = [datasheet.axes.index(a) for a in points.axes]
     nominal = [datasheet.position_stiffness_n_per_m[k] for k in places]
     nominal += [datasheet.current_stiffness_n_per_a[k] for k in places]
-    found = _estimates(
-        model, u, lambda m: np.concatenate([m.ks, m.ki]), ["N/m", "N/m", "N/A", "N/A"], nominal
-    )
+    found = _estimates(model, u, lambda m: np.concatenate([m.ks, m.ki]), ["N/m", "N/m", "N/A", "N/A"], nominal)
     return dict(zip(["ksA", "ksB", "kiA", "kiB"], found, strict=True))
 
 
@@ -268,13 +268,16 @@ def _amplifiers(
 
         found = _estimates(model, u, of, units)
         fit = first = float("nan")
+        first_order = None
         if scatter is not None and fits is not None:
             omega, ratio, _ = scatter[j]
             t = model.known.sample_time_s
             fit = nrmse_percent(ratio, amp.sampled(omega, np.array(a.parameters), delay, t)[0])
             _, low, low_delay = fits[j].fits[0]
             # the thesis's first-order model has no delay of its own
-            first = nrmse_percent(ratio, amp.sampled(omega, low, low_delay + model.known.computing_delay_s, t)[0])
+            low_delay += model.known.computing_delay_s
+            first = nrmse_percent(ratio, amp.sampled(omega, low, low_delay, t)[0])
+            first_order = (tuple(low.tolist()), low_delay)
         out[axis] = AmplifierResult(
             a.order,
             a.poles,
@@ -283,6 +286,7 @@ def _amplifiers(
             fit,
             first,
             fits[j].evidence if fits is not None else (),
+            first_order,
         )
     return out
 

@@ -23,9 +23,11 @@ class StateSpace:
     outputs: tuple[str, ...]
 
     def response(self, omega: Real) -> Complex:
-        """(P, n_out, n_in)"""
+        """Frequency response, (P, n_out, n_in)."""
         inner = 1j * omega[:, None, None] * np.eye(len(self.A)) - self.A
-        return np.asarray(self.C @ np.linalg.solve(inner, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.D)
+        return np.asarray(
+            self.C @ np.linalg.solve(inner, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.D
+        )
 
     def document(self) -> dict[str, object]:
         """As JSON."""
@@ -78,7 +80,9 @@ def transmission_zeros(model: PlaneModel) -> Complex:
     return np.asarray(values[np.argsort(np.abs(values))], dtype=np.complex128)
 
 
-def modal_form(a: Real, b: Real, c: Real, names: tuple[tuple[str, ...], tuple[str, ...]], label: str = "") -> StateSpace:
+def modal_form(
+    a: Real, b: Real, c: Real, names: tuple[tuple[str, ...], tuple[str, ...]], label: str = ""
+) -> StateSpace:
     """Real block-diagonal form of (A, B, C), blocks balanced; poles must be distinct.
 
     ``names`` are those of inputs and outputs.
@@ -91,7 +95,7 @@ def modal_form(a: Real, b: Real, c: Real, names: tuple[tuple[str, ...], tuple[st
         p = values[k]
         if abs(p.imag) <= 1e-9 * max(abs(p), 1e-12):
             v, w = vectors[:, k].real, left[k].real
-            size = np.sqrt(max(np.linalg.norm(w @ b), 1e-300) / max(np.linalg.norm(c @ v), 1e-300))
+            size = _balance(w @ b, c @ v)
             blocks.append(np.array([[p.real]]))
             columns.append((v * size)[:, None])
             rows.append((w / size)[None, :])
@@ -99,7 +103,7 @@ def modal_form(a: Real, b: Real, c: Real, names: tuple[tuple[str, ...], tuple[st
         elif p.imag > 0:
             # x = 2 Re(v z), z' = p z: states (Re z, -Im z) give [[-s, w], [-w, -s]] with p = -s + jw
             v, w = vectors[:, k], left[k]
-            size = np.sqrt(max(np.linalg.norm(w @ b), 1e-300) / max(np.linalg.norm(c @ v), 1e-300))
+            size = _balance(w @ b, c @ v)
             v, w = v * size, w / size
             blocks.append(np.array([[p.real, p.imag], [-p.imag, p.real]]))
             columns.append(np.stack([2 * v.real, 2 * v.imag], axis=1))
@@ -113,6 +117,11 @@ def modal_form(a: Real, b: Real, c: Real, names: tuple[tuple[str, ...], tuple[st
         at += len(x)
     t, t_inverse = np.hstack(columns), np.vstack(rows)
     return StateSpace(out, t_inverse @ b, c @ t, np.zeros((c.shape[0], b.shape[1])), tuple(states), *names)
+
+
+def _balance(driven: Real | Complex, seen: Real | Complex) -> float:
+    """Scale of a state that makes its input and output gains alike."""
+    return float(np.sqrt(max(float(np.linalg.norm(driven)), 1e-300) / max(float(np.linalg.norm(seen)), 1e-300)))
 
 
 def plant_state_space(model: PlaneModel, axes: tuple[str, str]) -> StateSpace:
@@ -151,8 +160,13 @@ def amplifier_state_space(model: PlaneModel, axes: tuple[str, str]) -> StateSpac
         states += [f"amplifier {axes[j]} {s}" for s in x.states]
         at += len(x.A)
     return StateSpace(
-        out_a, out_b, out_c, np.zeros((2, 2)), tuple(states),
-        (f"u_{axes[0]}", f"u_{axes[1]}"), (f"i_{axes[0]}", f"i_{axes[1]}"),
+        out_a,
+        out_b,
+        out_c,
+        np.zeros((2, 2)),
+        tuple(states),
+        (f"u_{axes[0]}", f"u_{axes[1]}"),
+        (f"i_{axes[0]}", f"i_{axes[1]}"),
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from service.experiment.data import Sweep
@@ -32,7 +33,7 @@ class FrequencyResponse:
 
     @property
     def frequency_hz(self) -> Real:
-        """(F,)"""
+        """Frequencies, (F,)."""
         return self.omega / (2 * np.pi)
 
     def radius(self, level: float = 0.99) -> Real:
@@ -74,7 +75,7 @@ def etfe_all(sweep: Sweep, axes: tuple[str, ...], path: Path) -> FrequencyRespon
 
 
 def _estimate(
-    x: Complex, z: Complex, omega: Real, axis: np.ndarray, where: str, axes: tuple[str, ...], path: str
+    x: Complex, z: Complex, omega: Real, axis: NDArray[np.int64], where: str, axes: tuple[str, ...], path: str
 ) -> FrequencyResponse:
     n_in = x.shape[2]
     mean_x, mean_z = x.mean(axis=1), z.mean(axis=1)
@@ -86,15 +87,16 @@ def _estimate(
     value = np.empty((len(groups), z.shape[2], n_in), dtype=complex)
     gain = np.empty_like(z)  # the model of each point's own blocks
     inverses = []
+    conditions = _conditions(mean_x, groups)
     for k, g in enumerate(groups):
         columns = mean_x[g].T  # (n_in, experiments)
-        condition = np.linalg.cond(columns)
+        condition = conditions[k]
         if not condition < MAX_CONDITION:
             raise AmbError(
                 f"{where}: the {path[0]} matrix at {omega[g[0]] / 2 / np.pi:.4g} Hz is singular (condition number "
                 f"{condition:.2g}); excite the axes one at a time, or with independent phases, at this frequency"
             )
-        inverse = np.linalg.pinv(columns)
+        inverse = np.linalg.inv(columns) if len(g) == n_in else np.linalg.pinv(columns)
         inverses.append(inverse)
         value[k] = mean_z[g].T @ inverse
         gain[g] = np.einsum("yx,pbx->pby", value[k], x[g])
@@ -106,3 +108,14 @@ def _estimate(
     for k, g in enumerate(groups):
         std[k] = np.sqrt(variance[g].T @ np.abs(inverses[k]) ** 2)
     return FrequencyResponse(np.array([omega[g].mean() for g in groups]), value, std)
+
+
+def _conditions(mean_x: Complex, groups: list[NDArray[np.int64]]) -> Real:
+    """Condition number of each frequency's input matrix."""
+    width = max(len(g) for g in groups)  # more experiments than inputs are welcome
+    stacked = np.zeros((len(groups), mean_x.shape[1], width), dtype=complex)
+    for k, g in enumerate(groups):
+        stacked[k, :, : len(g)] = mean_x[g].T
+    singular = np.linalg.svd(stacked, compute_uv=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(singular[:, 0] / singular[:, -1], nan=np.inf, posinf=np.inf))

@@ -1,7 +1,7 @@
 """The extended set: mass, inertia, centre of gravity and sensor gains, and which of them the data can tell.
 
-u, i and y at small signal know force only as ki i + ks x and rotor only as motion per force. So the scale of force against
-mass is an exact alias (mass, inertia, ki and ks in one proportion), and so is a gain common to all sensors with
+u, i and y at small signal know force only as ki i + ks x and the rotor only as motion per force. So the scale of force
+against mass is an exact alias (mass, inertia, ki and ks in one proportion), and so is a gain common to all sensors with
 ki. What is left is read from the Fisher information of the joint fit with the whole set free.
 """
 
@@ -41,7 +41,9 @@ def extended_report(refined: Refined, data: Data, datasheet: Datasheet, u: Uncer
     free = refined.fit.free.copy()
     for name in asked:
         free[model.layout.index(name)] = True
-    step, covariance = _one_step(full[:, free], np.concatenate([r, np.zeros(len(wide))]), 1.0 if u.adequate else u.scale)
+    step, covariance = _one_step(
+        full[:, free], np.concatenate([r, np.zeros(len(wide))]), 1.0 if u.adequate else u.scale
+    )
     places = np.flatnonzero(free)
     out: dict[str, Any] = {}
     tolerance = {

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.identification import amplifier as amp
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fit
 from service.identification.assemble import assemble
 from service.identification.etfe import FrequencyResponse, etfe
-from service.identification.plane_model import EXTENDED, Known, Layout, PlaneModel
+from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.refine import Data, ShapePrior
 from service.identification.result import CommissioningResult, PlaneResult
 from service.identification.selection import choose_modes
-from service.identification.staged import StagedFit, staged_fit
+from service.identification.staged import staged_fit
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
-
-DEFAULT_EXTENDED = {name: value for name, value in zip(EXTENDED, (1.0, 1.0, 0.0, 1.0, 1.0), strict=True)}
 
 
 @dataclass(frozen=True)
@@ -39,8 +36,8 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
     Parameters
     ----------
     experiment
-        The main sweep is fitted; one with comment "amplifier" helps with the amplifiers; the first other one is kept for
-        cross-validation and no step of any fit sees it.
+        The main sweep is fitted; one with comment "amplifier" helps with the amplifiers; the first other one is kept
+        for cross-validation and no step of any fit sees it.
     datasheet
         Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted.
 
@@ -65,7 +62,9 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
 
     warnings: list[str] = []
     if main.speed_rad_s:
-        warnings.append(f"measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling of the planes is not in the model")
+        warnings.append(
+            f"measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling of the planes is not in the model"
+        )
     if validation is None:
         warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
     planes: dict[str, PlaneResult] = {}
@@ -73,7 +72,9 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited and not identified")
             continue
-        planes[plane] = identify_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
+        planes[plane] = identify_plane(
+            main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options
+        )
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
     return CommissioningResult(

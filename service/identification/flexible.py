@@ -1,4 +1,4 @@
-"""Step 5: flexible modes, their number, frequencies and damping, and the split from the rigid rotor, found from the data.
+"""Step 5: flexible modes and the split from the rigid rotor, found from the data.
 
 What the rigid model leaves is searched for poles one after another (orthogonal matching pursuit over a grid of
 frequencies and damping ratios, all residues refitted each time). The search only gives starts; how many modes are kept
@@ -8,6 +8,7 @@ is decided by the joint fits' evidence in `service.identification.selection`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -40,7 +41,7 @@ class PoleResidue:
         return len(self.nu_rad_s)
 
     def response(self, omega: Real) -> Complex:
-        """(P, 2, 2)"""
+        """Frequency response, (P, 2, 2)."""
         both = _both(omega, self.nu_rad_s, self.sigma_rad_s)
         return np.asarray(np.tensordot(both, np.concatenate([self.residues, self.lags]), axes=(1, 0)))
 
@@ -75,14 +76,16 @@ def split_frequency(omega: Real, plant: Complex) -> float:
 
 def candidate_poles(omega: Real, above: float = 3.0, per_gap: int = 6) -> tuple[Real, Real]:
     """Grid of (nu, sigma) on which modes are looked for: between the measured lines, and above the band."""
-    inside = np.concatenate([np.linspace(a, b, per_gap, endpoint=False) for a, b in zip(omega, omega[1:], strict=False)])
+    inside = np.concatenate([np.linspace(a, b, per_gap, endpoint=False) for a, b in pairwise(omega)])
     outside = np.geomspace(omega[-1], above * omega[-1], 12)
     nu = np.concatenate([inside, outside])
     zeta = np.array(DAMPING_GRID)
     return np.repeat(nu, len(zeta)), (nu[:, None] * zeta).ravel()
 
 
-def search(omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s: float) -> list[PoleResidue]:
+def search(
+    omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s: float, enough: float = 0.0
+) -> list[PoleResidue]:
     """Models with 1 to ``n_modes`` poles for what the rigid model leaves.
 
     Parameters
@@ -95,6 +98,8 @@ def search(omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s:
         Largest number of modes.
     lowest_rad_s
         No mode is looked for below.
+    enough
+        Stop after two modes or more when the weighted residual is below this.
     """
     nu_grid, sigma_grid = candidate_poles(omega)
     keep = nu_grid >= lowest_rad_s
@@ -121,6 +126,8 @@ def search(omega: Real, left: Complex, weight: Real, n_modes: int, lowest_rad_s:
         model = _fitted(omega, target, weight, nu, sigma)
         models.append(model)
         rest = target - model.response(omega) * weight
+        if len(models) > 1 and np.sum(np.abs(rest) ** 2) < enough**2 * target.size:
+            break
     return models
 
 

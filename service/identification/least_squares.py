@@ -118,7 +118,7 @@ def _damped_step(upper: Real, qtr: Real, damping: float) -> Real:
 def covariance_of(jacobian: Real) -> Real:
     """(J^T J)^-1 by singular values, with scaled columns; a direction that the data do not see gets a huge variance."""
     norms = np.sqrt(np.einsum("nk,nk->k", jacobian, jacobian))
-    norms[norms == 0] = 1e-300
+    norms = np.maximum(norms, 1e-100)
     _, singular, vt = np.linalg.svd(jacobian / norms, full_matrices=False)
     singular = np.maximum(singular, 1e-12 * singular[0])
     root = vt.T / singular

@@ -49,7 +49,7 @@ def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -
     loop = model.response(omega) * c[:, None, None]
     loop[:, 0, 0] += 1.0
     loop[:, 1, 1] += 1.0
-    return np.linalg.inv(loop)
+    return np.asarray(np.linalg.inv(loop), dtype=np.complex128)
 
 
 def dense_grid(model: PlaneModel, highest_hz: float = 3000.0) -> Real:
@@ -89,9 +89,7 @@ def axis_margins(
             seen, seen_hz = float(np.abs(measured.value[m, j, j])), float(measured.frequency_hz[m])
             seen_std = float(measured.std[m, j, j] / math.sqrt(2))
         gains, phase, delay = _classical(omega, 1.0 / s[:, j, j] - 1.0)
-        out.append(
-            AxisMargins(peak, float(omega[k] / 2 / np.pi), std, seen, seen_hz, seen_std, gains, phase, delay)
-        )
+        out.append(AxisMargins(peak, float(omega[k] / 2 / np.pi), std, seen, seen_hz, seen_std, gains, phase, delay))
     return out[0], out[1]
 
 
@@ -114,7 +112,7 @@ def _peak_std(
 def _classical(omega: Real, loop: Complex) -> tuple[tuple[float | None, float | None], float | None, float | None]:
     """Gain margins (down, up) in dB, phase margin in degrees and delay margin in s of L = 1/S - 1."""
     real, imag = loop.real, loop.imag
-    crossings = np.flatnonzero((imag[:-1] * imag[1:] < 0))
+    crossings = np.flatnonzero(imag[:-1] * imag[1:] < 0)
     down: float | None = None
     up: float | None = None
     for k in crossings:

@@ -63,9 +63,10 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True) -> Nois
     pooled = _smooth(own / shared, order, NEIGHBOURS) * shared
     ratio, prior = _drawn_together(own / pooled, order, dof)
     variance = ratio * pooled
+    variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
     covariance = np.zeros((n, channels, channels), dtype=complex)
     if correlated and channels > 1:
-        unit = spread / np.sqrt(variance)[:, None, :]
+        unit = spread / np.sqrt(own)[:, None, :]
         product = np.einsum("pbc,pbd->pcd", unit, unit.conj()) / dof
         width = 4 * NEIGHBOURS
         smooth = _smooth(product.reshape(n, -1), order, width).reshape(n, channels, channels)
@@ -85,6 +86,36 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True) -> Nois
     else:
         covariance[:, np.arange(channels), np.arange(channels)] = variance
     return NoiseModel(covariance / blocks, float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf"))
+
+
+def _mean_factor(unit: Complex, order: NDArray[np.int64]) -> Real:
+    """Variance of the mean times B over the variance of a block, (P, c): 1 for independent blocks.
+
+    Noise that the loop feeds back moves the rotor, and the state at a block's borders leaks into its amplitude with
+    opposite signs on either side: neighbouring blocks are then correlated negatively, and the mean is better than
+    the scatter says (near resonances and at low frequencies). A drift works the other way. The lag-one correlation is
+    pooled over neighbours and counts only as far as chance does not explain it.
+    """
+    blocks = unit.shape[1]
+    if blocks < 4:
+        return np.ones((unit.shape[0], unit.shape[2]))
+    s0 = _smooth(np.sum(np.abs(unit) ** 2, axis=1), order, NEIGHBOURS)
+    s1 = _smooth(np.sum(unit[:, 1:] * unit[:, :-1].conj(), axis=1).real, order, NEIGHBOURS)
+    # what demeaned blocks show of a covariance gamma0 I + gamma1 T, T the first off-diagonals
+    centre = np.eye(blocks) - 1.0 / blocks
+    shift = 0.5 * (np.eye(blocks, k=1) + np.eye(blocks, k=-1))
+    neighbours = 2 * shift
+    inner = centre @ shift @ centre
+    shown = np.array(
+        [[np.trace(centre), np.trace(centre @ neighbours)], [np.trace(inner), np.trace(inner @ neighbours)]]
+    )
+    gamma = np.linalg.solve(shown, np.stack([s0.ravel(), s1.ravel()])).reshape(2, *s0.shape)
+    rho = gamma[1] / np.maximum(gamma[0], 1e-12)
+    count = min(unit.shape[0], 1.3 * NEIGHBOURS) * blocks
+    chance = 1.0 / (2.0 * count)  # a complex product's real part
+    rho = np.clip(rho * np.clip(1.0 - 2.0 * chance / np.maximum(rho**2, 1e-12), 0.0, 1.0), -0.5, 0.9)
+    level = (blocks - 1) / (blocks - 1 - 2 * (1 - 1 / blocks) * rho)  # gamma0 per demeaned variance
+    return np.asarray(level * (1 + 2 * (1 - 1 / blocks) * rho))
 
 
 def _drawn_together(ratio: Real, order: NDArray[np.int64], dof: int) -> tuple[Real, float]:

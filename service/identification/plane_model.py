@@ -58,7 +58,7 @@ class Layout:
     @cached_property
     def delay(self) -> int:
         """Place of the delay."""
-        return self.amplifiers[1].stop
+        return int(self.amplifiers[1].stop)
 
     def mode(self, k: int) -> slice:
         """Places of mode ``k``, in the order of `MODE_NAMES`."""
@@ -74,7 +74,7 @@ class Layout:
     @cached_property
     def size(self) -> int:
         """Length of the parameter vector."""
-        return self.extended.stop
+        return int(self.extended.stop)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -201,7 +201,7 @@ class PlaneModel:
 
     @property
     def sensor_gain(self) -> Real:
-        """(2,)"""
+        """Gains of the sensors, (2,)."""
         return self.theta[self.layout.extended][3:5]
 
     @property
@@ -210,6 +210,7 @@ class PlaneModel:
         t = self.theta
         positive = [t[0:4] > 0, t[self.layout.extended][:2] > 0]
         positive += [t[s] > 0 for s in self.layout.amplifiers]
+        positive += [t[s][1:] * self.known.sample_time_s < 20 for s in self.layout.amplifiers]
         m = self.modes
         ok = bool(np.all(np.concatenate(positive)) and np.all(m[:, 0] > 0) and np.all(m[:, 1] > -0.2 * m[:, 0]))
         return ok and bool(np.all(np.isfinite(t))) and abs(self.delay_s) < 20 * self.known.sample_time_s
@@ -230,7 +231,8 @@ class PlaneModel:
         gradient
             Whether to return the derivatives to every parameter.
         """
-        theta, layout, s = self.theta, self.layout, 1j * points.omega
+        theta, layout = self.theta, self.layout
+        s: Complex = np.asarray(1j * points.omega, dtype=np.complex128)
         delay = self.delay_s + self.known.computing_delay_s
         ki, ks = self.ki, self.ks
 
@@ -262,7 +264,7 @@ class PlaneModel:
         if not gradient:
             return Prediction(i, y, coil, x)
 
-        feedback = (h_sb * ks) @ inverse  # dy per change of x_b, loop closed through ks
+        feedback: Complex = np.asarray((h_sb * ks) @ inverse)  # dy per change of x_b, loop closed through ks
         through = h_sb + feedback @ h_bb  # dy per force
         d_i = np.zeros((*points.u.shape, layout.size), dtype=complex)
         d_y = np.zeros((*points.u.shape, layout.size), dtype=complex)
@@ -286,7 +288,7 @@ class PlaneModel:
         self, k: int, mode: Real, gain: Complex, s: Complex, total: Complex, feedback: Complex, d_y: Complex
     ) -> None:
         """Fill the derivatives to one mode's parameters, and its share in those to ks."""
-        nu, sigma, bearing, sensor = mode[0], mode[1], mode[2:4], mode[4:6]
+        nu, bearing, sensor = mode[0], mode[2:4], mode[4:6]
         driven = total @ bearing  # modal force
         seen = sensor + feedback @ bearing  # closed-loop shape at the sensors, (P, 2)
         at = self.layout.mode(k).start
@@ -317,9 +319,7 @@ class PlaneModel:
         arm_s = sensors[:, 1] * np.sqrt(inertia)
         turn, push = gain * (total @ arm) / inertia, gain * total.sum(axis=1) / inertia
         # arms shrink by the shift: d(phi_s phi_b^T)/dshift = -(1 arm_b^T + arm_s 1^T)/I
-        d_y[:, :, at + 2] = -(
-            (1.0 + feedback.sum(axis=2)) * turn[:, None] + (arm_s + feedback @ arm) * push[:, None]
-        )
+        d_y[:, :, at + 2] = -((1.0 + feedback.sum(axis=2)) * turn[:, None] + (arm_s + feedback @ arm) * push[:, None])
         for j in range(2):
             d_y[:, j, at + 3 + j] = y[:, j] / self.sensor_gain[j]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,22 +41,22 @@ class PlanePoints:
         """B."""
         return int(self.U.shape[1])
 
-    @property
+    @cached_property
     def u(self) -> Complex:
         """(P, 2) mean over the blocks; so are r, i and y."""
         return np.asarray(self.U.mean(axis=1))
 
-    @property
+    @cached_property
     def r(self) -> Complex:
         """(P, 2) A."""
         return np.asarray(self.R.mean(axis=1))
 
-    @property
+    @cached_property
     def i(self) -> Complex | None:
         """(P, 2) A."""
         return None if self.I is None else np.asarray(self.I.mean(axis=1))
 
-    @property
+    @cached_property
     def y(self) -> Complex:
         """(P, 2) m."""
         return np.asarray(self.Y.mean(axis=1))

@@ -80,9 +80,7 @@ def residual_blocks(points: PlanePoints, i: Complex, y: Complex) -> Complex:
     return np.concatenate([*parts, points.Y - y], axis=2)
 
 
-def predicted_blocks(
-    model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None
-) -> tuple[Complex, Complex]:
+def predicted_blocks(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> tuple[Complex, Complex]:
     """Model's i and y for each block's own u, (P, B, 2) each: the mean's prediction, and the small signal beyond it."""
     mean = model.predict(Points(points.omega, points.u), amplitude)
     away = points.U - points.u[:, None, :]
@@ -172,12 +170,12 @@ def _amplifier_residual(model: PlaneModel, points: PlanePoints, gradient: bool) 
     return points.i - i, d
 
 
-def amplitude_of(model: PlaneModel, points: PlanePoints, rounds: int = 3) -> Amplitude:
+def amplitude_of(model: PlaneModel, at: PlanePoints | Points, rounds: int = 3) -> Amplitude:
     """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included."""
-    at = Points(points.omega, points.u)
-    p = model.predict(at)
+    points = Points(at.omega, at.u)
+    p = model.predict(points)
     for _ in range(rounds):
-        p = model.predict(at, Amplitude(p.coil, p.x))
+        p = model.predict(points, Amplitude(p.coil, p.x))
     return Amplitude(p.coil, p.x)
 
 

@@ -56,6 +56,8 @@ class AmplifierResult:
     """NRMSE of the sampled model against the measured i/u."""
     first_order_fit_percent: float
     evidence: tuple[Evidence, ...]
+    first_order: tuple[tuple[float, ...], float] | None = None
+    """Parameters (gain, w) and delay, s, of the first-order model beside it, computing delay included."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,10 @@ class Curves:
     """u->y at the measured lines and amplitudes."""
     rigid_plant: Complex
     """The staged rigid model on the dense grid."""
+    staged_plant: Complex
+    """The staged rigid and flexible models stacked, coil current -> y, on the dense grid."""
+    validation_model: Complex | None
+    """u->y of the model at the lines and amplitudes of the unseen sweep."""
 
 
 @dataclass(frozen=True)
@@ -258,21 +264,20 @@ class CommissioningResult:
 
     def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
         """The contents of result.json; every number in it is finite or null."""
-        return _finite(
-            {
-                "format": "amb-commissioning-result",
-                "version": 1,
-                "rig": self.rig,
-                "planes": {name: p.document() for name, p in self.planes.items()},
-                "experiment": experiment,
-                "warnings": list(self.warnings),
-                "provenance": {
-                    "main_sweep": self.main_sweep,
-                    "validation_sweep": self.validation_sweep,
-                    **self.provenance,
-                },
-            }
-        )
+        document = {
+            "format": "amb-commissioning-result",
+            "version": 1,
+            "rig": self.rig,
+            "planes": {name: p.document() for name, p in self.planes.items()},
+            "experiment": experiment,
+            "warnings": list(self.warnings),
+            "provenance": {
+                "main_sweep": self.main_sweep,
+                "validation_sweep": self.validation_sweep,
+                **self.provenance,
+            },
+        }
+        return {k: _finite(v) for k, v in document.items()}
 
 
 def evidence_document(e: Evidence) -> dict[str, Any]:

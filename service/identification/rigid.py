@@ -1,7 +1,7 @@
 """Step 4: the rigid rotor as a grey box, theta = {ksA, ksB, kiA, kiB}, below the flexible modes.
 
-M x'' = Ks x + Ki i with M known; x at the bearings follows from y by the exact rigid-body map. At each frequency that is
-linear in the four factors, which gives a start that needs no datasheet value of them.
+M x'' = Ks x + Ki i with M known; x at the bearings follows from y by the exact rigid-body map. At each frequency that
+is linear in the four factors, which gives a start that needs no datasheet value of them.
 """
 
 from __future__ import annotations

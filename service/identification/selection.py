@@ -63,8 +63,13 @@ def coarse_number(models: list[PoleResidue], left: FrequencyResponse, weight: Re
 
 
 def choose_modes(
-    start: PlaneModel, data: Data, plant: FrequencyResponse, coarse: list[PoleResidue], n_start: int,
-    lowest_rad_s: float, shape_prior: ShapePrior | None,
+    start: PlaneModel,
+    data: Data,
+    plant: FrequencyResponse,
+    coarse: list[PoleResidue],
+    n_start: int,
+    lowest_rad_s: float,
+    shape_prior: ShapePrior | None,
 ) -> Selected:
     """Joint fit with the number of modes that the description length supports.
 
@@ -197,15 +202,17 @@ def _scaled_shapes(model: PlaneModel, refined: Refined, prior: ShapePrior | None
 
 def _without_one(refined: Refined, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
     modes = refined.model.modes
-    strength = [
-        np.linalg.norm(m[2:4]) * np.linalg.norm(m[4:6]) / (2 * abs(m[1]) * m[0] + 1e-12) for m in modes
-    ]
+    strength = [np.linalg.norm(m[2:4]) * np.linalg.norm(m[4:6]) / (2 * abs(m[1]) * m[0] + 1e-12) for m in modes]
     keep = np.delete(modes, int(np.argmin(strength)), axis=0)
     return _again(with_modes(refined.model, keep), data, weights, shape_prior)
 
 
 def _with_one_more(
-    refined: Refined, data: Data, plant: FrequencyResponse, weights: Weights, lowest: float,
+    refined: Refined,
+    data: Data,
+    plant: FrequencyResponse,
+    weights: Weights,
+    lowest: float,
     shape_prior: ShapePrior | None,
 ) -> Refined | None:
     left = plant.value - refined.model.plant_response(plant.omega)
@@ -217,9 +224,7 @@ def _with_one_more(
 
 
 def _again(model: PlaneModel, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
-    return refine(
-        model, data, _free(model, data), shape_prior=shape_prior, weights=weights, max_iterations=25
-    )
+    return refine(model, data, _free(model, data), shape_prior=shape_prior, weights=weights, max_iterations=25)
 
 
 def _data_cost(refined: Refined, data: Data) -> float:

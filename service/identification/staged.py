@@ -92,7 +92,7 @@ def staged_fit(model: PlaneModel, points: PlanePoints, plant: FrequencyResponse)
     rigid_model = model.at(theta)
     left = plant.value - rigid_response(model, ki, ks, plant.omega)
     weight = np.broadcast_to((1 / np.linalg.norm(plant.value, axis=(1, 2)))[:, None, None], left.shape).copy()
-    models = search(plant.omega, left, weight, SEARCH_MODES, 0.6 * first)
+    models = search(plant.omega, left, weight, SEARCH_MODES, 0.6 * first, enough=0.005)
     n_modes, _ = coarse_number(models, FrequencyResponse(plant.omega, left, plant.std), weight, 0.03)
     result = StagedFit(
         rigid_model, limit, tuple(evidence), models, n_modes, 0.6 * first, fit, None, np.full((2, 2), np.nan)

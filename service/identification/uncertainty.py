@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from service.identification.least_squares import covariance_of
 from service.identification.plane_model import PlaneModel
 from service.identification.refine import Refined
 from service.identification.zoh import Complex, Real
+
+ESTIMATED_WEIGHTS = 1.06
+"""What whitening with an estimated instead of the true covariance adds to the mean square of six-block data."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +62,9 @@ class Uncertainty:
 def uncertainty_of(refined: Refined, n_prior_rows: int, level: float = 0.999) -> Uncertainty:
     """Covariance of a joint fit.
 
-    The data's own covariance is (J^T J)^-1. When the residuals are larger than the noise beyond doubt, the model is wrong
-    somewhere, and the parameters move with the error; the covariance is then the larger, parameter by parameter, of
-    the one scaled by the residual variance and the sandwich over bands of neighbouring lines, whose errors go together.
+    The data's own covariance is (J^T J)^-1. When the residuals are larger than the noise beyond doubt, the model is
+    wrong somewhere, and the parameters move with its error. The covariance is then, parameter by parameter, the larger
+    of two: the one scaled by the residual variance, and the sandwich over bands of lines, whose errors go together.
     """
     jacobian, residual = refined.fit.jacobian, refined.fit.residual
     n_data = len(residual) - n_prior_rows
@@ -72,7 +76,7 @@ def uncertainty_of(refined: Refined, n_prior_rows: int, level: float = 0.999) ->
     # noise alone: the prior's share of the information leaves P^-1 - Jp^T Jp, so cov_data = P Jd^T Jd P
     part = data_rows @ total
     from_data = part.T @ part
-    adequate = refined.relative == 0 and chi < chi2.ppf(level, dof)
+    adequate = refined.relative == 0 and chi < ESTIMATED_WEIGHTS * chi2.ppf(level, dof)
     widening = 1.0
     if not adequate:
         prior_part = total - from_data
@@ -93,9 +97,7 @@ def _sandwich(influence: Real, residual: Real, bands: int = 24) -> Real:
     """
     n = len(residual)
     edges = np.linspace(0, n, 2 * bands + 1).astype(int)
-    sums = np.array(
-        [influence[a:b].T @ residual[a:b] for a, b in zip(edges, edges[1:], strict=False) if b > a]
-    )
+    sums = np.array([influence[a:b].T @ residual[a:b] for a, b in pairwise(edges) if b > a])
     count = len(sums)
     return np.asarray(sums.T @ sums * count / max(count - influence.shape[1] / 2, 1.0))
 

@@ -70,7 +70,8 @@ def whiteness(name: str, residual: Complex, max_lag: int = 15) -> CorrelationTes
     power = float(np.sum(np.abs(residual) ** 2)) or 1.0
     rho = np.array([np.sum(residual[:-k].conj() * residual[k:]) / power for k in lags])
     weight = n / np.maximum(n - lags, 1)  # fewer products at long lags
-    return _test(name, lags.astype(float), rho, n, weight)
+    statistic = float(2 * n * np.sum(weight * np.abs(rho) ** 2))
+    return _test(name, lags.astype(float), rho, n, statistic, 2 * len(lags))
 
 
 def independence(name: str, residual: Complex, direction: Complex, max_lag: int = 8) -> CorrelationTest:
@@ -82,18 +83,22 @@ def independence(name: str, residual: Complex, direction: Complex, max_lag: int 
     n = len(residual)
     lags = np.arange(-min(max_lag, n // 4), min(max_lag, n // 4) + 1)
     unit = direction / np.maximum(np.abs(direction), 1e-300)
-    power = float(np.sqrt(np.mean(np.abs(residual) ** 2))) or 1.0
-    rho, weight = [], []
-    for k in lags:
-        a, b = (unit[: n - k], residual[k:]) if k >= 0 else (unit[-k:], residual[: n + k])
-        rho.append(np.sum(a.conj() * b) / (n * power))
-        weight.append(n / max(n - abs(k), 1))
-    return _test(name, lags.astype(float), np.array(rho), n, np.array(weight))
+    size = float(np.sqrt(np.mean(np.abs(residual) ** 2))) or 1.0
+    shifted = np.zeros((n, len(lags)), dtype=complex)
+    for c, k in enumerate(lags):
+        if k >= 0:
+            shifted[k:, c] = unit[: n - k]
+        else:
+            shifted[:k, c] = unit[-k:]
+    rho = shifted.conj().T @ residual / (n * size)
+    # the direction turns slowly, so lags go together: only independent combinations count
+    left, singular, _ = np.linalg.svd(shifted, full_matrices=False)
+    basis = left[:, singular > 0.05 * singular[0]]
+    statistic = float(2 * np.sum(np.abs(basis.conj().T @ residual) ** 2) / size**2)
+    return _test(name, lags.astype(float), rho, n, statistic, 2 * basis.shape[1])
 
 
-def _test(name: str, lags: Real, rho: Complex, n: int, weight: Real) -> CorrelationTest:
-    statistic = float(2 * n * np.sum(weight * np.abs(rho) ** 2))
-    dof = 2 * len(rho)
+def _test(name: str, lags: Real, rho: Complex, n: int, statistic: float, dof: int) -> CorrelationTest:
     bound = float(norm.ppf(0.5 + LEVEL / 2) / math.sqrt(2 * n))
     return CorrelationTest(name, lags, np.asarray(rho.real), bound, statistic, dof, float(chi2.sf(statistic, dof)))
 

@@ -24,12 +24,10 @@ def hold(omega: Real, sample_time_s: float) -> Complex:
     [0.9836]
     """
     half = 0.5 * omega * sample_time_s
-    return np.sinc(half / np.pi) * np.exp(-1j * half)
+    return np.asarray(np.sinc(half / np.pi) * np.exp(-1j * half), dtype=np.complex128)
 
 
-def sampled_pole(
-    omega: Real, pole: complex, delay_s: float, sample_time_s: float
-) -> tuple[Complex, Complex, Complex]:
+def sampled_pole(omega: Real, pole: complex, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex, Complex]:
     """Held and sampled response of 1/(s - p) exp(-s tau), with its derivatives.
 
     The state obeys x+ = e^{pT} x + (e^{pT} - e^{p(T-tau)})/p u_old + (e^{p(T-tau)} - 1)/p u_new; a delay of
