@@ -16,6 +16,9 @@ from scipy.optimize import least_squares
 from service.identification.zoh import Complex, Real
 
 DAMPING_GRID = (0.0005, 0.002, 0.008, 0.03, 0.1)
+LONE_LINE = 0.8
+"""A pole that owes more than this share of its worth to a single line is taken for an outlier."""
+MAX_LONE_LINES = 5
 
 
 @dataclass(frozen=True)
@@ -110,22 +113,35 @@ def search(
     target = left * weight
     nu, sigma = np.empty(0), np.empty(0)
     models: list[PoleResidue] = []
-    rest = target
+    rest = target.copy()
     # d and s d are orthogonal in the real inner product up to a little, so both projections add up
     power = np.einsum("fc,fab->cab", np.abs(basis) ** 2, weight**2)
-    for _ in range(n_modes):
+    for _ in range(n_modes + MAX_LONE_LINES):
         along = np.einsum("fc,fab->cab", basis.conj(), rest * weight)
         score = np.sum(np.abs(along) ** 2 / power, axis=(1, 2))
         taken = np.min(np.abs(nu_grid[:, None] - nu) / nu_grid[:, None], axis=1, initial=1.0) < 1e-4
         score[taken] = -1.0
         best = int(np.argmax(score))
-        nu, sigma = np.append(nu, nu_grid[best]), np.append(sigma, sigma_grid[best])
-        nu, sigma = _polished(omega, target, weight, nu, sigma)
+        more = np.append(nu, nu_grid[best]), np.append(sigma, sigma_grid[best])
+        polished = _polished(omega, target, weight, *more)
+        model = _fitted(omega, target, weight, *polished)
+        now = target - model.response(omega) * weight
+        gain = np.sum(np.abs(rest) ** 2 - np.abs(now) ** 2, axis=(1, 2))
+        if gain.max() > LONE_LINE * max(gain.sum(), 1e-300):
+            # a mode has a foot on either side; this is one line that disagrees with its neighbours
+            lone = int(np.argmax(gain))
+            weight = weight.copy()
+            weight[lone] = 0.0
+            target[lone], rest[lone] = 0.0, 0.0
+            continue
+        nu, sigma = polished
         order = np.argsort(nu)
         nu, sigma = nu[order], sigma[order]
         model = _fitted(omega, target, weight, nu, sigma)
         models.append(model)
         rest = target - model.response(omega) * weight
+        if len(models) == n_modes:
+            break
         if len(models) > 1 and np.sum(np.abs(rest) ** 2) < enough**2 * target.size:
             break
     return models

@@ -19,6 +19,10 @@ from service.identification.points import PlanePoints
 from service.identification.zoh import Complex, Real
 
 
+TIGHTENED = 0.2
+"""Of the shape prior's scale, where the model is known to be wrong; its variance is scaled back afterwards."""
+
+
 @dataclass(frozen=True)
 class Data:
     """What a joint fit looks at: the plane's points, and points that tell of the amplifiers only."""

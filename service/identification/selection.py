@@ -12,7 +12,7 @@ from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
 from service.identification.flexible import PoleResidue, search, shapes_of
 from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
-from service.identification.refine import Data, Refined, ShapePrior, Weights, refine, residuals, shape_rows
+from service.identification.refine import TIGHTENED, Data, Refined, ShapePrior, Weights, refine, residuals, shape_rows
 from service.identification.zoh import Real
 
 MAX_MODES = 6
@@ -129,6 +129,9 @@ def _forgiving(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) ->
     Weighted by noise alone such a fit would follow the loudest lines wherever their error leads. The size of the
     relative error is what makes the residuals fit it.
     """
+    if shape_prior is not None:
+        # what the data say of the shapes' split is a small number that the model's error swamps
+        shape_prior = ShapePrior(TIGHTENED * shape_prior.scale)
     level = 0.03
     found = refine(model, data, _free(model, data), relative=level, nonlinear=True, shape_prior=shape_prior)
     for _ in range(3):

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from service.identification.least_squares import covariance_of
 from service.identification.plane_model import PlaneModel
-from service.identification.refine import Refined
+from service.identification.refine import TIGHTENED, Refined
 from service.identification.zoh import Complex, Real
 
 ESTIMATED_WEIGHTS = 1.06
@@ -79,7 +79,7 @@ def uncertainty_of(refined: Refined, n_prior_rows: int, level: float = 0.999) ->
     adequate = refined.relative == 0 and chi < ESTIMATED_WEIGHTS * chi2.ppf(level, dof)
     widening = 1.0
     if not adequate:
-        prior_part = total - from_data
+        prior_part = (total - from_data) * (1.0 if refined.relative == 0 else TIGHTENED**-2)
         scaled = from_data * max(scale, 1.0) ** 2
         sandwich = _sandwich(part, rest)
         growth = np.sqrt(np.maximum(np.diag(scaled), np.diag(sandwich)) / np.maximum(np.diag(scaled), 1e-300))
