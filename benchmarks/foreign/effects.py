@@ -1,0 +1,357 @@
+"""Effects on a foreign rig, by laws of its own, from barely visible (level 0) to gross (level 1).
+
+Each function changes a Truth in place and returns what it did, for truth.json. Where physics leaves a choice of
+law (a play operator or a loss angle, a pole or a delay, one housing or two), one is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import nnls
+
+from foreign.physics import N_LADDER, N_PLAYS
+from foreign.rig import TS, Truth, four
+
+Rng = np.random.Generator
+Change = dict[str, object]
+
+
+def size(level: float, low: float, high: float) -> float:
+    """Between low and high on a logarithmic scale."""
+    return float(low * (high / low) ** level)
+
+
+def sign(rng: Rng) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def some_axes(rng: Rng) -> list[int]:
+    """All four axes, or one."""
+    return [0, 1, 2, 3] if rng.random() < 0.6 else [int(rng.integers(4))]
+
+
+def on_axes(axes: list[int], value: float, rest: float = 0.0) -> np.ndarray:
+    out = four(rest)
+    out[axes] = value
+    return out
+
+
+def loop_delay(t: Truth, rng: Rng, level: float) -> Change:
+    tau = size(level, 1.5e-6, 45e-6)
+    t.loop["delay"] = np.array([tau])
+    return {"delay": tau}
+
+
+def logging_offset(t: Truth, rng: Rng, level: float) -> Change:
+    t.log["offset"] = int(rng.choice([1, 2, -1], p=[0.6, 0.25, 0.15]))
+    return {"_log_offset": t.log["offset"]}
+
+
+def amplifier_bandwidth(t: Truth, rng: Rng, level: float) -> Change:
+    if rng.random() < 0.4:
+        hz = size(level, 60e3, 6e3)
+        t.plant["amp_extra"] = four(2 * np.pi * hz)
+        return {"extra_pole_hz": hz}
+    factor = 1 - size(level, 0.04, 0.25)
+    t.plant["amp_w"] = lambda w: w * factor
+    return {"amp_w": (t.amp_w * factor).tolist()}
+
+
+def amplifier_voltage_limit(t: Truth, rng: Rng, level: float) -> Change:
+    # what the tones ask for is up to 0.6 A x 2 pi 1 kHz = 3.8e3 A/s at the main amplitude
+    limit = size(level, 6e3, 1.3e3)
+    r_over_l = float(rng.choice([0.0, 80.0, 250.0]))
+    t.plant["slew"], t.plant["slew_resistive"] = four(limit), four(r_over_l)
+    return {"slew_a_per_s": limit, "r_over_l_per_s": r_over_l}
+
+
+def channel_crosstalk(t: Truth, rng: Rng, level: float) -> Change:
+    e = size(level, 0.003, 0.08) * sign(rng)
+    mix, kind = np.eye(4), str(rng.choice(["b_in_a", "both"]))
+    for plane in (0, 2):
+        mix[plane, plane + 1] = e
+        if kind == "both":
+            mix[plane + 1, plane] = e * float(rng.uniform(0.5, 1.2))
+    t.plant["u_mix"] = mix
+    return {"share": e, "kind": kind}
+
+
+def controller_mismatch(t: Truth, rng: Rng, level: float) -> Change:
+    kind = str(rng.choice(["gain", "derivative", "filter"]))
+    c = dict(t.control)
+    e = size(level, 0.01, 0.15) * sign(rng)
+    if kind == "gain":
+        for name in ("kp", "ki", "kd"):
+            c[name] *= 1 + e
+    elif kind == "derivative":
+        c["kd"] *= 1 + e
+    else:
+        c["filter_hz"] *= 1 - abs(e) * 1.5
+    t.control_by_axis = [c] * 4
+    return {"kind": kind, "relative": e}
+
+
+def _fit_ladder(law: Callable[[np.ndarray], np.ndarray], poles: np.ndarray) -> tuple[np.ndarray, float]:
+    w = 2 * np.pi * np.geomspace(3, 4000, 200)
+    columns = np.concatenate([1 / (1 + 1j * w[:, None] / poles), np.ones((200, 1))], axis=1)
+    target = law(1j * w)
+    dc = 300.0 * np.ones((1, len(poles) + 1))
+    gain, _ = nnls(np.concatenate([columns.real, columns.imag, dc]), np.r_[target.real, target.imag, 300.0])
+    return gain[:-1], float(gain[-1])
+
+
+def eddy_currents(t: Truth, rng: Rng, level: float) -> Change:
+    tau = size(level, 5e-8, 2.5e-5)
+    poles = np.geomspace(60, 5e4, N_LADDER)
+    gain, direct = _fit_ladder(lambda s: 1 / (1 + np.sqrt(s * tau)), poles)
+    both = rng.random() < 0.4
+    t.plant.update(ladder=2 if both else 1, ladder_pole=poles, ladder_gain=gain, ladder_direct=direct)
+    return {"eddy_tau": tau, "on_displacement": bool(both)}
+
+
+def magnetic_saturation(t: Truth, rng: Rng, level: float) -> Change:
+    if rng.random() < 0.5:
+        i_s = size(level, 6.0, 1.0)
+        t.plant.update(saturation=1, sat_level=four(i_s))
+        return {"sat_A": i_s}
+    b, n = size(level, 1.9, 1.15), float(rng.choice([4.0, 6.0]))
+    t.plant.update(saturation=2, sat_level=four(b), sat_power=n)
+    # the bias point keeps its stiffness roughly, as a datasheet's identified values would have it
+    t.plant["k"] = lambda k: k * (1 + b**-n)
+    return {"flux_ratio": b, "power": n}
+
+
+def magnetic_hysteresis(t: Truth, rng: Rng, level: float) -> Change:
+    width = float(rng.uniform(0.1, 0.5))
+    one = rng.random() < 0.5
+    share = size(level, 0.004, 0.15)
+    w = np.full(N_PLAYS, width) if one else width * 2.5 * np.arange(1, N_PLAYS + 1) / N_PLAYS
+    t.plant.update(play_share=four(share), play_width=w)
+    return {"law": "play" if one else "rayleigh", "share": share, "width_a": w.tolist()}
+
+
+def off_centre_rotor(t: Truth, rng: Rng, level: float) -> Change:
+    x = np.zeros(4)
+    for a in rng.choice(4, size=int(rng.choice([1, 2, 4], p=[0.5, 0.3, 0.2])), replace=False):
+        x[a] = size(level, 6e-6, 60e-6) * sign(rng) * float(rng.uniform(0.7, 1.0))
+    t.plant["offset"] = x
+    return {"x0": x.tolist()}
+
+
+def thermal_drift(t: Truth, rng: Rng, level: float) -> Change:
+    e = size(level, 0.006, 0.1)
+    kind = str(rng.choice(["gap", "k"]))
+    t.drift = (-e if kind == "k" else 0.0, e if kind == "gap" else 0.0, float(rng.choice([0.3, 1.0, 20.0])))
+    return {"kind": kind, "relative": e, "time_constant_of_campaign": t.drift[2]}
+
+
+def magnetic_cross_coupling(t: Truth, rng: Rng, level: float) -> Change:
+    e = size(level, 0.002, 0.06) * sign(rng)
+    kind = str(rng.choice(["rotation", "symmetric", "rotation_exact"]))
+    m = np.eye(4)
+    if kind == "rotation_exact":
+        m *= np.cos(e)
+    for end in (0, 1):
+        m[end, end + 2] = -np.sin(e) if kind == "rotation_exact" else (-e if kind == "rotation" else e)
+        m[end + 2, end] = np.sin(e) if kind == "rotation_exact" else e
+    t.plant["force_mix"] = m
+    return {"xy_mag": e, "kind": kind}
+
+
+def rotor_inertia(t: Truth, rng: Rng, level: float) -> Change:
+    e = size(level, 0.015, 0.2) * sign(rng)
+    kind = str(rng.choice(["inertia", "mass", "both"]))
+    if kind != "inertia":
+        t.mass *= 1 + e
+    if kind != "mass":
+        t.inertia *= 1 + e
+    return {"kind": kind, "relative": e, "mass": t.mass, "inertia": t.inertia}
+
+
+def extra_flexible_mode(t: Truth, rng: Rng, level: float) -> Change:
+    hz = float(np.exp(rng.uniform(np.log(60), np.log(1400))))
+    a = size(level, 0.01, 0.09) * np.sqrt(280.0 / t.mass)
+    at_b = a * rng.uniform(0.4, 1.0, 2) * np.array([1.0, sign(rng)])
+    at_s = at_b * rng.uniform(0.7, 1.3, 2) * (sign(rng) if rng.random() < 0.3 else 1.0)
+    zeta = float(np.exp(rng.uniform(np.log(1e-3), np.log(2e-2))))
+    t.modes = [*t.modes, (2 * np.pi * hz, zeta, tuple(at_b.tolist()), tuple(at_s.tolist()))]
+    return {"hz": hz, "zeta": zeta, "bearings": at_b.tolist(), "sensors": at_s.tolist()}
+
+
+def modal_damping(t: Truth, rng: Rng, level: float) -> Change:
+    factor = size(level, 3.0, 15.0)
+    which = int(rng.choice([0, 1, 2]))
+    t.modes = [
+        (w, z * factor if which in (2, k) else z, b, s) if k < 2 else (w, z, b, s)
+        for k, (w, z, b, s) in enumerate(t.modes)
+    ]
+    return {"factor": factor, "modes": [0, 1] if which == 2 else [which]}
+
+
+def support_resonance(t: Truth, rng: Rng, level: float) -> Change:
+    t.housing = {
+        "mass": size(level, 60.0, 2.5) * t.mass,
+        "hz": float(np.exp(rng.uniform(np.log(15), np.log(800)))),
+        "zeta": float(np.exp(rng.uniform(np.log(5e-3), np.log(8e-2)))),
+        "each": bool(rng.random() < 0.35),
+        "ratio": float(rng.uniform(0.9, 1.1)),
+    }
+    return {f"house_{k}": v for k, v in t.housing.items()}
+
+
+def touchdown_contact(t: Truth, rng: Rng, level: float) -> Change:
+    gap = size(level, 25e-6, 7e-6)
+    k, both = size(float(rng.random()), 3e5, 5e6) * t.mass / 280.0, bool(rng.random() < 0.6)
+    t.plant.update(stop_gap=on_axes(some_axes(rng), gap, np.inf), stop_stiffness=k, stop_both=int(both))
+    t.plant["stop_damping"] = float(rng.choice([0.0, 50.0]))
+    return {"clearance": gap, "stiffness": k, "both_sides": both}
+
+
+def sensor_lag(t: Truth, rng: Rng, level: float) -> Change:
+    lag = size(level, 2e-6, 40e-6)
+    if rng.random() < 0.6:
+        t.plant["sensor_w"] = four(1 / lag)
+        return {"sensor_hz": 1 / lag / (2 * np.pi)}
+    t.loop["sensor_delay"] = lag
+    return {"sensor_delay": lag}
+
+
+def sensor_gain(t: Truth, rng: Rng, level: float) -> Change:
+    axis, e = int(rng.integers(4)), size(level, 0.025, 0.15) * sign(rng)
+    t.loop["sensor_gain"] = on_axes([axis], 1 + e, 1.0)
+    return {"axis": axis, "relative": e}
+
+
+def sensor_position(t: Truth, rng: Rng, level: float) -> Change:
+    shift = size(level, 2.5e-3, 20e-3) * sign(rng) * np.where(rng.random(2) < 0.7, 1.0, 0.0)
+    if not shift.any():
+        shift[0] = size(level, 2.5e-3, 20e-3)
+    if rng.random() < 0.4:
+        shift[1] *= -1
+    moved = bool(rng.random() < 0.4)
+    if moved:  # the shape where the sensor now is, by the slope between bearing and sensor
+        modes = []
+        for w, z, b, s in t.modes:
+            slope = [(s[k] - b[k]) / (t.s[k] - t.d[k]) for k in (0, 1)]
+            modes.append((w, z, b, tuple(s[k] + slope[k] * shift[k] for k in (0, 1))))
+        t.modes = modes
+    t.s = (t.s[0] + float(shift[0]), t.s[1] + float(shift[1]))
+    return {"sA": t.s[0], "sB": t.s[1], "shift": shift.tolist(), "shapes_move": moved}
+
+
+def mains_interference(t: Truth, rng: Rng, level: float) -> Change:
+    hz = 50.0 * int(rng.choice([1, 2, 3], p=[0.6, 0.3, 0.1]))
+    if rng.random() < 0.5:
+        a = size(level, 2e-3, 0.1)
+        t.plant.update(hum_a=four(a), hum_hz=hz, hum_phase=float(rng.uniform(0, 6)))
+        return {"current_a": a, "hz": hz}
+    a = size(level, 1.5e-8, 1.5e-6)
+    t.loop.update(hum_m=four(a), hum_hz=hz, hum_phase=float(rng.uniform(0, 6)))
+    return {"sensor_m": a, "hz": hz}
+
+
+CATALOGUE = {
+    f.__name__: f
+    for f in (
+        loop_delay, logging_offset, amplifier_bandwidth, amplifier_voltage_limit, channel_crosstalk,
+        controller_mismatch, eddy_currents, magnetic_saturation, magnetic_hysteresis, off_centre_rotor, thermal_drift,
+        magnetic_cross_coupling, rotor_inertia, extra_flexible_mode, modal_damping, support_resonance,
+        touchdown_contact, sensor_lag, sensor_gain, sensor_position, mains_interference,
+    )
+}  # fmt: skip
+
+PATH = {
+    "controller_mismatch": "controller", "logging_offset": "controller", "loop_delay": "amplifier",
+    "amplifier_bandwidth": "amplifier", "amplifier_voltage_limit": "amplifier", "channel_crosstalk": "amplifier",
+    "mains_interference": "additive",
+}  # fmt: skip
+"""The rest act in the plant."""
+
+
+def clipped_log(t: Truth, rng: Rng, level: float) -> Change:
+    t.log["clip"] = size(level, 13e-6, 7e-6)
+    return {"_clip": t.log["clip"]}
+
+
+def cubic_sensor(t: Truth, rng: Rng, level: float) -> Change:
+    c = size(level, 8e6, 4e8) * sign(rng)
+    t.loop["sensor_cubic"] = four(c)
+    return {"cubic_per_m2": c}
+
+
+def dead_band(t: Truth, rng: Rng, level: float) -> Change:
+    band = size(level, 2e-3, 25e-3)
+    t.plant["dead_band"] = four(band)
+    return {"dead_band_a": band}
+
+
+def friction(t: Truth, rng: Rng, level: float) -> Change:
+    force = size(level, 0.4, 15.0) * t.mass / 280.0
+    t.plant.update(friction=on_axes(some_axes(rng), force), friction_stiffness=1e6 * t.mass / 280.0)
+    return {"friction_n": force, "presliding_n_per_m": 1e6}
+
+
+def held_samples(t: Truth, rng: Rng, level: float) -> Change:
+    t.log["held"] = int(rng.choice([4, 7, 11, 23]))
+    return {"every": t.log["held"]}
+
+
+def coarse_steps(t: Truth, rng: Rng, level: float) -> Change:
+    step = size(level, 0.3e-6, 2e-6)
+    in_loop = bool(rng.random() < 0.3)
+    if in_loop:
+        t.loop["sensor_step"] = step
+    else:
+        t.log["step"] = step
+    return {"step_m": step, "in_loop": in_loop}
+
+
+def stiffening_mode(t: Truth, rng: Rng, level: float) -> Change:
+    cubic, k = np.zeros((2, 7)), int(rng.integers(2))
+    # of the modal coordinate, m sqrt(kg): a tenth of a per cent of the frequency at its peak is plainly seen
+    cubic[:, 2 + k] = size(level, 3e4, 3e6) * sign(rng)
+    t.plant["cubic"] = cubic
+    return {"mode": k, "cubic": float(cubic[0, 2 + k])}
+
+
+def swinging_stiffness(t: Truth, rng: Rng, level: float) -> Change:
+    e = size(level, 0.01, 0.15)
+    t.plant.update(ks_swing=e, ks_swing_hz=37.0)
+    return {"relative": e, "hz": 37.0}
+
+
+def amplitude_damping(t: Truth, rng: Rng, level: float) -> Change:
+    d, k = np.zeros((2, 7)), int(rng.integers(2))
+    d[:, 2 + k] = size(level, 1e8, 1e11)
+    t.plant["square_damping"] = d
+    return {"mode": k, "per_q2": float(d[0, 2 + k])}
+
+
+def demodulation_phase(t: Truth, rng: Rng, level: float) -> Change:
+    axis, phase = int(rng.integers(4)), size(level, 0.02, 0.4) * sign(rng)
+    t.log["phase"] = (axis, phase)
+    return {"axis": axis, "phase_rad": phase}
+
+
+def loose_connector(t: Truth, rng: Rng, level: float) -> Change:
+    axis, e = int(rng.integers(4)), size(level, 0.02, 0.2) * sign(rng)
+    at = float(rng.uniform(0.2, 0.6))
+    t.log["loose"] = (axis, at, 1 + e)
+    return {"axis": axis, "from_share_of_campaign": at, "relative": e}
+
+
+def filtered_current_log(t: Truth, rng: Rng, level: float) -> Change:
+    hz = size(level, 9e3, 1.5e3)
+    t.log["current_filter"] = hz
+    return {"current_log_hz": hz}
+
+
+UNKNOWN = {
+    f.__name__: f
+    for f in (
+        clipped_log, cubic_sensor, dead_band, friction, held_samples, coarse_steps, stiffening_mode,
+        swinging_stiffness, amplitude_damping, demodulation_phase, loose_connector, filtered_current_log,
+    )
+}  # fmt: skip

@@ -1,0 +1,217 @@
+"""A foreign rig's parameters, the reference values, other rotors, and the small-signal check that it levitates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+from scipy.signal import bilinear
+
+from foreign.physics import N_LADDER, N_PLAYS, N_STATES, PLANT, Loop, S0, derivative
+
+TS = 1e-4
+
+
+def pid(kp: float, ki: float, kd: float, filter_hz: float, notch_hz: float, depth: float, width: float) -> tuple:
+    """PID with filtered derivative and a biquad, Tustin: (b, a)."""
+    wf, wn = 2 * np.pi * filter_hz, 2 * np.pi * notch_hz
+    num = np.polymul([kp + kd * wf, kp * wf + ki, ki * wf], [1, 2 * depth * wn, wn**2])
+    den = np.polymul([1, wf, 0], [1, 2 * width * wn, wn**2])
+    b, a = bilinear(num, den, 1 / TS)
+    return b, a
+
+
+CONTROLLERS = {
+    "reference": dict(kp=18e3, ki=36e3, kd=80.0, filter_hz=3e3, notch_hz=750.0, depth=0.2, width=0.7),
+    "late": dict(kp=16e3, ki=36e3, kd=60.0, filter_hz=4e3, notch_hz=620.0, depth=0.2, width=0.8),
+}
+
+
+def four(value: float | list | np.ndarray) -> np.ndarray:
+    return np.array(np.broadcast_to(value, 4), dtype=float)
+
+
+@dataclass
+class Truth:
+    """The rig as it is. Modes: (frequency rad/s, zeta, shape at bearings, shape at sensors); both planes alike."""
+
+    mass: float = 280.0
+    inertia: float = 10.87
+    d: tuple = (0.418, 0.404)
+    s: tuple = (0.484, 0.470)
+    modes: list = field(
+        default_factory=lambda: [
+            (3097.0, 0.001, (0.0806, 0.0457), (0.080, 0.1416)),
+            (5708.0, 0.001, (0.21, 0.0827), (0.20, 0.0189)),
+        ]
+    )
+    ki: np.ndarray = field(default_factory=lambda: np.array([181.0, 186.0, 184.0, 198.0]))
+    ks: np.ndarray = field(default_factory=lambda: np.array([1.68e6, 1.73e6, 1.69e6, 1.88e6]))
+    bias: float = 2.75
+    amp_w: np.ndarray = field(default_factory=lambda: np.array([9244.0, 9640.0] * 2))
+    amp_zeta: np.ndarray = field(default_factory=lambda: np.array([0.8068, 0.8308] * 2))
+    control: dict = field(default_factory=lambda: dict(CONTROLLERS["reference"]))
+    noise_y: float = 20e-9
+    noise_i: float = 2e-3
+    limit_y: float = 80e-6
+    limit_i: float = 6.0
+    plant: dict = field(default_factory=dict)
+    """Fields of Plant that an effect replaces; a callable gets the plain value."""
+    loop: dict = field(default_factory=dict)
+    control_by_axis: list | None = None
+    """The controllers that really run, when they are not the datasheet's."""
+    housing: dict | None = None
+    """mass, hz, zeta; each: one housing per bearing."""
+    drift: tuple = (0.0, 0.0, 1.0)
+    """(k, gap) relative change at the end, and the time constant as a share of the campaign."""
+    log: dict = field(default_factory=dict)
+
+    def build(self) -> tuple[np.ndarray, Loop]:
+        """Plant and loop for the integrator."""
+        tb, ts = np.zeros((2, 2, 7)), np.zeros((2, 2, 7))
+        minv, w, zeta = np.zeros((2, 7)), np.zeros((2, 7)), np.zeros((2, 7))
+        for plane in range(2):
+            tb[plane, :, 0] = ts[plane, :, 0] = 1.0
+            tb[plane, :, 1] = self.d[0], -self.d[1]
+            ts[plane, :, 1] = self.s[0], -self.s[1]
+            minv[plane, :2] = 1 / self.mass, 1 / self.inertia
+            for j, (wj, zj, at_b, at_s) in enumerate(self.modes):
+                tb[plane, :, 2 + j], ts[plane, :, 2 + j] = at_b, at_s
+                minv[plane, 2 + j], w[plane, 2 + j], zeta[plane, 2 + j] = 1.0, wj, zj
+            first = 2 + len(self.modes)
+            if self.housing:
+                h = self.housing
+                for end, scale in enumerate((1.0, h.get("ratio", 1.0))[: 2 if h["each"] else 1]):
+                    minv[plane, first + end], zeta[plane, first + end] = 1 / h["mass"], h["zeta"]
+                    w[plane, first + end] = 2 * np.pi * h["hz"] * scale
+                    seen = slice(end, end + 1) if h["each"] else slice(0, 2)
+                    tb[plane, seen, first + end] = ts[plane, seen, first + end] = -1.0
+        gap = self.bias * self.ki / self.ks
+        nq = 2 + len(self.modes) + ((2 if self.housing["each"] else 1) if self.housing else 0)
+        values = dict(
+            nq=nq,
+            tb=tb, ts=ts, minv=minv, w=w, zeta=zeta, cubic=np.zeros((2, 7)), square_damping=np.zeros((2, 7)),
+            bias=four(self.bias), gap=gap, k=self.ki * gap**2 / (4 * self.bias), offset=np.zeros(4),
+            saturation=0, sat_level=np.ones(4), sat_power=2.0, play_share=np.zeros(4), play_width=np.zeros(N_PLAYS),
+            ladder=0, ladder_pole=np.ones(N_LADDER), ladder_gain=np.zeros(N_LADDER), ladder_direct=1.0,
+            force_mix=np.eye(4), amp_w=np.array(self.amp_w), amp_zeta=np.array(self.amp_zeta), amp_gain=np.ones(4),
+            amp_extra=np.zeros(4), slew=four(np.inf), slew_resistive=np.zeros(4), u_mix=np.eye(4),
+            dead_band=np.zeros(4), stop_gap=four(np.inf), stop_stiffness=0.0, stop_damping=0.0, stop_both=1,
+            friction=np.zeros(4), friction_stiffness=1.0, ks_swing=0.0, ks_swing_hz=37.0, hum_a=np.zeros(4),
+            hum_hz=50.0, hum_phase=0.0, sensor_w=np.zeros(4),
+        )  # fmt: skip
+        for name, value in self.plant.items():
+            values[name] = value(values[name]) if callable(value) else value
+        ba = [pid(**(self.control_by_axis[a] if self.control_by_axis else self.control)) for a in range(4)]
+        loop = dict(
+            b=np.array([b for b, _ in ba]), a=np.array([a for _, a in ba]), sample_time=TS, delay=np.zeros(1),
+            sensor_delay=0.0, sensor_gain=np.ones(4), sensor_cubic=np.zeros(4), sensor_step=0.0,
+            hum_m=np.zeros(4), hum_hz=50.0, hum_phase=0.0,
+        )  # fmt: skip
+        loop.update(self.loop)
+        plant = np.zeros(1, dtype=PLANT)
+        for name, value in values.items():
+            plant[name] = value
+        return plant, Loop(**loop)
+
+
+def _in_use(plant: np.void) -> np.ndarray:
+    """(N_STATES,) states that belong to something: the rest would show as eigenvalues at 1."""
+    used = np.zeros(N_STATES, dtype=bool)
+    used[:14] = used[14:28] = (plant["minv"] > 0).ravel()
+    used[28:36] = True
+    used[36:40], used[40:44] = plant["amp_extra"] > 0, plant["sensor_w"] > 0  # friction keeps a position: eigenvalue 1
+    used[48:84] = plant["ladder"] > 0
+    used[84:] = plant["ladder"] == 2
+    return used
+
+
+@njit(cache=True)
+def _slope(plants, s, u, plays, dk, dg, ds):
+    derivative(plants[0], 0.0, s, u, plays, dk, dg, ds)
+
+
+def small_signal(plant: np.ndarray, loop: Loop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Closed loop over one sample by finite differences: (A, B of r, C of y), ideal sensors' delay left out."""
+    plants = plant.copy()
+    plants["dead_band"] = 0.0
+    plant = plants[0]
+    n = N_STATES
+    plays, zero, u0 = np.zeros((4, N_PLAYS)), np.zeros(n), np.zeros(4)
+    scale = np.full(n, 1e-8)
+    scale[28:40] = 1e-5
+
+    def slope(s: np.ndarray, u: np.ndarray) -> np.ndarray:
+        ds = np.zeros(n)
+        _slope(plants, s, u, plays, 1.0, 1.0, ds)
+        return ds
+
+    a = np.array([(slope(zero + e, u0) - slope(zero - e, u0)) / (2 * h) for e, h in zip(np.diag(scale), scale)]).T
+    b = np.array([(slope(zero, u0 + e) - slope(zero, u0 - e)) / 2e-3 for e in 1e-3 * np.eye(4)]).T
+    used = _in_use(plant)
+    a, b = a[np.ix_(used, used)], b[used]
+    sensed = np.zeros((4, n))
+    for k in range(4):
+        if plant["sensor_w"][k] > 0:
+            sensed[k, S0 + k] = loop.sensor_gain[k]
+        else:
+            sensed[k, (k // 2) * 7 : (k // 2) * 7 + 7] = loop.sensor_gain[k] * plant["ts"][k // 2, k % 2]
+    c, n = sensed[:, used], int(used.sum())
+    tau = float(loop.delay[0]) + loop.sensor_delay
+    whole, rest = int(tau / TS), tau % TS
+
+    def held(t: float) -> tuple[np.ndarray, np.ndarray]:
+        m = expm(np.block([[a, b], [np.zeros((4, n + 4))]]) * t)
+        return m[:n, :n], m[:n, n:]
+
+    ad, _ = held(TS)
+    a2, b2 = held(TS - rest)
+    b1 = a2 @ held(rest)[1]
+    m = loop.b.shape[1] - 1
+    nc, nd = 4 * m, 4 * (whole + 1)
+    big = np.zeros((n + nc + nd, n + nc + nd))
+    ac, bc, cc = np.zeros((nc, nc)), np.zeros((nc, 4)), np.zeros((4, nc))
+    for k in range(4):  # transposed direct form
+        at = slice(m * k, m * k + m)
+        ac[at, at] = np.eye(m, k=1)
+        ac[at, m * k] -= loop.a[k, 1:]
+        bc[at, k] = loop.b[k, 1:] - loop.a[k, 1:] * loop.b[k, 0]
+        cc[k, m * k] = 1.0
+    d = np.diag(loop.b[:, 0])
+    big[:n, :n] = ad
+    big[n : n + nc, :n] = -bc @ c
+    big[n : n + nc, n : n + nc] = ac
+    u_of = np.zeros((4, n + nc + nd))
+    u_of[:, :n], u_of[:, n : n + nc] = -d @ c, cc
+    r_to = np.zeros((n + nc + nd, 4))
+    now = slice(n + nc, n + nc + 4)  # the queue's newest entry: the u of the sample before
+    if whole == 0:
+        big[:n, now] += b1
+        big[:n] += b2 @ u_of
+        r_to[:n] += b2
+    else:
+        big[:n, n + nc + 4 * whole :] += b1
+        big[:n, n + nc + 4 * (whole - 1) : n + nc + 4 * whole] += b2
+    big[now] += u_of
+    r_to[now] += np.eye(4)
+    for q in range(whole):
+        big[n + nc + 4 * (q + 1) : n + nc + 4 * (q + 2), n + nc + 4 * q : n + nc + 4 * (q + 1)] = np.eye(4)
+    read = np.zeros((4, n + nc + nd))
+    read[:, :n] = c
+    return big, r_to, read
+
+
+def slowest(big: np.ndarray) -> float:
+    """Largest modulus of the closed loop's eigenvalues."""
+    return float(np.abs(np.linalg.eigvals(big)).max())
+
+
+def response(closed: tuple, frequency: np.ndarray) -> np.ndarray:
+    """|y / r| (F, 4, 4) of the small-signal closed loop."""
+    a, b, c = closed
+    w, v = np.linalg.eig(a)
+    left, right = c @ v, np.linalg.solve(v, b.astype(complex))
+    z = np.exp(2j * np.pi * frequency * TS)
+    return np.abs(np.einsum("ak,fk,kb->fab", left, 1 / (z[:, None] - w), right))
