@@ -1,0 +1,220 @@
+"""A datasheet is read without loss, and one that is wrong ends in one line that names the field."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+from sim import datasheet
+from sim.datasheet import Tolerance
+from sim.errors import AmbError, DatasheetError
+from sim.reference import reference_datasheet, reference_rig
+from sim.twin import rig_from_datasheet
+
+TEXT = datasheet.to_toml(
+    replace(
+        reference_datasheet(),
+        modes=(datasheet.Mode(492.9, 0.001, (0.08, -0.04), (0.08, 0.14)),),
+        polar_inertia_kgm2=1.9,
+        sensor_bandwidth_hz=(9e3,) * 4,
+        tolerance=Tolerance(),
+        tolerance_stated=True,
+    )
+)
+PRACTICE = Path(__file__).resolve().parents[4] / "shared" / "practice"
+
+
+def with_line(key: str, value: str, section: str = "") -> str:
+    """The datasheet with ``key = value`` instead of what it says, in the section or where the key first occurs."""
+    start = TEXT.index(section) if section else 0
+    head, tail = TEXT[:start], TEXT[start:]
+    lines = tail.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith(f"{key} = "))
+    lines[at] = f"{key} = {value}" if value else ""
+    return head + "\n".join(lines)
+
+
+NUMBERS = [
+    "mass_kg",
+    "transverse_inertia_kgm2",
+    "polar_inertia_kgm2",
+    "frequency_hz",
+    "damping_ratio",
+    "current_stiffness_n_per_a",
+    "position_stiffness_n_per_m",
+    "bias_current_a",
+    "linear_range_m",
+    "gain",
+    "natural_frequency_hz",
+    "bandwidth_hz",
+    "sample_time_s",
+    "computing_delay_s",
+    "displacement_m",
+    "current_a",
+    "sensor_position_m",
+]
+REQUIRED = [
+    "name",
+    "axes",
+    "mass_kg",
+    "transverse_inertia_kgm2",
+    "bearing_from_cog_m",
+    "sensor_from_cog_m",
+    "frequency_hz",
+    "damping_ratio",
+    "shape_at_bearings",
+    "shape_at_sensors",
+    "current_stiffness_n_per_a",
+    "position_stiffness_n_per_m",
+    "bias_current_a",
+    "linear_range_m",
+    "sample_time_s",
+    "numerator",
+    "denominator",
+    "displacement_m",
+    "current_a",
+]
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(DatasheetError) as caught:
+        datasheet.parse(text, "my/rig.toml")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith("my/rig.toml")
+    return message
+
+
+def test_what_is_written_is_read_back():
+    once = datasheet.parse(TEXT)
+    assert datasheet.parse(datasheet.to_toml(once)) == once
+    assert once.tolerance_stated
+    assert once.sensor_bandwidth_hz == (9e3,) * 4
+
+
+def test_one_number_stands_for_all_axes():
+    sheet = datasheet.parse(with_line("current_stiffness_n_per_a", "340"))
+    assert sheet.current_stiffness_n_per_a == (340.0,) * 4
+
+
+@pytest.mark.parametrize("key", REQUIRED)
+def test_a_missing_value_is_named(key):
+    assert key in refusal(with_line(key, ""))
+
+
+@pytest.mark.parametrize("value", ["-1.0", "nan", "inf", "-inf", '"many"', "true", "{}"])
+@pytest.mark.parametrize("key", NUMBERS)
+def test_a_negative_a_non_finite_or_a_mistyped_value_is_named(key, value):
+    assert key in refusal(with_line(key, value))
+
+
+@pytest.mark.parametrize("key", ["bearing_from_cog_m", "sensor_from_cog_m"])
+@pytest.mark.parametrize("value", ["0.4", "[0.4]", "[0.4, 0.4, 0.4]", "[0.4, -0.4]", "[0.4, nan]", '[0.4, "x"]'])
+def test_a_distance_is_a_pair_of_positive_numbers(key, value):
+    assert key in refusal(with_line(key, value))
+
+
+@pytest.mark.parametrize("value", ["[340.0, 340.0]", "[340.0, 340.0, 340.0, 340.0, 340.0]", "[]"])
+def test_values_per_axis_are_one_or_one_per_axis(value):
+    message = refusal(with_line("current_stiffness_n_per_a", value))
+    assert "current_stiffness_n_per_a" in message
+    assert "one for all or 4" in message
+
+
+@pytest.mark.parametrize("axes", ["[]", '["xA"]', '["xB", "xA"]', '["xA", "xB", "yA"]', '["zA", "zB"]', '"xA"'])
+def test_axes_are_one_plane_or_two_in_order(axes):
+    assert "axes" in refusal(with_line("axes", axes))
+
+
+def test_an_amplifier_is_of_first_or_of_second_order_and_not_of_both():
+    first = "[amplifier]\nbandwidth_hz = 1500\n"
+    both = first + "natural_frequency_hz = 1500\ndamping_ratio = 0.8\n"
+    half = "[amplifier]\nnatural_frequency_hz = 1500\n"
+    head, tail = TEXT.split("[amplifier]", 1)
+    tail = tail[tail.index("[sensor]") :]
+    assert datasheet.parse(f"{head}{first}\n{tail}").amplifier_damping_ratio is None
+    for wrong in (both, half, "[amplifier]\ngain = 1\n"):
+        assert "either bandwidth_hz, or natural_frequency_hz with damping_ratio" in refusal(f"{head}{wrong}\n{tail}")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("numerator", "[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]", "not causal"),
+        ("denominator", "[0.0, 1.0, 1.0, 1.0, 1.0]", "first coefficient"),
+        ("numerator", "[]", "numerator"),
+        ("numerator", "[1.0, nan]", "numerator"),
+    ],
+)
+def test_a_controller_that_cannot_run_is_refused(key, value, words):
+    assert words in refusal(with_line(key, value))
+
+
+def test_an_unknown_key_is_refused_so_that_a_slip_of_the_pen_is_seen():
+    assert "mass" in refusal(TEXT.replace("mass_kg", "mass", 1))
+    assert "colour" in refusal(TEXT + '\n[colour]\nname = "red"\n')
+
+
+def test_text_that_is_no_toml_is_refused():
+    assert "not valid TOML" in refusal("[rig\nname = ")
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    with pytest.raises(DatasheetError, match=r"cannot read the datasheet .*absent\.toml"):
+        datasheet.read(tmp_path / "absent.toml")
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DatasheetError, match=r"binary\.toml"):
+        datasheet.read(binary)
+    with pytest.raises(AmbError):
+        datasheet.read(tmp_path)
+
+
+def test_numbers_that_toml_cannot_hold_are_not_written():
+    with pytest.raises(DatasheetError, match="finite"):
+        datasheet.to_toml(replace(reference_datasheet(), mass_kg=float("inf")))
+
+
+def test_a_tolerance_that_is_not_stated_has_its_documented_default():
+    head = TEXT[: TEXT.index("[tolerance]")]
+    assert datasheet.parse(head).tolerance == Tolerance()
+    assert not datasheet.parse(head).tolerance_stated
+    partly = datasheet.parse(f"{head}[tolerance]\nmass = 0.1\n")
+    assert partly.tolerance == replace(Tolerance(), mass=0.1)
+    for f in fields(Tolerance):
+        assert f.name in TEXT
+
+
+def test_modes_are_sorted_by_frequency():
+    late_first = TEXT.replace("[[modes]]", "[[modes]]\nfrequency_hz = 900.0\ndamping_ratio = 0.001\n"
+                              "shape_at_bearings = [0.2, 0.1]\nshape_at_sensors = [0.2, 0.1]\n\n[[modes]]")  # fmt: skip
+    assert [m.frequency_hz for m in datasheet.parse(late_first).modes] == [492.9, 900.0]
+
+
+def test_the_rig_of_a_datasheet_has_its_values_stands_still_and_is_silent():
+    sheet = datasheet.parse(TEXT)
+    rig = rig_from_datasheet(sheet)
+    assert rig.rotor.mass_kg == 280.0
+    assert rig.magnets.ki.tolist() == [340.0] * 4
+    assert rig.rotor.modes[1][0].shape_at_bearings == (0.08, -0.04)
+    assert rig.speed_rad_s == 0.0
+    assert rig.noise == replace(rig.noise, displacement_m=0.0, current_a=0.0)
+    assert rig.displacement_limit_m == reference_rig().displacement_limit_m
+
+
+def test_effects_that_a_diagnosis_has_added_are_in_the_rig():
+    sheet = datasheet.parse(TEXT + "\n[effects.loop_delay]\ndelay_s = 2e-5\n")
+    assert rig_from_datasheet(sheet).amplifiers.delay_s.tolist() == [2e-5] * 4
+    assert datasheet.parse(datasheet.to_toml(sheet)) == sheet
+    with pytest.raises(AmbError, match="no effect 'loop_lag'"):
+        rig_from_datasheet(datasheet.parse(TEXT + "\n[effects.loop_lag]\ndelay_s = 2e-5\n"))
+
+
+@pytest.mark.skipif(not PRACTICE.is_dir(), reason="no practice cases beside the repository")
+def test_every_practice_case_has_a_datasheet_that_is_read():
+    sheets = sorted(PRACTICE.glob("p*/rig.toml"))
+    assert sheets
+    for path in sheets:
+        sheet = datasheet.read(path)
+        assert sheet.n_axes == 4
+        assert datasheet.parse(datasheet.to_toml(sheet)) == sheet

@@ -1,0 +1,170 @@
+"""Rotor and support against closed forms, balances of momentum, and what turning must do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim import rotor
+from sim.effects import effect
+from sim.reference import reference_rig
+from sim.rig import FlexibleMode, Rig
+
+RIG = reference_rig()
+RIGID = replace(RIG, rotor=replace(RIG.rotor, modes=((), ())))
+OMEGA = 2 * np.pi * np.array([3.0, 40.0, 300.0, 800.0])
+
+
+def turning(rig: Rig, speed: float) -> Rig:
+    return replace(rig, speed_rad_s=speed)
+
+
+def whirl_poles(rig: Rig) -> np.ndarray:
+    """Poles of the free rotor and support, rad/s."""
+    m = rotor.mechanics(rig)
+    n = len(m.mass)
+    a = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(m.mass, m.stiffness), -np.linalg.solve(m.mass, m.damping)]]
+    )
+    return np.linalg.eigvals(a)
+
+
+def test_the_rigid_rotor_has_the_inverse_mass_matrix_of_the_thesis():
+    """M^-1 = [[1/m + dA^2/I, 1/m - dA dB/I], [.., 1/m + dB^2/I]]; Appendix B prints 0.02, -0.012, 0.019."""
+    m = rotor.mechanics(RIGID)
+    inverse = (m.bearing_map @ np.linalg.solve(m.mass, m.force_map))[:2, :2]
+    a, b, mass, inertia = 0.418, 0.404, 280.0, 10.87
+    exact = 1 / mass + np.array([[a * a, -a * b], [-a * b, b * b]]) / inertia
+    np.testing.assert_allclose(inverse, exact, rtol=1e-12)
+    np.testing.assert_allclose(inverse, [[0.02, -0.012], [-0.012, 0.019]], atol=6e-4)
+
+
+def test_sensors_see_the_exact_rigid_map_and_not_the_diagonal_one():
+    """[[1.080, -0.080], [-0.080, 1.080]] from bearing to sensor displacements."""
+    bearings, sensors = rotor.plane_maps(RIGID, 0)
+    np.testing.assert_allclose(sensors @ np.linalg.inv(bearings), [[1.080, -0.080], [-0.080, 1.080]], atol=5e-4)
+
+
+def test_a_rigid_rotor_moves_as_newton_says():
+    """The sum of the forces is mass times acceleration of the centre of gravity, their moment turns it."""
+    at_bearings, _ = rotor.receptances(rotor.mechanics(RIGID), OMEGA)
+    force = np.array([3.0, -1.0])
+    x = at_bearings[:, :2, :2] @ force
+    a, b = RIG.rotor.bearing_from_cog_m
+    centre, tilt = (b * x[:, 0] + a * x[:, 1]) / (a + b), (x[:, 0] - x[:, 1]) / (a + b)
+    np.testing.assert_allclose(-(OMEGA**2) * 280.0 * centre, force.sum(), rtol=1e-9)
+    np.testing.assert_allclose(-(OMEGA**2) * 10.87 * tilt, a * force[0] - b * force[1], rtol=1e-9)
+
+
+def test_a_flexible_mode_adds_its_residue():
+    mode = FlexibleMode(2000.0, 0.01, (0.1, -0.05), (0.12, -0.02))
+    rig = replace(RIGID, rotor=replace(RIGID.rotor, modes=((mode,), ())))
+    _, rigid = rotor.receptances(rotor.mechanics(RIGID), OMEGA)
+    _, flexible = rotor.receptances(rotor.mechanics(rig), OMEGA)
+    s = 1j * OMEGA[:, None, None]
+    added = np.outer([0.12, -0.02], [0.1, -0.05]) / (s**2 + 2 * 0.01 * 2000.0 * s + 2000.0**2)
+    np.testing.assert_allclose((flexible - rigid)[:, :2, :2], added, rtol=1e-9)
+    np.testing.assert_array_equal((flexible - rigid)[:, 2:, :], 0)
+
+
+def test_standing_still_the_planes_do_not_know_of_each_other():
+    at_bearings, at_sensors = rotor.receptances(rotor.mechanics(RIG), OMEGA)
+    for g in (at_bearings, at_sensors):
+        np.testing.assert_array_equal(g[:, :2, 2:], 0)
+        np.testing.assert_array_equal(g[:, 2:, :2], 0)
+
+
+def test_the_gyroscopic_moment_splits_a_tilt_into_nutation_and_a_rest():
+    """A free rigid rotor nutates at Ip/It times its speed (Genta 2005, chapter 3)."""
+    rig = turning(replace(RIGID, rotor=replace(RIGID.rotor, polar_inertia_kgm2=1.9)), 500.0)
+    fastest = np.abs(whirl_poles(rig)).max()
+    assert fastest == pytest.approx(1.9 / 10.87 * 500.0, rel=1e-9)
+
+
+def whirl_direction(rig: Rig, pole: complex) -> float:
+    """Positive when the tilt turns from x towards y, as the rotor does."""
+    m = rotor.mechanics(rig)
+    dynamic = m.mass * pole**2 + m.damping * pole + m.stiffness
+    q = np.linalg.svd(dynamic)[2][-1].conj()
+    half = len(rig.rotor.modes[0]) + 2
+    x, y = q[1:half], q[half + 1 : 2 * half]
+    k = np.argmax(np.abs(x))
+    return float(np.imag(x[k] * np.conj(y[k])) * np.sign(pole.imag))
+
+
+def test_the_nutation_goes_the_way_of_the_rotor():
+    rig = turning(replace(RIGID, rotor=replace(RIGID.rotor, polar_inertia_kgm2=1.9)), 500.0)
+    pole = 1j * 1.9 / 10.87 * 500.0
+    assert whirl_direction(rig, pole) > 0
+
+
+def symmetric_modes(zeta: float) -> Rig:
+    mode = FlexibleMode(3000.0, zeta, (0.08, 0.05), (0.08, 0.14))
+    return replace(RIG, rotor=replace(RIG.rotor, modes=((mode,), (mode,)), polar_inertia_kgm2=1.9))
+
+
+def test_the_gyroscopic_coupling_of_a_mode_splits_it_in_proportion_to_speed():
+    rig = turning(effect("gyroscopic_coupling").on(symmetric_modes(0.0), mode_coupling=0.02), 600.0)
+    poles = whirl_poles(rig)
+    high = np.sort(poles[poles.imag > 2000].imag)
+    np.testing.assert_allclose(high, 3000.0 + np.array([-0.5, 0.5]) * 0.02 * 600.0, rtol=1e-5)
+    forward = whirl_direction(rig, 1j * high[1])
+    assert forward > 0, "the forward whirl is the faster one"
+
+
+def test_internal_damping_takes_from_the_forward_whirl_what_it_gives_to_the_backward_one():
+    """zF = ze + zi (1 - W/w), zB = ze + zi (1 + W/w)."""
+    ze, zi, w, speed = 0.001, 0.002, 3000.0, 900.0
+    rig = turning(effect("internal_damping").on(symmetric_modes(ze), damping_ratio=zi), speed)
+    poles = whirl_poles(rig)
+    high = poles[poles.imag > 2000]
+    by_direction = {whirl_direction(rig, p) > 0: -p.real / abs(p) for p in high}
+    assert by_direction[True] == pytest.approx(ze + zi * (1 - speed / w), rel=1e-4)
+    assert by_direction[False] == pytest.approx(ze + zi * (1 + speed / w), rel=1e-4)
+
+
+def test_internal_damping_makes_the_forward_whirl_unstable_beyond_its_critical_speed():
+    stable, unstable = (
+        turning(effect("internal_damping").on(symmetric_modes(0.0), damping_ratio=0.002), w) for w in (2900.0, 3100.0)
+    )
+    for rig, sign in ((stable, -1), (unstable, 1)):
+        poles = whirl_poles(rig)
+        assert np.sign(poles[poles.imag > 2000].real.max()) == sign
+
+
+def test_a_seal_pushes_the_way_of_the_rotor():
+    """f_x = -k y, f_y = +k x: it feeds the forward whirl."""
+    rig = effect("cross_coupled_stiffness").on(RIG, stiffness_n_per_m=1e5)
+    m = rotor.mechanics(rig)
+    q = np.linalg.pinv(m.bearing_map) @ np.array([1e-6, 1e-6, 0.0, 0.0])  # both bearings to +x
+    generalised = -(m.stiffness - rotor.mechanics(RIG).stiffness) @ q
+    force = np.linalg.lstsq(m.bearing_map.T, generalised, rcond=None)[0]
+    np.testing.assert_allclose(force, [0, 0, 0.1, 0.1], atol=1e-9)
+
+
+def test_a_support_takes_the_reaction():
+    """What the magnets give to the rotor they take from the housing: no net force on both together."""
+    rig = effect("support_resonance").on(RIGID, inverse_mass_per_kg=1 / 900.0, frequency_hz=430.0)
+    m = rotor.mechanics(rig)
+    s = 1j * OMEGA[:, None, None]
+    q = np.linalg.solve(m.mass * s**2 + m.damping * s + m.stiffness, m.force_map[None].astype(complex))
+    momentum = -(OMEGA[:, None] ** 2) * (280.0 * q[:, 0] + 900.0 * q[:, 4])
+    held = (2 * np.pi * 430.0) ** 2 * 900.0 * q[:, 4] + 2 * 0.01 * 2 * np.pi * 430.0 * 900.0 * 1j * OMEGA[:, None] * q[
+        :, 4
+    ]
+    np.testing.assert_allclose(momentum + held, 0, atol=1e-9)
+    np.testing.assert_array_equal(m.sensor_map[:2, 4], -1.0)
+
+
+def test_a_heavy_support_is_none():
+    heavy = effect("support_resonance").on(RIG, inverse_mass_per_kg=1e-6)
+    _, still = rotor.receptances(rotor.mechanics(RIG), OMEGA)
+    _, moved = rotor.receptances(rotor.mechanics(heavy), OMEGA)
+    np.testing.assert_allclose(moved, still, rtol=0.02, atol=1e-11)
+
+
+def test_the_high_frequency_limit_is_what_receptances_tend_to():
+    m = rotor.mechanics(RIG)
+    omega = np.array([2 * np.pi * 1e6])
+    _, at_sensors = rotor.receptances(m, omega)
+    np.testing.assert_allclose(at_sensors[0], -m.high_frequency / omega[0] ** 2, rtol=1e-4, atol=1e-22)
