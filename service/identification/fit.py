@@ -57,7 +57,7 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
         raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
     main = next((s for s in excited if s.comment != "amplifier"), excited[0])
     amplifier_sweep = next((s for s in excited if s.comment == "amplifier" and s is not main), None)
-    others = [s for s in excited if s is not main and s is not amplifier_sweep]
+    others = [s for s in excited if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
     validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
 
     warnings: list[str] = []

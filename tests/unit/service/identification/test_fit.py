@@ -1,0 +1,237 @@
+"""The whole identification on data whose truth is known: what a user relies on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.identification.fit import Options, identify
+from service.identification.plane_model import PlaneModel
+from service.identification.result import CommissioningResult
+from service.identification.synthetic import synthetic_experiment, synthetic_sweep
+from sim.datasheet import Datasheet
+from sim.errors import AmbError
+
+
+def test_stiffness_is_found_from_a_datasheet_that_is_far_off(
+    result: CommissioningResult, truth: dict[str, PlaneModel]
+) -> None:
+    for plane, model in truth.items():
+        found = result.planes[plane].stiffness
+        for name, value in zip(("ksA", "ksB", "kiA", "kiB"), [*model.ks, *model.ki], strict=True):
+            assert found[name].value == pytest.approx(value, rel=5e-4)
+            assert abs(found[name].value - value) < 4 * found[name].std
+    assert result.planes["x"].stiffness["kiA"].error_percent == pytest.approx(100 * (340 - 181) / 181, rel=1e-2)
+
+
+def test_modes_are_found_without_knowing_any(result: CommissioningResult, truth: dict[str, PlaneModel]) -> None:
+    for plane, model in truth.items():
+        modes = result.planes[plane].modes
+        assert [m.kind for m in modes] == ["rotor", "rotor"]
+        for mode, w, zeta in zip(modes, model.natural_frequencies, model.damping_ratios, strict=True):
+            assert mode.natural_frequency_rad_s.value == pytest.approx(w, rel=2e-4)
+            assert abs(mode.natural_frequency_rad_s.value - w) < 3 * mode.natural_frequency_rad_s.std
+            assert mode.damping_ratio.value == pytest.approx(zeta, rel=0.03)
+        # the plant's pole lies below the free rotor's frequency, by the position stiffness
+        assert modes[0].levitated_frequency_rad_s.value < modes[0].natural_frequency_rad_s.value - 1
+
+
+def test_evidence_shows_the_alternatives(result: CommissioningResult) -> None:
+    plane = result.planes["x"]
+    chosen = [e.name for e in plane.mode_evidence if e.chosen]
+    assert chosen == ["2 modes"]
+    assert {e.name for e in plane.mode_evidence} >= {"1 mode", "2 modes", "3 modes"}
+    assert [e.name for e in plane.amplifiers["A"].evidence if e.chosen] == ["order 2"]
+    assert sum(e["chosen"] for e in plane.staged.split_evidence) == 1
+    assert 100 < plane.staged.split_hz < 450
+
+
+def test_fit_on_the_unseen_sweep_and_residuals_of_noise_size(result: CommissioningResult) -> None:
+    for plane in result.planes.values():
+        assert plane.fit_percent.min() > 99
+        assert plane.cross_validation_fit_percent is not None
+        assert plane.cross_validation_fit_percent.min() > 99
+        assert 0.8 < plane.residual_rms_total < 1.2
+        assert plane.adequate
+        assert plane.tests_passed
+        assert plane.staged.complete_fit_percent.min() < plane.fit_percent.min()
+
+
+def test_the_document_is_strict_json_with_the_contracts_keys(result: CommissioningResult) -> None:
+    document = json.loads(json.dumps(result.document(), allow_nan=False))
+    assert document["format"] == "amb-commissioning-result"
+    assert document["version"] == 1
+    x = document["planes"]["x"]
+    assert set(x["stiffness"]) == {"ksA", "ksB", "kiA", "kiB"}
+    assert set(x["stiffness"]["ksA"]) >= {"value", "std", "unit", "nominal", "error_percent"}
+    assert set(x["amplifiers"]["A"]) >= {"order", "poles_rad_s", "dc_gain", "fit_percent"}
+    assert set(x["rotor_modes"][0]) >= {"natural_frequency_rad_s", "damping_ratio"}
+    assert set(x["extended"]) >= {"transverse_inertia_kgm2", "centre_of_gravity_m", "identifiable"}
+    assert np.array(x["fit_percent"]).shape == np.array(x["cross_validation_fit_percent"]).shape == (2, 2)
+    assert set(x["staged"]) >= {"rigid_fit_percent", "flexible_fit_percent", "complete_fit_percent"}
+    assert set(x["residuals"]) >= {"whiteness", "independence", "level", "passed"}
+    assert np.array(x["state_space"]["A"]).shape == (8, 8)
+    assert x["margins"]["iso_14839_3_zone"] in "ABCD"
+    assert set(x["margins"]["sensitivity_peak"]) == {"A", "B"}
+
+
+def test_inertia_and_centre_of_gravity_are_told_and_the_exact_aliases_named(
+    result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    extended = result.planes["x"].extended
+    inertia, cog = extended["transverse_inertia_kgm2"], extended["centre_of_gravity_m"]
+    assert abs(inertia["value"] - datasheet.transverse_inertia_kgm2) < 4 * inertia["std"] < 0.05
+    assert abs(cog["value"]) < 4 * cog["std"] < 2e-4
+    assert extended["identifiable"] is True
+    # force against mass cannot be seen, whatever the data
+    blind = extended["blind_directions"]
+    assert extended["rank"] < extended["parameters"]
+    assert any({"mass_kg", "ki_A", "ks_A"} <= set(b["combination"]) for b in blind)
+
+
+def test_a_rig_with_one_plane(
+    experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel], controller
+) -> None:
+    one = replace(
+        datasheet,
+        axes=datasheet.axes[:2],
+        **{
+            name: getattr(datasheet, name)[:2]
+            for name in (
+                "current_stiffness_n_per_a",
+                "position_stiffness_n_per_m",
+                "bias_current_a",
+                "amplifier_gain",
+                "amplifier_natural_frequency_hz",
+                "amplifier_damping_ratio",
+                "sensor_gain",
+            )
+        },
+    )
+    f = experiment.main.frequency_hz[experiment.main.axis == 0]
+    sweep = synthetic_sweep({"x": truth["x"]}, one.axes, controller, f, 0.12, seed=4)
+    result = identify(synthetic_experiment(sweep, axes=one.axes), one)
+    assert list(result.planes) == ["x"]
+    assert result.planes["x"].stiffness["kiA"].value == pytest.approx(181, rel=5e-4)
+    assert result.planes["x"].cross_validation_fit_percent is None
+    assert any("cross-validation" in w for w in result.warnings)
+
+
+def test_without_currents_the_amplifiers_are_taken_from_the_datasheet(
+    experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel]
+) -> None:
+    amplifiers = truth["x"].amplifiers
+    known = replace(
+        datasheet,
+        amplifier_natural_frequency_hz=tuple(a.parameters[1] / 2 / np.pi for a in amplifiers) * 2,
+        amplifier_damping_ratio=tuple(a.parameters[2] for a in amplifiers) * 2,
+    )
+    blind = replace(experiment, sweeps=tuple(replace(s, I=None) for s in experiment.sweeps))
+    plane = identify(blind, known).planes["x"]
+    assert plane.stiffness["kiA"].value == pytest.approx(181, rel=1e-3)
+    assert plane.curves.amplifier is None
+
+
+def test_points_that_cannot_be_used_are_left_out_and_listed(experiment: Experiment, datasheet: Datasheet) -> None:
+    main = experiment.main
+    y, size = main.Y.copy(), main.amplitude_a.copy()
+    y[3, 2, 0, 0] = np.nan
+    size[5] = 0.0
+    flags = [""] * main.n_points
+    flags[7], flags[9] = "tripped: displacement", "repeated at lower amplitude"
+    spoiled = replace(main, Y=y, amplitude_a=size, flags=tuple(flags))
+    result = identify(replace(experiment, sweeps=(spoiled, *experiment.sweeps[1:])), datasheet)
+    notes = " ".join(result.planes["x"].warnings)
+    assert "not finite" in notes
+    assert "amplitude 0" in notes
+    assert "tripped" in notes
+    assert "lower amplitude" not in notes
+    assert result.planes["x"].stiffness["kiA"].value == pytest.approx(181, rel=5e-4)
+
+
+def test_one_excited_input_is_refused_in_one_line(experiment: Experiment, datasheet: Datasheet) -> None:
+    main = experiment.main
+    half = main.select(main.axis != 1)
+    with pytest.raises(AmbError, match=r"plane x: only xA is excited.*excite xB") as caught:
+        identify(replace(experiment, sweeps=(half,)), datasheet)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_block_is_refused(experiment: Experiment, datasheet: Datasheet) -> None:
+    main = experiment.main
+    single = replace(main, R=main.R[:, :1], U=main.U[:, :1], I=main.I[:, :1], Y=main.Y[:, :1])
+    with pytest.raises(AmbError, match="at least 2 blocks"):
+        identify(replace(experiment, sweeps=(single,)), datasheet)
+
+
+def test_singular_excitation_is_refused_with_its_frequency(experiment: Experiment, datasheet: Datasheet) -> None:
+    main = experiment.main
+    f = main.frequency_hz[4]
+    same = np.flatnonzero((main.frequency_hz == f) & (main.axis < 2))
+    u, i, y = main.U.copy(), main.I.copy(), main.Y.copy()
+    for signal in (u, i, y):
+        signal[same[1]] = signal[same[0]]
+    with pytest.raises(AmbError, match=f"{f:.4g} Hz is singular"):
+        identify(replace(experiment, sweeps=(replace(main, U=u, I=i, Y=y),)), datasheet)
+
+
+def test_another_rigs_datasheet_is_refused(experiment: Experiment, datasheet: Datasheet) -> None:
+    with pytest.raises(AmbError, match="axes"):
+        identify(replace(experiment, axes=("xA", "xB")), datasheet)
+
+
+def test_no_excited_sweep_is_refused(experiment: Experiment, datasheet: Datasheet) -> None:
+    noise = replace(experiment.main, kind="noise")
+    with pytest.raises(AmbError, match="nothing to identify"):
+        identify(replace(experiment, sweeps=(noise,)), datasheet)
+
+
+def test_a_plane_that_was_not_excited_is_skipped_with_a_word(experiment: Experiment, datasheet: Datasheet) -> None:
+    main = experiment.main
+    result = identify(replace(experiment, sweeps=(main.select(main.axis < 2),)), datasheet)
+    assert list(result.planes) == ["x"]
+    assert any("plane y is not excited" in w for w in result.warnings)
+
+
+def test_a_wrong_model_is_flagged_and_its_intervals_widened(
+    experiment: Experiment, datasheet: Datasheet, result: CommissioningResult
+) -> None:
+    # sensors 12 mm off: no stiffness explains that
+    wrong = replace(datasheet, sensor_from_cog_m=(0.472, 0.458))
+    plane = identify(experiment, wrong).planes["x"]
+    good = result.planes["x"]
+    assert not plane.adequate
+    assert not plane.tests_passed
+    assert "residuals are" in plane.warnings[0]
+    assert plane.stiffness["kiA"].std > 10 * good.stiffness["kiA"].std
+
+
+def test_ignoring_the_force_law_would_bias_the_stiffness(
+    datasheet: Datasheet, truth: dict[str, PlaneModel], controller
+) -> None:
+    from service.identification.points import plane_points
+    from service.identification.refine import Data, refine
+
+    f = np.unique(np.concatenate([np.geomspace(10, 1000, 40), 493 + np.linspace(-6, 6, 5)]))
+    sweep = synthetic_sweep(truth, datasheet.axes, controller, f, np.where(f < 60, 0.2, 0.4), seed=5)
+    data = Data(plane_points(sweep, datasheet.axes, "x"))
+    assert 10e-6 < np.abs(data.plant.y).max() < 80e-6
+    start = truth["x"]
+    linear = refine(start, data, start.layout.free(), nonlinear=False).model
+    full = refine(start, data, start.layout.free(), nonlinear=True).model
+    # the ratio does not hang on how the shapes split
+    truth_ratio = start.ks / start.ki
+    assert np.all(np.abs(full.ks / full.ki / truth_ratio - 1) < 2e-4)
+    assert np.max(np.abs(linear.ks / linear.ki / truth_ratio - 1)) > 1e-3
+
+
+def test_the_shape_prior_can_be_turned_off(
+    experiment: Experiment, datasheet: Datasheet, result: CommissioningResult
+) -> None:
+    free = identify(experiment, datasheet, Options(shape_prior=False)).planes["x"]
+    # without it one combination of the shapes' split is blind, and says so
+    assert free.modes[0].natural_frequency_rad_s.std > 10 * result.planes["x"].modes[0].natural_frequency_rad_s.std

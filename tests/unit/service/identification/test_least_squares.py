@@ -1,0 +1,44 @@
+"""The minimiser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.identification.least_squares import covariance_of, minimise
+
+
+def rosenbrock(theta, gradient):
+    a, b = theta[:2]
+    return np.array([10 * (b - a * a), 1 - a]), np.array([[-20 * a, 10, 0], [-1, 0, 0]]) if gradient else None
+
+
+def test_a_curved_valley_is_followed_to_its_end() -> None:
+    fit = minimise(rosenbrock, np.array([-1.2, 1.0, 5.0]), np.array([True, True, False]), 200, 1e-12)
+    assert fit.converged
+    assert np.allclose(fit.theta, [1, 1, 5], atol=1e-4)
+    assert fit.status.startswith("converged")
+
+
+def test_running_out_of_steps_is_a_status() -> None:
+    fit = minimise(rosenbrock, np.array([-1.2, 1.0, 5.0]), np.array([True, True, False]), 3, 1e-12)
+    assert not fit.converged
+    assert fit.status == "iteration limit reached"
+
+
+def test_steps_out_of_range_are_shortened() -> None:
+    def log(theta, gradient):
+        return None if theta[0] <= 0 else (np.log(theta) - 1.0, np.array([[1 / theta[0]]]))
+
+    assert minimise(log, np.array([50.0]), np.array([True]), 100, 1e-12).theta[0] == pytest.approx(np.e, rel=1e-5)
+    with pytest.raises(ValueError, match="physical range"):
+        minimise(log, np.array([-1.0]), np.array([True]))
+
+
+def test_covariance_has_huge_variance_where_the_data_are_blind() -> None:
+    jacobian = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0], [3.0, 3.0, 5.0]])
+    covariance = covariance_of(jacobian)
+    assert covariance[0, 0] > 1e10
+    assert covariance[2, 2] < 1.0
+    seen = covariance_of(jacobian[:, 1:])
+    assert np.allclose(seen, np.linalg.inv(jacobian[:, 1:].T @ jacobian[:, 1:]))

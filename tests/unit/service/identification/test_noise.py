@@ -1,0 +1,62 @@
+"""Variances from few blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.identification.noise import block_noise
+
+RNG = np.random.default_rng(3)
+OMEGA = np.repeat(np.arange(80) + 1.0, 2)
+
+
+def blocks(sd: np.ndarray, n_blocks: int = 6) -> np.ndarray:
+    shape = (len(OMEGA), n_blocks, sd.shape[1])
+    return (RNG.normal(size=shape) + 1j * RNG.normal(size=shape)) / np.sqrt(2) * sd[:, None, :]
+
+
+def whitened_power(e: np.ndarray) -> float:
+    model = block_noise(e, OMEGA)
+    return float(np.mean(np.abs(np.einsum("pab,pb->pa", model.whitener(), e.mean(axis=1))) ** 2))
+
+
+def test_equal_noise_is_pooled() -> None:
+    e = blocks(np.ones((len(OMEGA), 4)) * [1, 2, 1e-6, 2e-6])
+    model = block_noise(e, OMEGA)
+    assert np.allclose(model.sigma * np.sqrt(6), [1, 2, 1e-6, 2e-6], rtol=0.35)
+    assert np.std(model.sigma[:, 0]) < 0.12 * np.mean(model.sigma[:, 0])
+    assert np.isinf(model.prior_blocks)
+
+
+def test_block_lengths_that_change_from_point_to_point_are_followed() -> None:
+    factor = np.repeat(RNG.choice([0.5, 1.0, 2.0], 80), 2)[:, None]
+    powers = [whitened_power(blocks(factor * np.ones(4))) for _ in range(20)]
+    assert np.mean(powers) == pytest.approx(1.05, abs=0.08)
+
+
+def test_a_loud_point_keeps_its_own_variance() -> None:
+    sd = np.exp(RNG.normal(size=(len(OMEGA), 1))) * np.ones(4)
+    model = block_noise(blocks(sd), OMEGA)
+    assert np.corrcoef(np.log(model.sigma[:, 0]), np.log(sd[:, 0]))[0, 1] > 0.9
+
+
+def test_leakage_at_the_blocks_borders_does_not_count_in_full() -> None:
+    # state differences at the borders: e_b = (s_b+1 - s_b) + n_b, so the mean hardly has them
+    powers = []
+    for _ in range(20):
+        s = (RNG.normal(size=(len(OMEGA), 7, 2)) + 1j * RNG.normal(size=(len(OMEGA), 7, 2))) * 2
+        powers.append(whitened_power(np.diff(s, axis=1) + blocks(np.ones((len(OMEGA), 2)))))
+    assert np.mean(powers) == pytest.approx(1.0, abs=0.3)  # 0.25 were the correlation not seen
+
+
+def test_correlated_channels_are_whitened() -> None:
+    e = blocks(np.ones((len(OMEGA), 2)))
+    e[:, :, 1] = 0.8 * e[:, :, 0] + 0.6 * e[:, :, 1]
+    model = block_noise(e, OMEGA)
+    correlation = model.covariance[:, 0, 1] / (model.sigma[:, 0] * model.sigma[:, 1])
+    assert np.mean(correlation.real) == pytest.approx(0.8, abs=0.07)
+
+
+def test_two_blocks_are_enough_to_go_on() -> None:
+    assert np.all(np.isfinite(block_noise(blocks(np.ones((len(OMEGA), 4)), 2), OMEGA).sigma))
