@@ -53,7 +53,7 @@ class Heartbeat:
             except RefusedError:
                 refusals += 1
                 self.refused = refusals > 3
-                due = time.monotonic() + self._period_s
+                due = time.monotonic() + (self._period_s if self.refused else 0.01)
             except BusError:
                 # at once: the watchdog runs
                 due = time.monotonic() + 0.01

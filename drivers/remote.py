@@ -119,7 +119,7 @@ class RemoteController:
         try:
             self._measuring = True
             self._start(tone, self._command)
-            self._wait(self._command)
+            self._wait(tone, self._command)
             return self._fetch(tone, self._command)
         except LeaseError:
             raise  # someone else's excitation is not ours to stop
@@ -194,20 +194,28 @@ class RemoteController:
             },
         )
 
-    def _wait(self, command: int) -> None:
+    def _wait(self, tone: Tone, command: int) -> None:
         """Return when the tone is done; raise when it ended otherwise."""
-        stopped = False
+        stop_again = 0.0
         pause = 0.001
         while True:
-            if self._stop_asked.is_set() and not stopped:
-                stopped = True
+            if self._stop_asked.is_set() and time.monotonic() >= stop_again:
+                # again and again until it is seen to work: the first may have been lost
                 self._send_stop(self._token)
+                stop_again = time.monotonic() + 0.1
             values = self._status()
             if values["command"] == command and values["outcome"] != Outcome.UNDER_WAY:
                 self._judge(Outcome(int(_number(values["outcome"]))), values)
                 return
-            if values["command"] != command and not self._holds(values):
-                raise LeaseError(str(values.get("lease_holder", "")), _number(values.get("lease_seconds_left", 0.0)))
+            if values["command"] != command:
+                if not self._holds(values):
+                    raise LeaseError(
+                        str(values.get("lease_holder", "")), _number(values.get("lease_seconds_left", 0.0))
+                    )
+                if self._stop_asked.is_set():
+                    raise CancelledError("stopped before the tone began")
+                # the answer to the command belonged to another one: say it again, under its number
+                self._start(tone, command)
             self._link.wait_for_change(pause)
             pause = min(2 * pause, POLL_S)
 

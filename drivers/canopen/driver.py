@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -147,7 +148,8 @@ class _SdoLink:
             if aborted.code in _REFUSALS:
                 raise RefusedError(_REFUSALS[aborted.code], f"SDO abort 0x{aborted.code:08X}") from aborted
             raise BusError(f"the SDO transfer was aborted: {aborted}") from aborted
-        except (SdoCommunicationError, SdoError) as error:
+        except (SdoCommunicationError, SdoError, struct.error, AttributeError) as error:
+            # struct.error: a frame was cut short; AttributeError: how canopen 2.4's block upload meets a time-out
             self._failed()
             raise BusError(f"the SDO transfer failed: {error}") from error
         except (can.CanError, OSError, RuntimeError, ValueError, IndexError) as error:
