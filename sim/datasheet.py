@@ -325,7 +325,8 @@ def _value(value: Any) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(_value(v) for v in value) + "]"
     if isinstance(value, str):
-        return json.dumps(value)
+        # JSON's strings are TOML's but for surrogate pairs, which TOML does not know, and DEL, which it does not take.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if not math.isfinite(value):
         raise DatasheetError(f"a datasheet holds finite numbers only, not {value}")
     return repr(float(value))

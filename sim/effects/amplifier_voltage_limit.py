@@ -10,7 +10,7 @@ from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    if p["slew_inverse_s_per_a"] == 0:
+    if p["slew_inverse_s_per_a"] < 1e-12:
         return rig
     slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / p["slew_inverse_s_per_a"])
     return replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=slew))

@@ -10,11 +10,11 @@ from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    if p["saturation_inverse_per_a"] == 0:
+    if p["saturation_inverse_per_a"] < 1e-12:
         return rig
     # Cubic terms i^3/(3 is^2) of saturations in series add.
-    inverse_squared = 1 / rig.magnets.saturation_current_a**2 + p["saturation_inverse_per_a"] ** 2
-    return replace(rig, magnets=replace(rig.magnets, saturation_current_a=1 / np.sqrt(inverse_squared)))
+    inverse = np.hypot(1 / rig.magnets.saturation_current_a, p["saturation_inverse_per_a"])
+    return replace(rig, magnets=replace(rig.magnets, saturation_current_a=1 / inverse))
 
 
 EFFECT = Effect(

@@ -10,7 +10,7 @@ from sim.rig import Rig, Support
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    if p["inverse_mass_per_kg"] == 0:
+    if p["inverse_mass_per_kg"] < 1e-12:
         return rig
     if rig.support is not None:
         raise EffectError(f"rig {rig.name} already has a resonant support; change that one instead of adding another")
