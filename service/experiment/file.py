@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +145,7 @@ def write(path: Path, experiment: Experiment) -> None:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with h5py.File(temporary, "w") as file:
+        with h5py.File(temporary, "w", libver="v110") as file:  # check sums on all that describes the data
             file.attrs.update(
                 format=contract.FORMAT,
                 version=contract.VERSION,
@@ -158,7 +159,8 @@ def write(path: Path, experiment: Experiment) -> None:
         os.replace(temporary, path)
         _to_disk(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
         raise ExperimentFileError(f"cannot write {path}: {error}; free space or choose another folder") from error
 
 
@@ -179,7 +181,9 @@ def _write_sweep(group: Any, sweep: Sweep) -> None:
     for name in ("R", "U", "I", "Y"):
         value = getattr(sweep, name)
         if value is not None:
-            group.create_dataset(name, data=value, compression="gzip", compression_opts=1, shuffle=True)
+            group.create_dataset(
+                name, data=value, compression="gzip", compression_opts=1, shuffle=True, fletcher32=True
+            )
 
 
 def _to_disk(path: Path) -> None:

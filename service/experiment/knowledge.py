@@ -17,7 +17,7 @@ from service.experiment.noise import NoiseSpectra
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-SHORTER = 0.8
+SHORTER = 0.9
 """Settling of a new point against that of its neighbour: the time shrinks again away from a resonance."""
 
 

@@ -38,7 +38,7 @@ def version_5(path: Path) -> dict[str, Any]:
 
 def version_73(file: Any) -> dict[str, Any]:
     """Tree of an open v7.3 file, for `service.experiment.file`."""
-    content = {k: _value(file, v) for k, v in file.items() if not k.startswith("#")}
+    content = _attributes(file) | {k: _value(file, v) for k, v in file.items() if not k.startswith("#")}
     return _tree(Path(file.filename).stem, content)
 
 
@@ -80,8 +80,17 @@ def _sweep(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
             array = array.ravel()
         elif key in RANK and array.ndim < RANK[key]:
             array = _with_lost_dimensions(array, RANK[key], np.size(fields.get("frequency_hz", [])), fields)
+        if key in RANK and array.ndim == RANK[key]:
+            array = _points_first(array, np.size(fields.get("frequency_hz", [])))
         datasets[key] = array
     return datasets, attributes
+
+
+def _points_first(array: Any, n_points: int) -> Any:
+    """An array whose dimensions came in MATLAB's order, turned so that points, or samples, come first."""
+    if array.ndim == 4:
+        return array.T if array.shape[0] != n_points and array.shape[3] == n_points else array
+    return array.T if array.shape[0] < array.shape[1] else array
 
 
 def _with_lost_dimensions(array: Any, rank: int, n_points: int, fields: Mapping[str, Any]) -> Any:
@@ -93,6 +102,11 @@ def _with_lost_dimensions(array: Any, rank: int, n_points: int, fields: Mapping[
     return array
 
 
+def _attributes(node: Any) -> dict[str, Any]:
+    """Attributes of a group that MATLAB itself did not put there, for files that other programs laid out."""
+    return {k: v for k, v in node.attrs.items() if not k.startswith(("MATLAB", "H5"))}
+
+
 def _value(file: Any, node: Any) -> Any:
     """One MATLAB variable of a v7.3 file: struct, struct array, cell, char or numbers, dimensions turned back."""
     if isinstance(node, h5py.Group):
@@ -102,7 +116,7 @@ def _value(file: Any, node: Any) -> Any:
         if fields and all(references) and all(c != b"cell" for c in classes):
             columns = {k: [_value(file, file[r]) for r in np.ravel(v[()])] for k, v in fields.items()}
             return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        return {k: _value(file, v) for k, v in fields.items()}
+        return _attributes(node) | {k: _value(file, v) for k, v in fields.items()}
     raw = node[()]
     if node.dtype == h5py.ref_dtype:
         return [_value(file, file[r]) for r in np.ravel(raw)]

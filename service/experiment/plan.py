@@ -49,7 +49,7 @@ class Profile:
     nonlinearity: float = 0.2
     """Share of the accuracy that the cubic terms of the magnets' force may take: displacement over gap squared, and
     displacement over gap times current over bias current."""
-    rig_seconds: float = 1200.0
+    rig_seconds: float = 1000.0
     """Time of the rig that a campaign over four axes should need; others in proportion."""
     peak_points: int = 5
     """Points within the half-power width of a peak that resolve it."""

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-FALSE_ALARM = 1e-3
+FALSE_ALARM = 1e-2
 """Share of settled points that the test may call drifting by chance; each costs one repetition."""
 
 

@@ -1,0 +1,318 @@
+"""Experiment files: what the contract allows is read, everything else gets one line that names the place."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from service.experiment.errors import ExperimentFileError
+from service.experiment.file import read, write
+
+PRACTICE = Path(__file__).parents[5] / "shared" / "practice"
+
+
+def refused(path) -> str:
+    with pytest.raises(ExperimentFileError) as caught:
+        read(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(path) in message
+    return message
+
+
+def test_what_is_written_is_read_back(tmp_path, experiment):
+    write(tmp_path / "e.h5", experiment)
+    again = read(tmp_path / "e.h5")
+    assert (again.rig, again.axes, again.attributes) == (experiment.rig, experiment.axes, experiment.attributes)
+    for old, new in zip(experiment.sweeps, again.sweeps, strict=True):
+        for name in ("frequency_hz", "axis", "amplitude_a", "U", "I", "Y", "block_samples", "time_s"):
+            np.testing.assert_array_equal(getattr(new, name), getattr(old, name), err_msg=name)
+        np.testing.assert_allclose(new.R, old.R, atol=1e-15)
+        assert (new.kind, new.comment, new.flags, new.harmonics) == (old.kind, old.comment, old.flags, old.harmonics)
+
+
+def test_writing_leaves_no_other_file(tmp_path, experiment):
+    write(tmp_path / "e.h5", experiment)
+    write(tmp_path / "e.h5", experiment)
+    assert [p.name for p in tmp_path.iterdir()] == ["e.h5"]
+
+
+def test_records_become_whole_period_blocks(write_hdf5, recorded):
+    sweep = read(write_hdf5(recorded)).main
+    assert sweep.Y.shape == (4, 6, 4, 4)
+    k = np.arange(4)
+    np.testing.assert_allclose(sweep.R[k, :, 1, k], 0.2, rtol=1e-9)
+    np.testing.assert_allclose(sweep.U[k, :, 0, k], 0.01, rtol=1e-6)
+    np.testing.assert_allclose(sweep.I[k, :, 1, k], 0.18, rtol=1e-6)
+    np.testing.assert_allclose(sweep.Y[k, :, 1, k], 4e-7, rtol=1e-3)
+
+
+def test_a_noise_record_becomes_spectral_lines(write_hdf5, recorded):
+    rng = np.random.default_rng(0)
+    rest = {k: rng.standard_normal((6000, 4)) for k in "ruiy"}
+    one = {"frequency_hz": [0.0], "axis": [0], "amplitude_a": [0.0], "sample_start": [0, 6000]}
+    path = write_hdf5(recorded)
+    with h5py.File(path, "a") as file:
+        group = file.create_group("sweeps/1")
+        group.attrs.update(kind="noise", speed_rad_s=0.0, sample_rate_hz=10_000.0, comment="noise")
+        for k, v in (rest | one).items():
+            group[k] = v
+    noise = read(path).sweeps[1]
+    assert noise.kind == "noise"
+    assert noise.Y.shape[1:] == (6, 4, 4)
+    # white noise of variance 1 in blocks of 1000 samples: E|Y|^2 = 4 / 1000
+    assert np.mean(np.abs(noise.Y[5:, :, 1]) ** 2) == pytest.approx(4e-3, rel=0.1)
+
+
+def test_no_logged_current_is_allowed(write_hdf5, demodulated, recorded):
+    del demodulated["I"], recorded["i"]
+    assert read(write_hdf5(demodulated)).main.I is None
+    assert read(write_hdf5(recorded)).main.I is None
+
+
+def test_sweeps_are_in_order_of_their_number(tmp_path, experiment, write_hdf5, demodulated):
+    path = write_hdf5(demodulated)
+    with h5py.File(path, "a") as file:
+        for k in (10, 2):
+            file.copy("sweeps/0", f"sweeps/{k}")
+            file[f"sweeps/{k}"].attrs["comment"] = str(k)
+    assert [s.comment for s in read(path).sweeps] == ["main", "2", "10"]
+
+
+def test_another_time_origin_is_moved(write_hdf5, demodulated):
+    turn = np.exp(0.7j * np.arange(4))[None, None, :, None]
+    turned = {k: v * turn if k in "RUIY" else v for k, v in demodulated.items()}
+    sweep = read(write_hdf5(turned)).main
+    np.testing.assert_allclose(sweep.Y, demodulated["Y"], atol=1e-12)
+    np.testing.assert_allclose(sweep.R, demodulated["R"], atol=1e-12)
+
+
+@pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice cases are not beside the repository")
+def test_every_practice_file_is_read():
+    paths = sorted(PRACTICE.glob("*/experiment.h5"))
+    assert paths
+    for path in paths:
+        experiment = read(path)
+        assert experiment.main.comment == "main"
+        assert experiment.main.I is not None
+        first = experiment.main.R[np.arange(experiment.main.n_points), :, 1, experiment.main.axis]
+        assert np.all(first.real > 0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.7, 0.97])
+def test_a_truncated_file(tmp_path, experiment, share):
+    path = tmp_path / "e.h5"
+    write(path, experiment)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    assert "copy it again" in refused(path)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_damaged_file_never_ends_in_another_error(tmp_path, experiment, seed):
+    path = tmp_path / "e.h5"
+    write(path, experiment)
+    data = bytearray(path.read_bytes())
+    rng = np.random.default_rng(seed)
+    for k in rng.integers(0, len(data), 200):
+        data[k] = rng.integers(0, 256)
+    path.write_bytes(data)
+    try:
+        read(path)
+    except ExperimentFileError as error:
+        assert str(path) in str(error)
+
+
+def test_a_file_that_does_not_exist(tmp_path):
+    assert "does not exist" in refused(tmp_path / "nothing.h5")
+
+
+def test_an_interrupted_campaign_is_pointed_out(tmp_path):
+    (tmp_path / "experiment.journal").write_text("")
+    assert "resume" in refused(tmp_path / "experiment.h5")
+
+
+def test_a_folder_in_place_of_a_file(tmp_path):
+    assert "cannot be read" in refused(tmp_path)
+
+
+def test_a_text_file(tmp_path):
+    (tmp_path / "e.h5").write_text("frequency_hz,axis\n")
+    assert "no HDF5 or MATLAB file" in refused(tmp_path / "e.h5")
+
+
+@pytest.mark.parametrize("name", ["format", "version", "rig", "axes"])
+def test_a_missing_attribute_of_the_file(write_hdf5, demodulated, name):
+    assert f"attribute {name}" in refused(write_hdf5(demodulated, root={name: None}))
+
+
+@pytest.mark.parametrize("name", ["kind", "speed_rad_s", "sample_rate_hz"])
+def test_a_missing_attribute_of_a_sweep(write_hdf5, demodulated, name):
+    assert f"/sweeps/0: attribute {name}" in refused(write_hdf5(demodulated, {name: None}))
+
+
+@pytest.mark.parametrize(
+    ("root", "said"),
+    [
+        ({"format": "other"}, "format"),
+        ({"version": 2}, "version 2 is unknown"),
+        ({"version": "new"}, "version"),
+        ({"axes": "xA, xB"}, "JSON list"),
+        ({"axes": "[]"}, "JSON list"),
+        ({"axes": '["xA", "xA", "yA", "yB"]'}, "twice"),
+    ],
+)
+def test_a_wrong_attribute_of_the_file(write_hdf5, demodulated, root, said):
+    assert said in refused(write_hdf5(demodulated, root=root))
+
+
+@pytest.mark.parametrize(
+    ("attributes", "said"),
+    [
+        ({"kind": "sweep"}, "kind is 'sweep'"),
+        ({"sample_rate_hz": 0.0}, "sample_rate_hz"),
+        ({"sample_rate_hz": float("nan")}, "sample_rate_hz"),
+        ({"speed_rad_s": "fast"}, "speed_rad_s"),
+        ({"sample_rate_hz": 39.0}, "Nyquist"),
+        ({"kind": "noise"}, "no excited sweep"),
+    ],
+)
+def test_a_wrong_attribute_of_a_sweep(write_hdf5, demodulated, attributes, said):
+    assert said in refused(write_hdf5(demodulated, attributes))
+
+
+@pytest.mark.parametrize("name", ["frequency_hz", "axis", "amplitude_a", "harmonics", "R", "U", "Y"])
+def test_a_missing_dataset(write_hdf5, demodulated, name):
+    del demodulated[name]
+    assert f"/sweeps/0/{name} is missing" in refused(write_hdf5(demodulated))
+
+
+@pytest.mark.parametrize("name", ["sample_start", "r", "u", "y"])
+def test_a_missing_dataset_of_records(write_hdf5, recorded, name):
+    del recorded[name]
+    assert f"/sweeps/0/{name} is missing" in refused(write_hdf5(recorded))
+
+
+def test_a_sweep_without_signals(write_hdf5, demodulated):
+    kept = {k: demodulated[k] for k in ("frequency_hz", "axis", "amplitude_a")}
+    assert "neither records" in refused(write_hdf5(kept))
+
+
+def test_a_file_without_sweeps(write_hdf5, demodulated):
+    path = write_hdf5(demodulated)
+    with h5py.File(path, "a") as file:
+        del file["sweeps/0"]
+    assert "no sweep" in refused(path)
+    with h5py.File(path, "a") as file:
+        del file["sweeps"]
+    assert "/sweeps is missing" in refused(path)
+
+
+@pytest.mark.parametrize("name", ["frequency_hz", "amplitude_a", "R", "U", "I", "Y"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_value_that_is_not_finite(write_hdf5, demodulated, name, value):
+    demodulated[name] = np.array(demodulated[name])
+    demodulated[name].flat[-1] = value
+    assert f"/sweeps/0/{name} has 1 values that are not finite" in refused(write_hdf5(demodulated))
+
+
+@pytest.mark.parametrize("name", ["u", "i", "y"])
+def test_a_record_that_is_not_finite(write_hdf5, recorded, name):
+    recorded[name][1234, 2] = np.nan
+    message = refused(write_hdf5(recorded))
+    assert f"/sweeps/0/{name}" in message
+    assert "(1234, 2)" in message
+
+
+@pytest.mark.parametrize("name", ["axis", "amplitude_a", "R", "U", "I", "Y"])
+def test_a_shape_that_does_not_match(write_hdf5, demodulated, name):
+    demodulated[name] = demodulated[name][:-1]
+    assert f"/sweeps/0/{name} has shape" in refused(write_hdf5(demodulated))
+
+
+@pytest.mark.parametrize("name", ["u", "i", "y"])
+def test_records_of_unequal_length(write_hdf5, recorded, name):
+    recorded[name] = recorded[name][:-5]
+    assert f"/sweeps/0/{name} has shape" in refused(write_hdf5(recorded))
+
+
+def test_another_number_of_axes(write_hdf5, demodulated, recorded):
+    two = {"axes": '["xA", "xB"]'}
+    assert "axis holds 2" in refused(write_hdf5(demodulated, root=two))
+    demodulated["axis"] = np.zeros(3)
+    assert "/R has shape" in refused(write_hdf5(demodulated, root=two))
+    recorded["axis"] = np.zeros(4)
+    assert "/r has shape" in refused(write_hdf5(recorded, root=two))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("frequency_hz", [10.0, -15.0, 20.0], "must be positive"),
+        ("frequency_hz", [10.0, 0.0, 20.0], "must be positive"),
+        ("frequency_hz", [10.0, 15.0, 5000.0], "Nyquist"),
+        ("frequency_hz", [], "no points"),
+        ("frequency_hz", [[10.0, 15.0, 20.0]], "has shape"),
+        ("axis", [0, 1, 4], "axis holds 4"),
+        ("axis", [0, -1, 2], "axis holds -1"),
+        ("axis", [0, 0.5, 2], "whole numbers"),
+        ("amplitude_a", [0.1, -0.1, 0.1], "must not be negative"),
+        ("harmonics", [0, 2, 3, 4], "must hold 1"),
+        ("harmonics", [0, 1, 1, 2], "twice"),
+        ("harmonics", [0, 1, 2], "/R has shape"),
+        ("flags", ["", "x"], "flags has 2 values"),
+        ("frequency_hz", [b"a", b"b", b"c"], "must hold numbers"),
+    ],
+)
+def test_a_value_out_of_range(write_hdf5, demodulated, name, value, said):
+    demodulated[name] = value
+    assert said in refused(write_hdf5(demodulated))
+
+
+def test_too_few_blocks(write_hdf5, demodulated):
+    for name in "RUIY":
+        demodulated[name] = demodulated[name][:, :1]
+    assert "1 block" in refused(write_hdf5(demodulated))
+
+
+def test_records_with_too_few_periods(write_hdf5, recorded):
+    recorded["frequency_hz"] = np.array([3.0, 33.3, 100.0, 251.7])
+    message = refused(write_hdf5(recorded))
+    assert "1 whole periods of 3 Hz" in message
+    assert "record longer" in message
+
+
+def test_records_that_are_cut_short(write_hdf5, recorded):
+    for name in "ruiy":
+        recorded[name] = recorded[name][:-100]
+    assert "cut short" in refused(write_hdf5(recorded))
+
+
+def test_offsets_that_do_not_rise(write_hdf5, recorded):
+    recorded["sample_start"] = np.array([0, 5000, 5000, 15000, 20000])
+    assert "sample_start does not rise from point 1 to 2" in refused(write_hdf5(recorded))
+
+
+def test_offsets_of_another_length(write_hdf5, recorded):
+    recorded["sample_start"] = recorded["sample_start"][:-1]
+    assert "sample_start has shape" in refused(write_hdf5(recorded))
+
+
+def test_an_amplitude_without_excitation(write_hdf5, demodulated):
+    demodulated["R"] = np.zeros_like(demodulated["R"])
+    assert "/R is zero in the excited axis of point 0" in refused(write_hdf5(demodulated))
+
+
+def test_an_unmeasured_point_is_read(write_hdf5, demodulated):
+    for name in "RUIY":
+        demodulated[name] = np.array(demodulated[name])
+        demodulated[name][1] = 0
+    demodulated["amplitude_a"] = np.array([0.1, 0.0, 0.3])
+    assert read(write_hdf5(demodulated)).main.amplitude_a[1] == 0
+
+
+def test_a_folder_that_cannot_be_written(tmp_path, experiment):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExperimentFileError, match="cannot write"):
+        write(tmp_path / "file" / "e.h5", experiment)
