@@ -144,7 +144,14 @@ def peaks(frequency_hz: Real, response: Complex, deviation: Real, floor: float) 
     low, high = f[:, WINDOW // 2 - 1].copy(), f[:, WINDOW // 2].copy()
     low[0], high[-1] = f[0, 0], f[-1, -1]
     p = fit.pole_hz
-    good = (low <= p.real) & (p.real < high) & (p.imag < np.ptp(f, axis=1) / 2) & (fit.prominence > PROMINENCE)
+    # a pole on a measured frequency must not fall between two windows that each see it on the other's side
+    slack = np.minimum(0.25 * (high - low), 0.3 * p.imag)
+    good = (
+        (low - slack <= p.real)
+        & (p.real < high + slack)
+        & (p.imag < np.ptp(f, axis=1) / 2)
+        & (fit.prominence > PROMINENCE)
+    )
     good &= (fit.polynomial > UNEXPLAINED) & (fit.residual < fit.polynomial / 2)
     return merged(Peak(float(p[k].real), float(p[k].imag), float(fit.prominence[k])) for k in np.flatnonzero(good))
 

@@ -1,0 +1,112 @@
+"""The journal: every whole line survives, a torn end is cut off, another campaign is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.experiment.errors import ExperimentFileError, JournalError
+from service.experiment.journal import Journal, entries, line, read
+
+HEADER = {"rig": "r", "profile": {"points": 200}}
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "experiment.journal"
+
+
+def entry(k):
+    return {"phase": "main", "k": k, "Y": np.arange(6).reshape(2, 3) * (1 + 1j * k), "f": 0.1 + k}
+
+
+def filled(path, n=3):
+    journal = Journal(path, HEADER)
+    for k in range(n):
+        journal.append(entry(k))
+    journal.close()
+
+
+def same(found, n):
+    assert [e["k"] for e in found] == list(range(n))
+    for k, e in enumerate(found):
+        np.testing.assert_array_equal(e["Y"], entry(k)["Y"])
+        assert e["f"] == entry(k)["f"]
+
+
+def test_entries_come_back_exactly(path):
+    filled(path)
+    journal = Journal(path, HEADER)
+    same(journal.found, 3)
+    journal.append(entry(3))
+    journal.close()
+    same(read(path)[1], 4)
+
+
+def test_a_file_cut_anywhere_keeps_every_whole_entry(path):
+    filled(path)
+    whole = path.read_bytes()
+    ends = [k + 1 for k, byte in enumerate(whole) if byte == ord("\n")]
+    for cut in range(0, len(whole) + 1, 7):
+        path.write_bytes(whole[:cut])
+        journal = Journal(path, HEADER)
+        n = max(0, sum(e <= cut for e in ends) - 1)
+        same(journal.found, n)
+        journal.append(entry(n))
+        journal.close()
+        same(read(path)[1], n + 1)
+
+
+def test_a_changed_byte_ends_what_is_believed(path):
+    filled(path)
+    content = bytearray(path.read_bytes())
+    second = content.index(b"\n", content.index(b"\n") + 1) + 30
+    content[second] ^= 1
+    path.write_bytes(content)
+    same(read(path)[1], 1)
+
+
+def test_another_campaign_is_refused_and_left_alone(path):
+    filled(path)
+    before = path.read_bytes()
+    with pytest.raises(JournalError, match="its profile is"):
+        Journal(path, HEADER | {"profile": {"points": 100}})
+    assert path.read_bytes() == before
+
+
+def test_what_a_header_tells_about_is_not_compared(path):
+    Journal(path, HEADER | {"about": {"speed": 1.0}}).close()
+    Journal(path, HEADER | {"about": {"speed": 2.0}}).close()
+    assert read(path)[0]["about"] == {"speed": 1.0}
+
+
+def test_another_file_is_refused_and_left_alone(path):
+    path.write_text("my notes\nof the day\n")
+    with pytest.raises(JournalError, match="not a campaign journal"):
+        Journal(path, HEADER)
+    assert path.read_text() == "my notes\nof the day\n"
+
+
+def test_another_version_is_refused(path):
+    path.write_bytes(line({"format": "amb-campaign-journal", "version": 99}))
+    with pytest.raises(JournalError, match="version"):
+        read(path)
+
+
+def test_a_journal_that_cannot_be_read_or_written(tmp_path):
+    with pytest.raises(JournalError, match="cannot read"):
+        read(tmp_path / "nothing")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExperimentFileError, match="cannot write"):
+        Journal(tmp_path / "file" / "journal", HEADER)
+
+
+def test_a_value_that_is_not_finite_is_not_written():
+    with pytest.raises(ValueError, match="JSON"):
+        line({"f": float("nan")})
+
+
+def test_a_line_is_plain_text():
+    text = line(entry(1)).decode("ascii")
+    assert json.loads(text[9:])["k"] == 1
+    assert entries(text.encode())[1] == len(text)
