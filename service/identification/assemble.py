@@ -28,6 +28,7 @@ from service.identification.result import (
 from service.identification.rigid import rigid_response
 from service.identification.selection import Selected
 from service.identification.staged import StagedFit
+from service.identification.subspace import subspace
 from service.identification.uncertainty import Uncertainty, response_std, uncertainty_of
 from service.identification.validation import (
     CorrelationTest,
@@ -134,6 +135,7 @@ def assemble(
             np.abs(points.r[np.arange(len(points.axis)), points.axis]),
             points.u,
         ),
+        subspace=subspace(plant, 2 * (2 + model.layout.n_modes)),
         status=refined.fit.status,
         warnings=tuple(warnings),
     )

@@ -101,7 +101,7 @@ def _estimate(
         value[k] = mean_z[g].T @ inverse
         gain[g] = np.einsum("yx,pbx->pby", value[k], x[g])
     used = np.concatenate(groups)
-    noise = block_noise((z - gain)[used], omega[used], correlated=False)
+    noise = block_noise((z - gain)[used], omega[used], correlated=False, magnitude=np.abs(gain[used].mean(axis=1)))
     variance = np.zeros((len(omega), z.shape[2]))
     variance[used] = np.asarray(noise.sigma) ** 2
     std = np.empty(value.shape)

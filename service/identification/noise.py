@@ -39,7 +39,7 @@ class NoiseModel:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
 
-def block_noise(residual: Complex, omega: Real, correlated: bool = True) -> NoiseModel:
+def block_noise(residual: Complex, omega: Real, correlated: bool = True, magnitude: Real | None = None) -> NoiseModel:
     """Noise of the mean residual from its blocks.
 
     Parameters
@@ -50,6 +50,9 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True) -> Nois
         (P,) rad/s, to find neighbours.
     correlated
         Whether channels are correlated; the correlation is pooled over more neighbours.
+    magnitude
+        (P, c) size of the signals as a model has them, for noise that grows with them (timing, gain, quantised
+        phase): the variance follows a + b magnitude^2 before neighbours are compared.
     """
     n, blocks, channels = residual.shape
     dof = blocks - 1
@@ -57,12 +60,14 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True) -> Nois
     own = np.sum(np.abs(spread) ** 2, axis=1) / dof  # (P, c)
     own = np.maximum(own, 1e-30 + 1e-12 * np.median(own, axis=0))
     order = np.argsort(omega, kind="stable")
+    trend = np.ones_like(own) if magnitude is None else _trend(own, magnitude, dof)
+    own = own / trend
     # a point's blocks are as long for every channel: what all channels share is told apart first
     level = np.exp(_smooth(np.log(own), order, NEIGHBOURS) - _log_bias(dof))
     shared, _ = _drawn_together(np.mean(own / level, axis=1, keepdims=True), order, dof * channels)
     pooled = _smooth(own / shared, order, NEIGHBOURS) * shared
     ratio, prior = _drawn_together(own / pooled, order, dof)
-    variance = ratio * pooled
+    own, variance = own * trend, ratio * pooled * trend
     variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
     covariance = np.zeros((n, channels, channels), dtype=complex)
     if correlated and channels > 1:
@@ -86,6 +91,24 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True) -> Nois
     else:
         covariance[:, np.arange(channels), np.arange(channels)] = variance
     return NoiseModel(covariance / blocks, float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf"))
+
+
+def _trend(own: Real, magnitude: Real, dof: int, rounds: int = 30) -> Real:
+    """Variance a + b magnitude^2 of each channel, by maximum likelihood of the block variances, (P, c).
+
+    The share b is kept only where it clearly helps, so that plain additive noise stays plain.
+    """
+    square = magnitude**2 / np.maximum(np.mean(magnitude**2, axis=0), 1e-300)
+    flat = np.mean(own, axis=0)
+    a, b = 0.5 * flat, 0.5 * np.sum(own, axis=0) / np.maximum(np.sum(square, axis=0), 1e-300)
+    for _ in range(rounds):  # multiplicative steps keep both positive and never lower the likelihood
+        v = a + b * square
+        a = a * np.sqrt(np.sum(own / v**2, axis=0) / np.sum(1 / v, axis=0))
+        v = a + b * square
+        b = b * np.sqrt(np.sum(own * square / v**2, axis=0) / np.sum(square / v, axis=0))
+    v = a + b * square
+    gain = 2 * dof * np.sum(np.log(flat / v) + own / flat - own / v, axis=0)
+    return np.where(gain > 10.0 + np.log(len(own)), v / flat, 1.0)
 
 
 def _mean_factor(unit: Complex, order: NDArray[np.int64]) -> Real:

@@ -18,7 +18,6 @@ from service.identification.plane_model import Amplitude, PlaneModel, Points
 from service.identification.points import PlanePoints
 from service.identification.zoh import Complex, Real
 
-
 TIGHTENED = 0.2
 """Of the shape prior's scale, where the model is known to be wrong; its variance is scaled back afterwards."""
 
@@ -96,7 +95,8 @@ def predicted_blocks(model: PlaneModel, points: PlanePoints, amplitude: Amplitud
 def noise_of(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> NoiseModel:
     """Noise of the residuals under a model."""
     i, y = predicted_blocks(model, points, amplitude)
-    return block_noise(residual_blocks(points, i, y), points.omega)
+    size = y if points.I is None else np.concatenate([i, y], axis=2)
+    return block_noise(residual_blocks(points, i, y), points.omega, magnitude=np.abs(size.mean(axis=1)))
 
 
 def weights_of(

@@ -13,6 +13,7 @@ from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
 from service.identification.margins import AxisMargins, zone
 from service.identification.plane_model import PlaneModel
+from service.identification.subspace import SubspaceModel
 from service.identification.validation import CorrelationTest
 from service.identification.zoh import Complex, Real
 
@@ -181,6 +182,8 @@ class PlaneResult:
     margins: dict[str, AxisMargins]
     curves: Curves
     displacement: Displacement
+    subspace: SubspaceModel
+    """Black-box model of the same order from coil current to y, for comparison (Table 5-6)."""
     status: str
     warnings: tuple[str, ...] = ()
 
@@ -244,6 +247,11 @@ class PlaneResult:
                 "phase_margin_deg": {a: m.phase_margin_deg for a, m in self.margins.items()},
                 "delay_margin_s": {a: m.delay_margin_s for a, m in self.margins.items()},
                 "iso_14839_3_zone": zone(worst),
+            },
+            "subspace": {
+                "order": self.subspace.order,
+                "fit_percent": self.subspace.fit_percent.tolist(),
+                "poles_rad_s": _complex(self.subspace.poles),
             },
             "status": self.status,
             "warnings": list(self.warnings),

@@ -1,0 +1,178 @@
+"""Identification at the statistical limit: Monte Carlo against the Cramer-Rao bound, CPU time, and a black box beside it.
+
+Run: python benchmarks/identification.py [--runs 200] [--noise 0.01]
+
+Reference plant (Tables 5-1, 5-3, 5-5 and Appendix A of the thesis), 320 points, the noise relative to each signal; the
+datasheet's ki is 88 % off, ks 37 %, and no mode is known. Seeds are fixed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from service.experiment.data import Experiment
+from service.identification.fit import Options, identify, shape_prior_of
+from service.identification.plane_model import PlaneModel
+from service.identification.points import plane_points
+from service.identification.refine import Data, refine
+from service.identification.result import PlaneResult
+from service.identification.subspace import subspace
+from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from service.identification.uncertainty import uncertainty_of
+from sim.reference import reference_datasheet, reference_rig
+
+PARAMETERS = ("kiA", "kiB", "ksA", "ksB", "w1", "w2", "w1 levitated", "w2 levitated", "zeta1", "zeta2")
+
+
+def frequencies() -> np.ndarray:
+    peaks = [hz + np.linspace(-6, 6, 15) for hz in (492.6, 907.2)]
+    return np.unique(np.concatenate([np.geomspace(10, 1000, 130), *peaks]))
+
+
+def figures(model: PlaneModel) -> np.ndarray:
+    w = model.natural_frequencies
+    return np.concatenate([model.ki, model.ks, w[:2], model.modes[:2, 0], model.damping_ratios[:2]])
+
+
+def of_result(plane: PlaneResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Value, reported std, and its part from data alone."""
+    s, m = plane.stiffness, plane.modes[:2]
+    found = [s["kiA"], s["kiB"], s["ksA"], s["ksB"]]
+    found += [x.natural_frequency_rad_s for x in m] + [x.levitated_frequency_rad_s for x in m]
+    found += [x.damping_ratio for x in m]
+    rows = [(e.value, e.std, e.std_from_data) for e in found]
+    value, std, data = np.array(rows, dtype=float).T
+    return value, std, data
+
+
+def experiment(noise: float, seed: int) -> tuple[Experiment, PlaneModel]:
+    sheet = reference_datasheet()
+    truth = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    controller = (np.array(sheet.numerator), np.array(sheet.denominator))
+    sweep = synthetic_sweep(
+        truth, sheet.axes, controller, frequencies(), 0.05, current_noise_a=0.0, displacement_noise_m=0.0,
+        relative_noise=noise, seed=seed,
+    )
+    return synthetic_experiment(sweep.select(sweep.axis < 2), axes=sheet.axes), truth["x"]
+
+
+def bound(truth: PlaneModel, noise: float) -> np.ndarray:
+    """Cramer-Rao bound with the exact noise, the directions that only the shape prior fixes held by it."""
+    sheet = reference_datasheet()
+    data = Data(plane_points(experiment(noise, 0)[0].main, sheet.axes, "x"))
+    from service.identification.plane_model import Points
+    from service.identification.refine import Weights, amplitude_of
+
+    amplitude = amplitude_of(truth, data.plant)
+    p = truth.predict(Points(data.plant.omega, data.plant.u), amplitude)
+    size = noise * np.abs(np.hstack([p.i, p.y]))
+    weights = Weights(np.einsum("pc,cd->pcd", 1.0 / size, np.eye(4)).astype(complex), None)
+    fit = refine(truth, data, truth.layout.free(), weights=weights, shape_prior=shape_prior_of(sheet, Options()), max_iterations=1)
+    return uncertainty_of(fit, 4).std(truth, figures)[1]
+
+
+def monte_carlo(runs: int, noise: float) -> None:
+    sheet = reference_datasheet()
+    values, stds, parts, seconds, failed = [], [], [], [], 0
+    for seed in range(runs):
+        data, truth = experiment(noise, seed)
+        start = time.process_time()
+        plane = identify(data, sheet).planes["x"]
+        seconds.append(time.process_time() - start)
+        if len(plane.modes) != 2:
+            failed += 1
+            continue
+        value, std, part = of_result(plane)
+        values.append(value)
+        stds.append(std)
+        parts.append(part)
+    found, std, part = np.array(values), np.array(stds), np.array(parts)
+    exact = figures(truth)
+    crb = bound(truth, noise)
+    spread = found.std(axis=0, ddof=1)
+    print(f"\nMonte Carlo, {runs} runs, {100 * noise:g} % noise, {len(frequencies()) * 2} points, 6 blocks, from the datasheet")
+    print(f"{'':14}{'bias/sd':>9}{'sd %':>10}{'sd/CRB':>8}{'reported/sd':>13}{'coverage 95 %':>15}{'with prior':>12}")
+    for k, name in enumerate(PARAMETERS):
+        inside = np.mean(np.abs(found[:, k] - found[:, k].mean()) < 1.96 * part[:, k])
+        total = np.mean(np.abs(found[:, k] - exact[k]) < 1.96 * std[:, k])
+        print(
+            f"{name:14}{(found[:, k].mean() - exact[k]) / spread[k]:9.2f}{100 * spread[k] / exact[k]:10.4f}"
+            f"{spread[k] / crb[k]:8.3f}{part[:, k].mean() / spread[k]:13.3f}{inside:15.3f}{total:12.3f}"
+        )
+    print("coverage: noise's own intervals about the mean; with prior: reported intervals about the truth")
+    print(f"runs that did not find two modes: {failed}; CPU per plane: median {np.median(seconds):.2f} s, max {max(seconds):.2f} s")
+
+
+def one_fit(noise: float) -> None:
+    """CPU of the joint fit of 16 parameters, amplifiers known, from staged starting values."""
+    sheet = reference_datasheet()
+    data, truth = experiment(noise, 0)
+    points = Data(plane_points(data.main, sheet.axes, "x"))
+    layout = truth.layout
+    fixed = tuple(n for n in layout.names if n.startswith("amplifier") or n == "delay_s")
+    free = layout.free(fixed=fixed)
+    rng = np.random.default_rng(0)
+    start = truth.at(truth.theta * np.where(free, 1 + 0.03 * rng.normal(size=layout.size), 1.0))
+    theta = start.theta.copy()
+    for k in range(2):  # peaks are seen: their place is good from the start
+        theta[layout.mode(k).start] = truth.theta[layout.mode(k).start] * (1 + 1e-4)
+    start = start.at(theta)
+    prior = shape_prior_of(sheet, Options())
+    weights = refine(truth, points, free, shape_prior=prior).weights
+    times = []
+    for _ in range(20):
+        begin = time.process_time()
+        fit = refine(start, points, free, weights=weights, nonlinear=False, shape_prior=prior)
+        times.append(time.process_time() - begin)
+    print(f"\nOne joint fit, {int(free.sum())} parameters, {len(points.plant.omega)} points: {1e3 * np.median(times):.1f} ms CPU, {fit.fit.iterations} steps")
+
+
+def beside(noise: float) -> None:
+    """The joint fit and a black-box subspace model on the same data."""
+    data, truth = experiment(noise, 0)
+    plane = identify(data, reference_datasheet()).planes["x"]
+    curves = plane.curves
+    exact = truth.plant_response(curves.plant.omega)
+    begin = time.process_time()
+    black = subspace(curves.plant, 8)
+    spent = time.process_time() - begin
+    poles = np.array([230.24, 110.56])
+    print("\nSame data, plant i->y   NRMSE % 11/12/21/22        rms     unstable poles off %    zeta1, zeta2 off %")
+    from service.identification.combine import plant_poles
+
+    for name, g, p in (
+        ("joint physical model", plane.model.plant_response(curves.plant.omega), plant_poles(plane.model)),
+        (f"subspace ({1e3 * spent:.0f} ms)", black.response(curves.plant.omega), black.poles),
+        ("truth", exact, plant_poles(truth)),
+    ):
+        from service.identification.validation import nrmse_matrix
+
+        fit = nrmse_matrix(curves.plant.value, g).ravel()
+        rms = np.sqrt(np.mean(np.abs((curves.plant.value - g) / curves.plant.std) ** 2))
+        true_poles = plant_poles(truth)
+        unstable = [100 * (np.min(np.abs(p - t)) / abs(t)) for t in poles]
+        zetas = []
+        for w in truth.modes[:, 0]:
+            at, ref = p[np.argmin(np.abs(p - 1j * w))], true_poles[np.argmin(np.abs(true_poles - 1j * w))]
+            zetas.append(100 * ((at.real / abs(at)) / (ref.real / abs(ref)) - 1))
+        print(
+            f"{name:22}  {'/'.join(f'{x:.1f}' for x in fit):22} {rms:8.2f}     {unstable[0]:8.3f} {unstable[1]:8.3f}"
+            f"      {zetas[0]:+8.2f} {zetas[1]:+8.2f}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--noise", type=float, default=0.01)
+    arguments = parser.parse_args()
+    one_fit(arguments.noise)
+    beside(arguments.noise)
+    monte_carlo(arguments.runs, arguments.noise)
+
+
+if __name__ == "__main__":
+    main()
