@@ -1,0 +1,145 @@
+"""The one place that wires: controller, experiment, identification, report and files become one job.
+
+Commands and services call these functions; nothing below this module knows which controller or which folder.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from service.output import json_text, ready_folder, write_text
+
+if TYPE_CHECKING:
+    from drivers.controller import Controller
+    from service.experiment.data import Experiment
+    from service.experiment.plan import Profile
+    from service.experiment.progress import ProgressCallback
+    from service.identification.result import CommissioningResult
+    from sim.datasheet import Datasheet
+    from sim.rig import Rig
+
+EXPERIMENT = "experiment.h5"
+RESULT = "result.json"
+REPORT = "report.html"
+DATASHEET = "rig.toml"
+
+
+@dataclass(frozen=True)
+class Commissioned:
+    """What an identification left behind."""
+
+    result: CommissioningResult
+    document: dict[str, Any]
+    """The contents of result.json."""
+    files: dict[str, Path]
+    """"result" and "report"."""
+    seconds: dict[str, float]
+    """Wall time by step."""
+
+
+def product_version() -> str:
+    """Version of the installed product, or "unknown" where it runs from sources alone."""
+    try:
+        return version("amb-commissioning")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def connect(url: str) -> Controller:
+    """The controller at a URL; see `drivers.url.connect` for the schemes."""
+    from drivers.url import connect as connected
+
+    return connected(url)
+
+
+def simulated_reference(seed: int) -> tuple[Controller, Rig, Datasheet]:
+    """The reference rig in this process, its true parameters, and the datasheet that knows them badly."""
+    from drivers.simulated.driver import SimulatedController
+    from sim.reference import reference_datasheet, reference_rig
+
+    rig = reference_rig()
+    return SimulatedController(rig, seed), rig, reference_datasheet()
+
+
+def quick_profile() -> Profile:
+    """A coarse experiment for a first look: a tenth of the points, a twentieth of the time."""
+    from service.experiment.plan import Profile
+
+    return Profile(
+        accuracy=0.01,
+        points=24,
+        validation_points=8,
+        amplifier_points=8,
+        coarse_points=10,
+        blocks=4,
+        peak_points=3,
+        rig_seconds=60.0,
+    )
+
+
+def measure(
+    controller: Controller,
+    datasheet: Datasheet,
+    out_dir: Path,
+    progress: ProgressCallback | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    resume: bool = True,
+    profile: Profile | None = None,
+) -> Experiment:
+    """Run the automated experiment into ``out_dir``, the datasheet beside it.
+
+    Raises
+    ------
+    AmbError
+        As the message says; the rig is stopped, and what was measured stays in ``out_dir``.
+    """
+    from service.experiment.campaign import run_campaign
+    from sim.datasheet import to_toml
+
+    write_text(ready_folder(out_dir) / DATASHEET, to_toml(datasheet))
+    return run_campaign(controller, datasheet, out_dir, progress, cancelled, resume, profile)
+
+
+def identify_into(
+    experiment: Experiment,
+    datasheet: Datasheet,
+    out_dir: Path,
+    experiment_name: str = EXPERIMENT,
+    announce: Callable[[str], None] | None = None,
+) -> Commissioned:
+    """Identify an experiment, and write result.json and report.html.
+
+    Parameters
+    ----------
+    experiment_name
+        How result.json refers to the experiment.
+    announce
+        Told what begins, in words.
+
+    Raises
+    ------
+    AmbError
+        The experiment cannot be identified, or the folder not be written.
+    """
+    from service.identification.fit import identify
+    from service.report.commissioning import commissioning_page
+
+    say = announce or (lambda _: None)
+    ready_folder(out_dir)
+    say("identifying")
+    began = time.monotonic()
+    result = identify(experiment, datasheet)
+    identified = time.monotonic()
+    document = result.document(experiment_name)
+    document["provenance"]["product"] = f"amb-commissioning {product_version()}"
+    files = {"result": write_text(out_dir / RESULT, json_text(document))}
+    say("writing the report")
+    page = commissioning_page(result, experiment, datasheet)
+    files["report"] = write_text(out_dir / REPORT, page)
+    seconds = {"identification": identified - began, "report": time.monotonic() - identified}
+    return Commissioned(result, document, files, seconds)

@@ -1,0 +1,71 @@
+"""The command ``ambit``. Every command imports what it needs when it runs, so that ``--help`` is quick."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import typer
+
+from service.cli import commission, effects, rig
+from service.cli.console import one_line, say
+
+app = typer.Typer(
+    name="ambit",
+    help="Commissioning of active magnetic bearings: experiment, identification, diagnosis.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command()(commission.demo)
+app.command()(commission.commission)
+app.command()(commission.identify)
+app.command()(effects.effects)
+app.add_typer(rig.app, name="rig")
+
+DONE, FAILED, BAD_USAGE = 0, 1, 2
+
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""The matrices here are small: threads of linear algebra only wait for one another, and long on a busy machine."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a command and exit: 0 done, 1 the job failed (one line on stderr), 2 bad usage (one line on stderr)."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: list[str]) -> int:
+    """Exit status of a command line."""
+    from sim.errors import AmbError
+
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    try:
+        status = app(arguments, prog_name="ambit", standalone_mode=False)
+    except typer.TyperException as error:
+        return _bad_usage(error)
+    except (typer.Abort, KeyboardInterrupt):
+        say("ambit: stopped by the user; files that were finished are kept")
+        return FAILED
+    except BrokenPipeError:
+        return _reader_left()
+    except (AmbError, OSError) as error:
+        say(f"ambit: {one_line(str(error))}")
+        return FAILED
+    return status if isinstance(status, int) else DONE
+
+
+def _bad_usage(error: typer.TyperException) -> int:
+    text = one_line(error.format_message())
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context is not None else "ambit"
+    if text:  # nothing was said where the help was asked for by giving no command
+        say(f"{command}: {text.rstrip('.')}; see {command} --help")
+    return BAD_USAGE
+
+
+def _reader_left() -> int:
+    """A pipe such as ``ambit effects | head`` was closed: not an error of the job, but not done either."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FAILED

@@ -1,0 +1,44 @@
+"""What a command says: results on stdout, everything else on stderr."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def stderr() -> Console:
+    """Console for progress and remarks."""
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)
+
+
+def stdout() -> Console:
+    """Console for results that a person reads."""
+    from rich.console import Console
+
+    return Console(highlight=False)
+
+
+def say(text: str) -> None:
+    """One remark on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """A result on stdout as JSON and nothing else."""
+    from service.output import json_text
+
+    sys.stdout.write(json_text(document))
+
+
+def one_line(text: str) -> str:
+    r"""The text without line breaks: an error is one line, whatever a library wrote.
+
+    >>> one_line("cannot read\n  the file")
+    'cannot read the file'
+    """
+    return " ".join(text.split())

@@ -1,0 +1,33 @@
+"""Ctrl-C and SIGTERM while a rig is excited: the first asks the job to stop in good order, the second insists."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from service.cli.console import say
+
+
+@contextmanager
+def asked_to_stop(notice: str) -> Iterator[Callable[[], bool]]:
+    """Whether the user has asked to stop, as a function; ``notice`` is said at once.
+
+    A second signal raises KeyboardInterrupt. Must be entered in the main thread.
+    """
+    asked = threading.Event()
+
+    def ask(signum: int, frame: FrameType | None) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        say(notice)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

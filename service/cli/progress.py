@@ -1,0 +1,88 @@
+"""Progress of a campaign: a bar on a terminal, a line now and then in a log."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from service.cli.console import say, stderr
+from service.report.format import duration
+
+if TYPE_CHECKING:
+    from service.experiment.progress import Progress
+
+LOG_EVERY_S = 5.0
+FIRST_POINTS = 20
+"""So many points before a rate is believed: the first ones wait for compilers and caches."""
+
+WORDS = {
+    "noise": "noise",
+    "preliminary": "coarse sweep",
+    "main": "main sweep",
+    "peaks": "peaks",
+    "validation": "unseen sweep",
+    "amplifier": "amplifiers",
+    "done": "done",
+}
+
+
+@contextmanager
+def campaign_progress() -> Iterator[Callable[[Progress], None]]:
+    """A callback for `run_campaign` that shows where it is, with rate and time left, on stderr."""
+    if sys.stderr.isatty():
+        with _bar() as show:
+            yield show
+    else:
+        yield _log()
+
+
+def line(p: Progress) -> str:
+    """One report as a line of text."""
+    known = p.points_per_s > 0 and p.done >= FIRST_POINTS
+    rate = f", {p.points_per_s:.1f} points/s, {duration(p.seconds_left)} left" if known else ""
+    return f"{WORDS.get(p.phase, p.phase)}: {p.done} of {p.total} points{rate}"
+
+
+def _log() -> Callable[[Progress], None]:
+    shown_at, shown_phase = time.monotonic(), ""
+
+    def show(p: Progress) -> None:
+        nonlocal shown_at, shown_phase
+        now = time.monotonic()
+        if now - shown_at >= LOG_EVERY_S or (p.done == p.total and shown_phase != "done"):
+            shown_at, shown_phase = now, "done" if p.done == p.total else p.phase
+            say(line(p))
+
+    return show
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[Progress], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description:<13}"),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TextColumn("{task.fields[left]}"),
+    )
+    with Bar(*columns, console=stderr(), transient=True, expand=True) as bar:
+        task = bar.add_task("starting", total=None, rate="", left="")
+
+        def show(p: Progress) -> None:
+            known = p.points_per_s > 0 and p.done >= FIRST_POINTS
+            bar.update(
+                task,
+                description=WORDS.get(p.phase, p.phase),
+                completed=p.done,
+                total=p.total,
+                rate=f"{p.points_per_s:.1f} points/s" if known else "",
+                left=f"{duration(p.seconds_left)} left" if known else "",
+            )
+
+        yield show

@@ -1,0 +1,124 @@
+"""``ambit rig``: a simulated rig as a device process, and the datasheet of the reference rig."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.console import print_json, say
+
+if TYPE_CHECKING:
+    from drivers.device.serve import Served
+
+app = typer.Typer(no_args_is_help=True, help="A simulated rig as a device process, and its datasheet.")
+
+
+class Protocol(StrEnum):
+    """Buses on which a rig can be served."""
+
+    modbus = "modbus"
+    modbus_tls = "modbus-tls"
+    modbus_rtu = "modbus-rtu"
+    canopen = "canopen"
+
+
+@app.command()
+def datasheet(
+    out: Annotated[Path | None, typer.Option(help="File to write; stdout without it.")] = None,
+) -> None:
+    """Write the datasheet of the reference rig: what was known before the experiment."""
+    from service.output import write_text
+    from sim.datasheet import to_toml
+    from sim.reference import reference_datasheet
+
+    text = to_toml(reference_datasheet())
+    if out is None:
+        sys.stdout.write(text)
+    else:
+        write_text(out, text)
+
+
+@app.command()
+def serve(
+    protocol: Annotated[Protocol, typer.Option(help="Bus.")] = Protocol.modbus,
+    rig: Annotated[Path | None, typer.Option(help="Datasheet; the reference rig without it.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
+    effect: Annotated[
+        list[str] | None, typer.Option(help="Effect: id, id=value or id:name=value,name=value; may be repeated.")
+    ] = None,
+    withheld: Annotated[
+        int | None, typer.Option(help="Draw an effect with this seed and tell no one but the sealed file.")
+    ] = None,
+    sealed: Annotated[Path, typer.Option(help="Sealed file of the withheld effect.")] = Path("withheld.json"),
+    noise: Annotated[bool, typer.Option(help="Noise of sensors and currents.")] = True,
+    gravity_m_per_s2: Annotated[float | None, typer.Option(help="Gravity on the rotor.")] = None,
+    speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.")] = None,
+    real_time: Annotated[bool, typer.Option("--real-time", help="Hold the rig to the wall clock.")] = False,
+    watchdog_s: Annotated[
+        float, typer.Option(help="Excitation ends when the host is silent for so long.", min=0.01)
+    ] = 2.0,
+    events: Annotated[Path | None, typer.Option(help="File for the device's events, JSON lines.")] = None,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; 0 takes a free one.", min=0, max=65535)] = 0,
+    unit: Annotated[int, typer.Option(help="Modbus unit.", min=1, max=247)] = 1,
+    register_map: Annotated[Path | None, typer.Option("--map", help="A rig's own Modbus register map.")] = None,
+    certificate: Annotated[Path | None, typer.Option(help="modbus-tls: certificate, PEM.")] = None,
+    key: Annotated[Path | None, typer.Option(help="modbus-tls: its key, PEM.")] = None,
+    client_ca: Annotated[Path | None, typer.Option(help="modbus-tls: authority of the hosts' certificates.")] = None,
+    device: Annotated[str, typer.Option(help="modbus-rtu: serial port; a pseudo-terminal without it.")] = "",
+    baud: Annotated[int, typer.Option(help="modbus-rtu: bits per second.", min=300)] = 115200,
+    bus: Annotated[str, typer.Option(help="canopen: bus address; a socketcand hub of its own without it.")] = "",
+    node: Annotated[int, typer.Option(help="canopen: node number.", min=1, max=127)] = 5,
+    bitrate: Annotated[int, typer.Option(help="canopen: bits per second.", min=10_000)] = 1_000_000,
+    throttle: Annotated[bool, typer.Option("--throttle", help="canopen: hold the hub to the bit rate.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print URL and commitment as JSON.")] = False,
+) -> None:
+    """Serve a simulated rig until Ctrl-C; prints the URL to connect to when it is ready."""
+    from drivers.device import serve as devices
+    from drivers.device.machine import RigDevice
+    from drivers.device.rigs import RigOptions, build_rig
+
+    options = RigOptions(rig, seed, tuple(effect or ()), withheld, sealed, noise, gravity_m_per_s2, speed_rad_s)
+    built = build_rig(options)
+    log = devices.EventLog(events) if events else None
+    machine = RigDevice(built.rig, seed, real_time=real_time, watchdog_s=watchdog_s, on_event=log)
+    served: Served
+    match protocol:
+        case Protocol.modbus_rtu:
+            served = devices.serve_modbus_rtu(machine, devices.RtuOptions(device, baud, unit, register_map))
+        case Protocol.canopen:
+            served = devices.serve_canopen(machine, devices.CanOptions(bus, node, bitrate, host, port, throttle))
+        case _:
+            tcp = devices.ModbusOptions(host, port, unit, register_map, certificate, key, client_ca)
+            secure = protocol is Protocol.modbus_tls
+            served = (devices.serve_modbus_tls if secure else devices.serve_modbus)(machine, tcp)
+    _announce(served, built.commitment, as_json)
+    devices.run(served, _status() if sys.stderr.isatty() else None)
+
+
+def _announce(served: Served, commitment: str, as_json: bool) -> None:
+    """The URL, and what was withheld as a hash; the reader may be a program that waits for it."""
+    if as_json:
+        print_json({"url": served.url, "commitment": commitment or None})
+    else:
+        print(served.url)
+        if commitment:
+            print(f"withheld: {commitment}")
+    sys.stdout.flush()
+    if sys.stderr.isatty():
+        say("serving; Ctrl-C ends it")
+
+
+def _status() -> Callable[[str], None]:
+    """Draws the device's status over the line before, on a terminal."""
+
+    def draw(line: str) -> None:
+        sys.stderr.write(f"\r\x1b[2K{line[:200]}")
+        sys.stderr.flush()
+
+    return draw

@@ -1,0 +1,74 @@
+"""Results on disk: a folder that is proven writable before anything starts, and files that appear whole."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from service.errors import DocumentError, OutputError
+
+
+def ready_folder(folder: Path) -> Path:
+    """The folder, made where it does not exist, and proven to be writable.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made or written.
+    """
+    probe = folder / f".write-test.{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"x")
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"cannot write to {folder}: {error.strerror or error}; nothing was started: choose another folder"
+        ) from error
+    return folder
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a file in one piece: a reader sees the old one or the new one.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OutputError(
+            f"cannot write {path}: {error.strerror or error}; free space or choose another folder"
+        ) from error
+    return path
+
+
+def json_text(document: dict[str, Any]) -> str:
+    """A document as JSON, numbers as Python writes them, nothing that is not a number."""
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def read_document(path: Path, expected_format: str) -> dict[str, Any]:
+    """A JSON document of this product.
+
+    Raises
+    ------
+    DocumentError
+        The file cannot be read, is no JSON, or is of another format or version.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise DocumentError(f"cannot read {path}: {reason}; give the path of a file that ambit wrote") from error
+    found = document.get("format") if isinstance(document, dict) else None
+    if found != expected_format or document.get("version") != 1:
+        raise DocumentError(f"{path} is no {expected_format} of version 1 (its format is {found!r}); give another file")
+    return dict(document)

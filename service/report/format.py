@@ -1,0 +1,119 @@
+"""Figures as a person reads them: digits by their uncertainty, units, HTML."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+
+MISSING = "–"
+
+
+def figures(value: float, std: float) -> tuple[str, str]:
+    """A value and its standard deviation, as many digits as the latter allows.
+
+    >>> figures(181.00188, 0.0337), figures(1.680028e6, 312.4), figures(0.0012161, 2.1e-6)
+    (('181.002', '0.034'), ('1680030', '310'), ('0.0012161', '0.0000021'))
+    >>> figures(5.0, 0.0)
+    ('5', '–')
+    """
+    if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
+        return number(value), MISSING
+    exponent = math.floor(math.log10(std)) - 1
+    if exponent <= 0:
+        return f"{value:.{-exponent}f}", f"{std:.{-exponent}f}"
+    step = 10**exponent
+    return f"{round(value / step) * step}", f"{round(std / step) * step}"
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """A value without an exponent where that stays short.
+
+    >>> number(1.68e6), number(0.00121602), number(3097.0), number(None), number(float("nan"))
+    ('1680000', '0.00121602', '3097', '–', '–')
+    >>> number(1.2e-9), number(3e12)
+    ('1.2e-09', '3e+12')
+    """
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if 1e5 <= abs(value) < 1e9:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}"
+
+
+def signed(value: float | None, digits: int = 2) -> str:
+    """A value with its sign, fixed digits.
+
+    >>> signed(1.234), signed(-0.001), signed(None)
+    ('+1.23', '-0.00', '–')
+    """
+    return MISSING if value is None or not math.isfinite(value) else f"{value:+.{digits}f}"
+
+
+def fixed(value: float | None, digits: int = 1) -> str:
+    """A value with fixed digits; "–" for none.
+
+    >>> fixed(12.345), fixed(None)
+    ('12.3', '–')
+    """
+    return MISSING if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+def decibel(ratio: float | None) -> float | None:
+    """20 lg of a ratio, None for none."""
+    return None if ratio is None or not ratio > 0 else 20 * math.log10(ratio)
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words.
+
+    >>> duration(7.4), duration(75), duration(4000)
+    ('7 s', '1 min 15 s', '1 h 06 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def span(values: list[float], digits: int = 4) -> str:
+    """Smallest to largest of some values.
+
+    >>> span([186.0, 181.0]), span([2.0])
+    ('181 to 186', '2')
+    """
+    low, high = number(min(values), digits), number(max(values), digits)
+    return low if low == high else f"{low} to {high}"
+
+
+def count(n: int, noun: str) -> str:
+    """A count with its noun.
+
+    >>> count(1, "point"), count(3, "point")
+    ('1 point', '3 points')
+    """
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def table(head: list[str], rows: list[list[str]], caption: str = "", left: int = 1) -> str:
+    """An HTML table; the first ``left`` columns are words, the others numbers. Cells are escaped.
+
+    >>> table(["a", "b"], [["x", "1 < 2"]]).partition("<tbody>")[2]
+    '<tr><td>x</td><td class="n">1 &lt; 2</td></tr></tbody></table>'
+    """
+
+    def row(tag: str, cells: list[str]) -> str:
+        kinds = ["" if k < left else ' class="n"' for k in range(len(cells))]
+        parts = [f"<{tag}{kind}>{escape(c)}</{tag}>" for kind, c in zip(kinds, cells, strict=True)]
+        return f"<tr>{''.join(parts)}</tr>"
+
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    body = "".join(row("td", r) for r in rows)
+    return f"<table>{title}<thead>{row('th', head)}</thead><tbody>{body}</tbody></table>"
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """A paragraph of plain text."""
+    opening = f'<p class="{kind}">' if kind else "<p>"
+    return f"{opening}{escape(text)}</p>"

@@ -1,0 +1,111 @@
+"""Is the model right: residuals against their noise (Figures 5.9 to 5.12 of the thesis), and the map of the poles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.identification.result import PlaneResult
+from service.identification.validation import CorrelationTest
+from service.report.bode import RADIUS_99
+from service.report.figure import MODEL, REGION, SECOND, THIRD, Figure, band, line, points
+from service.report.format import fixed, number, table
+
+
+def residual_figure(plane: PlaneResult) -> Figure:
+    """Whiteness and independence of the displacement's residuals, entry by entry, with 99 % bounds."""
+    kinds = [("whiteness", plane.tests["whiteness"]), ("independence", plane.tests["independence"])]
+    columns = max(1, len(kinds[0][1]))
+    titles = [t.name.replace("_", " ") for t in kinds[0][1]]
+    fig = Figure(
+        f"residuals-{plane.plane}", 2, columns, 430, titles=titles, column_gap=0.04, row_gap_px=56, weights=(1, 1)
+    )
+    largest = max([0.2, *(float(np.max(np.abs(t.correlation), initial=0.0)) * 1.15 for _, ts in kinds for t in ts)])
+    for r, (_, tests) in enumerate(kinds):
+        for c, test in enumerate(tests):
+            _stems(fig, r, c, test)
+            fig.y(r, c, range=[-largest, largest], showticklabels=c == 0)
+            fig.x(r, c, title={"text": "lag, lines", "standoff": 4}, showticklabels=True)
+        fig.y(r, 0, title=("correlation with itself", "with the model")[r])
+    return fig
+
+
+def _stems(fig: Figure, row: int, column: int, test: CorrelationTest) -> None:
+    low, high = float(test.lags[0]) - 0.7, float(test.lags[-1]) + 0.7
+    edge, bound = np.array([low, high]), np.full(2, test.bound)
+    fig.add(row, column, band(edge, -bound, bound, "99 % bound"))
+    x = np.repeat(test.lags, 3)
+    y = np.column_stack([np.zeros_like(test.correlation), test.correlation, np.full(len(test.lags), np.nan)]).ravel()
+    fig.add(row, column, line(x, y, "stems", MODEL, width=1.2, showlegend=False, hoverinfo="skip"))
+    fig.add(row, column, points(test.lags, test.correlation, "correlation", MODEL, size=5))
+    fig.x(row, column, range=[low, high])
+
+
+def tests_table(plane: PlaneResult) -> str:
+    """p-values of both tests and the size of the residuals, entry by entry."""
+    rows = [
+        [t.name.replace("_", " "), kind, number(t.statistic, 4), str(t.degrees_of_freedom), number(t.p_value, 2)]
+        for kind, tests in plane.tests.items()
+        for t in tests
+    ]
+    head = ["entry", "test", "statistic", "degrees of freedom", "p"]
+    signals = [f"{s} {a}" for s in ("iy" if len(plane.residual_rms) == 4 else "y") for a in plane.axes]
+    sizes = [[name, *(fixed(v, 2) for v in row)] for name, row in zip(signals, plane.residual_rms, strict=True)]
+    return (
+        '<div class="side">'
+        + table(head, rows, left=2)
+        + table(["residual over noise, rms", *(f"from {a}" for a in plane.axes)], sizes)
+        + "</div>"
+    )
+
+
+def pole_figure(plane: PlaneResult) -> Figure:
+    """Poles and zeros of the levitated plant: the rigid pairs on the real axis, and every flexible pole near by."""
+    poles = np.array([p.value for p in plane.poles])
+    std = np.array([p.std for p in plane.poles])
+    flexible = [k for k, p in enumerate(poles) if p.imag > 1e-6 * max(abs(p), 1.0)]
+    flexible.sort(key=lambda k: poles[k].imag)
+    flexible = flexible[:3]
+    titles = ["all of them", *(f"near {poles[k].imag:.0f} rad/s" for k in flexible)]
+    fig = Figure(f"poles-{plane.plane}", 1, 1 + len(flexible), 340, titles=titles, column_gap=0.085)
+    pole_style = {"symbol": "x-thin", "size": 10, "stroke": 2}
+    zero_style = {"symbol": "circle-open", "size": 8, "stroke": 1.6}
+    fig.add(0, 0, points(poles.real, poles.imag, "pole", MODEL, **pole_style))
+    fig.add(0, 0, points(plane.zeros.real, plane.zeros.imag, "transmission zero", THIRD, **zero_style))
+    fig.line_at(0, 0, x=0.0, colour="#9aa5b1")
+    fig.x(0, 0, title={"text": "real part, rad/s", "standoff": 6})
+    fig.y(0, 0, title="imaginary part, rad/s")
+    for c, k in enumerate(flexible, start=1):
+        p, radius = poles[k], RADIUS_99 * std[k]
+        turn = np.exp(1j * np.linspace(0, 2 * np.pi, 61))
+        region = p + radius * turn
+        shape = {"fill": "toself", "fillcolor": REGION, "hoverinfo": "skip"}
+        fig.add(0, c, line(region.real, region.imag, "99 % region", MODEL, width=1.0, **shape))
+        fig.add(0, c, points(np.array([p.real]), np.array([p.imag]), "pole", MODEL, **pole_style))
+        reach = 4.0 * radius
+        near = plane.zeros[np.abs(plane.zeros - p) < 1.4 * reach]
+        if len(near):
+            fig.add(0, c, points(near.real, near.imag, "transmission zero", THIRD, **zero_style))
+        fig.x(0, c, range=[p.real - reach, p.real + reach], title={"text": "real part, rad/s", "standoff": 6}, nticks=4)
+        fig.y(0, c, range=[p.imag - reach, p.imag + reach], nticks=6)
+        if p.real + reach > 0:
+            fig.line_at(0, c, x=0.0, colour=SECOND)
+    return fig
+
+
+def pole_table(plane: PlaneResult) -> str:
+    """Poles of the levitated plant with their uncertainty."""
+    rows = []
+    for p in plane.poles:
+        if p.value.imag < -1e-9:
+            continue
+        w = abs(p.value)
+        rows.append(
+            [
+                number(p.value.real, 5),
+                "0" if p.value.imag == 0 else f"± {number(p.value.imag, 7)}",
+                number(p.std, 2),
+                number(w / (2 * np.pi), 6),
+                "unstable" if p.value.real > 0 else "",
+            ]
+        )
+    return table(["real, rad/s", "imaginary, rad/s", "std. dev., rad/s", "|p|, Hz", ""], rows, left=0)
