@@ -24,6 +24,8 @@ BACKGROUND = 2
 ITERATIONS = 8
 PROMINENCE = 1.0
 """A peak at least as high as what it stands on."""
+SHARP = 0.02
+"""Damping ratio of a peak that counts even where points are so dense that a window is narrower than the peak."""
 UNEXPLAINED = 3.0
 """Residual of a smooth polynomial, in standard deviations, above which a window needs a pole."""
 FLANK = 2.0
@@ -131,7 +133,7 @@ def peaks(frequency_hz: Real, response: Complex, deviation: Real, floor: float) 
     -------
     peaks
         Rising. A pole counts when it lies between the window's two middle points (so that each is counted once),
-        is narrower than the window, stands above the background, and explains what a polynomial does not.
+        is sharp or narrower than the window, stands above the background, and explains what a polynomial does not.
     """
     if len(frequency_hz) < WINDOW:
         return []
@@ -146,12 +148,8 @@ def peaks(frequency_hz: Real, response: Complex, deviation: Real, floor: float) 
     p = fit.pole_hz
     # a pole on a measured frequency must not fall between two windows that each see it on the other's side
     slack = np.minimum(0.25 * (high - low), 0.3 * p.imag)
-    good = (
-        (low - slack <= p.real)
-        & (p.real < high + slack)
-        & (p.imag < np.ptp(f, axis=1) / 2)
-        & (fit.prominence > PROMINENCE)
-    )
+    narrow = p.imag < np.maximum(np.ptp(f, axis=1) / 2, SHARP * np.abs(p.real))
+    good = (low - slack <= p.real) & (p.real < high + slack) & narrow & (fit.prominence > PROMINENCE)
     good &= (fit.polynomial > UNEXPLAINED) & (fit.residual < fit.polynomial / 2)
     return merged(Peak(float(p[k].real), float(p[k].imag), float(fit.prominence[k])) for k in np.flatnonzero(good))
 
