@@ -148,9 +148,10 @@ class DeviceFront:
         """Raw record of the last result, empty when there is none."""
         return b"" if self._finished is None else self._finished.raw
 
-    def raw_segment(self) -> bytes:
-        """Part of the raw record that was chosen with the group ``window``."""
-        return self.raw_record()[self._window * SEGMENT_BYTES : (self._window + 1) * SEGMENT_BYTES]
+    def raw_part(self, start: int, size: int) -> bytes:
+        """Bytes from ``start`` of the segment that was chosen with the group ``window``; shorter at its end."""
+        first = self._window * SEGMENT_BYTES + start
+        return self.raw_record()[first : min(first + size, (self._window + 1) * SEGMENT_BYTES)]
 
     # ---- writing
 

@@ -6,7 +6,7 @@ real bus would carry them; ``spoil`` may drop, change or add frames (`drivers.de
 
 from __future__ import annotations
 
-import select
+import heapq
 import socket
 import threading
 import time
@@ -47,14 +47,22 @@ Spoil = Callable[[Frame], list[tuple[float, Frame]]]
 @dataclass(eq=False)
 class _Client:
     connection: socket.socket
-    buffer: bytes = b""
     ready_at: float | None = None
     """When it may get frames; None before ``rawmode``."""
-    waiting: list[bytes] = field(default_factory=list)
+
+
+@dataclass(order=True)
+class _Waiting:
+    """A frame that has come in, and when it may go out at the earliest."""
+
+    due: float
+    number: int
+    frame: Frame = field(compare=False)
+    sender: _Client | None = field(compare=False)
 
 
 class CanHub:
-    """Runs on its own thread until `close`.
+    """Runs on its own threads until `close`.
 
     Parameters
     ----------
@@ -71,7 +79,9 @@ class CanHub:
         self._clients: list[_Client] = []
         self._closing = threading.Event()
         self._free_at = 0.0
-        self._later: list[tuple[float, Frame, _Client | None]] = []
+        self._waiting: list[_Waiting] = []
+        self._number = 0
+        self._came = threading.Condition()
         self.bits = 0
         """Bits that the line has carried."""
         self.frames = 0
@@ -79,122 +89,121 @@ class CanHub:
             self._listener = socket.create_server((host, port))
         except OSError as error:
             raise ControllerError(f"cannot listen on {host}:{port}: {error}; choose another port") from error
+        self._listener.settimeout(0.1)
         self.port: int = self._listener.getsockname()[1]
         self.host = host
-        self._thread = threading.Thread(target=self._run, name="can-hub", daemon=True)
-        self._thread.start()
+        self._threads = [threading.Thread(target=f, name="can-hub", daemon=True) for f in (self._accept, self._line)]
+        for thread in self._threads:
+            thread.start()
 
     def close(self) -> None:
         """End; safe twice."""
         self._closing.set()
-        self._thread.join(timeout=2.0)
-        for client in self._clients:
-            client.connection.close()
+        with self._came:
+            self._came.notify()
+        for thread in self._threads:
+            thread.join(timeout=2.0)
+        for client in list(self._clients):
+            self._drop(client)
         self._listener.close()
 
     def send(self, frame: Frame) -> None:
         """Put a frame on the line from outside, as a further node would."""
-        self._later.append((0.0, frame, None))
+        self._take([frame], None)
 
-    def _run(self) -> None:
+    # ---- one thread for each client: what it sends, with the time at which it came
+
+    def _accept(self) -> None:
         while not self._closing.is_set():
-            sockets = [self._listener, *(c.connection for c in self._clients)]
-            timeout = 0.001 if self._later else 0.05
-            for ready in select.select(sockets, [], [], timeout)[0]:
-                if ready is self._listener:
-                    connection, _ = self._listener.accept()
-                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    connection.sendall(b"< hi >")
-                    self._clients.append(_Client(connection))
-                else:
-                    self._receive(next(c for c in self._clients if c.connection is ready))
-            self._send_due()
-
-    def _receive(self, client: _Client) -> None:
-        try:
-            chunk = client.connection.recv(65536)
-        except OSError:
-            chunk = b""
-        if not chunk:
-            self._drop(client)
-            return
-        *messages, client.buffer = (client.buffer + chunk).split(b">")
-        frames = []
-        for message in messages:
-            words = message.strip(b"< ").split()
-            if not words:
+            try:
+                connection, _ = self._listener.accept()
+            except TimeoutError:
                 continue
-            if words[0] == b"send":
-                with suppress(ValueError, IndexError):
-                    data = bytes(int(word, 16) for word in words[3 : 3 + int(words[2], 16)])
-                    frames.append(Frame(int(words[1], 16), data))
-            elif words[0] in (b"open", b"rawmode"):
-                client.connection.sendall(b"< ok >")
-                client.ready_at = time.monotonic() + GREETING_S if words[0] == b"rawmode" else None
-        self._pass_on(frames, client)
+            except OSError:
+                return
+            connection.settimeout(None)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client = _Client(connection)
+            self._clients.append(client)
+            threading.Thread(target=self._listen, args=(client,), name="can-node", daemon=True).start()
 
-    def _pass_on(self, frames: list[Frame], sender: _Client | None) -> None:
-        if self._spoil is None:
-            self._carry(frames, sender)
-            return
+    def _listen(self, client: _Client) -> None:
+        buffer = b""
+        with suppress(OSError):
+            client.connection.sendall(b"< hi >")
+            while chunk := client.connection.recv(65536):
+                *messages, buffer = (buffer + chunk).split(b">")
+                frames = []
+                for message in messages:
+                    words = message.strip(b"< ").split()
+                    if words[:1] == [b"send"]:
+                        with suppress(ValueError, IndexError):
+                            data = bytes(int(word, 16) for word in words[3 : 3 + int(words[2], 16)])
+                            frames.append(Frame(int(words[1], 16), data))
+                    elif words[:1] in ([b"open"], [b"rawmode"]):
+                        client.connection.sendall(b"< ok >")
+                        client.ready_at = time.monotonic() + GREETING_S if words[0] == b"rawmode" else None
+                if frames:
+                    self._take(frames, client)
+        self._drop(client)
+
+    def _take(self, frames: list[Frame], sender: _Client | None) -> None:
         now = time.monotonic()
-        straight: list[Frame] = []
-        for frame in frames:
-            for delay, changed in self._spoil(frame):
-                if delay:
-                    self._later.append((now + delay, changed, sender))
-                else:
-                    straight.append(changed)
-        self._carry(straight, sender)
+        with self._came:
+            for frame in frames:
+                for delay, passed in [(0.0, frame)] if self._spoil is None else self._spoil(frame):
+                    self._number += 1
+                    heapq.heappush(self._waiting, _Waiting(now + delay, self._number, passed, sender))
+            self._came.notify()
 
-    def _send_due(self) -> None:
+    # ---- the line: one frame after another
+
+    def _line(self) -> None:
+        while not self._closing.is_set():
+            with self._came:
+                pause = self._waiting[0].due - time.monotonic() if self._waiting else 0.1
+                if pause > 0:
+                    self._came.wait(pause)
+                    continue
+                burst = [heapq.heappop(self._waiting)]
+                self._clock(burst[0])
+                # what one sender has ready goes out together, as long as that is not over a millisecond of the line
+                while (
+                    self._waiting
+                    and self._waiting[0].sender is burst[0].sender
+                    and self._waiting[0].due <= time.monotonic()
+                    and self._free_at - time.monotonic() < 0.001
+                    and len(burst) < 256
+                ):
+                    burst.append(heapq.heappop(self._waiting))
+                    self._clock(burst[-1])
+            ahead = self._free_at - time.monotonic()
+            if self._bitrate is not None and ahead > 0:
+                time.sleep(ahead)
+            self._broadcast(burst)
+
+    def _clock(self, waiting: _Waiting) -> None:
+        self.bits += waiting.frame.bits
+        self.frames += 1
+        if self._bitrate is not None:
+            self._free_at = max(self._free_at, waiting.due) + waiting.frame.bits / self._bitrate
+
+    def _broadcast(self, burst: list[_Waiting]) -> None:
+        stamp = time.time()
+        text = b"".join(waiting.frame.line(stamp) for waiting in burst)
         now = time.monotonic()
-        due = [entry for entry in self._later if entry[0] <= now]
-        if due:
-            self._later = [entry for entry in self._later if entry[0] > now]
-        for _, frame, sender in due:
-            self._carry([frame], sender)
-        for client in self._clients:
-            if client.waiting and client.ready_at is not None and client.ready_at <= now:
-                waiting, client.waiting = client.waiting, []
-                self._send(client, b"".join(waiting))
-
-    def _carry(self, frames: list[Frame], sender: _Client | None) -> None:
-        """Send frames to all others, held back to the line's bit rate in bursts of about a millisecond."""
-        burst: list[Frame] = []
-        for frame in frames:
-            burst.append(frame)
-            self.bits += frame.bits
-            self.frames += 1
-            if self._bitrate is not None:
-                now = time.monotonic()
-                self._free_at = max(self._free_at, now) + frame.bits / self._bitrate
-                if self._free_at - now > 0.001:
-                    time.sleep(self._free_at - now)
-                    self._broadcast(burst, sender)
-                    burst = []
-        self._broadcast(burst, sender)
-
-    def _broadcast(self, frames: list[Frame], sender: _Client | None) -> None:
-        if not frames:
-            return
-        now = time.time()
-        text = b"".join(frame.line(now) for frame in frames)
         for client in list(self._clients):
-            if client is sender or client.ready_at is None:
+            # a node that is only just opening its interface does not hear what passes
+            if client is burst[0].sender or client.ready_at is None or client.ready_at > now:
                 continue
-            if client.waiting or client.ready_at > time.monotonic():
-                client.waiting.append(text)
-            else:
-                self._send(client, text)
-
-    def _send(self, client: _Client, text: bytes) -> None:
-        try:
-            client.connection.sendall(text)
-        except OSError:
-            self._drop(client)
+            try:
+                client.connection.sendall(text)
+            except OSError:
+                self._drop(client)
 
     def _drop(self, client: _Client) -> None:
-        client.connection.close()
         with suppress(ValueError):
             self._clients.remove(client)
+        with suppress(OSError):
+            client.connection.shutdown(socket.SHUT_RDWR)
+        client.connection.close()

@@ -23,6 +23,7 @@ from drivers.errors import ControllerError
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap
 
 MAX_PDU = 253
+_HEADER = struct.Struct(">HHHB")
 GATEWAY_TARGET_FAILED = 0x0B
 
 
@@ -100,25 +101,21 @@ class TcpServer:
 
     def _converse(self, connection: socket.socket) -> None:
         session = RegisterSession(self._front, self._map)
-        buffer = bytearray()
+        buffer = b""
         while chunk := connection.recv(65536):
-            buffer += chunk
-            answers = bytearray()
+            buffer = buffer + chunk if buffer else chunk
             while len(buffer) >= 7:
-                transaction, protocol, length, unit = struct.unpack_from(">HHHB", buffer)
+                transaction, protocol, length, unit = _HEADER.unpack_from(buffer)
                 if protocol != 0 or not 2 <= length <= MAX_PDU + 1:
                     return  # out of step: only a new connection helps
                 if len(buffer) < 6 + length:
                     break
-                request = bytes(buffer[7 : 6 + length])
-                del buffer[: 6 + length]
-                answer = self._answer(session, unit, request)
-                answers += struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer
-            if answers:
-                connection.sendall(answers)
+                answer = self._answer(session, unit, buffer[7 : 6 + length])
+                buffer = buffer[6 + length :]
+                connection.sendall(_HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer)
 
     def _answer(self, session: RegisterSession, unit: int, request: bytes) -> bytes:
-        if unit not in (self._unit, 0, 255):
+        if unit != self._unit and unit not in (0, 255):
             return bytes([request[0] | 0x80, GATEWAY_TARGET_FAILED])
         return session.answer(request)
 

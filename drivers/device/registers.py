@@ -21,6 +21,9 @@ ILLEGAL_FUNCTION = 1
 DEVICE_FAILURE = 4
 
 
+_PAIR = struct.Struct(">HH")
+
+
 class RegisterSession:
     """Requests of one connection. Objects that are written one by one are gathered per connection.
 
@@ -58,7 +61,7 @@ class RegisterSession:
             return bytes([function | 0x80, DEVICE_FAILURE])
 
     def _read_holding(self, body: bytes) -> bytes:
-        address, count = struct.unpack(">HH", body)
+        address, count = _PAIR.unpack(body)
         if not 1 <= count <= MAX_READ:
             raise RefusedError(Refusal.LIMIT, "too many registers")
         snapshots: dict[str, dict[str, Value]] = {}
@@ -78,18 +81,17 @@ class RegisterSession:
         return bytes([2 * count]) + image
 
     def _read_input(self, body: bytes) -> bytes:
-        address, count = struct.unpack(">HH", body)
+        address, count = _PAIR.unpack(body)
         if not 1 <= count <= MAX_READ:
             raise RefusedError(Refusal.LIMIT, "too many registers")
-        for start, data in (
-            (self._map.lockin_address, self._front.lockin_payload),
-            (self._map.raw_address, self._front.raw_segment),
-        ):
-            if address >= start:
-                part = data()[2 * (address - start) : 2 * (address - start + count)]
-                if len(part) == 2 * count:
-                    return bytes([2 * count]) + part
-        raise RefusedError(Refusal.ADDRESS, "no data there")
+        if address >= self._map.raw_address:
+            part = self._front.raw_part(2 * (address - self._map.raw_address), 2 * count)
+        else:
+            start = 2 * (address - self._map.lockin_address)
+            part = self._front.lockin_payload()[start : start + 2 * count] if start >= 0 else b""
+        if len(part) != 2 * count:
+            raise RefusedError(Refusal.ADDRESS, "no data there")
+        return bytes([2 * count]) + part
 
     def _write_one(self, body: bytes) -> bytes:
         address, _ = struct.unpack(">HH", body)

@@ -11,7 +11,8 @@ from drivers.objects import Type
 from drivers.packing import Order, Value, decode, encode
 
 READ_INPUT = 4
-_HEADER = struct.Struct(">HHHB")
+_REQUEST = struct.Struct(">HHHBBHH")
+_ANSWER = struct.Struct(">HHHBBB")
 
 
 def _swapped(raw: bytes, width: int) -> bytes:
@@ -46,7 +47,7 @@ def to_bytes(registers: Sequence[int]) -> bytes:
 
 def read_request(transaction: int, unit: int, address: int, count: int) -> bytes:
     """Modbus TCP frame that reads input registers."""
-    return _HEADER.pack(transaction, 0, 6, unit) + struct.pack(">BHH", READ_INPUT, address, count)
+    return _REQUEST.pack(transaction, 0, 6, unit, READ_INPUT, address, count)
 
 
 def read_response(frame: bytes, transaction: int, unit: int, count: int) -> bytes:
@@ -59,7 +60,6 @@ def read_response(frame: bytes, transaction: int, unit: int, count: int) -> byte
     """
     if len(frame) != 9 + 2 * count:
         raise BusError(f"the answer has {len(frame)} bytes instead of {9 + 2 * count}")
-    got, protocol, _, answering = _HEADER.unpack_from(frame)
-    if (got, protocol, answering, frame[7], frame[8]) != (transaction, 0, unit, READ_INPUT, 2 * count):
+    if _ANSWER.unpack_from(frame) != (transaction, 0, 3 + 2 * count, unit, READ_INPUT, 2 * count):
         raise BusError("the answer belongs to another request")
     return frame[9:]

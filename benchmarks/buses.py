@@ -1,0 +1,142 @@
+"""How far the buses reach: agreement, faults, kills, throughput, bus time. ``python benchmarks/buses.py [name]``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import _bus_faults
+import _bus_kills
+import _bus_speed
+import numpy as np
+
+from drivers.canopen.codec import beat_bytes
+from drivers.controller import Controller
+from drivers.device.hub import Frame
+from drivers.device.machine import RigDevice
+from drivers.device.serve import CanOptions, ModbusOptions, RtuOptions, serve_canopen, serve_modbus, serve_modbus_rtu
+from drivers.heartbeat import PERIOD_S
+from drivers.simulated.driver import SimulatedController
+from drivers.url import connect
+from service.bootstrap import quick_profile
+from service.experiment.campaign import run_campaign
+from service.experiment.data import Experiment
+from service.experiment.plan import Profile
+from sim.reference import reference_datasheet, reference_rig
+
+NOISE_Y_M, NOISE_I_A = 20e-9, 2e-3
+
+
+def _campaign(controller: Controller, profile: Profile | None) -> Experiment:
+    with tempfile.TemporaryDirectory() as folder:
+        return run_campaign(controller, reference_datasheet(), Path(folder), profile=profile)
+
+
+def agreement() -> None:
+    """The same seed and rig, commissioned over every bus and in process."""
+    experiments = {}
+    controller: Controller = SimulatedController(reference_rig(), seed=7)
+    experiments["in process"] = _campaign(controller, quick_profile())
+    for name, serve in (
+        ("Modbus TCP", lambda d: serve_modbus(d, ModbusOptions(port=0))),
+        ("Modbus RTU", lambda d: serve_modbus_rtu(d, RtuOptions())),
+        ("CANopen", lambda d: serve_canopen(d, CanOptions())),
+    ):
+        served = serve(RigDevice(reference_rig(), 7))
+        controller = connect(served.url)
+        experiments[name] = _campaign(controller, quick_profile())
+        controller.close()
+        served.close()
+    reference = experiments.pop("in process")
+    for name, experiment in experiments.items():
+        y = i = 0.0
+        points = 0
+        for k, (sweep, other) in enumerate(zip(reference.sweeps, experiment.sweeps, strict=True)):
+            if sweep.Y is None or other.Y is None or sweep.Y.shape != other.Y.shape:
+                print(f"agreement: {name}: sweep {k} differs in shape")
+                continue
+            points += len(sweep.frequency_hz)
+            y = max(y, float(np.max(np.abs(sweep.Y - other.Y))))
+            i = max(i, float(np.max(np.abs(sweep.I - other.I))))
+        print(
+            f"agreement: {name} and in process, {points} points: largest difference {y:.1e} m ({y / NOISE_Y_M:.1e} of "
+            f"the sensor noise), {i:.1e} A ({i / NOISE_I_A:.1e} of the current noise); asked: below 0.1"
+        )
+
+
+def faults(points: int = 10_000) -> None:
+    """Random tones over a Modbus link on which every fault strikes."""
+    tally = _bus_faults.run(points, seed=20, rate=0.0005, progress=_ticker(points))
+    print(
+        f"faults: {tally.points} points under {sum(tally.faults.values())} faults in {tally.seconds:.0f} s: "
+        f"{tally.wrong} wrong values accepted, {tally.excited_without_lease} excitations without a lease; "
+        f"marked and repeated: {dict(tally.marks) or 'none'}"
+    )
+    print(f"faults: {dict(sorted(tally.faults.items()))}")
+
+
+def kills(count: int = 50) -> None:
+    """Hosts killed while a tone plays."""
+    for protocol, n in (("modbus", count), ("canopen", max(count // 5, 1))):
+        ms = 1e3 * np.array(_bus_kills.run(n, protocol))
+        print(
+            f"kills: {protocol}, {n} hosts killed: excitation off after {np.median(ms):.0f} ms in the median, "
+            f"{ms.min():.0f} to {ms.max():.0f} ms; asked: at most 250 ms"
+        )
+
+
+def throughput() -> None:
+    """A raw record of 120 kB."""
+    driver, bare = _bus_speed.modbus()
+    print(
+        f"throughput: Modbus TCP raw record {driver / 1e3:.0f} kB/s, bare sockets of the same depth {bare / 1e3:.0f} "
+        f"kB/s: {driver / bare:.0%}; asked: at least 60 %"
+    )
+    block, limit, bitrate = _bus_speed.sdo_block()
+    print(
+        f"throughput: SDO block {block / 1e3:.1f} kB/s on a line of {bitrate / 1e6:.0f} Mbit/s, whose limit is "
+        f"{limit / 1e3:.1f} kB/s: {block / limit:.0%}; asked: at least 85 %"
+    )
+
+
+def bus_time() -> None:
+    """The whole commissioning by lock-in on CAN: bits on the line against the time that the rig measures."""
+    hub, device, url = _bus_speed.hub_device()
+    controller = connect(url)
+    experiment = _campaign(controller, None)
+    controller.close()
+    points = sum(len(sweep.frequency_hz) for sweep in experiment.sweeps)
+    rig_seconds = device.rig_time_s
+    beats = rig_seconds / PERIOD_S * Frame(0x205, beat_bytes(1, 1)).bits
+    seconds = (hub.bits + beats) / 1e6
+    hub.close()
+    print(
+        f"bus time: {points} points, {rig_seconds:.0f} s on the rig: {hub.frames} frames take {seconds:.1f} s of a "
+        f"line of 1 Mbit/s (heartbeats of the rig's time included): {seconds / rig_seconds:.2%}; asked: at most 5 %"
+    )
+
+
+def _ticker(total: int):
+    began = time.monotonic()
+
+    def tick(done: int) -> None:
+        if done % 1000 == 0 and sys.stderr.isatty():
+            print(f"  {done} of {total} after {time.monotonic() - began:.0f} s", file=sys.stderr)
+
+    return tick
+
+
+BENCHMARKS = {f.__name__: f for f in (agreement, faults, kills, throughput, bus_time)}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="name", help=", ".join(BENCHMARKS))
+    parser.add_argument("--points", type=int, default=10_000)
+    parser.add_argument("--kills", type=int, default=50)
+    options = parser.parse_args()
+    for name in options.names or BENCHMARKS:
+        more = {"faults": (options.points,), "kills": (options.kills,)}.get(name, ())
+        BENCHMARKS[name](*more)
