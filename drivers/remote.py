@@ -238,7 +238,7 @@ class RemoteController:
         axes = len(self._capabilities.axes)
 
         def fetch(link: Link) -> PointResult:
-            header = link.read("result")
+            header = _read(link, "result")
             self._same_boot(header)
             if header["command"] != command:
                 raise BusError("the controller answered with an older result")
@@ -248,12 +248,13 @@ class RemoteController:
             size = int(_number(header["payload_bytes"]))
             if size != lockin_bytes(tone, axes):
                 raise BusError(f"the result has {size} bytes instead of {lockin_bytes(tone, axes)}")
-            payload = link.lockin_payload(size)
+            payload = _data(lambda: link.lockin_payload(size))
             if payload_crc(number, payload) != header["payload_crc"]:
                 raise BusError("the CRC of the result is wrong: it was corrupted on the bus")
             records = None
             if tone.raw:
-                raw = link.raw_record(number, int(_number(header["raw_bytes"])))
+                raw_size = int(_number(header["raw_bytes"]))
+                raw = _data(lambda: link.raw_record(number, raw_size))
                 if payload_crc(number, raw) != header["raw_crc"]:
                     raise BusError("the CRC of the raw record is wrong: it was corrupted on the bus")
                 records = decode_raw(raw, tone, axes, link.order)
@@ -322,7 +323,7 @@ class RemoteController:
 
     def _status(self, expect_boot: bool = True) -> dict[str, Value]:
         def fresh(link: Link) -> dict[str, Value]:
-            values = link.read("status")
+            values = _read(link, "status")
             boot, snapshot = int(_number(values.get("boot_id", 0))), int(_number(values.get("snapshot", 0)))
             if "snapshot" in values and boot == self._snapshot[0] and snapshot <= self._snapshot[1]:
                 raise BusError("the controller answered with an older status")
@@ -342,7 +343,7 @@ class RemoteController:
             )
 
     def _trip_message(self, trip: TripCause) -> str:
-        message = str(self._patiently(lambda link: link.read("trip")).get("message", ""))
+        message = str(self._patiently(lambda link: _read(link, "trip")).get("message", ""))
         return message or f"the controller tripped: {trip.name.lower()}"
 
     def _send_stop(self, token: int) -> None:
@@ -364,7 +365,7 @@ class RemoteController:
             time.sleep(0.01)
 
     def _identify(self, patience_s: float) -> Capabilities:
-        v = self._patiently(lambda link: link.read("identity"), patience_s)
+        v = self._patiently(lambda link: _read(link, "identity"), patience_s)
         return Capabilities(
             identity=str(v.get("identity", self._links.description)),
             axes=tuple(str(v["axes"]).split()),
@@ -383,6 +384,22 @@ class RemoteController:
                 link.close()
         with suppress(Exception):
             self._links.close()
+
+
+def _read(link: Link, group: str) -> dict[str, Value]:
+    """Snapshot of a group. What may be read is never refused by a device of ours: then the bus is at fault."""
+    try:
+        return link.read(group)
+    except RefusedError as refused:
+        raise BusError(f"reading {group} was refused: {refused}") from refused
+
+
+def _data(read: Callable[[], bytes]) -> bytes:
+    """The same for a result's data."""
+    try:
+        return read()
+    except RefusedError as refused:
+        raise BusError(f"reading data was refused: {refused}") from refused
 
 
 def _is_echo(tone: Tone, header: Values) -> bool:

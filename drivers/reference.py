@@ -1,0 +1,98 @@
+"""The reference page of the objects, docs/objects.md: ``python -m drivers.reference docs/objects.md``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from drivers.canopen.map import LOCKIN_INDEX, RAW_INDEX, RECORD_INDEX, WHOLE_INDEX, sub_objects
+from drivers.modbus.map import DEFAULT_MAP, LOCKIN_ADDRESS, RAW_ADDRESS
+from drivers.objects import GROUPS, PROTOCOL_VERSION, Group, Object, Refusal, Type
+
+_HEAD = f"""# Objects of a controller, protocol version {PROTOCOL_VERSION}
+
+Generated from `drivers/objects.py` by `python -m drivers.reference docs/objects.md`; do not edit.
+
+A host reads a group as one snapshot and writes a group as one command. A command acts when its last object is
+written. The object `crc` is the CRC-32 (zlib) over the group's other objects, big-endian, in order; a command with a
+wrong CRC is refused, an answer with a wrong one is asked for again.
+
+- **Modbus**: holding registers (functions 3, 6, 16), big-endian words; addresses count from 0. A rig's own map is a
+  TOML file (`drivers/modbus/map.py`) that moves, rescales or leaves out objects.
+- **CANopen**: a record for each group at 0x{RECORD_INDEX:04X} + k, and the whole group as one DOMAIN, little-endian,
+  at 0x{WHOLE_INDEX:04X} + k; the EDS file is `amb.eds`. Heartbeat and stop are RPDO 1 and 2 (`beat`, `stop`), progress
+  is TPDO 1, a trip sends an EMCY.
+
+## A measurement
+
+1. Write `lease` with a token of your own; write `beat` every 50 ms with a counter that moves. 200 ms without a beat
+   while a tone plays: the excitation ramps to zero and a trip latches until `acknowledge`.
+2. Write `tone` with a new command number. Asking again under the same number is harmless.
+3. Read `status` until `command` is yours and `outcome` is not 0 (on CANopen, TPDO 1 tells).
+4. Read `result`, then its payload, and check `payload_crc`. A result never changes under its number.
+5. Write `release`. Anyone may write `stop` at any time.
+
+## Data of the last result, 32-bit floats
+
+- **Lock-in payload**: Modbus input registers (function 4) from {LOCKIN_ADDRESS}; CANopen 0x{LOCKIN_INDEX:04X}, DOMAIN. For u, i, y
+  in turn (block, part, axis); the parts are the mean, then real and imaginary part of harmonics 1, 2, 3.
+- **Raw record**: Modbus input registers from {RAW_ADDRESS}, 48000 at a time, the part chosen with `window`; CANopen
+  0x{RAW_INDEX:04X}, DOMAIN. (sample, signal u i y, axis).
+
+Complex amplitudes: x(t) = Re(X exp(j h w t)), the time origin such that r at harmonic 1 is real and positive. r itself
+is the tone that was asked for, its amplitude a whole number of microamperes, and is not sent. The payload's CRC-32
+covers the result's number (big-endian) and the bytes as they are sent.
+
+## Refusals
+
+| why | Modbus exception | SDO abort |
+|---|---|---|
+"""
+_WHY = {
+    Refusal.ADDRESS: "no such object, or not in this direction",
+    Refusal.LIMIT: "outside its limits, or a wrong CRC",
+    Refusal.TRIPPED: "a trip is latched",
+    Refusal.LEASE: "not the holder of the lease, or busy",
+}
+
+
+def page() -> str:
+    """The whole page, Markdown."""
+    refusals = "".join(f"| {_WHY[r]} | {r.modbus} | 0x{r.canopen:08X} |\n" for r in Refusal)
+    return _HEAD + refusals + "".join(_group(group) for group in GROUPS)
+
+
+def _group(group: Group) -> str:
+    subs = {s.obj.name: s.subindex for s in reversed(sub_objects(group))}
+    rows = "".join(
+        f"| `{e.obj.name}` | {e.address} | {subs[e.obj.name]} | {_type(e.obj)} | {_scale(e.obj)} | {_limits(e.obj)} | "
+        f"{e.obj.description} |\n"
+        for e in DEFAULT_MAP.of(group.name)
+    )
+    access = "read" if group.access == "ro" else "write"
+    return (
+        f"\n## `{group.name}` ({access}): {group.description}\n\n"
+        f"CANopen 0x{RECORD_INDEX + group.index:04X}, whole 0x{WHOLE_INDEX + group.index:04X}.\n\n"
+        "| object | Modbus register | sub-index | type | one count | limits | meaning |\n"
+        "|---|---|---|---|---|---|---|\n" + rows
+    )
+
+
+def _type(obj: Object) -> str:
+    if obj.type is Type.TEXT:
+        return f"text, {obj.count} bytes"
+    return str(obj.type.value[1]) + (f" x {obj.count}" if obj.count > 1 else "")
+
+
+def _scale(obj: Object) -> str:
+    return f"{1 / obj.per_unit:g} {obj.unit}".strip() if obj.unit or obj.per_unit > 1 else ""
+
+
+def _limits(obj: Object) -> str:
+    if obj.low is None and obj.high is None:
+        return ""
+    return f"{'' if obj.low is None else f'{obj.low:g}'} to {'' if obj.high is None else f'{obj.high:g}'}".strip()
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(page(), encoding="utf-8")

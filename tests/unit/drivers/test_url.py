@@ -1,0 +1,57 @@
+"""Addresses of controllers: what is understood, and what is refused before anything is opened."""
+
+import re
+
+import pytest
+
+from drivers.canopen.bus import bus_arguments
+from drivers.errors import BusError, ControllerError
+from drivers.simulated.driver import SimulatedController
+from drivers.url import connect
+from sim.reference import reference_rig
+
+
+def test_simulated_takes_rig_and_seed() -> None:
+    controller = connect("simulated://?seed=4", rig=reference_rig())
+    assert isinstance(controller, SimulatedController)
+    assert controller.capabilities().axes == ("xA", "xB", "yA", "yB")
+    controller.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("profibus://x", "no known scheme; use one of simulated://, modbus://"),
+        ("modbus://host?speed=1", "unknown option 'speed'; modbus:// knows map, transcript, unit"),
+        ("modbus://", "names no host"),
+        ("modbus://host:port", "port"),
+        ("modbus://host?unit=one", "unit is a whole number, not 'one'"),
+        ("modbus+rtu://", "names no serial port"),
+        ("canopen://socketcan/can0", "names no node"),
+        ("canopen://pigeon/can0?node=1", "cannot read the CAN bus"),
+        ("canopen://socketcan/?node=1", "cannot read the CAN bus"),
+        ("modbuss://host?ca=/nowhere.pem", "certificates"),
+        ("replay:///nowhere.jsonl", "cannot read the transcript"),
+        ("modbus://host?map=/nowhere.toml", "cannot read the map"),
+        ("simulated://?seed=many", "seed is a whole number"),
+    ],
+)
+def test_wrong_url_is_refused_in_one_line(url: str, message: str) -> None:
+    with pytest.raises(ControllerError, match=re.escape(message)) as refused:
+        connect(url).status()
+    assert "\n" not in str(refused.value)
+
+
+def test_bus_that_is_not_there_is_a_bus_error() -> None:
+    with pytest.raises(BusError, match="cannot open the CAN bus"):
+        connect("canopen://socketcand/127.0.0.1:1/can0?node=5")
+
+
+def test_can_addresses() -> None:
+    assert bus_arguments("socketcand/host:29536/can1") == {
+        "interface": "socketcand", "host": "host", "port": 29536, "channel": "can1", "tcp_tune": True,
+    }  # fmt: skip
+    assert bus_arguments("udp_multicast/239.74.163.2:5000") == {
+        "interface": "udp_multicast", "channel": "239.74.163.2", "port": 5000,
+    }  # fmt: skip
+    assert bus_arguments("virtual/x") == {"interface": "virtual", "channel": "x"}
