@@ -14,7 +14,7 @@ from service.identification.extended import extended_report
 from service.identification.margins import axis_margins, dense_grid
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.points import PlanePoints, same_frequency
-from service.identification.refine import Data, Refined, ShapePrior, amplitude_of, noise_of
+from service.identification.refine import Data, Refined, amplitude_of, noise_of
 from service.identification.result import (
     AmplifierResult,
     Curves,
@@ -51,12 +51,10 @@ def assemble(
     fits: tuple[AmplifierFit, AmplifierFit] | None,
     staged: StagedFit,
     selected: Selected,
-    prior: ShapePrior | None,
 ) -> PlaneResult:
     """Result of a plane from its joint fit."""
     refined, model, points = selected.refined, selected.refined.model, data.plant
-    n_prior = 2 * model.layout.n_modes if prior is not None else 0
-    u = uncertainty_of(refined, n_prior)
+    u = uncertainty_of(refined, selected.splits)
     fit, at_lines = frequency_fit(model, points, refined)
     cross, cross_rms, validation_frf, validation_model = _cross_validation(model, held_out)
     rms, tests = _residual_tests(refined, points)
@@ -86,7 +84,7 @@ def assemble(
         delay_s=_estimates(model, u, lambda m: np.array([m.delay_s]), ["s"])[0],
         poles=_poles(model, u),
         zeros=transmission_zeros(model),
-        extended=extended_report(refined, data, datasheet, u),
+        extended=extended_report(refined, selected.splits, data, datasheet, u),
         fit_percent=fit,
         cross_validation_fit_percent=cross,
         cross_validation_rms=cross_rms,

@@ -14,6 +14,7 @@ import numpy as np
 from service.identification.least_squares import covariance_of
 from service.identification.plane_model import EXTENDED
 from service.identification.refine import Data, Refined, residuals
+from service.identification.split import HELD, Posterior
 from service.identification.uncertainty import Uncertainty
 from service.identification.zoh import Real
 from sim.datasheet import Datasheet
@@ -24,7 +25,9 @@ ALIASES = (
 )
 
 
-def extended_report(refined: Refined, data: Data, datasheet: Datasheet, u: Uncertainty) -> dict[str, Any]:
+def extended_report(
+    refined: Refined, splits: Posterior | None, data: Data, datasheet: Datasheet, u: Uncertainty
+) -> dict[str, Any]:
     """Inertia and centre of gravity with the mass known, and what can be told of the whole set."""
     model = refined.model
     r, jacobian = residuals(model, data, refined.weights, refined.amplitude)
@@ -33,9 +36,11 @@ def extended_report(refined: Refined, data: Data, datasheet: Datasheet, u: Uncer
     scale = np.abs(model.theta)
     scale[model.layout.index("centre_of_gravity_m")] = sum(datasheet.bearing_from_cog_m) / 2
     scale[model.layout.delay] = datasheet.sample_time_s
-    prior_rows = refined.fit.jacobian[n_data:]
-    wide = np.zeros((len(prior_rows), model.layout.size))
-    wide[:, refined.fit.free] = prior_rows
+    wide = np.zeros((0 if splits is None else len(splits.log_ratios), model.layout.size))
+    if splits is not None:
+        # what is known of the shapes' splits, in units of its own spread
+        root = np.linalg.inv(np.linalg.cholesky(splits.covariance))
+        wide[:, refined.fit.free] = root @ (HELD * refined.fit.jacobian[n_data:])
     full = np.vstack([jacobian, wide])
     asked = ("transverse_inertia_kgm2", "centre_of_gravity_m")
     free = refined.fit.free.copy()

@@ -12,9 +12,10 @@ from service.identification.assemble import assemble
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
-from service.identification.refine import Data, ShapePrior
+from service.identification.refine import Data
 from service.identification.result import CommissioningResult, PlaneResult
 from service.identification.selection import choose_modes
+from service.identification.split import Knowledge
 from service.identification.staged import staged_fit
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -24,10 +25,11 @@ from sim.errors import AmbError
 class Options:
     """How to identify. The defaults need no thought."""
 
-    shape_prior: bool = True
-    """Whether the split of a mode's shape between bearings and sensors is helped by their closeness (`ShapePrior`)."""
-    shape_scale: float | None = None
-    """Scale of that prior; by default the distance from bearing to sensor over the bearing span."""
+    closeness: bool = True
+    """Whether a mode's shape is taken to change little from a bearing to its sensor (`split.Knowledge`)."""
+    datasheet_modes: bool = True
+    """Whether the datasheet's modes, where it has any, tell how shapes split between bearings and sensors. Nothing else
+    of them is used."""
 
 
 def identify(experiment: Experiment, datasheet: Datasheet, options: Options | None = None) -> CommissioningResult:
@@ -113,24 +115,30 @@ def identify_plane(
     gain = start.amplifier_response(u_to_y.omega)
     plant = FrequencyResponse(u_to_y.omega, u_to_y.value / gain[:, None, :], u_to_y.std / np.abs(gain)[:, None, :])
     staged = staged_fit(start, points, plant)
-    prior = shape_prior_of(datasheet, options)
+    knowledge = split_knowledge(datasheet, options)
     selected = choose_modes(
-        staged.rigid_model, data, plant, staged.search, staged.n_modes, staged.lowest_mode_rad_s, prior
+        staged.rigid_model, data, plant, staged.search, staged.n_modes, staged.lowest_mode_rad_s, knowledge
     )
     held_out = None if validation is None else plane_points(validation, axes, plane)
     if held_out is not None and len(held_out.omega) == 0:
         held_out = None
-    return assemble(datasheet, data, held_out, u_to_y, plant, fits, staged, selected, prior)
+    return assemble(datasheet, data, held_out, u_to_y, plant, fits, staged, selected)
 
 
-def shape_prior_of(datasheet: Datasheet, options: Options) -> ShapePrior | None:
-    """Prior of the shapes from the rig's geometry."""
-    if not options.shape_prior:
-        return None
-    if options.shape_scale is not None:
-        return ShapePrior(options.shape_scale)
+def split_knowledge(datasheet: Datasheet, options: Options) -> Knowledge:
+    """What the datasheet tells of the modes' splits."""
     (a, b), (sa, sb) = datasheet.bearing_from_cog_m, datasheet.sensor_from_cog_m
-    return ShapePrior(float(np.clip(0.5 * (abs(sa - a) + abs(sb - b)) / (a + b), 0.02, 0.3)))
+    scale = float(np.clip(0.5 * (abs(sa - a) + abs(sb - b)) / (a + b), 0.02, 0.3))
+    modes = datasheet.modes if options.datasheet_modes else ()
+    modes = tuple(m for m in modes if any(m.shape_at_bearings) and any(m.shape_at_sensors))
+    ratios = [np.log(np.linalg.norm(m.shape_at_sensors) / np.linalg.norm(m.shape_at_bearings)) for m in modes]
+    return Knowledge(
+        scale if options.closeness else None,
+        (sa > a, sb > b),
+        2 * np.pi * np.array([m.frequency_hz for m in modes]),
+        np.array(ratios),
+        float(np.hypot(1.0, 1.0) * datasheet.tolerance.mode_shape),
+    )
 
 
 def _amplifier_points(sweep: Sweep | None, axes: tuple[str, ...], plane: str) -> PlanePoints | None:

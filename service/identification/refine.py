@@ -16,10 +16,8 @@ from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude, PlaneModel, Points
 from service.identification.points import PlanePoints
+from service.identification.split import Split, split_rows
 from service.identification.zoh import Complex, Real
-
-TIGHTENED = 0.2
-"""Of the shape prior's scale, where the model is known to be wrong; its variance is scaled back afterwards."""
 
 
 @dataclass(frozen=True)
@@ -38,29 +36,6 @@ class Weights:
     """(P, c, c) for [i_A, i_B, y_A, y_B], or [y_A, y_B] without currents."""
     amplifier: Complex | None
     """(P, 2, 2) for [i_A, i_B]."""
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Gaussian knowledge of some parameters."""
-
-    index: NDArray[np.int64]
-    mean: Real
-    std: Real
-
-
-@dataclass(frozen=True)
-class ShapePrior:
-    """Bearing and sensor sit close together, so a mode's shape changes little between them, but near a node.
-
-    u, i and y fix the product of a mode's shapes at sensors and bearings, but hardly how it splits. What splits it is
-    the position stiffness at work on the flexible displacement at the bearings, and for n modes the data hold one such
-    combination only. So g = (phi_s - phi_b)/sqrt(phi_s^2 + phi_b^2) has a Student prior per bearing, with heavy tails
-    for the bearing that has a node close by.
-    """
-
-    scale: float
-    """Of g; about the distance from bearing to sensor over the bearing span."""
 
 
 @dataclass(frozen=True)
@@ -190,8 +165,7 @@ def refine(
     *,
     relative: float = 0.0,
     nonlinear: bool = True,
-    prior: Prior | None = None,
-    shape_prior: ShapePrior | None = None,
+    split: Split | None = None,
     weights: Weights | None = None,
     max_iterations: int = 60,
 ) -> Refined:
@@ -205,8 +179,8 @@ def refine(
         See `weights_of`.
     nonlinear
         Whether the force law's excess at the measured amplitudes is taken into account.
-    prior
-        Knowledge beside the data.
+    split
+        Where to hold the modes' splits, which the data hardly tell.
     weights
         Whitening to use; by default that of the start, and once more that of the outcome.
     """
@@ -221,7 +195,7 @@ def refine(
         if weights is None:
             now, noise = weights_of(model, data, amplitude, relative)
         assert now is not None
-        fit = _minimise(model, data, now, amplitude, free, prior, shape_prior, max_iterations)
+        fit = _minimise(model, data, now, amplitude, free, split, max_iterations)
         model = model.at(fit.theta)
     if noise is None:
         noise = noise_of(model, data.plant, amplitude)
@@ -230,33 +204,13 @@ def refine(
     return Refined(model, fit, noise, amplitude, now, relative)
 
 
-def shape_rows(model: PlaneModel, prior: ShapePrior) -> tuple[Real, Real]:
-    """Residuals of the shape prior, two per mode, and their Jacobian: r^2 = 2 ln(1 + (g/scale)^2)."""
-    modes = model.modes
-    rows = np.zeros(2 * len(modes))
-    jacobian = np.zeros((2 * len(modes), model.layout.size))
-    for k, mode in enumerate(modes):
-        for j in range(2):
-            b, s = mode[2 + j], mode[4 + j]
-            norm2 = b * b + s * s + 1e-12
-            g = (s - b) / np.sqrt(norm2) / prior.scale
-            r = np.sign(g) * np.sqrt(2.0 * np.log1p(g * g))
-            slope = np.sqrt(2.0) if abs(g) < 1e-6 else 2.0 * g / (1.0 + g * g) / r
-            at = model.layout.mode(k).start
-            rows[2 * k + j] = r
-            jacobian[2 * k + j, at + 2 + j] = slope * (-1.0 - b * (s - b) / norm2) / np.sqrt(norm2) / prior.scale
-            jacobian[2 * k + j, at + 4 + j] = slope * (1.0 - s * (s - b) / norm2) / np.sqrt(norm2) / prior.scale
-    return rows, jacobian
-
-
 def _minimise(
     model: PlaneModel,
     data: Data,
     weights: Weights,
     amplitude: Amplitude | None,
     free: NDArray[np.bool_],
-    prior: Prior | None,
-    shape_prior: ShapePrior | None,
+    split: Split | None,
     max_iterations: int,
 ) -> Fit:
     def residual(theta: Real, gradient: bool) -> tuple[Real, Real | None] | None:
@@ -264,14 +218,8 @@ def _minimise(
         if not trial.is_physical:
             return None
         r, j = residuals(trial, data, weights, amplitude, gradient)
-        if prior is not None:
-            r = np.concatenate([r, (theta[prior.index] - prior.mean) / prior.std])
-            if j is not None:
-                extra = np.zeros((len(prior.index), len(theta)))
-                extra[np.arange(len(prior.index)), prior.index] = 1.0 / prior.std
-                j = np.concatenate([j, extra])
-        if shape_prior is not None and trial.layout.n_modes:
-            more, slope = shape_rows(trial, shape_prior)
+        if split is not None and trial.layout.n_modes:
+            more, slope = split_rows(trial, split)
             r = np.concatenate([r, more])
             j = None if j is None else np.concatenate([j, slope])
         return r, j

@@ -28,7 +28,7 @@ class Estimate:
     nominal: float | None = None
     """What the datasheet says."""
     std_from_data: float | None = None
-    """The part of ``std`` that noise brings, without the shape prior's and without widening."""
+    """The part of ``std`` that noise brings: without widening, and with the shapes' splits held."""
 
     @property
     def error_percent(self) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,8 @@ from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
 from service.identification.flexible import PoleResidue, search, shapes_of
 from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
-from service.identification.refine import TIGHTENED, Data, Refined, ShapePrior, Weights, refine, residuals, shape_rows
+from service.identification.refine import Data, Refined, Weights, refine, residuals
+from service.identification.split import Knowledge, Posterior, Split, held_at_start, log_ratios, posterior
 from service.identification.zoh import Real
 
 MAX_MODES = 6
@@ -25,6 +25,8 @@ class Selected:
     """The joint fit with the number of modes that the data support."""
 
     refined: Refined
+    splits: Posterior | None
+    """What is known of the shapes' splits; None without modes."""
     evidence: tuple[Evidence, ...]
 
 
@@ -69,7 +71,7 @@ def choose_modes(
     coarse: list[PoleResidue],
     n_start: int,
     lowest_rad_s: float,
-    shape_prior: ShapePrior | None,
+    knowledge: Knowledge,
 ) -> Selected:
     """Joint fit with the number of modes that the description length supports.
 
@@ -87,20 +89,20 @@ def choose_modes(
     modes = modes_from(coarse[n_start - 1], start.ki) if n_start else np.empty((0, N_MODE))
     modes = modes[[is_visible(m[0], m[1], data.plant.omega) for m in modes]]
     n_start = len(modes)
-    first = _joint(with_modes(start, modes), data, shape_prior)
+    first = _joint(with_modes(start, modes), data, knowledge)
     weights = first.weights
     tried: dict[int, Refined] = {n_start: first}
     # fewer: leave out the mode that matters least, while that is no loss
     now = n_start
     while now > 0:
-        tried[now - 1] = _without_one(tried[now], data, weights, shape_prior)
+        tried[now - 1] = _without_one(tried[now], data, weights, knowledge)
         if _score(tried[now - 1], data) > _score(tried[now], data) + 10.0:
             break
         now -= 1
     # more: while it pays
     if now == n_start:
         while now < MAX_MODES:
-            more = _with_one_more(tried[now], data, plant, weights, lowest_rad_s, shape_prior)
+            more = _with_one_more(tried[now], data, plant, weights, lowest_rad_s, knowledge)
             if more is None:
                 break
             tried[now + 1] = more
@@ -119,27 +121,58 @@ def choose_modes(
         for n, r in sorted(tried.items())
     )
     if _rms(tried[now], data) > ADEQUATE:
-        return Selected(_forgiving(with_modes(start, modes), data, shape_prior), evidence)
-    return Selected(tried[now], evidence)
+        wrong = _forgiving(with_modes(start, modes), data, knowledge)
+        return Selected(*_finished(wrong, data, knowledge), evidence)
+    return Selected(*_finished(tried[now], data, knowledge), evidence)
 
 
-def _forgiving(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) -> Refined:
+def _forgiving(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
     """Joint fit for a model that cannot agree with the data: its error counts as a relative one beside the noise.
 
     Weighted by noise alone such a fit would follow the loudest lines wherever their error leads. The size of the
     relative error is what makes the residuals fit it.
     """
-    if shape_prior is not None:
-        # what the data say of the shapes' split is a small number that the model's error swamps
-        shape_prior = ShapePrior(TIGHTENED * shape_prior.scale)
     level = 0.03
-    found = refine(model, data, _free(model, data), relative=level, nonlinear=True, shape_prior=shape_prior)
+    found = _held(model, data, knowledge, relative=level)
     for _ in range(3):
         r, _ = residuals(found.model, data, found.weights, found.amplitude, gradient=False)
         level = float(np.clip(level * np.sqrt(r @ r / len(r)), 1e-4, 0.3))
-        found = refine(found.model, data, _free(model, data), relative=level, shape_prior=shape_prior)
-    best_split = _scaled_shapes(found.model, found, shape_prior)
-    return refine(best_split, data, _free(model, data), relative=level, shape_prior=shape_prior)
+        found = _held(found.model, data, knowledge, relative=level)
+    return found
+
+
+def _held(model: PlaneModel, data: Data, knowledge: Knowledge, relative: float) -> Refined:
+    return refine(model, data, _free(model, data), relative=relative, split=held_at_start(model, knowledge))
+
+
+def _finished(refined: Refined, data: Data, knowledge: Knowledge) -> tuple[Refined, Posterior | None]:
+    """Joint fit with the splits at the mean of what is known of them, and that knowledge."""
+    if refined.model.layout.n_modes == 0:
+        return refined, None
+    n_modes = refined.model.layout.n_modes
+    rows = len(refined.fit.residual) - n_modes
+    right = refined.relative == 0
+    known = posterior(
+        refined.model, refined.fit.residual[:rows], refined.fit.jacobian[:rows], refined.fit.free, knowledge, right
+    )
+    again = refine(
+        with_split(refined.model, known.log_ratios),
+        data,
+        _free(refined.model, data),
+        relative=refined.relative,
+        split=Split(known.log_ratios),
+        weights=refined.weights,
+    )
+    return replace(again, noise=refined.noise, relative=refined.relative), known
+
+
+def with_split(model: PlaneModel, ratios: Real) -> PlaneModel:
+    """The same plane with each mode's shape split as told, ln(|phi_s|/|phi_b|)."""
+    modes = model.modes.copy()
+    factor = np.exp(0.5 * (ratios - log_ratios(model)))[:, None]
+    modes[:, 2:4] /= factor
+    modes[:, 4:6] *= factor
+    return with_modes(model, modes)
 
 
 def _free(model: PlaneModel, data: Data) -> NDArray[np.bool_]:
@@ -152,62 +185,21 @@ def _free(model: PlaneModel, data: Data) -> NDArray[np.bool_]:
     return free
 
 
-def _joint(model: PlaneModel, data: Data, shape_prior: ShapePrior | None) -> Refined:
+def _joint(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
     """Forgiving first, then in units of the noise."""
     free = _free(model, data)
-    rough = refine(model, data, free, relative=0.03, nonlinear=False, shape_prior=shape_prior, max_iterations=40)
-    better = refine(rough.model, data, free, relative=0.003, nonlinear=True, shape_prior=shape_prior)
-    return refine(_scaled_shapes(better.model, better, shape_prior), data, free, shape_prior=shape_prior)
+    split = held_at_start(model, knowledge)
+    model = with_split(model, split.log_ratios)
+    rough = refine(model, data, free, relative=0.03, nonlinear=False, split=split, max_iterations=40)
+    better = refine(rough.model, data, free, relative=0.003, nonlinear=True, split=split)
+    return refine(better.model, data, free, split=split)
 
 
-def _scaled_shapes(model: PlaneModel, refined: Refined, prior: ShapePrior | None) -> PlaneModel:
-    """Best of the starts in which each mode's shape is split so that it agrees at bearing A, at B, or stays as it is.
-
-    The shape prior has a minimum for each; the data's own combination is taken to second order.
-    """
-    n = model.layout.n_modes
-    if prior is None or n == 0 or n > 4:
-        return model
-    free = refined.fit.free
-    jacobian = refined.fit.jacobian[: len(refined.fit.residual) - 2 * n]
-    names = model.layout.names
-    places = np.flatnonzero(free)
-    directions = np.zeros((jacobian.shape[1], n))
-    for k in range(n):
-        at = model.layout.mode(k).start
-        for offset, sign in ((2, 0.5), (3, 0.5), (4, -0.5), (5, -0.5)):
-            directions[np.searchsorted(places, at + offset), k] = sign * model.theta[at + offset]
-    # every other direction is refitted: leave the scale directions out of the span by dropping one shape each
-    others = [j for j, p in enumerate(places) if not names[p].endswith("sensor_B") or not names[p].startswith("mode_")]
-    rest = jacobian[:, others]
-    rest = rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
-    along = jacobian @ directions
-    along = along - rest @ np.linalg.lstsq(rest, along, rcond=None)[0]
-    curvature = along.T @ along
-    options = []
-    for mode in model.modes:
-        ratio = np.abs(mode[4:6]) / np.maximum(np.abs(mode[2:4]), 1e-12)
-        options.append([0.0, *np.log(np.clip(ratio, 0.05, 20.0))])
-    best, best_score = model, np.inf
-    for choice in itertools.product(*options):
-        # a = factor of phi_b^2; the data's misfit is quadratic in a
-        shift = np.exp(np.array(choice)) - 1.0
-        modes = model.modes.copy()
-        modes[:, 2:4] *= np.exp(0.5 * np.array(choice))[:, None]
-        modes[:, 4:6] *= np.exp(-0.5 * np.array(choice))[:, None]
-        trial = with_modes(model, modes)
-        rows, _ = shape_rows(trial, prior)
-        score = float(shift @ curvature @ shift + rows @ rows)
-        if score < best_score:
-            best, best_score = trial, score
-    return best
-
-
-def _without_one(refined: Refined, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
+def _without_one(refined: Refined, data: Data, weights: Weights, knowledge: Knowledge) -> Refined:
     modes = refined.model.modes
     strength = [np.linalg.norm(m[2:4]) * np.linalg.norm(m[4:6]) / (2 * abs(m[1]) * m[0] + 1e-12) for m in modes]
     keep = np.delete(modes, int(np.argmin(strength)), axis=0)
-    return _again(with_modes(refined.model, keep), data, weights, shape_prior)
+    return _again(with_modes(refined.model, keep), data, weights, knowledge)
 
 
 def _with_one_more(
@@ -216,18 +208,20 @@ def _with_one_more(
     plant: FrequencyResponse,
     weights: Weights,
     lowest: float,
-    shape_prior: ShapePrior | None,
+    knowledge: Knowledge,
 ) -> Refined | None:
     left = plant.value - refined.model.plant_response(plant.omega)
     found = search(plant.omega, left, 1.0 / plant.std, 1, lowest)
     if not found:
         return None
     extra = modes_from(found[0], refined.model.ki)
-    return _again(with_modes(refined.model, np.vstack([refined.model.modes, extra])), data, weights, shape_prior)
+    return _again(with_modes(refined.model, np.vstack([refined.model.modes, extra])), data, weights, knowledge)
 
 
-def _again(model: PlaneModel, data: Data, weights: Weights, shape_prior: ShapePrior | None) -> Refined:
-    return refine(model, data, _free(model, data), shape_prior=shape_prior, weights=weights, max_iterations=25)
+def _again(model: PlaneModel, data: Data, weights: Weights, knowledge: Knowledge) -> Refined:
+    split = held_at_start(model, knowledge)
+    model = with_split(model, split.log_ratios)
+    return refine(model, data, _free(model, data), split=split, weights=weights, max_iterations=25)
 
 
 def _data_cost(refined: Refined, data: Data) -> float:

@@ -1,8 +1,8 @@
 """Frequency-domain subspace identification, beside the physical model, for comparison (Table 5-6).
 
 McKelvey, Akcay and Ljung, "Subspace-based multivariable system identification from frequency response data",
-IEEE TAC 41 (1996), algorithm 2: any frequencies, noise weighted by its covariance. The continuous-time plant is mapped on the
-unit circle by the bilinear transform, so no sampling enters and unstable poles are no trouble.
+IEEE TAC 41 (1996), algorithm 2: any frequencies, noise weighted by its covariance. The continuous plant is mapped on
+the unit circle by the bilinear transform, so no sampling enters and unstable poles are no trouble.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ from scipy.stats import chi2
 
 from service.identification.least_squares import covariance_of
 from service.identification.plane_model import PlaneModel
-from service.identification.refine import TIGHTENED, Refined
+from service.identification.refine import Refined
+from service.identification.split import HELD, Posterior
 from service.identification.zoh import Complex, Real
 
 ESTIMATED_WEIGHTS = 1.06
@@ -26,7 +27,7 @@ class Uncertainty:
     covariance: Real
     """(n, n) to be reported."""
     from_data: Real
-    """(n, n) what noise alone brings, the directions that only a prior fixes held."""
+    """(n, n) what noise alone brings, the shapes' splits held."""
     free: NDArray[np.bool_]
     adequate: bool
     """Whether the residuals are of the size of the noise."""
@@ -59,35 +60,34 @@ class Uncertainty:
         return np.stack(columns, axis=-1)
 
 
-def uncertainty_of(refined: Refined, n_prior_rows: int, level: float = 0.999) -> Uncertainty:
+def uncertainty_of(refined: Refined, splits: Posterior | None, level: float = 0.999) -> Uncertainty:
     """Covariance of a joint fit.
 
-    The data's own covariance is (J^T J)^-1. When the residuals are larger than the noise beyond doubt, the model is
-    wrong somewhere, and the parameters move with its error. The covariance is then, parameter by parameter, the larger
-    of two: the one scaled by the residual variance, and the sandwich over bands of lines, whose errors go together.
+    Noise brings (J^T J)^-1 with the shapes' splits held; what is not known of the splits is added along the direction
+    in which the fit moves with them. When the residuals are larger than the noise beyond doubt, the model is wrong
+    somewhere, and the parameters move with its error. The first part is then, parameter by parameter, the larger of
+    two: the one scaled by the residual variance, and the sandwich over bands of lines, whose errors go together.
     """
     jacobian, residual = refined.fit.jacobian, refined.fit.residual
-    n_data = len(residual) - n_prior_rows
-    data_rows, rest = jacobian[:n_data], residual[:n_data]
-    dof = max(n_data - jacobian.shape[1], 1)
+    n_held = 0 if splits is None else len(splits.log_ratios)
+    n_data = len(residual) - n_held
+    rest = residual[:n_data]
+    dof = max(n_data - jacobian.shape[1] + n_held, 1)
     chi = float(rest @ rest)
     scale = np.sqrt(chi / dof)
-    total = covariance_of(jacobian)
-    # noise alone: the prior's share of the information leaves P^-1 - Jp^T Jp, so cov_data = P Jd^T Jd P
-    part = data_rows @ total
-    from_data = part.T @ part
+    from_data = covariance_of(jacobian)
     adequate = refined.relative == 0 and chi < ESTIMATED_WEIGHTS * chi2.ppf(level, dof)
-    widening = 1.0
+    reported, widening = from_data, 1.0
     if not adequate:
-        prior_part = (total - from_data) * (1.0 if refined.relative == 0 else TIGHTENED**-2)
         scaled = from_data * max(scale, 1.0) ** 2
-        sandwich = _sandwich(part, rest)
+        sandwich = _sandwich(jacobian[:n_data] @ from_data, rest)
         growth = np.sqrt(np.maximum(np.diag(scaled), np.diag(sandwich)) / np.maximum(np.diag(scaled), 1e-300))
-        from_wrong = scaled * np.outer(growth, growth)
-        new = from_wrong + prior_part
-        widening = float(np.max(np.sqrt(np.diag(new) / np.diag(total))))
-        total = new
-    return Uncertainty(total, from_data, refined.fit.free, bool(adequate), widening, float(scale))
+        reported = scaled * np.outer(growth, growth)
+        widening = float(np.max(np.sqrt(np.diag(reported) / np.diag(from_data))))
+    if splits is not None:
+        moves = from_data @ jacobian[n_data:].T / HELD
+        reported = reported + moves @ splits.covariance @ moves.T
+    return Uncertainty(reported, from_data, refined.fit.free, bool(adequate), widening, float(scale))
 
 
 def _sandwich(influence: Real, residual: Real, bands: int = 24) -> Real:
