@@ -22,6 +22,8 @@ from sim.datasheet import Datasheet
 Real = NDArray[np.float64]
 
 MAINS_HZ = (50.0, 60.0)
+CLEARANCE_HZ = 4.0
+"""Most that a tone keeps off a line: less than half the distance between the two mains frequencies."""
 
 
 @dataclass(frozen=True)
@@ -190,13 +192,26 @@ def off_lines(frequency_hz: Real, resolution_hz: float, lines_hz: Real) -> Real:
     """Frequencies moved off spectral lines, in order and none twice.
 
     A frequency closer to a line than ``resolution_hz`` (one over the length of a whole record) moves to that
-    distance, on the side where it was: there the line's leakage into the record is zero.
+    distance: there the line's leakage into the record is zero. Where lines are so close that their bands overlap it
+    moves out of all of them.
     """
     f = np.array(frequency_hz, dtype=float)
-    for line in lines_hz:
-        near = np.abs(f - line) < resolution_hz
-        f[near] = line + np.where(f[near] >= line, resolution_hz, -resolution_hz)
+    for low, high in _forbidden(lines_hz, resolution_hz):
+        inside = (f > low) & (f < high)
+        f[inside] = np.where(f[inside] - low <= high - f[inside], low, high)
     return np.unique(f)
+
+
+def _forbidden(lines_hz: Real, resolution_hz: float) -> list[tuple[float, float]]:
+    """Bands round lines, those that overlap joined, rising."""
+    bands: list[tuple[float, float]] = []
+    for line in np.sort(lines_hz):
+        low, high = float(line - resolution_hz), float(line + resolution_hz)
+        if bands and low < bands[-1][1]:
+            bands[-1] = (bands[-1][0], max(high, bands[-1][1]))
+        else:
+            bands.append((low, high))
+    return bands
 
 
 def clear_grid(from_hz: float, to_hz: float, n: int, resolution_hz: float, lines_hz: tuple[float, ...]) -> Real:
@@ -337,16 +352,21 @@ def other_amplitude(
     return request.with_amplitude(usual / profile.validation_gain)
 
 
+def resolution_hz(profile: Profile, aim: Aim) -> float:
+    """One over the length of a whole record: the distance at which a line leaks nothing into it."""
+    return min(1 / (profile.blocks * aim.block_s), CLEARANCE_HZ)
+
+
 def main_grid(profile: Profile, limits: Limits, aim: Aim, lines_hz: tuple[float, ...]) -> Real:
     """Frequencies of the main sweep before peaks are known."""
     to = min(profile.to_hz, limits.max_frequency_hz)
-    return clear_grid(profile.from_hz, to, profile.points, 1 / (profile.blocks * aim.block_s), lines_hz)
+    return clear_grid(profile.from_hz, to, profile.points, resolution_hz(profile, aim), lines_hz)
 
 
 def amplifier_grid(profile: Profile, limits: Limits, aim: Aim, lines_hz: tuple[float, ...]) -> Real:
     """Frequencies of the amplifier sweep: up to 3 kHz, or what the controller can do."""
     to = min(profile.amplifier_to_hz, limits.max_frequency_hz)
-    return clear_grid(profile.from_hz, to, profile.amplifier_points, 1 / (profile.blocks * aim.block_s), lines_hz)
+    return clear_grid(profile.from_hz, to, profile.amplifier_points, resolution_hz(profile, aim), lines_hz)
 
 
 def validation_grid(profile: Profile, aim: Aim, measured_hz: Real, lines_hz: tuple[float, ...]) -> Real:
@@ -360,4 +380,4 @@ def validation_grid(profile: Profile, aim: Aim, measured_hz: Real, lines_hz: tup
     n = min(profile.validation_points, len(middle))
     chosen = np.unique(np.round(np.linspace(0, len(middle) - 1, n)).astype(int))
     lines = np.unique(np.concatenate([mains_harmonics(f[-1]), np.array(lines_hz, dtype=float)]))
-    return off_lines(middle[chosen], 1 / (profile.blocks * aim.block_s), lines)
+    return off_lines(middle[chosen], resolution_hz(profile, aim), lines)
