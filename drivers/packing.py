@@ -72,7 +72,13 @@ def with_crc(group: Group, values: Values) -> dict[str, Value]:
 
 def check_crc(group: Group, values: Values) -> None:
     """Raise `BusError` when the group's CRC does not fit its values; a map without CRC is not checked."""
-    if "crc" in values and values["crc"] != group_crc(group, values):
+    if "crc" not in values:
+        return
+    try:
+        fits = values["crc"] == group_crc(group, values)
+    except LimitError as error:
+        raise BusError(f"{group.name} holds an impossible value: {error}") from error
+    if not fits:
         raise BusError(f"the CRC of {group.name} is wrong: the frame was corrupted on the bus")
 
 
@@ -97,8 +103,5 @@ def unpack(group: Group, raw: bytes, order: Order = "big") -> dict[str, Value]:
     for o in group.objects:
         values[o.name] = decode(o, raw[at : at + o.size], order)
         at += o.size
-    try:
-        check_crc(group, values)
-    except LimitError as error:
-        raise BusError(f"{group.name} holds an impossible value: {error}") from error
+    check_crc(group, values)
     return values

@@ -34,8 +34,8 @@ wrong CRC is refused, an answer with a wrong one is asked for again.
 
 ## Data of the last result, 32-bit floats
 
-- **Lock-in payload**: Modbus input registers (function 4) from {LOCKIN_ADDRESS}; CANopen 0x{LOCKIN_INDEX:04X}, DOMAIN. For u, i, y
-  in turn (block, part, axis); the parts are the mean, then real and imaginary part of harmonics 1, 2, 3.
+- **Lock-in payload**: Modbus input registers (function 4) from {LOCKIN_ADDRESS}; CANopen 0x{LOCKIN_INDEX:04X}, DOMAIN.
+  For u, i, y in turn (block, part, axis); the parts are the mean, then real and imaginary part of harmonics 1, 2, 3.
 - **Raw record**: Modbus input registers from {RAW_ADDRESS}, 48000 at a time, the part chosen with `window`; CANopen
   0x{RAW_INDEX:04X}, DOMAIN. (sample, signal u i y, axis).
 

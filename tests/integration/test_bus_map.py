@@ -1,0 +1,148 @@
+"""A vendor's own registers: the same driver, by a map from a file; and the parts of one bus that the others lack."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymodbus.client import ModbusTcpClient
+
+from drivers.controller import State, Tone
+from drivers.device.machine import RigDevice
+from drivers.device.serve import ModbusOptions, RtuOptions, serve_modbus, serve_modbus_rtu, serve_modbus_tls
+from drivers.errors import BusError, ControllerError
+from drivers.url import connect
+from sim.reference import reference_rig
+from tests.support.certificates import make_authority
+
+TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
+VENDOR = """
+word_order = "little"
+lockin_address = 2000
+raw_address = 12000
+[objects."identity.crc"]
+absent = true
+[objects."identity.identity"]
+absent = true
+[objects."identity.max_amplitude_a"]
+address = 40000
+type = "U16"
+per_unit = 1000
+[objects."status.crc"]
+absent = true
+[objects."status.snapshot"]
+absent = true
+[objects."status.lease_holder"]
+absent = true
+[objects."status.state"]
+address = 41000
+[objects."tone.crc"]
+absent = true
+[objects."tone.amplitude_a"]
+address = 42000
+type = "U16"
+per_unit = 10000
+"""
+
+
+@pytest.fixture
+def vendor_map(tmp_path: Path) -> Path:
+    path = tmp_path / "vendor.toml"
+    path.write_text(VENDOR)
+    return path
+
+
+def test_vendors_registers_work_like_our_own(vendor_map: Path) -> None:
+    served = serve_modbus(RigDevice(reference_rig(), 3), ModbusOptions(port=0, map=vendor_map))
+    controller = connect(f"{served.url}&map={vendor_map}")
+    try:
+        assert controller.capabilities().max_amplitude_a == 6.0
+        with controller.lease("host"):
+            point = controller.measure(TONE)
+            raw = controller.measure(Tone(axis=0, amplitude_a=0.02, periods=1, samples=4500, blocks=1, raw=True))
+        np.testing.assert_allclose(point.R[:, 1, 1], 0.1)
+        assert np.abs(point.Y[:, 1, 1]).min() > 1e-7
+        assert raw.records is not None
+        assert raw.records["y"].shape == (4500, 4)
+        assert controller.status().state is State.DONE
+    finally:
+        controller.close()
+        served.close()
+
+
+def test_wrong_map_finds_no_controller(vendor_map: Path) -> None:
+    served = serve_modbus(RigDevice(reference_rig()), ModbusOptions(port=0, map=vendor_map))
+    try:
+        with pytest.raises(BusError, match="modbus://"):
+            connect(served.url)
+    finally:
+        served.close()
+
+
+def test_registers_answer_any_modbus_client() -> None:
+    """pymodbus alone, without our driver: what a vendor's tool would see."""
+    rig = RigDevice(reference_rig())
+    served = serve_modbus(rig, ModbusOptions(port=0, unit=3))
+    client = ModbusTcpClient("127.0.0.1", port=int(served.url.split(":")[2].split("?")[0]), timeout=1, retries=0)
+    try:
+        assert client.connect()
+        axes = client.read_holding_registers(28, count=12, device_id=3)
+        assert b"".join(r.to_bytes(2, "big") for r in axes.registers).rstrip(b"\0") == b"xA xB yA yB"
+        assert client.read_holding_registers(260, count=1, device_id=3).registers == [State.LEVITATED]
+        for request, code in (
+            (lambda: client.read_holding_registers(900, count=2, device_id=3), 2),  # nothing there
+            (lambda: client.read_input_registers(0, count=2, device_id=3), 2),  # no result yet
+            (lambda: client.write_register(256, 1, device_id=3), 2),  # half an object, and read-only
+            (lambda: client.write_registers(0x900, [0] * 17, device_id=3), 3),  # a command with a wrong CRC
+            (lambda: client.read_coils(0, count=1, device_id=3), 1),  # no such function
+            (lambda: client.read_holding_registers(0, count=1, device_id=9), 11),  # no such unit
+        ):
+            answer = request()
+            assert answer.isError()
+            assert answer.exception_code == code
+        assert rig.rig_time_s == 0
+        assert not client.write_registers(0x700, [0, 0], device_id=3).isError()  # stop, with nobody's token
+    finally:
+        client.close()
+        served.close()
+
+
+def test_raw_record_of_several_segments_is_put_together() -> None:
+    served = serve_modbus(RigDevice(reference_rig(), 4), ModbusOptions(port=0))
+    controller = connect(served.url)
+    try:
+        with controller.lease("host"):
+            point = controller.measure(Tone(axis=0, amplitude_a=0.02, periods=9, samples=3000, blocks=2, raw=True))
+        assert point.records is not None
+        y = point.records["y"].reshape(2, 3000, 4)
+        kernel = 2 / 3000 * np.exp(-2j * np.pi * 9 * np.arange(3000) / 3000)
+        np.testing.assert_allclose(np.einsum("k,bkn->bn", kernel, y), point.Y[:, 1], atol=1e-12)
+    finally:
+        controller.close()
+        served.close()
+
+
+def test_host_without_a_certificate_is_not_let_in(tmp_path: Path) -> None:
+    made = make_authority(tmp_path)
+    options = ModbusOptions(port=0, certificate=made.server.certificate, key=made.server.key, client_ca=made.ca)
+    served = serve_modbus_tls(RigDevice(reference_rig()), options)
+    try:
+        with pytest.raises(BusError):
+            connect(f"{served.url}&ca={made.ca}")
+        with pytest.raises(BusError, match="certificate verify failed"):
+            connect(f"{served.url}&cert={made.client.certificate}&key={made.client.key}")
+    finally:
+        served.close()
+
+
+@pytest.mark.parametrize(
+    ("serve", "options", "message"),
+    [
+        (serve_modbus_tls, ModbusOptions(port=0), "needs a certificate"),
+        (serve_modbus_tls, ModbusOptions(port=0, certificate=Path("/nowhere.pem")), "cannot use the certificates"),
+        (serve_modbus_rtu, RtuOptions(device="/dev/nowhere"), "cannot open the serial port /dev/nowhere"),
+        (serve_modbus, ModbusOptions(host="203.0.113.1", port=0), "cannot listen on 203.0.113.1"),
+    ],
+)
+def test_device_that_cannot_be_served_says_why(serve, options, message: str) -> None:
+    with pytest.raises(ControllerError, match=message):
+        serve(RigDevice(reference_rig()), options)

@@ -1,0 +1,81 @@
+"""A session is recorded, and replayed as a controller without the rig."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.controller import Tone
+from drivers.device.machine import RigDevice
+from drivers.device.serve import CanOptions, ModbusOptions, Served, serve_canopen, serve_modbus
+from drivers.errors import ControllerError, TripError
+from drivers.url import connect
+from sim.reference import reference_rig
+
+TONES = [
+    Tone(axis=0, amplitude_a=0.05, periods=10, samples=500, blocks=2),
+    Tone(axis=3, amplitude_a=0.05, periods=11, samples=500, blocks=1, raw=True),
+]
+STRONG = Tone(axis=0, amplitude_a=5.9, periods=1, samples=200)
+
+
+def _modbus() -> Served:
+    return serve_modbus(RigDevice(reference_rig(), 2), ModbusOptions(port=0))
+
+
+def _canopen() -> Served:
+    return serve_canopen(RigDevice(reference_rig(), 2), CanOptions())
+
+
+@pytest.mark.parametrize("serve", [_modbus, _canopen])
+def test_replay_gives_what_the_session_gave(serve, tmp_path: Path) -> None:
+    path = tmp_path / "session.jsonl"
+
+    def session(url: str):
+        controller = connect(url)
+        with controller.lease("support"):
+            points = [controller.measure(tone) for tone in TONES]
+            with pytest.raises(TripError) as trip:
+                controller.measure(STRONG)
+            controller.acknowledge()
+        capabilities = controller.capabilities()
+        controller.close()
+        return capabilities, points, str(trip.value)
+
+    served = serve()
+    recorded = session(f"{served.url}&transcript={path}")
+    served.close()
+    replayed = session(f"replay://{path}")
+    assert replayed[0] == recorded[0]
+    assert replayed[2] == recorded[2]
+    for one, two in zip(replayed[1], recorded[1], strict=True):
+        np.testing.assert_array_equal(one.Y, two.Y)
+        assert (one.sequence, one.rig_seconds, one.tone) == (two.sequence, two.rig_seconds, two.tone)
+    np.testing.assert_array_equal(replayed[1][1].records["y"], recorded[1][1].records["y"])
+
+
+def test_replay_of_another_session_names_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "session.jsonl"
+    served = _modbus()
+    controller = connect(f"{served.url}&transcript={path}")
+    with controller.lease("support"):
+        controller.measure(TONES[0])
+    controller.close()
+    served.close()
+    replay = connect(f"replay://{path}")
+    message = r"session\.jsonl, line \d+: tone\.axis was 0, and is now 3"
+    with pytest.raises(ControllerError, match=message), replay.lease("support"):
+        replay.measure(TONES[1])
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format": "amb-transcript", "version": 2}', "not json"])
+def test_what_is_no_transcript_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "session.jsonl"
+    path.write_text(text)
+    with pytest.raises(ControllerError, match=r"session\.jsonl"):
+        connect(f"replay://{path}")
+
+
+def test_transcript_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ControllerError, match="cannot write the transcript"):
+        connect(f"modbus://127.0.0.1:1?transcript={tmp_path}/no/folder.jsonl")
