@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sim.rig import Rig
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A coarse experiment: a tenth of the points, for a first look.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A coarse experiment: a third of the time and of the accuracy.")]
 STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from html import escape
 
@@ -10,11 +11,14 @@ import numpy as np
 from service.experiment.data import Experiment
 from service.identification.margins import zone
 from service.identification.result import CommissioningResult, ModeResult, PlaneResult
-from service.report import bode, measurement, residuals
+from service.report import measurement
 from service.report.format import count, decibel, figures, fixed, number, paragraph, signed, span, table
 from service.report.page import Captioned, Page, Section, Tone
+from service.report.plane import plane_section
 from sim.datasheet import Datasheet
 
+GOOD_PERCENT = 90.0
+"""NRMSE above which a model is called good."""
 MARGINS = [
     "loop",
     "peak |S|, dB",
@@ -40,7 +44,7 @@ def commissioning_page(result: CommissioningResult, experiment: Experiment, data
         What was known before.
     """
     sections = [_figures_of_merit(result)]
-    sections += [_plane(plane, experiment, datasheet) for plane in result.planes.values()]
+    sections += [plane_section(plane, experiment, datasheet) for plane in result.planes.values()]
     sections.append(_measurement(experiment, datasheet))
     tone, sentence = verdict(result)
     notes = [*result.warnings]
@@ -70,24 +74,26 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     ks = [p.stiffness[k].value / 1e6 for p in planes for k in ("ksA", "ksB")]
     relative = max(p.stiffness[k].std / abs(p.stiffness[k].value) for p in planes for k in p.stiffness)
     peak = max(_worst_peak(p) for p in planes)
-    text = (
-        f"The rig {result.rig!r} is identified: the model agrees with {where} by {worst:.1f} % NRMSE or better in "
-        f"every entry; ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to "
-        f"{number(100 * relative, 2)} % (one sigma); "
+    worst_percent = f"{math.floor(100 * worst) / 100:.2f} % NRMSE"
+    figures_found = (
+        f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
         f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone(peak)} of ISO 14839-3."
     )
-    if not all(p.adequate for p in planes):
-        names = " and ".join(f"{p.plane}-plane" for p in planes if not p.adequate)
-        rms = max(p.residual_rms_total for p in planes if not p.adequate)
-        text += (
-            f" But the residuals of the {names} are {number(rms, 2)} times the noise: something acts on this rig that "
-            "the model does not have. Uncertainties are widened accordingly."
+    if wrong := [p for p in planes if not p.adequate]:
+        names = " and ".join(f"{p.plane}-plane" for p in wrong)
+        size = number(max(p.residual_rms_total for p in wrong), 2)
+        return ("warn" if worst > GOOD_PERCENT else "bad"), (
+            f"The rig {result.rig!r} does not behave as its model: in the {names} the residuals are {size} times the "
+            f"noise, so something acts that the model does not have. It agrees with {where} by {worst_percent} in its "
+            f"worst entry; with that reserve, {figures_found}"
         )
-        return ("warn" if worst > 80 else "bad"), text
+    text = (
+        f"The rig {result.rig!r} is identified: the model agrees with {where} by {worst_percent} or better in every "
+        f"entry; {figures_found}"
+    )
     if not all(p.tests_passed for p in planes):
-        text += " The residuals are of the size of the noise, but not white: see the residual tests."
-        return "warn", text
-    return ("good" if peak < 10 ** (12 / 20) and worst > 90 else "warn"), text
+        return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
+    return ("good" if zone(peak) in "AB" and worst > GOOD_PERCENT else "warn"), text
 
 
 def _worst_peak(plane: PlaneResult) -> float:
@@ -151,147 +157,6 @@ def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
             fixed(delay, 0),
             zone(peak),
         ]
-
-
-def _plane(plane: PlaneResult, experiment: Experiment, datasheet: Datasheet) -> Section:
-    parts: list[str | Captioned] = [_fits(plane)]
-    inside = bode.inside_99_percent(plane)
-    parts += [
-        Captioned(
-            bode.plant_figure(plane, output),
-            f"Plant from control current to displacement {plane.axes[output]}. Below: distance between measured points "
-            f"and model, relative to the model, at the amplitude of each point; {inside:.1f} % of all points of the "
-            "plane lie within the 99 % radius of their own noise.",
-        )
-        for output in range(2)
-    ]
-    amplifiers = bode.amplifier_figure(plane, datasheet.sample_time_s, datasheet.computing_delay_s)
-    if amplifiers is not None:
-        parts.append(Captioned(amplifiers, "Amplifiers: coil current over control current, as sampled."))
-    parts.append(_amplifiers(plane))
-    parts.append(
-        Captioned(
-            bode.staged_figure(plane),
-            "The thesis's steps, which only give the joint fit its start: rigid rotor below "
-            f"{plane.staged.split_hz:.0f} Hz, flexible modes for what it leaves, both stacked.",
-        )
-    )
-    parts.append(
-        Captioned(
-            bode.sensitivity_figure(plane, experiment, datasheet),
-            "Sensitivity of the running loop; dashed: upper limits of the zones A, B and C of ISO 14839-3.",
-        )
-    )
-    parts.append(
-        Captioned(
-            residuals.pole_figure(plane),
-            "Poles and transmission zeros of the levitated plant without controller, all of them and each "
-            "flexible pole with its 99 % region. Real poles come in pairs, one of each unstable.",
-        )
-    )
-    parts.append(f"<details><summary>Poles in figures</summary>{residuals.pole_table(plane)}</details>")
-    passed = (
-        "All stay within what white noise does" if plane.tests_passed else "Not all stay within what white noise does"
-    )
-    parts.append(
-        Captioned(
-            residuals.residual_figure(plane),
-            "Correlation of the displacement's residuals along frequency, whiteness above and independence of the "
-            f"model below. {passed} at a joint level of 99 %; one bar in a hundred may stand out by chance.",
-        )
-    )
-    parts.append(residuals.tests_table(plane))
-    parts.append(_more(plane))
-    return Section(f"{plane.plane}-plane", parts)
-
-
-def _fits(plane: PlaneResult) -> str:
-    """NRMSE of every step, as in Tables 5-2 and 5-6 of the thesis."""
-    steps = [
-        ("rigid rotor, below the split", plane.staged.rigid_fit_percent),
-        ("flexible modes, above the split", plane.staged.flexible_fit_percent),
-        ("both stacked (the thesis's procedure)", plane.staged.complete_fit_percent),
-        ("joint refinement, fitted sweep", plane.fit_percent),
-        ("joint refinement, unseen sweep", plane.cross_validation_fit_percent),
-    ]
-    pairs = [f"{a} from {b}" for a in plane.axes for b in plane.axes]
-    rows = [[name, *(fixed(float(v), 2) for v in np.ravel(m))] for name, m in steps if m is not None]
-    if plane.cross_validation_rms is not None:
-        rows.append(
-            [
-                "residual over noise, unseen sweep, rms",
-                *(fixed(float(v), 2) for v in np.ravel(plane.cross_validation_rms)),
-            ]
-        )
-    return table(["NRMSE fit, %", *pairs], rows)
-
-
-def _amplifiers(plane: PlaneResult) -> str:
-    rows = []
-    for axis, a in plane.amplifiers.items():
-        cells = []
-        for name in ("gain", "natural_frequency_rad_s", "damping_ratio"):
-            e = a.parameters.get(name)
-            cells.append("–" if e is None else " ± ".join(figures(e.value, e.std)))
-        rows.append(
-            [f"{plane.plane}{axis}", str(a.order), *cells, fixed(a.fit_percent, 2), fixed(a.first_order_fit_percent, 2)]
-        )
-    value, std = figures(1e6 * plane.delay_s.value, 1e6 * plane.delay_s.std)
-    return table(
-        ["amplifier", "order", "gain, A/A", "ω, rad/s", "ζ", "fit, %", "first-order fit, %"], rows
-    ) + paragraph(f"Delay between control signal and coil beside the hold: {value} ± {std} µs.", "small")
-
-
-def _more(plane: PlaneResult) -> str:
-    """Model order, identifiability and the state space, folded away."""
-    evidence = table(
-        ["flexible modes", "parameters", "residual over noise, rms", "MDL", "AIC", ""],
-        [
-            [
-                e.name,
-                str(e.n_parameters),
-                fixed(e.rms, 3),
-                fixed(e.mdl, 0),
-                fixed(e.aic, 0),
-                "chosen" if e.chosen else "",
-            ]
-            for e in plane.mode_evidence
-        ],
-    )
-    return (
-        f"<details><summary>How many modes</summary>{evidence}</details>"
-        f"<details><summary>Inertia and centre of gravity</summary>{_extended(plane)}</details>"
-        f"<details><summary>State space of the plant, modal form</summary>{_state_space(plane)}</details>"
-    )
-
-
-def _extended(plane: PlaneResult) -> str:
-    names = {
-        "transverse_inertia_kgm2": "transverse inertia, kg m²",
-        "centre_of_gravity_m": "centre of gravity off by, m",
-    }
-    rows = []
-    for key, label in names.items():
-        e = plane.extended.get(key)
-        if isinstance(e, dict):
-            value, std = figures(float(e["value"]), float(e["std"]))
-            rows.append([label, value, std, number(float(e["nominal"])), "yes" if e["identifiable"] else "no"])
-    text = "; ".join(str(a) for a in plane.extended.get("aliases", ()))
-    return table(
-        ["with the mass given", "estimate", "std. dev.", "datasheet", "better than the datasheet"], rows
-    ) + paragraph(f"Cannot be told apart by these data: {text}.", "small")
-
-
-def _state_space(plane: PlaneResult) -> str:
-    ss = plane.state_space
-    head = ["state", *ss.inputs, *ss.outputs]
-    rows = [
-        [name, *(number(float(v), 4) for v in ss.B[k]), *(number(float(v), 4) for v in ss.C[:, k])]
-        for k, name in enumerate(ss.states)
-    ]
-    return paragraph("A is block diagonal with the poles of its states; rows of B and columns of C:", "small") + table(
-        head, rows
-    )
 
 
 def _measurement(experiment: Experiment, datasheet: Datasheet) -> Section:

@@ -93,8 +93,9 @@ def pole_figure(plane: PlaneResult) -> Figure:
 
 
 def pole_table(plane: PlaneResult) -> str:
-    """Poles of the levitated plant with their uncertainty."""
+    """Poles of the levitated plant with their uncertainty, and the nearest one of the black box."""
     rows = []
+    others = plane.subspace.poles
     for p in plane.poles:
         if p.value.imag < -1e-9:
             continue
@@ -105,7 +106,15 @@ def pole_table(plane: PlaneResult) -> str:
                 "0" if p.value.imag == 0 else f"± {number(p.value.imag, 7)}",
                 number(p.std, 2),
                 number(w / (2 * np.pi), 6),
+                _complex(others[np.argmin(np.abs(others - p.value))]) if len(others) else "",
                 "unstable" if p.value.real > 0 else "",
             ]
         )
-    return table(["real, rad/s", "imaginary, rad/s", "std. dev., rad/s", "|p|, Hz", ""], rows, left=0)
+    return table(
+        ["real, rad/s", "imaginary, rad/s", "std. dev., rad/s", "|p|, Hz", "subspace, rad/s", ""], rows, left=0
+    )
+
+
+def _complex(value: complex) -> str:
+    imaginary = f" ± {number(abs(value.imag), 6)}j" if abs(value.imag) > 1e-6 * abs(value) else ""
+    return f"{number(value.real, 4)}{imaginary}"
