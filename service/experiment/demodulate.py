@@ -16,6 +16,8 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 HARMONICS = (0, 1, 2, 3)
+ROUNDING = 1e-9
+"""Phase, rad, that is left as it is, so that what was written is read back unchanged."""
 BLOCKS = 6
 """Blocks of a point whose record does not say how many it holds; fewer where there are fewer periods."""
 
@@ -99,13 +101,15 @@ def amplitudes(signals: Real, plan: BlockPlan, periods_per_sample: float, harmon
 def time_origin(R: Complex, harmonics: tuple[int, ...], axis: int) -> Complex:
     """Factor (..., H, 1) that makes R at harmonic 1 of the excited axis real and positive in every block.
 
-    R has shape (..., H, n_axes). Where R is zero, or harmonic 1 was not measured, the factor is one.
+    R has shape (..., H, n_axes). Where R is zero or real but for rounding, or harmonic 1 was not measured, the factor
+    is one.
     """
     shape = (*R.shape[:-1], 1)
     if 1 not in harmonics:
         return np.ones(shape, dtype=np.complex128)
     first = R[..., harmonics.index(1), axis]
-    phase = np.where(first == 0, 0.0, np.angle(first))
+    phase = np.angle(first)
+    phase = np.where(np.abs(phase) < ROUNDING, 0.0, phase)
     factor: Complex = np.exp(-1j * phase[..., None] * np.array(harmonics, dtype=float))
     return factor[..., None]
 
