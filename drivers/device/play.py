@@ -138,9 +138,12 @@ class Player:
             level = np.full(n, start) if start == end else start + (end - start) * smooth_step(position)
             r = np.zeros((n, self._sim.n_axes))
             r[:, run.tone.axis] = run.amplitude_a * level * cosine(run.tone, first + done, n)
-            run.next_sample, run.level = first + done + n, float(level[-1])
-            self._gauges.excitation_a = run.amplitude_a * run.level
+            self._gauges.excitation_a = run.amplitude_a * float(level[-1])
+            before = run.samples
             reached = self._advance(r, run=run, keep=keep)
+            # a limit may have ended the chunk early: the ramp begins where the excitation really is
+            played = run.samples - before
+            run.next_sample, run.level = first + done + played, float(level[played - 1])
             self._pace.wait(n)
             if reached is not None:
                 raise Interrupted(reached)
@@ -198,14 +201,14 @@ class _Run:
         self.amplitude_a = amplitude_a
         self.next_sample = 0
         self.level = 0.0
-        self._samples = 0
+        self.samples = 0
         self._peak_y = self._peak_i = 0.0
         self._lockin = LockIn(tone, 4 * n_axes)
         self._chunks: list[Array] = []
 
     def add(self, r: Array, u: Array, i: Array, y: Array, keep: bool) -> None:
         """Take over a chunk; (M, n_axes) each."""
-        self._samples += len(y)
+        self.samples += len(y)
         self._peak_y = max(self._peak_y, float(np.max(np.abs(y))))
         self._peak_i = max(self._peak_i, float(np.max(np.abs(i))))
         if keep:
@@ -227,7 +230,7 @@ class _Run:
             Y=y,
             peak_displacement_m=self._peak_y,
             peak_current_a=self._peak_i,
-            rig_seconds=self._samples / sample_rate_hz,
+            rig_seconds=self.samples / sample_rate_hz,
             sequence=sequence,
             records=None if raw is None else dict(zip("ruiy", raw, strict=True)),
         )

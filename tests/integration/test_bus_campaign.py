@@ -1,0 +1,66 @@
+"""A commissioning over a bus is the commissioning in process: same rig, same seed, same result."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.controller import Controller
+from drivers.device.machine import RigDevice
+from drivers.device.serve import (
+    CanOptions,
+    ModbusOptions,
+    RtuOptions,
+    serve_canopen,
+    serve_modbus,
+    serve_modbus_rtu,
+)
+from drivers.simulated.driver import SimulatedController
+from drivers.url import connect
+from service.bootstrap import quick_profile
+from service.experiment.campaign import run_campaign
+from service.experiment.data import Experiment
+from service.identification.fit import identify
+from sim.reference import reference_datasheet, reference_rig
+
+SEED = 7
+SENSOR_NOISE_M, CURRENT_NOISE_A = 20e-9, 2e-3
+
+
+def _commission(controller: Controller, folder: Path) -> tuple[Experiment, dict[str, Any]]:
+    experiment = run_campaign(controller, reference_datasheet(), folder, profile=quick_profile())
+    return experiment, identify(experiment, reference_datasheet()).document("experiment.h5")
+
+
+@pytest.fixture(scope="module")
+def in_process(tmp_path_factory: pytest.TempPathFactory) -> tuple[Experiment, dict[str, Any]]:
+    return _commission(SimulatedController(reference_rig(), SEED), tmp_path_factory.mktemp("in-process"))
+
+
+@pytest.mark.parametrize(
+    "serve",
+    [
+        lambda device: serve_modbus(device, ModbusOptions(port=0)),
+        lambda device: serve_modbus_rtu(device, RtuOptions()),
+        lambda device: serve_canopen(device, CanOptions()),
+    ],
+    ids=["modbus", "modbus-rtu", "canopen"],
+)
+def test_commissioning_over_a_bus_agrees_far_below_the_noise(serve, in_process, tmp_path: Path) -> None:
+    served = serve(RigDevice(reference_rig(), SEED))
+    controller = connect(served.url)
+    try:
+        experiment, document = _commission(controller, tmp_path)
+    finally:
+        controller.close()
+        served.close()
+    reference, reference_document = in_process
+    for one, two in zip(experiment.sweeps, reference.sweeps, strict=True):
+        np.testing.assert_array_equal(one.frequency_hz, two.frequency_hz)
+        np.testing.assert_allclose(one.Y, two.Y, rtol=0, atol=SENSOR_NOISE_M / 1000)
+        np.testing.assert_allclose(one.I, two.I, rtol=0, atol=CURRENT_NOISE_A / 1000)
+    for plane in ("x", "y"):
+        ours, theirs = (d["planes"][plane]["stiffness"] for d in (document, reference_document))
+        for name in ("ksA", "ksB", "kiA", "kiB"):
+            assert abs(ours[name]["value"] - theirs[name]["value"]) < 0.01 * theirs[name]["std"]
