@@ -64,6 +64,15 @@ def static_load(rig: Rig) -> Array:
     return np.tile([-weight * b / (a + b), -weight * a / (a + b)], rig.n_planes)
 
 
+def force_rotation(rig: Rig) -> Array:
+    """How the magnets' forces turn from x to y and share at each bearing, (n, n), identity without coupling."""
+    n, angle, share = rig.n_axes, rig.magnets.cross_coupling_rad, rig.magnets.cross_coupling_symmetric
+    if n != 4 or not (angle or share):
+        return np.eye(n)
+    c, s = math.cos(angle), math.sin(angle)
+    return np.kron(np.array([[c, share + s], [share - s, c]]), np.eye(2))
+
+
 def operating_point(rig: Rig) -> OperatingPoint:
     """Current that carries the weight at the sensors' centre, and ki, ks there.
 
@@ -76,15 +85,19 @@ def operating_point(rig: Rig) -> OperatingPoint:
         The magnets cannot carry the weight within the current limit.
     """
     m, n = rig.magnets, rig.n_axes
-    weight = static_load(rig)
-    load = weight - force(m, np.zeros(n), np.zeros(n))
+    if not rig.gravity_m_per_s2 and not np.any(m.offset_m):
+        return OperatingPoint(np.zeros(n), np.zeros(n), m.ki, m.ks)  # centred, unloaded: the magnets' own factors
+    weight, turned = static_load(rig), force_rotation(rig)
+    pull = force(m, np.zeros(n), np.zeros(n))
+    load = weight - turned @ pull
+    asked = pull - np.linalg.solve(turned, weight)  # of each pair, before its force turns
     current = np.zeros(n)
     for axis in range(n):
 
         def excess(i: float, axis: int = axis) -> float:
             vector = np.zeros(n)
             vector[axis] = i
-            return float(force(m, vector, np.zeros(n))[axis] + load[axis])
+            return float(force(m, vector, np.zeros(n))[axis] - asked[axis])
 
         low, high = -m.current_limit_a, m.current_limit_a
         if abs(excess(0.0)) < 1e-12:
@@ -112,22 +125,31 @@ def rayleigh_coefficient(m: Magnets) -> Array:
     return np.asarray(tangent / ((4 / (3 * math.pi) - tangent) * m.hysteresis_reference_a))
 
 
-def eddy_factor(time_constant_s: Array, omega_rad_s: Array) -> Complex:
-    """1 / (1 + sqrt(j w tau)), (F, n): flux per current of a solid or laminated core (Zhu et al. 2005)."""
-    return np.asarray(1.0 / (1.0 + np.sqrt(1j * np.asarray(omega_rad_s)[:, None] * time_constant_s)))
+def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:
+    """Flux per current, 1 / (1 + sqrt(tau (s + wc)) - sqrt(tau wc)), (F, n).
+
+    Half-order above wc, where the skin depth is smaller than the sheets are thick, a first-order lag of
+    sqrt(tau / wc) / 2 below it; wc = 0 is solid iron (Zhu, Knospe and Maslen 2005; Stoll 1974 for sheets).
+    """
+    s = np.asarray(1j * np.asarray(omega_rad_s)[:, None])
+    return np.asarray(_eddy(m.eddy_time_constant_s, m.eddy_corner_rad_s, s))
 
 
-def eddy_states(time_constant_s: float, n_states: int = 12) -> tuple[Array, Array]:
+def _eddy(time_constant_s: Array | float, corner_rad_s: float, s: Complex) -> Complex:
+    shifted = np.sqrt(time_constant_s * (s + corner_rad_s)) - np.sqrt(time_constant_s * corner_rad_s)
+    return np.asarray(1.0 / (1.0 + shifted))
+
+
+def eddy_states(time_constant_s: float, corner_rad_s: float, n_states: int = 12) -> tuple[Array, Array]:
     """Poles p (rad/s) and weights r of the diffusive realisation sum r_k / (1 + s / p_k) of the eddy factor.
 
-    The exact kernel of 1/(1 + sqrt(s tau)) over real poles is weight(p) dp with
-    weight = sqrt(p tau) / (pi p (1 + p tau)) (Montseny 1998); poles are spaced evenly in log p, the weights then
-    fitted to the exact factor over 1 to 5000 Hz with unit dc gain.
+    The exact kernel over real poles is a density (Montseny 1998: sqrt(p tau) / (pi p (1 + p tau)) without corner);
+    poles are spaced evenly in log p, the weights fitted to the exact factor over 0.5 to 8000 Hz.
     """
     poles = np.geomspace(2 * math.pi * 0.3, 2 * math.pi * 3e5, n_states)
     omega = 2 * math.pi * np.geomspace(0.5, 8000.0, 200)
     basis = np.column_stack([np.ones(len(omega), dtype=complex), 1 / (1 + 1j * omega[:, None] / poles)])
-    target = 1 / (1 + np.sqrt(1j * omega * time_constant_s))
+    target = _eddy(time_constant_s, corner_rad_s, np.asarray(1j * omega))
     real = np.concatenate([basis.real, basis.imag])
     weights, *_ = np.linalg.lstsq(real, np.concatenate([target.real, target.imag]), rcond=1e-12)
     return np.concatenate([[np.inf], poles]), weights

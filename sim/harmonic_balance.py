@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import actuator, amplifier
-from sim.actuator import PLAY_THRESHOLDS_A, PLAY_WEIGHTS_A, OperatingPoint
+from sim.actuator import OperatingPoint
 from sim.rig import Array, Rig
 from sim.twin import LinearModel, force_rotation, linear_model
 
@@ -98,7 +98,7 @@ class Responder:
         x_linear = self._at_points(m.bearing_per_u, U_eff)
         force = np.zeros_like(x_linear)
         x = x_linear
-        for _ in range(rounds or (8 if self._strongly else 3)):
+        for _ in range(rounds or (6 if self._strongly else 3)):
             force = self._beyond_linear(flux, x)
             x = x_linear + self._at_points(m.bearing_per_force, force)
         Y = self._at_points(m.y_per_u, U_eff) + self._at_points(m.y_per_force, force)
@@ -113,10 +113,12 @@ class Responder:
     def _beyond_linear(self, flux: Complex, x: Complex) -> Complex:
         """Bearing force beyond the linear one, on the rotor, (P, H, n)."""
         rig, point, h = self.rig, self._point, self.harmonics
-        n_time = 64 if self._strongly else 16
+        n_time = 32 if self._strongly else 16
         i_t = _samples(flux, h, n_time) + point.current_a
         x_t = _samples(x, h, n_time)
-        effective = self._play(i_t) if np.any(rig.magnets.hysteresis_rad > 0) else i_t
+        effective = i_t
+        if np.any(rig.magnets.hysteresis_rad > 0):
+            effective = self._rayleigh(actuator.rayleigh_coefficient(rig.magnets), i_t)
         total = actuator.force(rig.magnets, effective, x_t)
         if rig.drift and self.progress is not None:
             ki = 1 + rig.drift.ki_change * self.progress[:, None, None]
@@ -128,17 +130,17 @@ class Responder:
             excess = excess - rig.contact.stiffness_n_per_m * depth * np.sign(x_t)
         return _amplitudes(excess, h)
 
-    def _play(self, i_t: Array) -> Array:
-        """Current with its Rayleigh loop: plays run over two periods, the second one counts."""
-        alpha = actuator.rayleigh_coefficient(self.rig.magnets)
-        P, n_time, n = i_t.shape
-        plays = np.zeros((P, n, len(PLAY_THRESHOLDS_A)))
-        out = np.empty_like(i_t)
-        for t in range(2 * n_time):
-            now = i_t[:, t % n_time, :, None]
-            np.clip(plays, now - PLAY_THRESHOLDS_A, now + PLAY_THRESHOLDS_A, out=plays)
-            out[:, t % n_time] = now[..., 0] + 2 * alpha * (plays @ PLAY_WEIGHTS_A)
-        return out
+    @staticmethod
+    def _rayleigh(alpha: Array, i_t: Array) -> Array:
+        """Current with its Rayleigh loop, closed form for a period with one maximum and one minimum.
+
+        b = (1 + alpha A) i -+ alpha / 2 (A^2 - i^2), - while the current rises, about the middle of its swing: what
+        the time loop's plays do.
+        """
+        top, bottom = i_t.max(axis=1, keepdims=True), i_t.min(axis=1, keepdims=True)
+        A, i = (top - bottom) / 2, i_t - (top + bottom) / 2
+        rising = np.sign(np.roll(i_t, -1, axis=1) - np.roll(i_t, 1, axis=1))
+        return np.asarray(i_t + alpha * (A * i - rising * 0.5 * np.maximum(A**2 - i**2, 0.0)))
 
     def _current(self, U: Complex) -> tuple[Complex, Complex]:
         """Sampled coil current, and the control signal that a linear amplifier would need for it."""

@@ -5,7 +5,7 @@
 >>> from sim.twin import linear_model
 >>> rig, frequency_hz = reference_rig(), np.array([130.0])
 >>> found, theory = measured_responses(rig, frequency_hz, settle_s=1.0), linear_model(rig, frequency_hz)
->>> bool(np.abs(found.y_per_u / theory.y_per_u - 1).max() < 2e-3)
+>>> bool(np.linalg.norm(found.y_per_u - theory.y_per_u) < 1e-3 * np.linalg.norm(theory.y_per_u))
 True
 """
 

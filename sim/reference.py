@@ -112,6 +112,7 @@ def reference_rig(speed_rad_s: float = 0.0, gravity_m_per_s2: float = 0.0, noise
             current_limit_a=6.0,
             offset_m=np.zeros(n),
             eddy_time_constant_s=np.zeros(n),
+            eddy_corner_rad_s=0.0,
             saturation_current_a=np.full(n, np.inf),
             hysteresis_rad=np.zeros(n),
             hysteresis_reference_a=0.5,

@@ -82,7 +82,9 @@ class Magnets:
     offset_m: Array
     """Displacement of the magnetic from the sensor's centre, (n,)."""
     eddy_time_constant_s: Array
-    """tau of 1/(1 + sqrt(s tau)) between coil current and flux, 0 for none, (n,)."""
+    """tau of 1/(1 + sqrt(tau (s + wc)) - sqrt(tau wc)) between coil current and flux, 0 for none, (n,)."""
+    eddy_corner_rad_s: float
+    """wc: below it the sheets are thinner than the skin depth and the lag is of first order; 0 for solid iron."""
     saturation_current_a: Array
     """i_s of i_s tanh(i/i_s), inf for none, (n,)."""
     hysteresis_rad: Array
@@ -112,6 +114,8 @@ class Amplifiers:
     """Share of u_j that drives coil i, identity for none, (n, n)."""
     slew_limit_a_per_s: Array
     """Largest |di/dt| that the supply voltage allows at zero current, inf for none, (n,)."""
+    lag_s: float = 0.0
+    """Time constant of a further first-order lag in front of every amplifier (a filter, a slow power stage)."""
 
 
 @dataclass(frozen=True)

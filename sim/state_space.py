@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim import actuator, rotor
-from sim.actuator import OperatingPoint
+from sim.actuator import OperatingPoint, force_rotation
 from sim.rig import Array, Rig
-from sim.twin import force_rotation
 
 
 @dataclass(frozen=True)
@@ -48,20 +47,24 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     amp, m = rig.amplifiers, rotor.mechanics(rig)
     order = 1 if amp.damping_ratio is None else 2
     n_q = len(m.mass)
-    eddy = [actuator.eddy_states(t) if t > 0 else None for t in rig.magnets.eddy_time_constant_s]
+    eddy = [
+        actuator.eddy_states(t, rig.magnets.eddy_corner_rad_s) if t > 0 else None
+        for t in rig.magnets.eddy_time_constant_s
+    ]
     sizes = [
         order * n,
         sum(len(e[0]) - 1 for e in eddy if e),
         n_q,
         n_q,
         int(np.isfinite(rig.sensors.bandwidth_rad_s).sum()) + (n if rig.sensors.lag_s > 0 else 0),
+        n if amp.lag_s > 0 else 0,
     ]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     n_z = int(starts[-1])
     A, drive = np.zeros((n_z, n_z)), np.zeros((n_z, n))
     current, rate, flux = np.zeros((n, n_z)), np.zeros((n, n_z)), np.zeros((n, n_z))
     slew = np.zeros((n_z, n))
-    e = int(starts[1])
+    e, lagged = int(starts[1]), int(starts[5])
     for axis in range(n):
         k, w = order * axis, amp.natural_frequency_rad_s[axis]
         current[axis, k] = 1.0
@@ -75,6 +78,12 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
             A[k + 1, k : k + 2] = -(w**2), -2 * amp.damping_ratio[axis] * w
             drive[k + 1] = w**2 * amp.gain[axis] * amp.crosstalk[axis]
             rate[axis, k + 1] = 1.0
+        if amp.lag_s > 0:  # the lag stands between u and the amplifier
+            entry = k + order - 1
+            A[entry, lagged + axis] = w**order * amp.gain[axis]
+            drive[entry] = 0.0
+            A[lagged + axis, lagged + axis] = -1 / amp.lag_s
+            drive[lagged + axis] = amp.crosstalk[axis] / amp.lag_s
         realisation = eddy[axis]
         if realisation is None:
             flux[axis] = current[axis]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import actuator, amplifier, control_law, rotor, sensor
+from sim.actuator import force_rotation as force_rotation
 from sim.datasheet import Datasheet
 from sim.rig import (
     Amplifiers,
@@ -66,6 +67,7 @@ def rig_from_datasheet(datasheet: Datasheet, effects: Mapping[str, Mapping[str, 
             current_limit_a=d.current_limit_a,
             offset_m=np.zeros(n),
             eddy_time_constant_s=np.zeros(n),
+            eddy_corner_rad_s=0.0,
             saturation_current_a=np.full(n, np.inf),
             hysteresis_rad=np.zeros(n),
             hysteresis_reference_a=0.5,
@@ -101,15 +103,6 @@ def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:
     for name, values in effects.items():
         rig = effect(name).on(rig, **values)
     return rig
-
-
-def force_rotation(rig: Rig) -> Array:
-    """How the magnets' forces turn from x to y and share at each bearing, (n, n), identity without coupling."""
-    n, angle, share = rig.n_axes, rig.magnets.cross_coupling_rad, rig.magnets.cross_coupling_symmetric
-    if n != 4:
-        return np.eye(n)
-    c, s = math.cos(angle), math.sin(angle)
-    return np.kron(np.array([[c, share + s], [share - s, c]]), np.eye(2))
 
 
 @dataclass(frozen=True)
@@ -176,7 +169,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     at_bearings, at_sensors = rotor.receptances(mechanics, omega)
     point = actuator.operating_point(rig)
     rotation = force_rotation(rig)
-    eddy = actuator.eddy_factor(rig.magnets.eddy_time_constant_s, omega)
+    eddy = actuator.eddy_factor(rig.magnets, omega)
 
     stiffness = rotation * point.ks  # R Ks
     closed = np.linalg.inv(np.eye(rig.n_axes) - stiffness @ at_bearings)  # all bearing force per external force
@@ -195,7 +188,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     for k in (-1, 1):
         w = omega + k * 2 * np.pi / period
         gain = sensor.response(rig.sensors, w) / -(w**2)[:, None]
-        image = limit * (point.ki * actuator.eddy_factor(rig.magnets.eddy_time_constant_s, w))[:, None, :]
+        image = limit * (point.ki * actuator.eddy_factor(rig.magnets, w))[:, None, :]
         y_per_u = y_per_u + gain[:, :, None] * image @ baseband(w)
     i_per_u = amplifier.sampled(rig.amplifiers, omega, period, delay)[:, :, None] * cross
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]

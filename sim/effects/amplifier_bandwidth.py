@@ -16,6 +16,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
             amplifiers,
             natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * (1 + p["frequency_change"]),
             damping_ratio=None if damping is None else damping * (1 + p["damping_change"]),
+            lag_s=amplifiers.lag_s + p["lag_s"],
         ),
     )
 
@@ -34,9 +35,10 @@ EFFECT = Effect(
             0.0,
             description="relative change of the damping ratio; nothing on a first-order amplifier",
         ),
+        Parameter("lag_s", "s", 0.0, 2e-4, 2e-6, 0.0, description="time constant of a further first-order lag"),
     ),
     apply=_apply,
-    law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa)",
+    law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T)",
     signature="i/u: gain falls and phase lags together towards high frequency, the same at any amplitude",
     aliases=("loop_delay", "eddy_currents", "amplifier_voltage_limit"),
     separated_by="logged i; gain of i/u (a delay leaves it flat); amplitude at one frequency (a voltage limit)",

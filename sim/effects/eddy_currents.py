@@ -11,9 +11,12 @@ from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
+    if p["time_constant_s"] <= 0:
+        return rig
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + math.sqrt(p["time_constant_s"])
-    return replace(rig, magnets=replace(rig.magnets, eddy_time_constant_s=root**2))
+    magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=p["corner_rad_s"])
+    return replace(rig, magnets=magnets)
 
 
 EFFECT = Effect(
@@ -23,16 +26,27 @@ EFFECT = Effect(
         Parameter(
             "time_constant_s",
             "s",
-            1e-8,
-            1e-4,
+            1e-9,
+            1e-2,
             1.5e-6,
             0.0,
             "log",
-            "tau = 1/we; laminated iron 3e-6 to 3e-5, solid above",
+            "tau = 1/we of the half-order law; laminated iron 3e-6 to 3e-5, solid above",
+        ),
+        Parameter(
+            "corner_rad_s",
+            "rad/s",
+            1.0,
+            3e5,
+            10.0,
+            10.0,
+            "log",
+            "below it the lag is of first order: sheets thinner than the skin depth; solid iron has none",
+            strength=False,
         ),
     ),
     apply=_apply,
-    law="flux/current = 1/(1 + sqrt(s tau))",
+    law="flux/current = 1/(1 + sqrt(tau (s + wc)) - sqrt(tau wc)); solid iron wc = 0",
     signature="y/i: phase lag and gain loss both grow with the root of frequency, at any amplitude",
     aliases=("sensor_lag", "magnetic_hysteresis", "loop_delay", "amplifier_bandwidth"),
     separated_by="a wide band: dln|H|/darg H is 1 here, wT/2 for a first-order lag, 0 for a delay; "

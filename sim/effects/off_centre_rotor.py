@@ -33,9 +33,9 @@ EFFECT = Effect(
     ),
     apply=_apply,
     law="exact force law at x + x0: ki (1 + xi^2)/(1 - xi^2)^2, ks (1 + 3 xi^2)/(1 - xi^2)^3, xi = x0/s0",
-    signature="ki and ks of one channel rise, ks about twice as much; even harmonics in y; a static current",
+    signature="ki and ks of one channel rise, ks about twice as much; even harmonics in y",
     aliases=("sensor_gain", "thermal_drift"),
-    separated_by="second harmonic and mean of i; a sweep of the set-point (a wrong bias too has dln ks/dln ki of 2)",
+    separated_by="second harmonic of y; a sweep of the set-point (a wrong bias too has dln ks/dln ki of 2)",
     source="Schweitzer and Maslen (eds.), Magnetic Bearings, Springer 2009, chapter 4 (exact force law)",
     nonlinear=True,
 )

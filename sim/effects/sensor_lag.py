@@ -1,4 +1,4 @@
-"""Sensors slower than the datasheet says: a first-order pole."""
+"""Sensors slower than the datasheet says: a first-order pole, a dead time."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,7 +8,9 @@ from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    sensors = replace(rig.sensors, lag_s=rig.sensors.lag_s + p["time_constant_s"])
+    sensors = replace(
+        rig.sensors, lag_s=rig.sensors.lag_s + p["time_constant_s"], delay_s=rig.sensors.delay_s + p["delay_s"]
+    )
     return replace(rig, sensors=sensors)
 
 
@@ -26,9 +28,10 @@ EFFECT = Effect(
             "log",
             "1/(2 pi f) of a pole at f, in series with the datasheet's",
         ),
+        Parameter("delay_s", "s", 0.0, 1e-4, 1e-6, 0.0, description="dead time of the sensor's electronics"),
     ),
     apply=_apply,
-    law="y = x/(1 + s T)",
+    law="y = x exp(-s tau)/(1 + s T)",
     signature="y/i lags in proportion to frequency, gain nearly flat, the same at any amplitude",
     aliases=("loop_delay", "eddy_currents"),
     separated_by="logged i (a delay before it); frequencies above half the pole's (pole or delay of the sensor); "
