@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -73,7 +74,8 @@ def identify(
     datasheet = read(rig)
     ready_folder(out)
     measured = file.read(experiment)
-    _show(bootstrap.identify_into(measured, datasheet, out, str(experiment), say), measured, as_json, None)
+    announce = say if sys.stderr.isatty() else None  # a log wants no word before the result or the error
+    _show(bootstrap.identify_into(measured, datasheet, out, str(experiment), announce), measured, as_json, None)
 
 
 def _commission(

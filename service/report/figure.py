@@ -168,7 +168,10 @@ class Figure:
         colour: str = SECOND,
         below: bool = False,
     ) -> None:
-        """A dashed line across a panel, named at its end; ``below`` puts the name under a horizontal one."""
+        """A dashed line across a panel, named at its end; ``below`` puts the name under a horizontal one.
+
+        Logarithmic axes must be set before.
+        """
         k = self.number(row, column) or ""
         shape: dict[str, Any] = {"type": "line", "line": {"color": colour, "width": 1.2, "dash": "dash"}}
         if y is not None:
@@ -223,7 +226,7 @@ def log_frequency(low_hz: float, high_hz: float) -> Axis:
         "type": "log",
         "range": [low, high],
         "tickvals": ticks,
-        "ticktext": [f"{t:g}" for t in ticks],
+        "ticktext": [f"{t:.10g}" for t in ticks],
     }
 
 

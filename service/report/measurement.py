@@ -44,16 +44,16 @@ def amplitude_figure(experiment: Experiment, datasheet: Datasheet) -> Figure:
         lows.append(hz.min())
         highs.append(hz.max())
     limits = {1: 1e6 * datasheet.displacement_limit_m, 2: datasheet.current_limit_a}
-    linear = 1e6 * datasheet.linear_range_m
-    fig.line_at(1, 0, y=linear, text="linear range" + (" and limit" if limits[1] == linear else ""), colour=BAD)
-    if limits[1] != linear:
-        fig.line_at(1, 0, y=limits[1], text="displacement limit", colour=BAD)
-    fig.line_at(2, 0, y=limits[2], text="current limit", colour=BAD)
     for r, title in enumerate(("excitation r, A", "displacement, µm", "coil current, A")):
         reach = [np.array([2.0 * limits[r]])] if r in limits else []
         fig.y(r, 0, title=title, **log_magnitude([*shown[r], *reach]))
         if lows:
             fig.frequency(r, 0, float(min(lows)), float(max(highs)), title=r == 2)
+    linear = 1e6 * datasheet.linear_range_m
+    fig.line_at(1, 0, y=linear, text="linear range" + (" and limit" if limits[1] == linear else ""), colour=BAD)
+    if limits[1] != linear:
+        fig.line_at(1, 0, y=limits[1], text="displacement limit", colour=BAD)
+    fig.line_at(2, 0, y=limits[2], text="current limit", colour=BAD)
     fig.share_x(0)
     return fig
 

@@ -1,0 +1,78 @@
+"""Ctrl-C in the middle: the rig stops, what was measured is kept, and the same command goes on where it stopped."""
+
+import json
+import signal
+
+import pytest
+
+from drivers.url import connect
+from service.experiment import file
+from tests.support.command import Running, ambit, refusal, wait_until
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """A rig on Modbus in a process of its own: URL and datasheet."""
+    ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
+    device = Running("rig", "serve", "--protocol", "modbus", "--port", 0, "--seed", 5)
+    url = device.first_line()
+    assert url.startswith("modbus://"), device.said
+    yield url, tmp_path / "rig.toml"
+    device.end()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "terminated"])
+def test_an_interrupted_campaign_is_kept_and_resumed(rig, tmp_path, number):
+    url, datasheet = rig
+    out = tmp_path / "out"
+    command = ("commission", "--controller", url, "--rig", datasheet, "--out", out, "--quick")
+
+    first = Running(*command)
+    wait_until(lambda: any(line.startswith("main sweep") for line in first.said), "the main sweep")
+    first.interrupt(number)
+    assert first.wait() == 1
+    last = first.said[-1]
+    assert last.startswith("ambit: ")
+    assert "kept" in last
+    assert "Traceback" not in "".join(first.said)
+    first.end()
+
+    kept = file.read(out / "experiment.h5")
+    assert (out / "experiment.journal").exists()
+    assert not (out / "result.json").exists()
+    assert sum(s.n_points for s in kept.sweeps) > 20
+    assert not _excited(url)
+
+    again = ambit(*command, "--json", timeout_s=240)
+    assert again.returncode == 0, again.stderr
+    whole = file.read(out / "experiment.h5")
+    assert not (out / "experiment.journal").exists()
+    before, after = kept.named("preliminary"), whole.named("preliminary")
+    assert before is not None
+    assert after is not None
+    assert (before.Y == after.Y).all()  # not measured a second time
+    assert json.loads(again.stdout)["planes"]["x"]["stiffness"]["kiA"]["value"] == pytest.approx(181, rel=0.02)
+
+
+def test_without_resuming_an_old_campaign_is_put_aside(tmp_path):
+    ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "experiment.journal").write_text("not a journal\n")
+    command = ("commission", "--controller", "simulated://?seed=1", "--rig", tmp_path / "rig.toml", "--out", out)
+    assert "journal" in refusal(*command, "--quick")
+    run = Running(*command, "--quick", "--no-resume")
+    wait_until(lambda: any(p.name.startswith("experiment.previous") for p in out.iterdir()), "the old journal aside")
+    run.interrupt()
+    assert run.wait() == 1
+    run.end()
+    put_aside = next(p for p in out.iterdir() if p.name.startswith("experiment.previous"))
+    assert put_aside.read_text() == "not a journal\n"
+
+
+def _excited(url: str) -> bool:
+    controller = connect(url)
+    try:
+        return controller.status().excitation_a != 0
+    finally:
+        controller.close()

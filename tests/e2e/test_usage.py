@@ -1,0 +1,97 @@
+"""Every command explains itself; what is typed wrong ends in one line and status 2."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from sim import datasheet
+from sim.reference import reference_datasheet
+from tests.support.command import AMBIT, ENVIRONMENT, ambit, refusal
+
+COMMANDS = (
+    (),
+    ("demo",),
+    ("commission",),
+    ("identify",),
+    ("effects",),
+    ("rig",),
+    ("rig", "serve"),
+    ("rig", "datasheet"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help(command):
+    done = ambit(*command, "--help")
+    assert done.returncode == 0
+    assert "Usage: ambit" in done.stdout
+    assert done.stderr == ""
+
+
+def test_help_needs_none_of_the_heavy_libraries():
+    code = (
+        "import sys, service.cli; service.cli.run(['--help']); "
+        "print([m for m in ('numpy', 'scipy', 'numba', 'h5py', 'plotly') if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nonsense",), "No such command 'nonsense'"),
+        (("identify", "experiment.h5", "--out", "x"), "Missing option '--rig'"),
+        (("demo", "--seed", "many"), "--seed"),
+        (("demo", "--speed", "1"), "No such option: --speed"),
+        (("rig", "serve", "--protocol", "profibus"), "--protocol"),
+        (("rig", "serve", "--port", "70000"), "--port"),
+    ],
+    ids=lambda a: " ".join(a) if isinstance(a, tuple) else "",
+)
+def test_bad_usage(arguments, said):
+    line = refusal(*arguments, status=2)
+    assert said in line
+    assert "--help" in line
+
+
+def test_the_catalogue_as_json():
+    done = ambit("effects", "--json")
+    catalogue = json.loads(done.stdout)
+    assert done.returncode == 0
+    assert {e["id"] for e in catalogue["effects"]} >= {"loop_delay", "sensor_lag", "eddy_currents"}
+
+
+def test_one_effect_in_words():
+    done = ambit("effects", "loop_delay")
+    assert "exp" in done.stdout or "tau" in done.stdout
+    assert "separated by" in done.stdout
+
+
+def test_an_unknown_effect():
+    line = refusal("effects", "gremlins")
+    assert "gremlins" in line
+    assert "loop_delay" in line
+
+
+def test_a_reader_that_leaves_ends_no_one_in_a_traceback():
+    import subprocess
+
+    done = subprocess.run(
+        f"{AMBIT[0]} effects --json | head -c 10",
+        shell=True,
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+        check=False,
+    )
+    assert done.stderr == ""
+
+
+def test_the_datasheet_of_the_reference_rig(tmp_path):
+    done = ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
+    assert done.returncode == 0
+    assert datasheet.read(tmp_path / "rig.toml") == reference_datasheet()
+    assert ambit("rig", "datasheet").stdout == (tmp_path / "rig.toml").read_text()

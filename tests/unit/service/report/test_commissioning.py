@@ -1,0 +1,123 @@
+"""The report of a commissioning says what was found, whatever the experiment lacked."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.identification.fit import identify
+from service.report.commissioning import commissioning_page, verdict
+from service.report.format import figures
+
+LARGEST_BYTES = 6_000_000
+
+
+def names(page: str) -> set[str]:
+    return set(re.findall(r'<div class="plot" id="([^"]+)"', page))
+
+
+def figure(page: str, name: str) -> dict:
+    data = re.search(rf'id="{name}-data">(.*?)</script>', page, flags=re.S)
+    assert data is not None, name
+    return json.loads(data[1])
+
+
+@pytest.fixture(scope="module")
+def page(result, measured):
+    return commissioning_page(result, *measured)
+
+
+def test_the_first_sentence_says_the_result(page, result):
+    lead = re.search(r'<p class="lead [a-z]+">(.*?)</p>', page)
+    assert lead is not None
+    assert "identified" in lead[1]
+    assert "NRMSE" in lead[1]
+    assert "ISO 14839-3" in lead[1]
+
+
+def test_every_figure_of_merit_is_in_the_tables(page, result):
+    for plane in result.planes.values():
+        for estimate in plane.stiffness.values():
+            value, std = figures(estimate.value, estimate.std)
+            assert f">{value}<" in page
+            assert f">{std}<" in page
+        for mode in plane.modes:
+            assert f">{figures(mode.natural_frequency_rad_s.value, mode.natural_frequency_rad_s.std)[0]}<" in page
+
+
+def test_every_figure_is_there(page):
+    expected = {"amplitudes"}
+    for plane in "xy":
+        expected |= {f"plant-{plane}A", f"plant-{plane}B"}
+        expected |= {f"{kind}-{plane}" for kind in ("amplifier", "staged", "sensitivity", "poles", "residuals")}
+    assert names(page) == expected
+
+
+def test_it_can_be_mailed(page):
+    assert len(page.encode()) < LARGEST_BYTES
+
+
+def test_the_plant_shows_measured_points_model_region_and_unseen_sweep(page):
+    shown = {t["name"] for t in figure(page, "plant-xA")["data"]}
+    assert shown == {"measured", "model", "99 % region", "unseen sweep", "99 % of the noise"}
+
+
+def test_both_orders_of_the_amplifier_are_shown(page):
+    shown = {t["name"] for t in figure(page, "amplifier-x")["data"]}
+    assert {"first order", "second order, chosen"} <= shown
+
+
+def test_a_wrong_model_is_not_called_identified(result):
+    planes = {k: replace(p, adequate=False, residual_rms_total=12.3) for k, p in result.planes.items()}
+    tone, text = verdict(replace(result, planes=planes))
+    assert tone != "good"
+    assert "identified" not in text
+    assert "12 times the noise" in text
+
+
+def test_without_an_unseen_sweep_the_sentence_says_so(result):
+    planes = {k: replace(p, cross_validation_fit_percent=None) for k, p in result.planes.items()}
+    assert "fitted to" in verdict(replace(result, planes=planes))[1]
+
+
+def test_one_sweep_without_currents_in_two_axes(measured):
+    experiment, datasheet = measured
+    keep = experiment.sweeps[0].axis < 2
+    main = experiment.sweeps[0].select(keep)
+    two = replace(main, I=None, R=main.R[..., :2], U=main.U[..., :2], Y=main.Y[..., :2])
+    small = replace(experiment, axes=("xA", "xB"), sweeps=(two,))
+    per_axis = {
+        k: v[:2]
+        for k, v in vars(datasheet).items()
+        if isinstance(v, tuple) and len(v) == 4 and k not in ("numerator", "denominator")
+    }
+    sheet = replace(datasheet, **per_axis)
+    page = commissioning_page(identify(small, sheet), small, sheet)
+    assert names(page) == {
+        "plant-xA", "plant-xB", "staged-x", "sensitivity-x", "poles-x", "residuals-x", "amplitudes",
+    }  # fmt: skip
+    assert "fitted to" in page
+
+
+def test_marked_points_are_listed(result, measured):
+    experiment, datasheet = measured
+    main = experiment.sweeps[0]
+    flags = ["" for _ in range(main.n_points)]
+    flags[5] = "not settled; repeated at lower amplitude"
+    marked = replace(experiment, sweeps=(replace(main, flags=tuple(flags)), *experiment.sweeps[1:]))
+    page = commissioning_page(result, marked, datasheet)
+    assert "<td>not settled</td>" in page
+    assert "<td>repeated at lower amplitude</td>" in page
+
+
+def test_the_time_on_the_rig_goes_to_its_sweep(result, measured):
+    experiment, datasheet = measured
+    ends, sweeps = 0.0, []
+    for s in experiment.sweeps:
+        sweeps.append(replace(s, time_s=ends + np.arange(1, s.n_points + 1) * 0.5))
+        ends = float(sweeps[-1].time_s[-1])
+    page = commissioning_page(result, replace(experiment, sweeps=tuple(sweeps)), datasheet)
+    n = experiment.sweeps[0].n_points
+    assert f">{round(n * 0.5) // 60} min {round(n * 0.5) % 60:02d} s<" in page
