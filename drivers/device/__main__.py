@@ -44,6 +44,10 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--node", type=int, default=5)
     p.add_argument("--bitrate", type=int, default=1_000_000)
     p.add_argument("--throttle", action="store_true", help="hold the hub's frames back to the bit rate")
+    p.add_argument("--withheld", type=int, help="seed of an effect that only the sealed file tells")
+    p.add_argument("--sealed", type=Path, default=Path("withheld.json"))
+    p.add_argument("--faults", default="", help="drop=0.01,corrupt=0.01 or all=0.001, per frame")
+    p.add_argument("--fault-seed", type=int, default=0)
     return p
 
 
@@ -51,8 +55,10 @@ def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
     if a.protocol == "modbus-rtu":
         return serve_modbus_rtu(device, RtuOptions(a.device, unit=a.unit, map=a.map))
     if a.protocol == "canopen":
-        return serve_canopen(device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle))
-    options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca)
+        return serve_canopen(
+            device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle, a.faults, a.fault_seed)
+        )
+    options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca, a.faults, a.fault_seed)
     return serve_modbus(device, options) if a.protocol == "modbus" else serve_modbus_tls(device, options)
 
 
@@ -60,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve until a signal; prints the URL when ready."""
     a = _parser().parse_args(arguments)
     try:
-        built = build_rig(RigOptions(a.rig, a.seed, tuple(a.effect)))
+        built = build_rig(RigOptions(a.rig, a.seed, tuple(a.effect), a.withheld, a.sealed))
         log = EventLog(a.events) if a.events else None
         device = RigDevice(built.rig, a.seed, real_time=a.real_time, watchdog_s=a.watchdog_s, on_event=log)
         served = _serve(device, a)
@@ -68,6 +74,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     print(served.url, flush=True)
+    if built.commitment:
+        print(f"commitment {built.commitment}", flush=True)
     run(served)
     return 0
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from types import FrameType
 
 from drivers.controller import State
+from drivers.device.faults import CanSpoiler, FaultPlan, FaultyTcp
 from drivers.device.front import DeviceFront
 from drivers.device.machine import Event, RigDevice
 from drivers.device.modbus import RtuServer, TcpServer
@@ -43,6 +44,9 @@ class ModbusOptions:
     key: Path | None = None
     client_ca: Path | None = None
     """Hosts must show a certificate of this authority."""
+    faults: str = ""
+    """Faults on purpose, ``drop=0.01,corrupt=0.01`` or ``all=0.001`` per frame; not in TLS."""
+    fault_seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,9 @@ class CanOptions:
     hub_port: int = 0
     throttle: bool = False
     """Hold the hub's frames back to the bit rate."""
+    faults: str = ""
+    """Faults on purpose, as for Modbus; on a hub of its own only."""
+    fault_seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -96,10 +103,19 @@ def serve_modbus(device: RigDevice, options: ModbusOptions) -> Served:
     ControllerError
         The address cannot be listened on, or the map is wrong.
     """
-    server = TcpServer(
-        DeviceFront(device, "big"), options.host, options.port, options.unit, _registers(options.map), None
-    )
-    return Served(f"modbus://{options.host}:{server.port}?unit={options.unit}", device, server.close)
+    registers, front = _registers(options.map), DeviceFront(device, "big")
+    if not options.faults:
+        server = TcpServer(front, options.host, options.port, options.unit, registers)
+        return Served(f"modbus://{options.host}:{server.port}?unit={options.unit}", device, server.close)
+    plan = FaultPlan.parse(options.faults, options.fault_seed)
+    hidden = TcpServer(front, "127.0.0.1", 0, options.unit, registers)
+    proxy = FaultyTcp(("127.0.0.1", hidden.port), plan, options.host, options.port)
+
+    def shut() -> None:
+        proxy.close()
+        hidden.close()
+
+    return Served(f"modbus://{options.host}:{proxy.port}?unit={options.unit}", device, shut)
 
 
 def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
@@ -159,8 +175,13 @@ def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
         raise ControllerError(f"a CANopen node has a number from 1 to 127, not {options.node}")
     hub = None
     address = options.bus
+    if address and options.faults:
+        raise ControllerError("faults on purpose need a hub of the device's own: give no CAN bus")
     if not address:
-        hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None)
+        spoil = (
+            CanSpoiler(FaultPlan.parse(options.faults, options.fault_seed), options.node) if options.faults else None
+        )
+        hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None, spoil)
         address = f"socketcand/{hub.host}:{hub.port}/can0"
     try:
         node = CanopenNode(DeviceFront(device, "little"), address, options.node, options.bitrate)

@@ -13,10 +13,8 @@ from drivers.device.machine import RigDevice
 from drivers.device.serve import (
     CanOptions,
     ModbusOptions,
-    RtuOptions,
     serve_canopen,
     serve_modbus,
-    serve_modbus_rtu,
 )
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
@@ -42,10 +40,9 @@ def in_process(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     "serve",
     [
         lambda device: serve_modbus(device, ModbusOptions(port=0)),
-        lambda device: serve_modbus_rtu(device, RtuOptions()),
         lambda device: serve_canopen(device, CanOptions()),
     ],
-    ids=["modbus", "modbus-rtu", "canopen"],
+    ids=["modbus", "canopen"],
 )
 def test_experiment_over_a_bus_agrees_far_below_the_noise(serve, in_process: Experiment, tmp_path: Path) -> None:
     served = serve(RigDevice(reference_rig(), SEED))

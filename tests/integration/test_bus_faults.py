@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from drivers.device.modbus import TcpServer
 from drivers.errors import BusError, ControllerError, LeaseError, TripError
 from drivers.url import connect
 from sim.reference import reference_rig
+from tests.support.processes import device as device_process
 
 POINTS = 60
 
@@ -162,3 +164,14 @@ def test_unknown_fault_is_refused() -> None:
     with pytest.raises(ControllerError, match="probabilities"):
         FaultPlan.parse("drop=1.5", 1)
     assert set(FaultPlan.parse("all=0.01", 1).rates) == set(KINDS)
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "canopen"])
+def test_device_process_spoils_its_bus_when_it_is_told_to(protocol: str, tmp_path: Path) -> None:
+    """From the command line: every frame a host sends first is lost, so that nobody connects."""
+    process, _ = device_process(tmp_path, "--protocol", protocol, "--faults", "drop=1.0")
+    try:
+        with pytest.raises(BusError):
+            connect(process.said)
+    finally:
+        process.end()
