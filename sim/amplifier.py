@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rig import Amplifiers, Array
+from sim.rig import SHORTEST_LAG_S, Amplifiers, Array
 
 Complex = NDArray[np.complex128]
 
@@ -29,7 +29,7 @@ def poles(amplifiers: Amplifiers) -> Complex:
         root = np.sqrt(zeta**2 - 1)
         root = np.where(np.abs(root) < 1e-6, 1e-6, root)
         own = [w * (-zeta + root), w * (-zeta - root)]
-    if amplifiers.lag_s > 0:
+    if amplifiers.lag_s > SHORTEST_LAG_S:
         lag = np.full(len(w), -1 / amplifiers.lag_s + 0j)
         for p in own:
             lag = np.where(np.abs(lag / p - 1) < 1e-5, lag * (1 + 1e-5), lag)
@@ -64,7 +64,7 @@ def sampled(amplifiers: Amplifiers, omega_rad_s: Array, sample_time_s: float, de
     discrete = np.exp(poles(amplifiers) * sample_time_s)
     whole = np.floor(delay_s / sample_time_s + 1e-9)
     fraction = delay_s / sample_time_s - whole
-    # Impulse response of the held system h_k = g(kT - d) - g((k-1)T - d); numerator has one tap more than poles, and one.
+    # Impulse response of the held system h_k = g(kT - d) - g((k-1)T - d), two taps more than poles.
     taps = len(discrete) + 2
     g = np.stack([_step_response(amplifiers, (k - fraction) * sample_time_s) for k in range(taps)])
     h = np.diff(g, axis=0, prepend=0.0)

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SHORTEST_LAG_S = 1e-9
+"""A first-order lag below this is none: it would only make the equations stiff."""
+
 
 @dataclass(frozen=True)
 class FlexibleMode:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim import actuator, rotor
 from sim.actuator import OperatingPoint, force_rotation
-from sim.rig import Array, Rig
+from sim.rig import SHORTEST_LAG_S, Array, Rig
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         sum(len(e[0]) - 1 for e in eddy if e),
         n_q,
         n_q,
-        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum()) + (n if rig.sensors.lag_s > 0 else 0),
-        n if amp.lag_s > 0 else 0,
+        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum()) + (n if rig.sensors.lag_s > SHORTEST_LAG_S else 0),
+        n if amp.lag_s > SHORTEST_LAG_S else 0,
     ]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     n_z = int(starts[-1])
@@ -78,7 +78,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
             A[k + 1, k : k + 2] = -(w**2), -2 * amp.damping_ratio[axis] * w
             drive[k + 1] = w**2 * amp.gain[axis] * amp.crosstalk[axis]
             rate[axis, k + 1] = 1.0
-        if amp.lag_s > 0:  # the lag stands between u and the amplifier
+        if amp.lag_s > SHORTEST_LAG_S:  # the lag stands between u and the amplifier
             entry = k + order - 1
             A[entry, lagged + axis] = w**order * amp.gain[axis]
             drive[entry] = 0.0
@@ -110,7 +110,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     sensor[:, q] = rig.sensors.gain[:, None] * m.sensor_map
     s = int(starts[4])
     for axis in range(n):
-        further = 1 / rig.sensors.lag_s if rig.sensors.lag_s > 0 else math.inf
+        further = 1 / rig.sensors.lag_s if rig.sensors.lag_s > SHORTEST_LAG_S else math.inf
         for w in (float(rig.sensors.bandwidth_rad_s[axis]), further):
             if math.isinf(w):
                 continue

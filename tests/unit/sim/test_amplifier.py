@@ -16,6 +16,9 @@ SECOND = reference_rig().amplifiers
 
 
 def of_order(order: int) -> Amplifiers:
+    """First order, second order, or second order behind a first-order lag."""
+    if order == 3:
+        return replace(SECOND, lag_s=3e-5)
     return SECOND if order == 2 else replace(SECOND, damping_ratio=None, gain=np.array([1.0, 0.9, 1.1, 2.0]))
 
 
@@ -23,10 +26,10 @@ def transfer(a: Amplifiers, axis: int) -> tuple[list[float], list[float]]:
     w = a.natural_frequency_rad_s[axis]
     if a.damping_ratio is None:
         return [a.gain[axis] * w], [1.0, w]
-    return [a.gain[axis] * w**2], [1.0, 2 * a.damping_ratio[axis] * w, w**2]
+    return [a.gain[axis] * w**2], np.polymul([1.0, 2 * a.damping_ratio[axis] * w, w**2], [a.lag_s, 1.0]).tolist()
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_samples_of_a_held_input_are_those_of_scipys_zero_order_hold(order):
     a = of_order(order)
     found = amplifier.sampled(a, OMEGA, T, np.zeros(4))
@@ -38,13 +41,13 @@ def test_the_samples_of_a_held_input_are_those_of_scipys_zero_order_hold(order):
         )
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("damping", [0.3, 1.0, 1.7])
 @pytest.mark.parametrize("delay_s", [0.0, 35e-6, 1e-4, 2.6e-4])
 def test_a_delay_of_any_length_is_exact(order, damping, delay_s):
     """Against the sum over the aliases that sampling folds onto a frequency, 1/T sum G(w + k ws) hold(w + k ws)."""
     a = of_order(order)
-    if order == 2:
+    if order > 1:
         a = replace(a, damping_ratio=np.full(4, damping))
     k = np.arange(-4000, 4001)
     found = amplifier.sampled(a, OMEGA, T, np.full(4, delay_s))
