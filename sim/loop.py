@@ -30,20 +30,32 @@ HISTORY = 8
 
 @dataclass(frozen=True)
 class _Propagators:
-    """One integration step as one product: next = weights^T [z, past u, d, d_before].
+    """One sample as a product and its corrections: next = first^T [z, past u, d_before, d_0] + sum later_s^T d_s.
 
-    ``next`` is the state followed by what the corrections need of it (flux, bearing displacement, current rate),
-    so that one product a step does all the linear work.
+    ``next`` holds, for each integration step of the sample, what its correction and the sensors need of the state
+    there (flux, displacement at the bearings, and where they are used current rate and sensor output), then the
+    state at the end. So the linear work of a sample is one product, and each correction, once known, is added.
     """
 
-    weights: Array
-    """(substeps, rows, columns): rows z, then u of `history` past samples, then d and the d before; padded to
-    multiples of 4 and 8 for the compiled loop."""
+    first: Array
+    """(1, rows, columns): rows z, u of `history` past samples, the correction before the sample, that at its
+    start; padded to multiples of 4 and 8 for the compiled loop."""
+    later: Array
+    """(substeps - 1, corrections, columns): corrections of the steps inside the sample, padded alike."""
     history: int
     n_z: int
+    n_seen: int
+    """Signals that are seen at each step."""
+    n_d: int
+    """Corrections of each step."""
+
+    @property
+    def z_at(self) -> int:
+        """Column of the first state."""
+        return self.n_seen * (len(self.later) + 1)
 
 
-def _propagators(rig: Rig, ss: StateSpace, substeps: int, slews: bool) -> _Propagators:
+def _propagators(rig: Rig, ss: StateSpace, seen: Array, substeps: int, slews: bool) -> _Propagators:
     step = rig.controller.sample_time_s / substeps
     n, n_z = rig.n_axes, len(ss.A)
 
@@ -75,26 +87,35 @@ def _propagators(rig: Rig, ss: StateSpace, substeps: int, slews: bool) -> _Propa
             drive[k, int(whole), axis] += after
             drive[k, int(whole) + 1, axis] += entire - after
     history = int(np.flatnonzero(np.any(drive, axis=(0, 2, 3)))[-1]) + 1
-    seen = [np.eye(n_z), ss.flux, ss.bearing, *([ss.current_rate] if slews else [])]
-    observe = np.vstack(seen).T  # (z, columns)
-    rows = n_z + history * n + 2 * constant.shape[1]
-    weights = np.zeros((substeps, -(-rows // 4) * 4, -(-observe.shape[1] // 8) * 8))
+    n_u, n_d = history * n, constant.shape[1]
+    # z, and what is seen of it, as linear maps of [z, past u, d_before, d_0, d_1, ..]
+    size = n_z + n_u + (substeps + 1) * n_d
+    z, maps = np.eye(n_z, size), []
     for k in range(substeps):
+        z = free @ z
+        z[:, n_z : n_z + n_u] += drive[k, :history].reshape(n_u, n_z).T
         # ETD2 (Cox and Matthews 2002, eq. 6): the correction goes on with the slope of its last step.
-        stacked = np.vstack([free.T, drive[k, :history].reshape(-1, n_z), (constant + growing).T, -growing.T])
-        weights[k, :rows, : observe.shape[1]] = stacked @ observe
-    return _Propagators(weights, history, n_z)
+        before = n_z + n_u + k * n_d
+        z[:, before : before + n_d] -= growing
+        z[:, before + n_d : before + 2 * n_d] += constant + growing
+        maps.append(seen @ z)
+    weights = np.vstack([*maps, z]).T
+    columns = -(-weights.shape[1] // 8) * 8
+    known = n_z + n_u + 2 * n_d
+    first = np.zeros((1, -(-known // 4) * 4, columns))
+    first[0, :known, : weights.shape[1]] = weights[:known]
+    later = np.zeros((substeps - 1, -(-n_d // 4) * 4, columns))
+    later[:, :n_d, : weights.shape[1]] = weights[known:].reshape(substeps - 1, n_d, -1)
+    return _Propagators(first, later, history, n_z, len(seen), n_d)
 
 
 _compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
 @_compiled
-def _propagate(weights, s, v, out):  # type: ignore[no-untyped-def]
-    """Out = weights[s]^T v, four rows at a time; sizes are multiples of 4 and 8. No views: they cost more."""
+def _add_product(weights, s, v, out):  # type: ignore[no-untyped-def]
+    """Out += weights[s]^T v, four rows at a time; sizes are multiples of 4 and 8. No views: they cost more."""
     columns = weights.shape[2]
-    for k in range(columns):
-        out[k] = 0.0
     for j in range(0, weights.shape[1], 4):
         v0, v1, v2, v3 = v[j], v[j + 1], v[j + 2], v[j + 3]
         for k in range(columns):
@@ -115,17 +136,17 @@ def _magnet(law, a, i, x):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _plain_corrections(now, at, law, state, to):  # type: ignore[no-untyped-def]
+def _plain_corrections(now, at, law, d):  # type: ignore[no-untyped-def]
     """Force beyond the linear one of magnets without saturation, play, contact, slew limit or rotation."""
     n = law.shape[1]
     for a in range(n):
         flux, x = now[at + a], now[at + n + a]
         i = min(max(flux, -law[8, a]), law[8, a])
-        state[to + a] = _magnet(law, a, i, x) + law[6, a] - law[4, a] * flux - law[5, a] * x
+        d[a] = _magnet(law, a, i, x) + law[6, a] - law[4, a] * flux - law[5, a] * x
 
 
 @_compiled
-def _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, play_t, scale, f, state, to):  # type: ignore[no-untyped-def]
+def _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, play_t, scale, f, d):  # type: ignore[no-untyped-def]
     """Force and slew beyond the linear ones, with every nonlinear effect; moves the plays along."""
     n = law.shape[1]
     for a in range(n):
@@ -143,7 +164,7 @@ def _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pl
         f[a] = scale[0] * _magnet(law, a, i, x) + (scale[1] - scale[0]) * law[5, a] * x
         if slews:
             rate = now[at + 2 * n + a]
-            state[to + n + a] = min(max(rate, -slew[a]), slew[a]) - rate
+            d[n + a] = min(max(rate, -slew[a]), slew[a]) - rate
     for a in range(n):
         total = law[6, a]
         for b in range(n):
@@ -152,7 +173,7 @@ def _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pl
         depth = abs(x) - contact[0]
         if depth > 0.0:
             total -= math.copysign(contact[1] * depth, x)
-        state[to + a] = total
+        d[a] = total
 
 
 @_compiled
@@ -192,8 +213,11 @@ def _advance(  # type: ignore[no-untyped-def]
     b,
     a,
     weights,
+    later,
     n_z,
     history,
+    n_seen,
+    n_d,
     pick_i,
     pick_y,
     rotation,
@@ -214,10 +238,10 @@ def _advance(  # type: ignore[no-untyped-def]
 ):
     """Run the loop for the rows of r; returns (samples done, which limit was exceeded)."""
     n_samples, n = r.shape
-    substeps = weights.shape[0]
+    substeps = later.shape[0] + 1
     first_u, first_d = n_z, n_z + history * n
-    n_d = 2 * n if slews else n
-    scale, f = np.ones(2), np.zeros(n)
+    last_seen, z_at = n_seen * (substeps - 1), n_seen * substeps
+    scale, f, d = np.ones(2), np.zeros(n), np.zeros(later.shape[1])
     delayed = np.max(lag) > 0.0
     for t in range(n_samples):
         if drift[2] > 0.0:
@@ -248,26 +272,28 @@ def _advance(  # type: ignore[no-untyped-def]
             elif not abs(i) <= limits[1] and exceeded == 0:
                 exceeded = 2
         for s in range(substeps):
-            for k in range(n_d):
-                state[first_d + n_d + k] = state[first_d + k]
+            at = n_seen * (s - 1) if s > 0 else last_seen
             if general:
-                _corrections(
-                    now, n_z, law, rotation, contact, slews, slew, plays, play_w, play_t, scale, f, state, first_d
-                )
+                _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, play_t, scale, f, d)
             else:
-                _plain_corrections(now, n_z, law, state, first_d)
-            _propagate(weights, s, state, now)
-            for k in range(n_z):
-                state[k] = now[k]
+                _plain_corrections(now, at, law, d)
+            if s == 0:
+                for k in range(n_d):
+                    state[first_d + n_d + k] = d[k]
+                for k in range(now.shape[0]):
+                    now[k] = 0.0
+                _add_product(weights, 0, state, now)
+            else:
+                _add_product(later, s - 1, d, now)
             if delayed:
                 for axis in range(n):
                     for j in range(y_past.shape[1] - 1, 0, -1):
                         y_past[axis, j] = y_past[axis, j - 1]
-                    if s < substeps - 1:
-                        y = 0.0
-                        for k in range(n_z):
-                            y += pick_y[axis, k] * state[k]
-                        y_past[axis, 0] = y
+                    y_past[axis, 0] = now[n_seen * (s + 1) - n + axis]
+        for k in range(n_z):
+            state[k] = now[z_at + k]
+        for k in range(n_d):
+            state[first_d + k] = d[k]
         if exceeded > 0 and check:
             return t + 1, exceeded
     return n_samples, 0
@@ -308,7 +334,8 @@ class Loop:
             or m.cross_coupling_rad
             or m.cross_coupling_symmetric
         )
-        self._p = _propagators(rig, self._ss, substeps, self._slews)
+        self._seen = self._seen_rows()
+        self._p = _propagators(rig, self._ss, self._seen, substeps, self._slews)
         self._drift = np.array([d.ki_change, d.ks_change, d.duration_s / self._period_s] if d else [0.0, 0.0, 0.0])
         self.require_stability()
         self.levitate()
@@ -316,6 +343,13 @@ class Loop:
     @property
     def _period_s(self) -> float:
         return self.rig.controller.sample_time_s
+
+    def _seen_rows(self) -> Array:
+        """Rows of what each step shows of the state: flux, displacement at the bearings, rate, sensor output."""
+        ss = self._ss
+        rate = [ss.current_rate] if self._slews else []
+        sensor = [ss.sensor] if np.any(self._lag_steps > 0) else []
+        return np.vstack([ss.flux, ss.bearing, *rate, *sensor])
 
     def _law_rows(self) -> Array:
         """Rows k, i0, s0, offset, ki, ks, load, i_s, i_max, alpha, i at rest of the compiled force law, (11, n)."""
@@ -349,12 +383,11 @@ class Loop:
         )
         z = np.zeros(p.n_z)
         z[moving] = np.linalg.solve(ss.A[np.ix_(moving, moving)], -(ss.drive @ u)[moving])
-        self._state = np.zeros(p.weights.shape[1])
+        self._state = np.zeros(p.first.shape[1])
         self._state[: p.n_z] = z
         self._state[p.n_z : p.n_z + p.history * n] = np.tile(u, p.history)
-        self._now = np.zeros(p.weights.shape[2])
-        seen = np.concatenate([z, ss.flux @ z, ss.bearing @ z, *([ss.current_rate @ z] if self._slews else [])])
-        self._now[: len(seen)] = seen
+        self._now = np.zeros(p.first.shape[2])
+        self._now[p.z_at - p.n_seen : p.z_at] = self._seen @ z
         self._c = np.stack([self._resting_controller(value) for value in u])
         depth = int(np.ceil(np.max(self._lag_steps))) + 4
         self._y_past = np.zeros((n, depth))
@@ -362,13 +395,13 @@ class Loop:
         self._rest_corrections()
 
     def _rest_corrections(self) -> None:
-        """Corrections at rest, as now and as a step before: the first step sees no slope in them."""
-        p, first = self._p, self._p.n_z + self._p.history * self.n_axes
-        n_d = self.n_axes * (2 if self._slews else 1)
+        """Corrections at rest as those of a step before: the first step sees no slope in them."""
+        p, d = self._p, np.zeros(self._p.later.shape[1])
+        at, first = p.z_at - p.n_seen, p.n_z + p.history * self.n_axes
         if self._general:
             _corrections(
                 self._now,
-                p.n_z,
+                at,
                 self._law,
                 self._rotation,
                 self._contact,
@@ -379,12 +412,11 @@ class Loop:
                 actuator.PLAY_THRESHOLDS_A,
                 np.ones(2),
                 np.zeros(self.n_axes),
-                self._state,
-                first,
+                d,
             )
         else:
-            _plain_corrections(self._now, p.n_z, self._law, self._state, first)
-        self._state[first + n_d : first + 2 * n_d] = self._state[first : first + n_d]
+            _plain_corrections(self._now, at, self._law, d)
+        self._state[first : first + p.n_d] = d[: p.n_d]
 
     @property
     def _lag_steps(self) -> Array:
@@ -409,8 +441,7 @@ class Loop:
         shifted = np.concatenate([c[:, 1:], np.zeros_like(c[:, :1])], axis=1)
         c = shifted - self._b[1:, None] * y[:, None] - self._a[1:, None] * u[:, None]
         past = np.vstack([u, past[:-n]])
-        for w in p.weights:
-            z = w[: n_z + n_u, :n_z].T @ np.vstack([z, past])
+        z = p.first[0, : n_z + n_u, p.z_at : p.z_at + n_z].T @ np.vstack([z, past])
         return np.vstack([z, c.reshape(n_c, -1), past])
 
     def require_stability(self) -> None:
@@ -444,9 +475,12 @@ class Loop:
             self._plays,
             self._b,
             self._a,
-            p.weights,
+            p.first,
+            p.later,
             p.n_z,
             p.history,
+            p.n_seen,
+            p.n_d,
             self._ss.current,
             self._ss.sensor,
             self._rotation,

@@ -1,0 +1,119 @@
+"""A diagnosis as the document gap.json (contract "amb-gap-report", version 1)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from service.gap.verdict import Ranked
+
+if TYPE_CHECKING:
+    from service.gap.diagnose import Diagnosis
+
+SHOWN = 10
+"""Candidates in the report."""
+
+
+def verdict_path(d: Diagnosis) -> str:
+    """Path of the block that the verdict blames: the effect's own where there is one, else where the gap is."""
+    from sim.effects import CATALOGUE
+
+    if d.verdict.effects:
+        return CATALOGUE[d.verdict.effects[0]].path
+    return d.where.path
+
+
+def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
+    c = r.candidate
+    parameters: dict[str, Any] = {}
+    for effect, values, sds in zip(c.effects, c.fit.values, c.standard_deviations, strict=True):
+        prefix = f"{effect}." if len(c.effects) > 1 else ""
+        parameters |= {prefix + name: {"value": v, "std": sds[name]} for name, v in values.items()}
+    return {
+        "effect": "+".join(c.effects),
+        "effects": list(c.effects),
+        "probability": r.probability,
+        "parameters": parameters,
+        "gap_after": d.gaps_after.get(c.effects),
+        "closure": d.closures.get(c.effects),
+        "log_evidence": r.log_evidence,
+        "unexplained": r.unexplained,
+    }
+
+
+def gap_document(d: Diagnosis) -> dict[str, Any]:
+    """gap.json as plain values; numbers are finite or None."""
+    w, s, v = d.where, d.shrinkage, d.verdict
+    document = {
+        "format": "amb-gap-report",
+        "version": 1,
+        "rig": d.rig,
+        "gap": {"before": d.gap_before, "noise_floor": d.noise_floor},
+        "where": {
+            "path": verdict_path(d),
+            "paths": [
+                {"path": p.path, "gap": p.gap, "significance": p.significance, "logged": p.logged} for p in w.paths
+            ],
+            "bands": [{"from_hz": a, "to_hz": b, "gap": g} for a, b, g in w.bands],
+            "channels": [{"output": a, "input": b, "gap": g} for a, b, g in w.channels],
+            "harmonics": [{"signal": a, "harmonic": h, "significance": g} for a, h, g in w.harmonics],
+            "amplitude_dependent": w.amplitude_dependent,
+            "speed_dependent": w.speed_dependent,
+        },
+        "verdict": {
+            "kind": v.kind,
+            "effects": list(v.effects),
+            "indistinguishable": [list(group) for group in v.indistinguishable],
+            "probability": v.probability,
+            "reasons": list(v.reasons),
+            "sentence": sentence(d),
+        },
+        "candidates": [_candidate(d, r) for r in d.order if r.candidate.effects][:SHOWN],
+        "shrinkage": {
+            "held_out": s.held_out,
+            "before": s.before,
+            "after": s.after,
+            "noise_floor": s.noise_floor,
+            "closure": s.closure,
+            "closure_95": list(s.closure_95),
+            "by_path": s.by_path,
+        },
+        "loop": d.loop,
+        "next_experiment": d.next_experiment,
+        "notes": list(d.notes),
+    }
+    return dict(_finite(document))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer | np.bool_):
+        return value.item()
+    return value
+
+
+def sentence(d: Diagnosis) -> str:
+    """The diagnosis in one sentence: where, which, how far, how sure."""
+    v, s = d.verdict, d.shrinkage
+    gap = f"{100 * d.gap_before:.2g} %"
+    if v.kind == "no_gap":
+        return f"No gap: the twin explains the rig to {gap}, which is noise and the datasheet's tolerances."
+    if v.kind == "none_of_these":
+        why = f" ({v.reasons[0]})" if v.reasons else ""
+        return (
+            f"The rig differs from its twin by {gap}, most of all in the {verdict_path(d)}, "
+            f"and no known effect explains it{why}."
+        )
+    words = " and ".join(e.replace("_", " ") for e in v.effects)
+    others = [e.replace("_", " ") for group in v.indistinguishable for e in group if e not in v.effects]
+    unsure = f", not told apart from {', '.join(others)}" if others else ""
+    return (
+        f"The rig differs from its twin by {gap} in the {verdict_path(d)}: {words}{unsure} "
+        f"(probability {100 * v.probability:.0f} %), which closes {100 * s.closure:.0f} % of the gap on unseen data."
+    )

@@ -1,0 +1,112 @@
+"""What a datasheet leaves uncertain: the parameters that every candidate is fitted beside.
+
+Each parameter is scaled to its own tolerance, so the prior of the vector is a unit normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.datasheet import Datasheet
+from sim.rig import FlexibleMode, Rig
+from sim.twin import rig_from_datasheet
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Vector of unit-normal deviations -> rig.
+
+    Blocks, in order: ki and ks per axis, amplifier gain, frequency and damping per axis, sensor gain per axis
+    (all logarithmic), mass, inertia (logarithmic), sensor positions A and B, then per plane and mode frequency
+    and damping (logarithmic) and shapes at bearings and sensors.
+    """
+
+    rig: Rig
+    """The twin at zero deviation, effects of its datasheet included."""
+    sigma: Real
+    """(k,) physical size of one unit."""
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.sigma)
+
+    def at(self, theta: Real, base: Rig | None = None) -> Rig:
+        """The rig at deviations ``theta``, (k,); ``base`` may carry other effects of the same datasheet."""
+        rig = base or self.rig
+        n = rig.n_axes
+        v = iter(np.split(np.asarray(theta) * self.sigma, self._splits(n)))
+        magnets = replace(rig.magnets, ki=rig.magnets.ki * np.exp(next(v)), ks=rig.magnets.ks * np.exp(next(v)))
+        amp = rig.amplifiers
+        gain, frequency, damping = np.exp(next(v)), np.exp(next(v)), np.exp(next(v))
+        amplifiers = replace(
+            amp,
+            gain=amp.gain * gain,
+            natural_frequency_rad_s=amp.natural_frequency_rad_s * frequency,
+            damping_ratio=None if amp.damping_ratio is None else amp.damping_ratio * damping,
+        )
+        sensors = replace(rig.sensors, gain=rig.sensors.gain * np.exp(next(v)))
+        mass, inertia, shift = next(v)[0], next(v)[0], next(v)
+        a, b = rig.rotor.sensor_from_cog_m
+        planes = []
+        for plane in rig.rotor.modes:
+            modes = []
+            for mode in plane[: self.n_modes]:
+                d = next(v)
+                modes.append(
+                    FlexibleMode(
+                        mode.natural_frequency_rad_s * float(np.exp(d[0])),
+                        mode.damping_ratio * float(np.exp(d[1])),
+                        (mode.shape_at_bearings[0] + float(d[2]), mode.shape_at_bearings[1] + float(d[3])),
+                        (mode.shape_at_sensors[0] + float(d[4]), mode.shape_at_sensors[1] + float(d[5])),
+                        mode.gyroscopic,
+                    )
+                )
+            planes.append((*modes, *plane[self.n_modes :]))
+        rotor = replace(
+            rig.rotor,
+            mass_kg=rig.rotor.mass_kg * float(np.exp(mass)),
+            transverse_inertia_kgm2=rig.rotor.transverse_inertia_kgm2 * float(np.exp(inertia)),
+            sensor_from_cog_m=(a + float(shift[0]), b + float(shift[1])),
+            modes=tuple(planes),
+        )
+        return replace(rig, magnets=magnets, amplifiers=amplifiers, sensors=sensors, rotor=rotor)
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes of the datasheet, per plane."""
+        return len(self.rig.rotor.modes[0])
+
+    def _splits(self, n: int) -> Real:
+        sizes = [n, n, n, n, n, n, 1, 1, 2] + [6] * (self.n_modes * (n // 2))
+        return np.cumsum(sizes)[:-1]
+
+
+def nuisance(datasheet: Datasheet) -> Nuisance:
+    """The uncertain parameters of a datasheet, each with its tolerance as one unit."""
+    rig, t, n = rig_from_datasheet(datasheet), datasheet.tolerance, datasheet.n_axes
+    per_axis = [
+        ("ki", t.current_stiffness),
+        ("ks", t.position_stiffness),
+        ("amplifier_gain", t.amplifier_gain),
+        ("amplifier_frequency", t.amplifier_frequency),
+        ("amplifier_damping", t.amplifier_damping),
+        ("sensor_gain", t.sensor_gain),
+    ]
+    names = [f"{name}_{axis}" for name, _ in per_axis for axis in datasheet.axes]
+    sigma = [s for _, s in per_axis for _ in range(n)]
+    names += ["mass", "transverse_inertia", "sensor_position_A", "sensor_position_B"]
+    sigma += [t.mass, t.transverse_inertia, t.sensor_position_m, t.sensor_position_m]
+    for plane in ("x", "y")[: n // 2]:
+        for k, mode in enumerate(datasheet.modes):
+            shapes = np.array([*mode.shape_at_bearings, *mode.shape_at_sensors])
+            # A shape near a node is known to a share of the mode's size, not of its own small value.
+            spread = t.mode_shape * np.maximum(np.abs(shapes), 0.2 * np.abs(shapes).max())
+            labels = ("frequency", "damping", "bearing_A", "bearing_B", "sensor_A", "sensor_B")
+            names += [f"mode{k + 1}_{label}_{plane}" for label in labels]
+            sigma += [t.mode_frequency, t.mode_damping, *spread.tolist()]
+    return Nuisance(rig, np.array(sigma, dtype=float), tuple(names))

@@ -1,0 +1,174 @@
+"""A sweep made ready for fitting: mean amplitudes, and the standard deviation of what a model leaves of them.
+
+The control signal is computed by the controller and so known exactly; noise sits in i and y. What a model must
+explain is e = X - model(U), and the scatter of exactly that quantity over the blocks is its noise: the part of
+the noise that feedback carries round cancels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+from sim.errors import AmbError
+from sim.harmonic_balance import time_points
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+MODEL_FLOOR = 3e-4
+"""Relative error below which no twin is trusted: integrators, hold details and rounding of two programs for the
+same rig differ by this much near 1 kHz (measured on rigs of an independent program)."""
+
+
+UNSETTLED_SHARE = 0.25
+"""Share of a point's drift, first block to last, that is counted as its error: a block of a signal that still
+decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
+
+
+OWN_SCATTER = 3.0
+"""Ratio of a point's variance to its neighbours' beyond which it counts as its own: 1 in 1000 for six blocks."""
+
+
+class GapError(AmbError):
+    """The data do not allow a diagnosis; the message says what is missing."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One sweep. P points, H harmonics, n axes; standard deviations are of the complex mean, E|e|^2 = sd^2."""
+
+    frequency_hz: Real
+    """(F,) distinct"""
+    line: NDArray[np.int64]
+    """(P,) index into ``frequency_hz``"""
+    axis: NDArray[np.int64]
+    """(P,)"""
+    harmonics: tuple[int, ...]
+    R: Complex
+    U: Complex
+    I: Complex | None
+    Y: Complex
+    sd_u: Real
+    """(P, H, n)"""
+    sd_i: Real
+    sd_y: Real
+    progress: Real
+    """(P,) order of measurement, 0 to 1"""
+    unsettled: float
+    """Share of points that still drift from their first block to their last."""
+    speed_rad_s: float
+
+    @property
+    def points_hz(self) -> Real:
+        """Excited frequency of each point, (P,)."""
+        return self.frequency_hz[self.line]
+
+    @property
+    def fundamental(self) -> int:
+        """Index of harmonic 1."""
+        return self.harmonics.index(1)
+
+
+def usable(sweep: Sweep) -> Sweep:
+    """The excited, finite points of a sweep.
+
+    Raises
+    ------
+    GapError
+        Nothing is left, or the blocks are too few to tell noise from signal.
+    """
+    arrays = [sweep.R, sweep.U, sweep.Y] + ([] if sweep.I is None else [sweep.I])
+    good = (sweep.amplitude_a > 0) & np.all([np.isfinite(a).all(axis=(1, 2, 3)) for a in arrays], axis=0)
+    if sweep.Y.shape[1] < 2:
+        raise GapError(f"sweep {sweep.comment!r} has {sweep.Y.shape[1]} block; record at least 2 blocks a point")
+    if good.sum() < 8:
+        raise GapError(f"sweep {sweep.comment!r} has {good.sum()} usable points; a diagnosis needs at least 8")
+    return sweep.select(good)
+
+
+def _smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
+    """Variance pooled over neighbouring frequencies, (P, H, n): a block variance alone has few degrees of freedom."""
+    order = np.argsort(frequency_hz, kind="stable")
+    sorted_v = np.log(np.maximum(v[order], 1e-300))
+    pad = min(width, len(order) - 1)
+    padded = np.pad(sorted_v, ((pad, pad), *((0, 0),) * (v.ndim - 1)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * pad + 1, axis=0)
+    # The median of log variance with 2 (B - 1) degrees of freedom sits a little below the mean: a tenth at B = 6.
+    smooth = np.exp(np.median(windows, axis=-1)) * 1.07
+    pooled = np.empty_like(v)
+    pooled[order] = smooth
+    # A point that scatters far more than its neighbours (a transient in one block) keeps its own variance.
+    return np.where(v > OWN_SCATTER * pooled, v, pooled)
+
+
+def observe(sweep: Sweep, rig: Rig, progress: tuple[float, float] = (0.0, 1.0)) -> Observation:
+    """Prepare a sweep. ``rig`` (any reasonable twin) only serves to take the feedback out of the block scatter."""
+    sweep = usable(sweep)
+    frequency, line = time_points(sweep.frequency_hz)
+    U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
+    sd_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
+    sd_y, sd_u = np.zeros_like(sd_i), np.zeros_like(sd_i)
+    for k, h in enumerate(sweep.harmonics):
+        model = linear_model(rig, np.maximum(h * frequency, 1e-2))
+        dU = U[:, :, k] - U[:, :, k].mean(axis=1, keepdims=True)
+
+        def scatter(X: Complex, G: Complex, dX: Complex = dU, k: int = k, h: int = h) -> Real:
+            direct = X[:, :, k] - X[:, :, k].mean(axis=1, keepdims=True)
+            e = direct - np.einsum("pij,pbj->pbi", G[line], dX)
+            power = np.mean(np.abs(e) ** 2, axis=1)
+            if h:  # near a sharp peak the twin may be far off; the direct scatter then bounds the noise
+                power = np.minimum(power, np.mean(np.abs(direct) ** 2, axis=1))
+            return np.asarray(power / (blocks - 1))
+
+        sd_y[:, k] = np.sqrt(_smooth_variance(scatter(Y, model.y_per_u), sweep.frequency_hz))
+        dY = Y[:, :, k] - Y[:, :, k].mean(axis=1, keepdims=True)
+        C = -model.controller[:, None, None] * np.eye(rig.n_axes)
+        sd_u[:, k] = np.sqrt(_smooth_variance(scatter(U, C, dY), sweep.frequency_hz))
+        if sweep.I is not None:
+            sd_i[:, k] = np.sqrt(_smooth_variance(scatter(sweep.I, model.i_per_u), sweep.frequency_hz))
+    f = sweep.harmonics.index(1)
+    mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
+    mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
+    sd_u, sd_y = _with_floor(sd_u, mean_u, f), _with_floor(sd_y, mean_y, f)
+    sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, f)
+    drift_y, unsettled = _drift(Y[:, :, f], sd_y[:, f], blocks)
+    drift_u, _ = _drift(U[:, :, f], sd_u[:, f], blocks)
+    sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
+    sd_u = np.hypot(sd_u, UNSETTLED_SHARE * drift_u[:, None, None])
+    return Observation(
+        frequency,
+        line,
+        sweep.axis,
+        sweep.harmonics,
+        sweep.R.mean(axis=1),
+        mean_u,
+        mean_i,
+        mean_y,
+        sd_u,
+        sd_i,
+        sd_y,
+        np.linspace(*progress, sweep.n_points),
+        unsettled,
+        sweep.speed_rad_s,
+    )
+
+
+def _with_floor(sd: Real, mean: Complex, f: int) -> Real:
+    """Standard deviation with the model's own error at the fundamental, relative to each channel's size."""
+    out = sd.copy()
+    out[:, f] = np.hypot(sd[:, f], MODEL_FLOOR * np.abs(mean[:, f]))
+    return out
+
+
+def _drift(Y: Complex, sd: Real, blocks: int) -> tuple[Real, float]:
+    """Significant change of each point from its first block to its last, (P,), m, and the share of points with one."""
+    change = np.abs(Y[:, -1] - Y[:, 0])
+    expected = 4 * sd * np.sqrt(2 * blocks)
+    excess = np.maximum(change - expected, 0.0)
+    return excess.max(axis=1), float(np.mean(np.any(excess > 0, axis=1)))

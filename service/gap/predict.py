@@ -1,0 +1,90 @@
+"""Observation and rig -> weighted residuals of u, i and y: what the twin leaves unexplained, in units of noise.
+
+u is held against r and y through the controller, i and y against u through amplifier and plant, so an error in
+one block of the loop does not spread to the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.observation import Observation
+from sim import control_law
+from sim.harmonic_balance import Responder
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def at_speed_of(rig: Rig, o: Observation) -> Rig:
+    """The rig at the speed of the observation."""
+    return rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
+
+
+def answer(rig: Rig, o: Observation) -> Complex:
+    """Twin's [i, y] for the measured control signal, all harmonics, (P, H, 2 n)."""
+    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(o.U)
+    return np.concatenate([a.I, a.Y], axis=2)
+
+
+def linear_answer(rig: Rig, o: Observation) -> Complex:
+    """Small-signal [i, y] at the fundamental, (P, 2 n): the cheap part of `answer`."""
+    model = linear_model(at_speed_of(rig, o), o.frequency_hz)
+    U = o.U[:, o.fundamental, :, None]
+    return np.concatenate([(model.i_per_u[o.line] @ U)[..., 0], (model.y_per_u[o.line] @ U)[..., 0]], axis=1)
+
+
+def control(rig: Rig, o: Observation) -> Complex:
+    """Twin's logged control signal for the measured displacement, R - C Y, all harmonics, (P, H, n).
+
+    Harmonic 0 is taken as measured: an integrator's mean says nothing.
+    """
+    out = o.U.copy()
+    for k, h in enumerate(o.harmonics):
+        if h == 0:
+            continue
+        omega = 2 * np.pi * h * o.points_hz
+        early = np.exp(1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)
+        C = control_law.response(rig.controller, omega)
+        out[:, k] = (o.R[:, k] - C[:, None] * o.Y[:, k]) * early[:, None]
+    return out
+
+
+def measured(o: Observation) -> Complex:
+    """[u, i, y] of all harmonics, (P, H, 3 n); i is zero where it was not logged."""
+    current = np.zeros_like(o.Y) if o.I is None else o.I
+    return np.concatenate([o.U, current, o.Y], axis=2)
+
+
+def weights(o: Observation) -> Real:
+    """1 / sd of the real and of the imaginary part of [u, i, y], (P, H, 3 n); 0 where nothing was logged."""
+    w_u = np.sqrt(2) / o.sd_u
+    if 0 in o.harmonics:
+        w_u[:, o.harmonics.index(0)] = 0.0
+    w_i = np.zeros_like(o.sd_y) if o.I is None else np.sqrt(2) / o.sd_i
+    return np.concatenate([w_u, w_i, np.sqrt(2) / o.sd_y], axis=2)
+
+
+def centred(e: Complex, w: Real, o: Observation) -> Complex:
+    """``e`` (P, H, 3 n, ...) with the weighted mean of harmonic 0 taken out: static loads are nobody's effect."""
+    if 0 not in o.harmonics:
+        return e
+    k = o.harmonics.index(0)
+    power = w[:, k] ** 2
+    power = power.reshape(*power.shape, *(1,) * (e.ndim - 3))
+    mean = (e[:, k] * power).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    e = e.copy()
+    e[:, k] -= mean
+    return e
+
+
+def residual(rig: Rig, o: Observation) -> Complex:
+    """Weighted residual of [u, i, y], all harmonics, (P, H, 3 n): unit variance when the twin is right."""
+    predicted = np.concatenate([control(rig, o), answer(rig, o)], axis=2)
+    w = weights(o)
+    return np.asarray(centred(measured(o) - predicted, w, o) * w)
