@@ -156,7 +156,7 @@ def recover(out_dir: Path) -> Experiment:
         raise JournalError(f"{out_dir / JOURNAL} was written by another version: {error}; resume with that") from error
     recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics)
     done: dict[str, list[Point]] = {}
-    with suppress(_EndOfJournal):
+    with suppress(_EndOfJournal, CampaignError):
         phases.run(recorder, limits, profile, header["raw_records"], Meter(None), done)
     attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
     return experiment(

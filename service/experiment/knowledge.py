@@ -64,6 +64,8 @@ class Knowledge:
     def __init__(self, noise: NoiseSpectra, n_axes: int) -> None:
         self.noise = noise
         self._axes = [_Axis() for _ in range(n_axes)]
+        self.slew_a_per_s = np.inf
+        """Rate of change at which a current was distorted; amplifiers of one rig are alike. Infinite if none was."""
 
     def knows(self, axis: int) -> bool:
         """Whether any response with that axis excited is known."""
@@ -126,12 +128,16 @@ class Knowledge:
         return self._axes[axis].caution
 
     def tripped(self, axis: int) -> None:
-        """A tone of that axis tripped: the next ones take a third less."""
-        self._axes[axis].caution *= 0.7
+        """A tone of that axis tripped: the next ones take a third less, down to a tenth."""
+        self._axes[axis].caution = max(0.1, 0.7 * self._axes[axis].caution)
 
     def held(self, axis: int) -> None:
         """A tone of that axis did not trip: the next ones take a little more again."""
         self._axes[axis].caution = min(1.0, 1.1 * self._axes[axis].caution)
+
+    def saturated(self, slew_a_per_s: float) -> None:
+        """A current was distorted when it had to change that fast, as a supply's voltage limit does."""
+        self.slew_a_per_s = min(self.slew_a_per_s, slew_a_per_s)
 
     def settle_s(self, axis: int, frequency_hz: float) -> float:
         """Settling time to start with: what the nearest points on either side needed, a little less; 0 without any."""

@@ -52,6 +52,12 @@ class NoiseSpectra:
         window = np.sinc((self.frequency_hz - frequency_hz) * seconds) ** 2
         return {s: 2 * step * (window @ d) for s, d in self.raw.items()}
 
+    def mean_variance(self, frequency_hz: float, seconds: float, blocks: int) -> dict[str, Real]:
+        """Variance of the mean of blocks, (n_axes,) each: noise averages out, a line beside the frequency may not."""
+        whole = self.block_variance(frequency_hz, seconds)
+        smooth = {s: 2 * d / seconds for s, d in self.at(frequency_hz).items()}
+        return {s: np.maximum(whole[s] - smooth[s], 0.0) + smooth[s] / blocks for s in whole}
+
     def joined(self, other: NoiseSpectra) -> NoiseSpectra:
         """The larger of both at every frequency."""
         density = {s: d.copy() for s, d in self.density.items()}

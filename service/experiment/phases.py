@@ -113,7 +113,7 @@ class Phases:
         self.knowledge = Knowledge(noise.from_blocks(f, values, block), self.limits.n_axes)
 
     def _tone_at_rest(self, request: Request) -> Point:
-        outcome = self.recorder.point("noise", request)
+        outcome = self.recorder.point("noise", request, keep_trip=False)
         if isinstance(outcome, Trip):
             raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
         self._report("noise", f"{outcome.frequency_hz:.4g} Hz at rest")
@@ -228,7 +228,8 @@ class Phases:
         """Measure one point until it is good or its tries are spent; what was wrong is written on it."""
         rate = self.limits.sample_rate_hz
         flags: list[str] = []
-        trips, best = 0, None
+        trips = 0
+        best: Point | None = None
         attempts: list[tuple[float, Agreement]] = []
         ceiling = math.inf
         tries = self.profile.tries
@@ -242,20 +243,19 @@ class Phases:
                 if best is not None:
                     break
                 if trips >= TRIPS:
-                    why = f"not measured: {outcome.cause} trip at every amplitude down to {request.amplitude_a:.2g} A"
-                    f = request.frequency_hz(rate)
-                    return unmeasured(
-                        request, f, self.limits.n_axes, len(self.recorder.harmonics), self.recorder.rig_seconds, why
-                    )
+                    return self._given_up(request, outcome)
                 request = request.with_amplitude(ceiling)
                 continue
             tries -= 1
-            best = outcome
+            before, best = best, outcome
             self.knowledge.held(request.axis)
             waited = request.settle_samples / rate
             self.knowledge.add(request.axis, outcome.frequency_hz, *outcome.per_ampere(), waited)
-            verdict = judge(outcome, self.knowledge, aim, self.limits)
+            verdict = judge(outcome, self.knowledge, aim, self.limits, before)
             a = min(verdict.better_amplitude_a, ceiling)
+            if verdict.saturated:
+                slew = 2 * math.pi * outcome.frequency_hz * abs(outcome.I[:, 1, request.axis].mean())
+                self.knowledge.saturated(float(slew))
             if verdict.saturated and tries > 1:
                 _mark(flags, "repeated at lower amplitude: the current was distorted")
                 request = request.with_amplitude(a)
@@ -265,6 +265,8 @@ class Phases:
                 _mark(flags, f"repeated at {'lower' if verdict.too_large else 'higher'} amplitude")
                 request = request.with_amplitude(a)
                 continue
+            if verdict.saturated:
+                _mark(flags, "the current is distorted")
             if verdict.agreement.settled:
                 break
             if attempts and stationary(attempts[-1][1], verdict.agreement):
@@ -272,9 +274,9 @@ class Phases:
                     _mark(flags, "scatters more than the noise at rest")
                 break
             attempts.append((waited, verdict.agreement))
-            before = attempts[-2] if len(attempts) > 1 else None
+            earlier = attempts[-2] if len(attempts) > 1 else None
             settle = plan.longest_settling(
-                request, self.limits, longer(waited, verdict.agreement, request.samples / rate, before)
+                request, self.limits, longer(waited, verdict.agreement, request.samples / rate, earlier)
             )
             if not tries or settle <= request.settle_samples:
                 _mark(flags, "not settled")
@@ -282,6 +284,19 @@ class Phases:
             request = replace(request, settle_samples=settle)
         assert best is not None
         return replace(best, flag="; ".join(flags))
+
+    def _given_up(self, request: Request, trip: Trip) -> Point:
+        """A point that trips at every amplitude: it stays in the sweep, unmeasured, if the rotor rests without it."""
+        rest = self.recorder.point("rest", replace(request, amplitude_a=0.0), keep_trip=False)
+        if isinstance(rest, Trip):
+            raise CampaignError(
+                f"the rig trips without excitation, the rotor did not come to rest again ({rest.message}); "
+                "see to the rig before it is excited again"
+            )
+        why = f"not measured: {trip.cause} trip at every amplitude down to {request.amplitude_a:.2g} A"
+        frequency = request.frequency_hz(self.limits.sample_rate_hz)
+        harmonics = len(self.recorder.harmonics)
+        return unmeasured(request, frequency, self.limits.n_axes, harmonics, self.recorder.rig_seconds, why)
 
     # ---- progress
 

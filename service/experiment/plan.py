@@ -241,13 +241,14 @@ def whole_periods(
     """Periods and samples of a block of about ``block_s`` whose frequency is periods * rate / samples.
 
     The block is the shortest, not shorter than ``block_s``, that comes within ``tolerance_hz``, or, where none up to
-    half as long again does, the one that comes nearest.
+    half as long again (and at least thirty periods more) does, the one that comes nearest. Without a tolerance it is
+    the shortest.
 
     >>> whole_periods(100.0, 0.05, 10_000.0)
     (5, 500)
     """
     first = max(1, math.ceil(frequency_hz * block_s - 1e-9))
-    last = max(first + 1, int(1.5 * first))
+    last = max(first + 30, int(1.5 * first))
     best, best_error = (first, 0), np.inf
     for periods in range(first, last + 1):
         samples = max(2, round(periods * sample_rate_hz / frequency_hz))
@@ -273,6 +274,7 @@ def largest_amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim:
         caution * aim.displacement_m / max(response.y, 1e-300),
         caution * aim.current_a / max(response.i, 1e-300),
         caution * math.sqrt(aim.cubic * limits.bias_current_a * limits.gap_m / max(response.i_times_y, 1e-300)),
+        0.5 * knowledge.slew_a_per_s / (2 * math.pi * frequency_hz * max(response.i_excited, 1e-300)),
         aim.current_a,
         limits.max_amplitude_a,
     )

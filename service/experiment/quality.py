@@ -17,10 +17,16 @@ Real = NDArray[np.float64]
 
 DISTORTION = 0.05
 """Share of harmonics in the current above which an amplifier is at its voltage or current limit."""
+COMPRESSION = 0.8
+"""A response per ampere that falls below that share when the amplitude is raised shows the same limit."""
 OVERSHOOT = 1.5
 """A response that far above its wanted largest value is repeated lower."""
 WEAKNESS = 2.0
 """A point is repeated higher when that times the amplitude was needed and allowed."""
+
+
+STEP_UP = 4.0
+"""An amplitude is raised that much at once: what holds at a small amplitude need not at a large one."""
 
 
 @dataclass(frozen=True)
@@ -63,25 +69,37 @@ def _group(signals: list[tuple[Complex, Real]], aim: Aim) -> Agreement:
 
 def distortion(point: Point, knowledge: Knowledge, sample_rate_hz: float) -> float:
     """Largest harmonic of the excited axis's current over its fundamental, less what the rig does at rest there."""
-    current = point.I[:, :, point.request.axis].mean(axis=0)
+    axis = point.request.axis
+    current = point.I[:, :, axis].mean(axis=0)
     if current[1] == 0:
         return 0.0
     seconds = point.request.samples / sample_rate_hz
     largest = 0.0
     for h in range(2, len(current)):
         if h * point.frequency_hz < sample_rate_hz / 2:
-            variance = knowledge.noise.block_variance(h * point.frequency_hz, seconds)["i"][point.request.axis]
+            variance = knowledge.noise.mean_variance(h * point.frequency_hz, seconds, point.request.blocks)["i"][axis]
             largest = max(largest, float(np.abs(current[h]) - 3 * np.sqrt(variance)))
     return largest / float(np.abs(current[1]))
 
 
-def judge(point: Point, knowledge: Knowledge, aim: Aim, limits: Limits) -> Judgement:
-    """What a point lacks, with the point itself already part of what is known."""
+def compressed(point: Point, before: Point | None) -> bool:
+    """Whether more excitation brought less than its share of current: the amplifier gives no more."""
+    if before is None or point.request.amplitude_a <= before.request.amplitude_a:
+        return False
+    axis = point.request.axis
+    return bool(abs(point.per_ampere()[1][axis]) < COMPRESSION * abs(before.per_ampere()[1][axis]))
+
+
+def judge(point: Point, knowledge: Knowledge, aim: Aim, limits: Limits, before: Point | None = None) -> Judgement:
+    """What a point lacks, with the point itself already part of what is known.
+
+    ``before`` is an earlier attempt at the same point, if there was one.
+    """
     axis, f, a = point.request.axis, point.frequency_hz, point.request.amplitude_a
     seconds = point.request.blocks * point.request.samples / limits.sample_rate_hz
     largest = largest_amplitude(knowledge, axis, f, aim, limits)
     wanted = min(largest, needed_amplitude(knowledge, axis, f, aim, seconds))
-    saturated = distortion(point, knowledge, limits.sample_rate_hz) > DISTORTION
+    saturated = distortion(point, knowledge, limits.sample_rate_hz) > DISTORTION or compressed(point, before)
     too_large = a > OVERSHOOT * largest
     too_small = WEAKNESS * a < wanted and not saturated
     return Judgement(
@@ -89,5 +107,5 @@ def judge(point: Point, knowledge: Knowledge, aim: Aim, limits: Limits) -> Judge
         saturated=saturated,
         too_large=too_large,
         too_small=too_small,
-        better_amplitude_a=min(wanted, largest) if too_large or too_small else a / 2,
+        better_amplitude_a=min(wanted, largest, STEP_UP * a) if too_large or too_small else a / 2,
     )

@@ -95,9 +95,13 @@ class Recorder:
         """Whether the next answer comes from the journal."""
         return bool(self._found)
 
-    def point(self, phase: str, request: Request) -> Point | Trip:
-        """One tone: a point, or the trip in which it ended."""
-        entry = self._entry(phase, request, None)
+    def point(self, phase: str, request: Request, keep_trip: bool = True) -> Point | Trip:
+        """One tone: a point, or the trip in which it ended.
+
+        A trip is kept in the journal, as part of what the rig answered, unless ``keep_trip`` is False: then a resumed
+        campaign asks again.
+        """
+        entry = self._entry(phase, request, None, keep_trip)
         if entry["outcome"] == "trip":
             return Trip(entry["cause"], entry["message"])
         return Point(
@@ -114,13 +118,13 @@ class Recorder:
 
     def reduced(self, phase: str, request: Request, reduction: Reduction) -> dict[str, Any] | Trip:
         """One tone with its records, of which only ``reduction(records)`` is kept."""
-        entry = self._entry(phase, request, reduction)
+        entry = self._entry(phase, request, reduction, request.amplitude_a > 0)
         if entry["outcome"] == "trip":
             return Trip(entry["cause"], entry["message"])
         result: dict[str, Any] = entry["reduced"]
         return result
 
-    def _entry(self, phase: str, request: Request, reduction: Reduction | None) -> Entry:
+    def _entry(self, phase: str, request: Request, reduction: Reduction | None, keep_trip: bool) -> Entry:
         asked = {"phase": phase, "request": asdict(request)}
         if self._found:
             entry = self._found.pop()
@@ -131,7 +135,8 @@ class Recorder:
                 )
         else:
             entry = asked | self._live(request, reduction)
-            self._append(entry)
+            if keep_trip or entry["outcome"] != "trip":
+                self._append(entry)
         self.rig_seconds = entry["time_s"]
         return entry
 

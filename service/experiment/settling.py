@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammainccinv
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -57,13 +57,15 @@ def agreement(blocks: Complex, variance: Real, negligible: Real) -> Agreement:
     halves = blocks[-half:].mean(axis=0) - blocks[:half].mean(axis=0)
     drift = float(np.sum(np.abs(halves) ** 2 / (allowed * 2 / half)))
     # 2 |X|^2 / variance of a complex Gaussian is chi-square with two degrees of freedom
-    settled = (
-        2 * total < chi2.isf(FALSE_ALARM / 2, 2 * (n_blocks - 1) * n)
-        and 2 * drift < chi2.isf(FALSE_ALARM / 2, 2 * n)
-    )  # fmt: skip
+    settled = 2 * total < _chi_square_limit(2 * (n_blocks - 1) * n) and 2 * drift < _chi_square_limit(2 * n)
     return Agreement(
         excess=float(np.sqrt(total / ((n_blocks - 1) * n))), drift=float(np.sqrt(drift / n)), settled=bool(settled)
     )
+
+
+def _chi_square_limit(freedom: int) -> float:
+    """What a chi-square variable exceeds by chance in half of `FALSE_ALARM`: two tests share it."""
+    return float(2 * gammainccinv(freedom / 2, FALSE_ALARM / 2))
 
 
 def stationary(before: Agreement, after: Agreement) -> bool:

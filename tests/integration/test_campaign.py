@@ -331,6 +331,39 @@ def test_a_point_that_trips_at_every_amplitude_stays_in_the_sweep(tmp_path):
     assert read(tmp_path / "experiment.h5").main.flags == main.flags
 
 
+def test_a_rig_that_does_not_come_to_rest_is_left_alone(tmp_path):
+    from drivers.errors import TripError
+
+    def fault(k):
+        if k > 60:
+            raise TripError("displacement", "displacement of axis xB reached 300 um, over the limit of 80 um")
+
+    rig = Faulty(fault)
+    with pytest.raises(CampaignError, match="did not come to rest"):
+        campaign(rig, tmp_path)
+    assert rig.n < 70
+    assert recover(tmp_path).main.n_points > 4
+    # someone has seen to the rig: the campaign goes on, and the point that tripped stays marked
+    experiment = campaign(Faulty(lambda k: None), tmp_path)
+    assert sum("not measured" in f for s in experiment.sweeps for f in s.flags) == 1
+
+
+def test_an_amplifier_at_its_voltage_limit_is_repeated_lower_and_marked(tmp_path):
+    rig = reference_rig()
+    limited = replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=np.full(4, 500.0)))
+    profile = replace(SMALL, accuracy=0.002, points=16, validation_points=2, amplifier_points=8)
+    experiment = campaign(limited, tmp_path, profile)
+    flags = [f for s in experiment.sweeps for f in s.flags]
+    assert any("current was distorted" in f for f in flags)
+    assert not any("trip" in f for f in flags)
+    # what the first distorted point showed holds for all that follow
+    assert sum("distorted" in f for f in flags) < 8
+    for sweep in (experiment.named("main"), experiment.named("amplifier")):
+        k = np.arange(sweep.n_points)
+        slew = 2 * np.pi * sweep.frequency_hz * np.abs(sweep.I[k, :, 1, sweep.axis]).mean(axis=1)
+        assert np.all(slew < 500)
+
+
 def test_a_noisy_rig_is_excited_harder_and_for_longer(whole, tmp_path):
     from sim.rig import Noise
 

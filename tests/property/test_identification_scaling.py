@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from service.identification.fit import identify
@@ -160,7 +160,13 @@ def rig_of(name: str, ki: tuple[float, float], ks: tuple[float, float]) -> tuple
 
 
 @pytest.mark.parametrize("name", sorted(ROTORS))
-@settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+@settings(
+    max_examples=2,
+    deadline=None,
+    derandomize=True,
+    phases=(Phase.explicit, Phase.generate),  # shrinking would take longer than it tells
+    suppress_health_check=[HealthCheck.too_slow],
+)
 @given(
     ki=st.tuples(st.floats(150, 220), st.floats(150, 220)),
     ks=st.tuples(st.floats(1.4e6, 2.0e6), st.floats(1.4e6, 2.0e6)),
@@ -190,7 +196,10 @@ def test_other_rotors_are_identified(name: str, ki: tuple[float, float], ks: tup
     rotor = [m for m in plane.modes if m.kind == "rotor"]
     assert len(rotor) == model.layout.n_modes
     for mode, w, zeta in zip(rotor, model.natural_frequencies, model.damping_ratios, strict=True):
-        assert mode.natural_frequency_rad_s.value == pytest.approx(w, rel=2e-3)
+        # the plant's pole is sharp; the free rotor's frequency hangs on how the shape splits, and says so
+        away = abs(mode.natural_frequency_rad_s.value - w)
+        assert away < max(2e-4 * w, 4 * mode.natural_frequency_rad_s.std)
+        assert away < 0.01 * w
         assert mode.damping_ratio.value == pytest.approx(zeta, rel=0.1)
 
 
