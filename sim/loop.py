@@ -1,113 +1,28 @@
 """The compiled time loop of a rig: nonlinear, sampled, all axes at once.
 
-Between two instants of the integration the linear part of the rig is advanced exactly, by its matrix
-exponential; what is nonlinear (the magnets' law beyond its linearisation, saturation, hysteresis, contact,
-the supply's voltage limit) enters as a correction that is integrated by the second-order exponential
-Runge-Kutta rule ETD2RK (Cox and Matthews, J. Comput. Phys. 176, 2002, eq. 22). So the integration error is
-only that of the small nonlinear part, and the control signal may change anywhere inside a step (delays).
+Between two instants of the integration the linear part of the rig is advanced exactly, by its matrix exponential
+(`sim.propagators`); what is nonlinear (the magnets' law beyond its linearisation, saturation, hysteresis, contact,
+the supply's voltage limit) enters as a correction that is integrated by the second-order exponential rule ETD2 (Cox
+and Matthews, J. Comput. Phys. 176, 2002, eq. 6). So the integration error is only that of the small nonlinear part,
+and the control signal may change anywhere inside a step (delays).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.linalg import expm
 
 from sim import actuator, control_law
 from sim.actuator import force_rotation
 from sim.errors import LevitationError
+from sim.propagators import propagators
 from sim.rig import Array, Rig
-from sim.state_space import StateSpace, state_space
+from sim.state_space import state_space
 
 _NONE = 1e30
 """Stands for an absent limit in the compiled loop, whose fast arithmetic has no infinities."""
-HISTORY = 8
-"""Samples of u that are kept for delays."""
-
-
-@dataclass(frozen=True)
-class _Propagators:
-    """One sample as a product and its corrections: next = first^T [z, past u, d_before, d_0] + sum later_s^T d_s.
-
-    ``next`` holds, for each integration step of the sample, what its correction and the sensors need of the state
-    there (flux, displacement at the bearings, and where they are used current rate and sensor output), then the
-    state at the end. So the linear work of a sample is one product, and each correction, once known, is added.
-    """
-
-    first: Array
-    """(1, rows, columns): rows z, u of `history` past samples, the correction before the sample, that at its
-    start; padded to multiples of 4 and 8 for the compiled loop."""
-    later: Array
-    """(substeps - 1, corrections, columns): corrections of the steps inside the sample, padded alike."""
-    history: int
-    n_z: int
-    n_seen: int
-    """Signals that are seen at each step."""
-    n_d: int
-    """Corrections of each step."""
-
-    @property
-    def z_at(self) -> int:
-        """Column of the first state."""
-        return self.n_seen * (len(self.later) + 1)
-
-
-def _propagators(rig: Rig, ss: StateSpace, seen: Array, substeps: int, slews: bool) -> _Propagators:
-    step = rig.controller.sample_time_s / substeps
-    n, n_z = rig.n_axes, len(ss.A)
-
-    def input_integrals(inputs: Array, t: float) -> tuple[Array, Array, Array]:
-        """exp(A t), integral of exp(A (t - s)) B ds, and the same with B growing linearly from 0 to 1."""
-        m = inputs.shape[1]
-        block = np.zeros((n_z + 2 * m, n_z + 2 * m))
-        block[:n_z, :n_z], block[:n_z, n_z : n_z + m] = ss.A * t, inputs * t
-        block[n_z : n_z + m, n_z + m :] = np.eye(m)
-        e = expm(block)
-        return e[:n_z, :n_z], e[:n_z, n_z : n_z + m], e[:n_z, n_z + m :]
-
-    free, constant, growing = input_integrals(
-        np.hstack([ss.force_input, ss.slew_input] if slews else [ss.force_input]), step
-    )
-    drive = np.zeros((substeps, HISTORY, n, n_z))
-    delays = rig.amplifiers.delay_s + rig.controller.computing_delay_s
-    for axis in range(n):
-        column = ss.drive[:, axis : axis + 1]
-        whole, rest = divmod(delays[axis] / rig.controller.sample_time_s + 1e-9, 1.0)
-        rest = rest if rest > 2e-9 else 0.0
-        if whole + 1 >= HISTORY:
-            raise LevitationError(f"rig {rig.name}: a loop delay of {delays[axis]:.2e} s cannot be levitated")
-        entire = input_integrals(column, step)[1][:, 0]
-        for k in range(substeps):
-            # The new value acts from `switch` on, within this step or before or after it.
-            switch = min(max(rest * substeps - k, 0.0), 1.0) * step
-            after = entire if switch == 0 else input_integrals(column, step - switch)[1][:, 0]
-            drive[k, int(whole), axis] += after
-            drive[k, int(whole) + 1, axis] += entire - after
-    history = int(np.flatnonzero(np.any(drive, axis=(0, 2, 3)))[-1]) + 1
-    n_u, n_d = history * n, constant.shape[1]
-    # z, and what is seen of it, as linear maps of [z, past u, d_before, d_0, d_1, ..]
-    size = n_z + n_u + (substeps + 1) * n_d
-    z, maps = np.eye(n_z, size), []
-    for k in range(substeps):
-        z = free @ z
-        z[:, n_z : n_z + n_u] += drive[k, :history].reshape(n_u, n_z).T
-        # ETD2 (Cox and Matthews 2002, eq. 6): the correction goes on with the slope of its last step.
-        before = n_z + n_u + k * n_d
-        z[:, before : before + n_d] -= growing
-        z[:, before + n_d : before + 2 * n_d] += constant + growing
-        maps.append(seen @ z)
-    weights = np.vstack([*maps, z]).T
-    columns = -(-weights.shape[1] // 8) * 8
-    known = n_z + n_u + 2 * n_d
-    first = np.zeros((1, -(-known // 4) * 4, columns))
-    first[0, :known, : weights.shape[1]] = weights[:known]
-    later = np.zeros((substeps - 1, -(-n_d // 4) * 4, columns))
-    later[:, :n_d, : weights.shape[1]] = weights[known:].reshape(substeps - 1, n_d, -1)
-    return _Propagators(first, later, history, n_z, len(seen), n_d)
-
 
 _compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
@@ -335,7 +250,7 @@ class Loop:
             or m.cross_coupling_symmetric
         )
         self._seen = self._seen_rows()
-        self._p = _propagators(rig, self._ss, self._seen, substeps, self._slews)
+        self._p = propagators(rig, self._ss, self._seen, substeps, self._slews)
         self._drift = np.array([d.ki_change, d.ks_change, d.duration_s / self._period_s] if d else [0.0, 0.0, 0.0])
         self.require_stability()
         self.levitate()

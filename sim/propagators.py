@@ -1,0 +1,103 @@
+"""The linear work of one controller sample as matrices: exact between the steps, delays included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from sim.errors import LevitationError
+from sim.rig import Array, Rig
+from sim.state_space import StateSpace
+
+HISTORY = 8
+"""Samples of u that are kept for delays."""
+
+
+@dataclass(frozen=True)
+class Propagators:
+    """One sample as a product and its corrections: next = first^T [z, past u, d_before, d_0] + sum later_s^T d_s.
+
+    ``next`` holds, for each integration step of the sample, what its correction and the sensors need of the state
+    there (flux, displacement at the bearings, and where they are used current rate and sensor output), then the
+    state at the end. So the linear work of a sample is one product, and each correction, once known, is added.
+    """
+
+    first: Array
+    """(1, rows, columns): rows z, u of `history` past samples, the correction before the sample, that at its
+    start; padded to multiples of 4 and 8 for the compiled loop."""
+    later: Array
+    """(substeps - 1, corrections, columns): corrections of the steps inside the sample, padded alike."""
+    history: int
+    n_z: int
+    n_seen: int
+    """Signals that are seen at each step."""
+    n_d: int
+    """Corrections of each step."""
+
+    @property
+    def z_at(self) -> int:
+        """Column of the first state."""
+        return self.n_seen * (len(self.later) + 1)
+
+
+def propagators(rig: Rig, ss: StateSpace, seen: Array, substeps: int, slews: bool) -> Propagators:
+    """The linear work of one sample, for a rig whose corrections see ``seen`` (rows per state) of each step.
+
+    Raises
+    ------
+    LevitationError
+        A delay longer than any loop stands.
+    """
+    step = rig.controller.sample_time_s / substeps
+    n, n_z = rig.n_axes, len(ss.A)
+
+    def input_integrals(inputs: Array, t: float) -> tuple[Array, Array, Array]:
+        """exp(A t), integral of exp(A (t - s)) B ds, and the same with B growing linearly from 0 to 1."""
+        m = inputs.shape[1]
+        block = np.zeros((n_z + 2 * m, n_z + 2 * m))
+        block[:n_z, :n_z], block[:n_z, n_z : n_z + m] = ss.A * t, inputs * t
+        block[n_z : n_z + m, n_z + m :] = np.eye(m)
+        e = expm(block)
+        return e[:n_z, :n_z], e[:n_z, n_z : n_z + m], e[:n_z, n_z + m :]
+
+    free, constant, growing = input_integrals(
+        np.hstack([ss.force_input, ss.slew_input] if slews else [ss.force_input]), step
+    )
+    drive = np.zeros((substeps, HISTORY, n, n_z))
+    delays = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    for axis in range(n):
+        column = ss.drive[:, axis : axis + 1]
+        whole, rest = divmod(delays[axis] / rig.controller.sample_time_s + 1e-9, 1.0)
+        rest = rest if rest > 2e-9 else 0.0
+        if whole + 1 >= HISTORY:
+            raise LevitationError(f"rig {rig.name}: a loop delay of {delays[axis]:.2e} s cannot be levitated")
+        entire = input_integrals(column, step)[1][:, 0]
+        for k in range(substeps):
+            # The new value acts from `switch` on, within this step or before or after it.
+            switch = min(max(rest * substeps - k, 0.0), 1.0) * step
+            after = entire if switch == 0 else input_integrals(column, step - switch)[1][:, 0]
+            drive[k, int(whole), axis] += after
+            drive[k, int(whole) + 1, axis] += entire - after
+    history = int(np.flatnonzero(np.any(drive, axis=(0, 2, 3)))[-1]) + 1
+    n_u, n_d = history * n, constant.shape[1]
+    # z, and what is seen of it, as linear maps of [z, past u, d_before, d_0, d_1, ..]
+    size = n_z + n_u + (substeps + 1) * n_d
+    z, maps = np.eye(n_z, size), []
+    for k in range(substeps):
+        z = free @ z
+        z[:, n_z : n_z + n_u] += drive[k, :history].reshape(n_u, n_z).T
+        # ETD2 (Cox and Matthews 2002, eq. 6): the correction goes on with the slope of its last step.
+        before = n_z + n_u + k * n_d
+        z[:, before : before + n_d] -= growing
+        z[:, before + n_d : before + 2 * n_d] += constant + growing
+        maps.append(seen @ z)
+    weights = np.vstack([*maps, z]).T
+    columns = -(-weights.shape[1] // 8) * 8
+    known = n_z + n_u + 2 * n_d
+    first = np.zeros((1, -(-known // 4) * 4, columns))
+    first[0, :known, : weights.shape[1]] = weights[:known]
+    later = np.zeros((substeps - 1, -(-n_d // 4) * 4, columns))
+    later[:, :n_d, : weights.shape[1]] = weights[known:].reshape(substeps - 1, n_d, weights.shape[1])
+    return Propagators(first, later, history, n_z, len(seen), n_d)
