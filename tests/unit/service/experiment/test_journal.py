@@ -66,6 +66,18 @@ def test_a_changed_byte_ends_what_is_believed(path):
     same(read(path)[1], 1)
 
 
+def test_nothing_after_a_damaged_line_comes_back(path):
+    filled(path, 4)
+    content = bytearray(path.read_bytes())
+    second = content.index(b"\n", content.index(b"\n") + 1) + 30
+    content[second] ^= 1
+    path.write_bytes(content)
+    journal = Journal(path, HEADER)
+    journal.append(entry(1))  # as long as the damaged one: what followed would fit on behind it
+    journal.close()
+    same(read(path)[1], 2)
+
+
 def test_another_campaign_is_refused_and_left_alone(path):
     filled(path)
     before = path.read_bytes()

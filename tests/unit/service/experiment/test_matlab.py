@@ -130,6 +130,12 @@ def test_version_73(tmp_path, fields, demodulated, form):
         assert experiment.sweeps[1].comment == ""
 
 
+def test_version_73_with_as_many_points_as_axes(tmp_path, fields, demodulated):
+    four = {k: v if k == "harmonics" else np.concatenate([v, v[:1]]) for k, v in demodulated.items()}
+    write_matlab_73(tmp_path / "e.mat", TOP | OWN | four)
+    same(read(tmp_path / "e.mat").main, four)
+
+
 def test_version_73_records(tmp_path, recorded):
     write_matlab_73(tmp_path / "e.mat", TOP | OWN | recorded)
     sweep = read(tmp_path / "e.mat").main
