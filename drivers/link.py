@@ -38,8 +38,14 @@ class Link(Protocol):
     def raw_record(self, result: int, size: int) -> bytes:
         """Raw record of a result, not checked."""
 
-    def wait_for_change(self, seconds: float) -> None:
-        """Wait until the device says that something happened, or the time is over."""
+    def wait_for_change(self, seconds: float) -> int | None:
+        """Wait until the device says that something happened, or the time is over.
+
+        Returns
+        -------
+        The number of a command that the device says was carried out; None where it said nothing, or that it failed.
+        A hint: the result's header is the proof.
+        """
 
     def close(self) -> None:
         """Give up the connection; safe twice."""

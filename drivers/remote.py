@@ -203,6 +203,9 @@ class RemoteController:
                 # again and again until it is seen to work: the first may have been lost
                 self._send_stop(self._token)
                 stop_again = time.monotonic() + 0.1
+            if self._link.wait_for_change(pause) == command:
+                return
+            pause = min(2 * pause, POLL_S)
             values = self._status()
             if values["command"] == command and values["outcome"] != Outcome.UNDER_WAY:
                 self._judge(Outcome(int(_number(values["outcome"]))), values)
@@ -216,8 +219,6 @@ class RemoteController:
                     raise CancelledError("stopped before the tone began")
                 # the answer to the command belonged to another one: say it again, under its number
                 self._start(tone, command)
-            self._link.wait_for_change(pause)
-            pause = min(2 * pause, POLL_S)
 
     def _judge(self, outcome: Outcome, values: Values) -> None:
         if outcome == Outcome.STOPPED:

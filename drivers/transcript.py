@@ -73,8 +73,11 @@ class _RecordingLink:
         raw: bytes = self._kept({"raw": size, "result": result}, lambda: self._link.raw_record(result, size))
         return raw
 
-    def wait_for_change(self, seconds: float) -> None:
-        self._link.wait_for_change(seconds)
+    def wait_for_change(self, seconds: float) -> int | None:
+        hint = self._link.wait_for_change(seconds)
+        if hint is not None:
+            self._transcript._note({"done": hint})
+        return hint
 
     def close(self) -> None:
         self._link.close()
@@ -158,8 +161,12 @@ class _ReplayLink:
     def raw_record(self, result: int, size: int) -> bytes:
         return base64.b64decode(self._answer("raw", size)["base64"])
 
-    def wait_for_change(self, seconds: float) -> None:
-        pass
+    def wait_for_change(self, seconds: float) -> int | None:
+        if self._next < len(self._lines) and "done" in self._lines[self._next]:
+            done = int(self._lines[self._next]["done"])
+            self._next += 1
+            return self._commands.get(done, done)
+        return None
 
     def close(self) -> None:
         pass
@@ -202,8 +209,8 @@ class _SilentLink:
     def raw_record(self, result: int, size: int) -> bytes:
         raise ControllerError("a replay answers on its measuring connection only")
 
-    def wait_for_change(self, seconds: float) -> None:
-        pass
+    def wait_for_change(self, seconds: float) -> int | None:
+        return None
 
     def close(self) -> None:
         pass

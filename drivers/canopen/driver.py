@@ -25,6 +25,8 @@ T = TypeVar("T")
 SDO_TIMEOUT_S = 0.3
 PROGRESS_TIMEOUT_S = 0.3
 """After this long without a progress frame the status is read: the frame may have been lost."""
+BLOCK_BYTES = 56
+"""From this size on a block upload needs fewer frames than a segmented one."""
 STOP_COPIES = 3
 """A stop has no answer; it may be said more than once."""
 _REFUSALS = {refusal.canopen: refusal for refusal in Refusal}
@@ -109,7 +111,10 @@ class _SdoLink:
 
     def read(self, group: str) -> dict[str, Value]:
         of = BY_NAME[group]
-        return unpack(of, self._transfer(lambda sdo: bytes(sdo.upload(WHOLE_INDEX + of.index, 0))), self.order)
+        index = WHOLE_INDEX + of.index
+        if of.size >= BLOCK_BYTES:
+            return unpack(of, self._block(index, of.size), self.order)
+        return unpack(of, self._transfer(lambda sdo: bytes(sdo.upload(index, 0))), self.order)
 
     def write(self, group: str, values: Values) -> None:
         of = BY_NAME[group]
@@ -124,9 +129,12 @@ class _SdoLink:
     def raw_record(self, result: int, size: int) -> bytes:
         return self._block(RAW_INDEX, size)
 
-    def wait_for_change(self, seconds: float) -> None:
-        self._links.changed.wait(max(seconds, PROGRESS_TIMEOUT_S))
+    def wait_for_change(self, seconds: float) -> int | None:
+        if not self._links.changed.wait(max(seconds, PROGRESS_TIMEOUT_S)):
+            return None
         self._links.changed.clear()
+        progress = self._links.progress
+        return progress.command if progress is not None and progress.outcome == Outcome.DONE else None
 
     def close(self) -> None:
         self._links.close()
@@ -196,8 +204,9 @@ class _PdoLink:
     def raw_record(self, result: int, size: int) -> bytes:
         raise BusError("process data cannot be asked for")
 
-    def wait_for_change(self, seconds: float) -> None:
+    def wait_for_change(self, seconds: float) -> int | None:
         self._links.changed.wait(seconds)
+        return None
 
     def close(self) -> None:
         """The interface belongs to the measuring connection."""

@@ -101,9 +101,10 @@ class ModbusLink:
             parts.append(self._data(self._map.raw_address, min(left, 2 * SEGMENT_REGISTERS)))
         return b"".join(parts)
 
-    def wait_for_change(self, seconds: float) -> None:
+    def wait_for_change(self, seconds: float) -> int | None:
         """Modbus devices never speak first: sleep."""
         time.sleep(seconds)
+        return None
 
     def close(self) -> None:
         """Close the connection; the next call opens it again."""
