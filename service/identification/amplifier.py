@@ -6,6 +6,7 @@ Order 1 is gain w/(s + w), order 2 gain w^2/(s^2 + 2 zeta w s + w^2), order 3 th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +75,14 @@ def base_band(omega: Real, parameters: Real, delay_s: float, sample_time_s: floa
     Returns
     -------
     response, gradient
-        (P,) and (P, n + 2): to the parameters in order, then to the delay.
+        (P,) and (P, n + 2): to the parameters in order, then to the delay. Read-only: asked for again, the same arrays.
     """
+    return _base_band(_bytes(omega), _bytes(parameters), delay_s, sample_time_s)
+
+
+@lru_cache(maxsize=64)
+def _base_band(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
+    omega, parameters = np.frombuffer(omega_), np.frombuffer(parameters_)
     s = 1j * omega
     poles, d_poles = poles_of(parameters)
     away = s[:, None] - poles
@@ -85,7 +92,7 @@ def base_band(omega: Real, parameters: Real, delay_s: float, sample_time_s: floa
     gradient[:, 0] = response / parameters[0]
     gradient[:, 1:-1] = response[:, None] * relative
     gradient[:, -1] = -s * response
-    return response, gradient
+    return _frozen(response, gradient)
 
 
 def sampled(omega: Real, parameters: Real, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
@@ -96,6 +103,12 @@ def sampled(omega: Real, parameters: Real, delay_s: float, sample_time_s: float)
     response, gradient
         As `base_band`.
     """
+    return _sampled(_bytes(omega), _bytes(parameters), delay_s, sample_time_s)
+
+
+@lru_cache(maxsize=64)
+def _sampled(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
+    omega, parameters = np.frombuffer(omega_), np.frombuffer(parameters_)
     poles, d_poles = poles_of(parameters)
     n = len(poles)
     apart = poles[:, None] - poles + np.eye(n)
@@ -117,4 +130,14 @@ def sampled(omega: Real, parameters: Real, delay_s: float, sample_time_s: float)
     gradient[:, 0] = response / parameters[0]
     gradient[:, 1:-1] = d_pole @ d_poles
     gradient[:, -1] = d_delay
+    return _frozen(response, gradient)
+
+
+def _bytes(values: Real) -> bytes:
+    return np.ascontiguousarray(values, dtype=np.float64).tobytes()
+
+
+def _frozen(response: Complex, gradient: Complex) -> tuple[Complex, Complex]:
+    response.flags.writeable = False
+    gradient.flags.writeable = False
     return response, gradient

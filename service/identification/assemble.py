@@ -65,6 +65,12 @@ def assemble(
     peaks = axis_margins(model, controller, u.covariance, u.free, _measured_sensitivity(points))
     total = float(np.sqrt(np.mean(rms**2)))
     warnings = list(points.left_out)
+    drifting = points.omega[refined.noise.drifting] / (2 * np.pi)
+    if len(drifting):
+        warnings.append(
+            f"{len(drifting)} points had not settled and count little: their blocks drift, "
+            f"{', '.join(f'{f:.4g}' for f in np.unique(drifting)[:6])} Hz; settle longer there"
+        )
     if not u.adequate:
         warnings.insert(
             0,

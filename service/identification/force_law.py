@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-SAMPLES = 24
-"""Samples of one period: exact for products of up to 22 sinusoids."""
+SAMPLES = 16
+"""Samples of one period: exact for products of up to 14 sinusoids."""
 
 _ANGLE = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
 _WAVE = np.exp(1j * _ANGLE)

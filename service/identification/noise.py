@@ -12,12 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.signal import oaconvolve
 from scipy.special import digamma, polygamma
 
 from service.identification.zoh import Complex, Real
 
 NEIGHBOURS = 12
+DRIFT = 3.0
+"""Variance of the mean of drifting blocks, in units of one block's: what is left of the transient is no noise."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class NoiseModel:
     """(P, c, c) Hermitian, E[e e^H] of the mean."""
     prior_blocks: float
     """How many blocks' worth of weight the neighbours have; inf when all points are alike."""
+    drifting: NDArray[np.bool_]
+    """(P,) points at which the blocks still change steadily: a transient was not over."""
 
     @property
     def sigma(self) -> Real:
@@ -69,6 +74,8 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True, magnitu
     ratio, prior = _drawn_together(own / pooled, order, dof)
     own, variance = own * trend, ratio * pooled * trend
     variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
+    drifting = _drifting(spread, own / trend, order)
+    variance = np.where(drifting, np.maximum(variance, own) * blocks * DRIFT, variance)
     covariance = np.zeros((n, channels, channels), dtype=complex)
     if correlated and channels > 1:
         unit = spread / np.sqrt(own)[:, None, :]
@@ -90,7 +97,8 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True, magnitu
         covariance = correlation * root[:, :, None] * root[:, None, :]
     else:
         covariance[:, np.arange(channels), np.arange(channels)] = variance
-    return NoiseModel(covariance / blocks, float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf"))
+    alike = float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf")
+    return NoiseModel(covariance / blocks, alike, np.any(drifting, axis=1))
 
 
 def _trend(own: Real, magnitude: Real, dof: int, rounds: int = 30) -> Real:
@@ -139,6 +147,18 @@ def _mean_factor(unit: Complex, order: NDArray[np.int64]) -> Real:
     rho = np.clip(rho * np.clip(1.0 - 2.0 * chance / np.maximum(rho**2, 1e-12), 0.0, 1.0), -0.5, 0.9)
     level = (blocks - 1) / (blocks - 1 - 2 * (1 - 1 / blocks) * rho)  # gamma0 per demeaned variance
     return np.asarray(level * (1 + 2 * (1 - 1 / blocks) * rho))
+
+
+def _drifting(spread: Complex, own: Real, order: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Points whose blocks scatter far more than their neighbours' and follow one another smoothly, (P, c)."""
+    n, blocks, _ = spread.shape
+    if blocks < 4 or n < 2 * NEIGHBOURS:
+        return np.zeros(own.shape, dtype=bool)
+    usual = np.empty_like(own)
+    usual[order] = median_filter(own[order], size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
+    power = np.sum(np.abs(spread) ** 2, axis=1)
+    along = np.sum((spread[:, 1:] * spread[:, :-1].conj()).real, axis=1) / np.maximum(power, 1e-300)
+    return np.asarray((own > 8 * usual) & (along > 0.3))
 
 
 def _drawn_together(ratio: Real, order: NDArray[np.int64], dof: int) -> tuple[Real, float]:

@@ -16,6 +16,7 @@ from service.identification.split import Knowledge, Posterior, Split, held_at_st
 from service.identification.zoh import Real
 
 MAX_MODES = 6
+SPLIT_ROUNDS = 4
 ADEQUATE = 1.5
 """Residual over noise below which a model counts as agreeing with the data while modes are counted."""
 
@@ -147,23 +148,28 @@ def _held(model: PlaneModel, data: Data, knowledge: Knowledge, relative: float) 
 
 def _finished(refined: Refined, data: Data, knowledge: Knowledge) -> tuple[Refined, Posterior | None]:
     """Joint fit with the splits at the mean of what is known of them, and that knowledge."""
-    if refined.model.layout.n_modes == 0:
-        return refined, None
     n_modes = refined.model.layout.n_modes
-    rows = len(refined.fit.residual) - n_modes
-    right = refined.relative == 0
-    known = posterior(
-        refined.model, refined.fit.residual[:rows], refined.fit.jacobian[:rows], refined.fit.free, knowledge, right
-    )
-    again = refine(
-        with_split(refined.model, known.log_ratios),
-        data,
-        _free(refined.model, data),
-        relative=refined.relative,
-        split=Split(known.log_ratios),
-        weights=refined.weights,
-    )
-    return replace(again, noise=refined.noise, relative=refined.relative), known
+    if n_modes == 0:
+        return refined, None
+    now, ratios = refined, log_ratios(refined.model)
+    known = Posterior(ratios, np.eye(n_modes))
+    for _ in range(SPLIT_ROUNDS):
+        # what the data say of a split is linear near the fit only, so it is read where the fit is held
+        r, jacobian = now.fit.residual[:-n_modes], now.fit.jacobian[:-n_modes]
+        known = posterior(now.model, r, jacobian, now.fit.free, knowledge, use_data=refined.relative == 0)
+        moved = float(np.max(np.abs(known.log_ratios - ratios)))
+        ratios = known.log_ratios
+        now = refine(
+            with_split(now.model, ratios),
+            data,
+            _free(refined.model, data),
+            relative=refined.relative,
+            split=Split(ratios),
+            weights=refined.weights,
+        )
+        if moved < 0.03:
+            break
+    return replace(now, noise=refined.noise, relative=refined.relative), known
 
 
 def with_split(model: PlaneModel, ratios: Real) -> PlaneModel:
@@ -190,8 +196,12 @@ def _joint(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
     free = _free(model, data)
     split = held_at_start(model, knowledge)
     model = with_split(model, split.log_ratios)
-    rough = refine(model, data, free, relative=0.03, nonlinear=False, split=split, max_iterations=40)
-    better = refine(rough.model, data, free, relative=0.003, nonlinear=True, split=split)
+    # step 3 has the amplifiers: they wait until the rest has found its place
+    plant = free.copy()
+    for place in model.layout.amplifiers:
+        plant[place] = False
+    rough = refine(model, data, plant, relative=0.03, nonlinear=False, split=split, max_iterations=40)
+    better = refine(rough.model, data, plant, relative=0.003, nonlinear=True, split=split)
     return refine(better.model, data, free, split=split)
 
 
@@ -219,9 +229,9 @@ def _with_one_more(
 
 
 def _again(model: PlaneModel, data: Data, weights: Weights, knowledge: Knowledge) -> Refined:
-    split = held_at_start(model, knowledge)
-    model = with_split(model, split.log_ratios)
-    return refine(model, data, _free(model, data), split=split, weights=weights, max_iterations=25)
+    return refine(
+        model, data, _free(model, data), split=held_at_start(model, knowledge), weights=weights, max_iterations=25
+    )
 
 
 def _data_cost(refined: Refined, data: Data) -> float:

@@ -24,10 +24,14 @@ from service.identification.zoh import Real
 
 HELD = 1e-3
 """Standard deviation of a held split's logarithm: nothing beside what is not known of it."""
+LOOSE = 0.7
+"""The same while modes are searched for: the data may move what they see of a split."""
 TAILS = 3.0
 """Degrees of freedom of the Student prior."""
 UNLIKELY_FALL = 0.5
 """Of the scale, for a change that goes against the growth towards the shaft's end."""
+CENTRES, DRAWS = 150, 3000
+"""Of the importance sampling."""
 REACH = 3.0
 """The logarithm of a lies within this of the even split."""
 
@@ -59,10 +63,11 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class Split:
-    """Held splits: ln(|phi_s|/|phi_b|) of each mode."""
+    """Splits as a fit takes them: ln(|phi_s|/|phi_b|) of each mode, and how firmly they are held."""
 
     log_ratios: Real
     """(n,)"""
+    std: float = HELD
 
 
 def log_ratios(model: PlaneModel) -> Real:
@@ -75,18 +80,18 @@ def log_ratios(model: PlaneModel) -> Real:
 def held_at_start(model: PlaneModel, knowledge: Knowledge) -> Split:
     """Splits to begin with: the datasheet's, or even ones."""
     known = knowledge.of_modes(model)
-    return Split(np.where(np.isnan(known), 0.0, known))
+    return Split(np.where(np.isnan(known), 0.0, known), LOOSE)
 
 
 def split_rows(model: PlaneModel, split: Split) -> tuple[Real, Real]:
     """Residuals that hold the splits, one per mode, and their Jacobian."""
-    rows = (log_ratios(model) - split.log_ratios) / HELD
+    rows = (log_ratios(model) - split.log_ratios) / split.std
     jacobian = np.zeros((len(rows), model.layout.size))
     for k, mode in enumerate(model.modes):
         at = model.layout.mode(k).start
         bearing, sensor = mode[2:4], mode[4:6]
-        jacobian[k, at + 2 : at + 4] = -bearing / max(float(bearing @ bearing), 1e-24) / HELD
-        jacobian[k, at + 4 : at + 6] = sensor / max(float(sensor @ sensor), 1e-24) / HELD
+        jacobian[k, at + 2 : at + 4] = -bearing / max(float(bearing @ bearing), 1e-24) / split.std
+        jacobian[k, at + 4 : at + 6] = sensor / max(float(sensor @ sensor), 1e-24) / split.std
     return rows, jacobian
 
 
@@ -136,11 +141,11 @@ def posterior(
     for shrink in (0.3, 0.15, 0.15):
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
-        chosen = points[rng.choice(len(points), size=300, p=weight)]
+        chosen = points[rng.choice(len(points), size=CENTRES, p=weight)]
         spread = np.cov(points.T, aweights=weight).reshape(n, n) + 1e-8 * np.eye(n)
         kernel = shrink**2 * spread
         root = np.linalg.cholesky(kernel)
-        points = chosen[rng.integers(300, size=4000)] + rng.normal(size=(4000, n)) @ root.T
+        points = chosen[rng.integers(CENTRES, size=DRAWS)] + rng.normal(size=(DRAWS, n)) @ root.T
         proposal = _mixture(points, chosen, kernel)
         log_weight = log_density(points) - proposal
     weight = np.exp(log_weight - log_weight.max())

@@ -13,7 +13,7 @@ from service.identification.fit import Options, identify
 from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
 from service.identification.synthetic import synthetic_experiment, synthetic_sweep
-from sim.datasheet import Datasheet
+from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.errors import AmbError
 
 
@@ -229,9 +229,26 @@ def test_ignoring_the_force_law_would_bias_the_stiffness(
     assert np.max(np.abs(linear.ks / linear.ki / truth_ratio - 1)) > 1e-3
 
 
-def test_the_shape_prior_can_be_turned_off(
+def test_without_knowledge_of_the_splits_one_combination_is_blind_and_says_so(
     experiment: Experiment, datasheet: Datasheet, result: CommissioningResult
 ) -> None:
-    free = identify(experiment, datasheet, Options(shape_prior=False)).planes["x"]
-    # without it one combination of the shapes' split is blind, and says so
-    assert free.modes[0].natural_frequency_rad_s.std > 10 * result.planes["x"].modes[0].natural_frequency_rad_s.std
+    free = identify(experiment, datasheet, Options(closeness=False)).planes["x"].modes[0].natural_frequency_rad_s
+    with_closeness = result.planes["x"].modes[0].natural_frequency_rad_s
+    assert free.std > 1.5 * with_closeness.std
+    # the plant's own pole does not hang on it
+    assert result.planes["x"].modes[0].levitated_frequency_rad_s.std < 0.1 * with_closeness.std
+
+
+def test_a_rotor_model_in_the_datasheet_tells_how_shapes_split(
+    experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel], result: CommissioningResult
+) -> None:
+    model = truth["x"]
+    modes = tuple(
+        Mode(w / (2 * np.pi) * 1.01, 0.002, tuple(m[2:4] * 1.3), tuple(m[4:6] * 1.3))
+        for m, w in zip(model.modes, model.natural_frequencies, strict=True)
+    )
+    plane = identify(experiment, replace(datasheet, modes=modes, tolerance=Tolerance(mode_shape=0.02))).planes["x"]
+    for mode, before, w in zip(plane.modes, result.planes["x"].modes, model.natural_frequencies, strict=True):
+        found = mode.natural_frequency_rad_s
+        assert found.std < before.natural_frequency_rad_s.std
+        assert abs(found.value - w) < 3 * found.std < 2e-4 * w

@@ -14,7 +14,7 @@ from service.identification.combine import (
 )
 from service.identification.force_law import excess_force
 from service.identification.plane_model import Amplitude, Known, Layout, PlaneModel, Points
-from service.identification.refine import ShapePrior, amplitude_of, shape_rows
+from service.identification.refine import amplitude_of
 from sim.reference import reference_rig
 from sim.twin import linear_model
 
@@ -127,17 +127,3 @@ def test_excess_force_vanishes_with_the_amplitude(truth: dict[str, PlaneModel]) 
         points = Points(OMEGA, size * U)
         linear, full = model.predict(points).y, model.predict(points, amplitude_of(model, points)).y
         assert np.max(np.abs(full - linear)) < 30 * size**2 * np.max(np.abs(linear))
-
-
-def test_shape_prior_prefers_a_bearing_and_its_sensor_alike_and_forgives_one(model: PlaneModel) -> None:
-    prior = ShapePrior(0.08)
-    rows, jacobian = shape_rows(model, prior)
-    for k in range(model.layout.size):
-        step = np.zeros_like(model.theta)
-        step[k] = 1e-7 * max(abs(model.theta[k]), 1e-9)
-        slope = (
-            shape_rows(model.at(model.theta + step), prior)[0] - shape_rows(model.at(model.theta - step), prior)[0]
-        ) / (2 * step[k])
-        assert np.allclose(jacobian[:, k], slope, rtol=1e-4, atol=1e-5 * (1 + np.abs(jacobian[:, k]).max()))
-    assert abs(rows[0]) < 0.3  # bearing A and sensor A agree
-    assert 2.0 < abs(rows[1]) < 4.0  # B does not: heavy tails keep it from ruling
