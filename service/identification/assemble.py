@@ -67,10 +67,9 @@ def assemble(
     warnings = list(points.left_out)
     drifting = points.omega[refined.noise.drifting] / (2 * np.pi)
     if len(drifting):
-        warnings.append(
-            f"{len(drifting)} points had not settled and count little: their blocks drift, "
-            f"{', '.join(f'{f:.4g}' for f in np.unique(drifting)[:6])} Hz; settle longer there"
-        )
+        many = "1 point" if len(drifting) == 1 else f"{len(drifting)} points"
+        where = ", ".join(f"{f:.4g}" for f in np.unique(drifting)[:6])
+        warnings.append(f"{many} had not settled, or were marked, and count little ({where} Hz); settle longer there")
     if not u.adequate:
         warnings.insert(
             0,

@@ -44,7 +44,13 @@ class NoiseModel:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
 
-def block_noise(residual: Complex, omega: Real, correlated: bool = True, magnitude: Real | None = None) -> NoiseModel:
+def block_noise(
+    residual: Complex,
+    omega: Real,
+    correlated: bool = True,
+    magnitude: Real | None = None,
+    suspect: NDArray[np.bool_] | None = None,
+) -> NoiseModel:
     """Noise of the mean residual from its blocks.
 
     Parameters
@@ -58,6 +64,8 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True, magnitu
     magnitude
         (P, c) size of the signals as a model has them, for noise that grows with them (timing, gain, quantised
         phase): the variance follows a + b magnitude^2 before neighbours are compared.
+    suspect
+        (P,) points that are taken for drifting whatever their blocks say.
     """
     n, blocks, channels = residual.shape
     dof = blocks - 1
@@ -75,6 +83,8 @@ def block_noise(residual: Complex, omega: Real, correlated: bool = True, magnitu
     own, variance = own * trend, ratio * pooled * trend
     variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
     drifting = _drifting(spread, own / trend, order)
+    if suspect is not None:
+        drifting = drifting | suspect[:, None]
     variance = np.where(drifting, np.maximum(variance, own) * blocks * DRIFT, variance)
     covariance = np.zeros((n, channels, channels), dtype=complex)
     if correlated and channels > 1:

@@ -12,8 +12,10 @@ from service.experiment.data import Sweep
 from service.identification.zoh import Complex, Real
 from sim.errors import AmbError
 
-UNUSABLE = ("trip", "not settled", "unsettled", "excluded", "aborted")
+UNUSABLE = ("tripped", "excluded", "aborted", "lost")
 """A point whose flag has one of these words is left out of every fit."""
+SUSPECT = ("not settled", "unsettled", "is distorted")
+"""A point whose flag has one of these counts little: its mean is off by more than its noise."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class PlanePoints:
     """(P,) place in the sweep."""
     left_out: tuple[str, ...]
     """Why points were not used, one line each."""
+    suspect: NDArray[np.bool_]
+    """(P,) points that count little, by their flag."""
 
     @property
     def n_blocks(self) -> int:
@@ -74,6 +78,7 @@ class PlanePoints:
             self.Y[keep],
             self.index[keep],
             self.left_out,
+            self.suspect[keep],
         )
 
 
@@ -131,6 +136,7 @@ def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints
         y,
         keep,
         tuple(left_out),
+        np.array([any(word in flags[p].lower() for word in SUSPECT) for p in keep], dtype=bool),
     )
 
 

@@ -142,7 +142,8 @@ def test_points_that_cannot_be_used_are_left_out_and_listed(experiment: Experime
     y[3, 2, 0, 0] = np.nan
     size[5] = 0.0
     flags = [""] * main.n_points
-    flags[7], flags[9] = "tripped: displacement", "repeated at lower amplitude"
+    flags[7], flags[9] = "tripped: displacement", "repeated at lower amplitude after a displacement trip"
+    flags[11] = "not settled"
     spoiled = replace(main, Y=y, amplitude_a=size, flags=tuple(flags))
     result = identify(replace(experiment, sweeps=(spoiled, *experiment.sweeps[1:])), datasheet)
     notes = " ".join(result.planes["x"].warnings)
@@ -150,6 +151,7 @@ def test_points_that_cannot_be_used_are_left_out_and_listed(experiment: Experime
     assert "amplitude 0" in notes
     assert "tripped" in notes
     assert "lower amplitude" not in notes
+    assert "1 point had not settled" in notes
     assert result.planes["x"].stiffness["kiA"].value == pytest.approx(181, rel=5e-4)
 
 

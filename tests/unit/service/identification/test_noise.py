@@ -60,3 +60,22 @@ def test_correlated_channels_are_whitened() -> None:
 
 def test_two_blocks_are_enough_to_go_on() -> None:
     assert np.all(np.isfinite(block_noise(blocks(np.ones((len(OMEGA), 4)), 2), OMEGA).sigma))
+
+
+def test_blocks_that_still_drift_count_little_and_are_named() -> None:
+    e = blocks(np.ones((len(OMEGA), 2)))
+    usual = block_noise(e, OMEGA).sigma[40]
+    e[40] += 20 * np.exp(1j * np.linspace(0, 1.5, 6))[:, None]
+    model = block_noise(e, OMEGA)
+    assert model.drifting[40]
+    assert np.sum(model.drifting) == 1
+    assert np.all(model.sigma[40] > 10 * usual)
+    flagged = block_noise(e, OMEGA, suspect=np.arange(len(OMEGA)) == 7)
+    assert flagged.drifting[[7, 40]].all()
+    assert flagged.sigma[7, 0] > 3 * model.sigma[7, 0]
+
+
+def test_noise_that_grows_with_the_signal_is_followed() -> None:
+    size = np.exp(2 * RNG.normal(size=(len(OMEGA), 2)))
+    model = block_noise(blocks(0.01 * size), OMEGA, magnitude=size)
+    assert np.allclose(model.sigma * np.sqrt(6), 0.01 * size, rtol=0.4)
