@@ -130,6 +130,6 @@ def _same(tone: Tone, point: PointResult, truth: PointResult) -> bool:
         and abs(tone.amplitude_a - truth.tone.amplitude_a) < 0.51e-6
         and all(
             np.allclose(getattr(point, x), getattr(truth, x), rtol=1e-6, atol=floor)
-            for x, floor in (("R", 1e-12), ("U", 1e-6), ("I", 1e-6), ("Y", 1e-12))
+            for x, floor in (("R", 1e-12), ("U", 1e-4), ("I", 2e-6), ("Y", 1e-11))
         )
     )

@@ -43,7 +43,7 @@ def _counts(obj: Object, value: str | float) -> int | float:
     if obj.type not in _RANGE:
         return float(value)
     low, high = _RANGE[obj.type]
-    if not low <= value * obj.per_unit <= high:
+    if not low - 0.5 < value * obj.per_unit < high + 0.5:
         raise LimitError(f"{obj.name} = {value} {obj.unit} does not fit on the wire".replace("  ", " "))
     return round(value * obj.per_unit)
 

@@ -247,8 +247,8 @@ class RemoteController:
                 raise BusError("the result's header does not repeat the tone that was asked for")
             number = int(_number(header["result"]))
             size = int(_number(header["payload_bytes"]))
-            if size != lockin_bytes(tone, axes):
-                raise BusError(f"the result has {size} bytes instead of {lockin_bytes(tone, axes)}")
+            if size not in lockin_bytes(tone, axes):
+                raise BusError(f"the result has {size} bytes instead of {lockin_bytes(tone, axes)[0]}")
             payload = _data(lambda: link.lockin_payload(size))
             if payload_crc(number, payload) != header["payload_crc"]:
                 raise BusError("the CRC of the result is wrong: it was corrupted on the bus")

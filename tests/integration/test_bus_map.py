@@ -115,7 +115,7 @@ def test_raw_record_of_several_segments_is_put_together() -> None:
         assert point.records is not None
         y = point.records["y"].reshape(2, 3000, 4)
         kernel = 2 / 3000 * np.exp(-2j * np.pi * 9 * np.arange(3000) / 3000)
-        np.testing.assert_allclose(np.einsum("k,bkn->bn", kernel, y), point.Y[:, 1], atol=1e-12)
+        np.testing.assert_allclose(np.einsum("k,bkn->bn", kernel, y), point.Y[:, 1], atol=5e-12)
     finally:
         controller.close()
         served.close()

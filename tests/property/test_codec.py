@@ -142,14 +142,16 @@ def _point(seed: int, blocks: int, axes: int, samples: int, scale: float) -> Poi
 
 @settings(max_examples=50)
 @given(points(), ORDERS)
-def test_payload_keeps_seven_digits(point: PointResult, order) -> None:
+def test_payload_keeps_what_the_noise_leaves(point: PointResult, order) -> None:
+    """32-bit floats of the mean over the blocks, and of each block's difference from it all but 1/2000."""
     axes = point.Y.shape[2]
     payload = encode_lockin(point, order)
-    assert len(payload) == lockin_bytes(point.tone, axes)
+    assert len(payload) in lockin_bytes(point.tone, axes)
     r, u, i, y = decode_lockin(payload, point.tone, axes, order)
-    for back, truth in ((u, point.U), (i, point.I), (y, point.Y)):
-        np.testing.assert_allclose(back.real, truth.real, rtol=6e-8)
-        np.testing.assert_allclose(back.imag, truth.imag, rtol=6e-8)
+    for back, truth, floor in ((u, point.U, 1e-10), (i, point.I, 1e-10), (y, point.Y, 1e-16)):
+        scatter = np.abs(truth - truth.mean(axis=0)).max()
+        assert np.abs(back.mean(axis=0) - truth.mean(axis=0)).max() <= 1e-6 * np.abs(truth).max() + scatter / 1500
+        assert np.abs(back - truth).max() <= 1e-7 * np.abs(truth).max() + scatter / 1500 + floor
     assert np.all(r[:, 1, point.tone.axis] == 0.25)
     assert np.count_nonzero(r) == point.tone.blocks
     assert point.records is not None
