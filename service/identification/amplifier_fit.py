@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.identification import amplifier
+from service.identification.amplifier import N_PARAMETERS
 from service.identification.evidence import Evidence, best
 from service.identification.least_squares import minimise
 from service.identification.noise import block_noise
 from service.identification.points import PlanePoints
 from service.identification.zoh import Complex, Real
+
+FASTEST = 20.0
+"""Of natural frequency times sample time: beyond it the samples tell nothing."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def amplifier_fit(
     start = np.array([*nominal[:2], *(nominal[2:3] or (0.8,))])
     delay = 0.0
     for order in orders:
-        theta = np.append(_start(order, start), delay)
+        theta = np.append(_start(order, start, sample_time_s), delay)
         theta, cost = _fit(theta, omega, u, i, sigma, sample_time_s, computing_delay_s)
         found.append((order, theta[:-1], float(theta[-1])))
         candidates.append(Evidence(f"order {order}", len(theta), 2 * len(omega), cost))
@@ -82,12 +86,11 @@ def amplifier_fit(
     )
 
 
-def _start(order: int, known: Real) -> Real:
-    if order == 1:
-        return known[:2].copy()
-    if order == 2:
-        return known[:3].copy()
-    return np.append(known[:3], 6.0 * known[1])
+def _start(order: int, known: Real, sample_time_s: float) -> Real:
+    """Start of an order from the best second-order amplifier known; what lies beyond the samples is drawn in."""
+    fastest = 0.5 * FASTEST / sample_time_s
+    gain, w, zeta = known[0], min(known[1], fastest), known[2]
+    return np.array([gain, w, zeta, min(6.0 * w, fastest)])[: N_PARAMETERS[order]]
 
 
 def _fit(
@@ -98,7 +101,7 @@ def _fit(
     def residual(t: Real, gradient: bool) -> tuple[Real, Real | None] | None:
         if np.any(t[:-1] <= 0) or not np.all(np.isfinite(t)) or abs(t[-1]) > 20 * sample_time_s:
             return None
-        if t[1] * sample_time_s > 20 or t[-2] * sample_time_s > 20:  # beyond what the samples can tell
+        if np.max(np.r_[t[1], t[3:-1]]) * sample_time_s > FASTEST:
             return None
         response, slope = amplifier.sampled(omega, t[:-1], t[-1] + computing_delay_s, sample_time_s)
         e = weight * (i - response * u)

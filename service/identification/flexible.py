@@ -114,6 +114,8 @@ def search(
     nu, sigma = np.empty(0), np.empty(0)
     models: list[PoleResidue] = []
     rest = target.copy()
+    gap = np.diff(omega) / omega[1:]
+    close = np.minimum(np.append(gap, np.inf), np.append(np.inf, gap)) < 0.03
     # d and s d are orthogonal in the real inner product up to a little, so both projections add up
     power = np.einsum("fc,fab->cab", np.abs(basis) ** 2, weight**2)
     for _ in range(n_modes + MAX_LONE_LINES):
@@ -127,9 +129,9 @@ def search(
         model = _fitted(omega, target, weight, *polished)
         now = target - model.response(omega) * weight
         gain = np.sum(np.abs(rest) ** 2 - np.abs(now) ** 2, axis=(1, 2))
-        if gain.max() > LONE_LINE * max(gain.sum(), 1e-300):
+        lone = int(np.argmax(gain))
+        if close[lone] and gain[lone] > LONE_LINE * max(gain.sum(), 1e-300):
             # a mode has a foot on either side; this is one line that disagrees with its neighbours
-            lone = int(np.argmax(gain))
             weight = weight.copy()
             weight[lone] = 0.0
             target[lone], rest[lone] = 0.0, 0.0

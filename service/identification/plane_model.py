@@ -210,7 +210,9 @@ class PlaneModel:
         t = self.theta
         positive = [t[0:4] > 0, t[self.layout.extended][:2] > 0]
         positive += [t[s] > 0 for s in self.layout.amplifiers]
-        positive += [t[s][1:] * self.known.sample_time_s < 20 for s in self.layout.amplifiers]
+        positive += [
+            np.delete(t[s][1:], 1) * self.known.sample_time_s < 20 for s in self.layout.amplifiers if len(t[s]) > 2
+        ]
         m = self.modes
         ok = bool(np.all(np.concatenate(positive)) and np.all(m[:, 0] > 0) and np.all(m[:, 1] > -0.2 * m[:, 0]))
         return ok and bool(np.all(np.isfinite(t))) and abs(self.delay_s) < 20 * self.known.sample_time_s

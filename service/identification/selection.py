@@ -100,16 +100,19 @@ def choose_modes(
         if _score(tried[now - 1], data) > _score(tried[now], data) + 10.0:
             break
         now -= 1
-    # more: while it pays
+    # more: while it pays, looking one further when a mode helps much but not enough
     if now == n_start:
-        while now < MAX_MODES:
-            more = _with_one_more(tried[now], data, plant, weights, lowest_rad_s, knowledge)
+        at = now
+        while at < MAX_MODES:
+            more = _with_one_more(tried[at], data, plant, weights, lowest_rad_s, knowledge)
             if more is None:
                 break
-            tried[now + 1] = more
-            if not _pays(tried[now], more, data):
+            at += 1
+            tried[at] = more
+            if _pays(tried[now], more, data):
+                now = at
+            elif at - now > 1 or _data_cost(more, data) > 0.5 * _data_cost(tried[now], data):
                 break
-            now += 1
     evidence = tuple(
         Evidence(
             f"{n} modes" if n != 1 else "1 mode",
