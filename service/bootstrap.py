@@ -5,6 +5,7 @@ Commands and services call these functions; nothing below this module knows whic
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ EXPERIMENT = "experiment.h5"
 RESULT = "result.json"
 REPORT = "report.html"
 DATASHEET = "rig.toml"
+GAP = "gap.json"
+GAP_REPORT = "gap.html"
 
 
 @dataclass(frozen=True)
@@ -142,3 +145,36 @@ def identify_into(
     files["report"] = write_text(out_dir / REPORT, page)
     seconds = {"identification": identified - began, "report": time.monotonic() - identified}
     return Commissioned(result, document, files, seconds)
+
+
+def diagnose_into(
+    experiment: Experiment, datasheet: Datasheet, out_dir: Path, jobs: int = 0
+) -> tuple[dict[str, Any], dict[str, Path]]:
+    """Diagnose the gap between an experiment and the twin of a datasheet, and write gap.json and gap.html.
+
+    Parameters
+    ----------
+    jobs
+        Processes that fit candidates; 0 for one per core.
+
+    Returns
+    -------
+    document, files
+        The contents of gap.json, and where it and the report are.
+
+    Raises
+    ------
+    AmbError
+        The data do not allow a diagnosis, or the folder cannot be written.
+    """
+    from service.gap.diagnose import diagnose
+    from service.report.gap import gap_page
+
+    ready_folder(out_dir)
+    diagnosis = diagnose(experiment, datasheet, jobs=jobs or os.cpu_count() or 1)
+    document = diagnosis.to_dict()
+    files = {
+        "gap": write_text(out_dir / GAP, json_text(document)),
+        "report": write_text(out_dir / GAP_REPORT, gap_page(diagnosis)),
+    }
+    return document, files

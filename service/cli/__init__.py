@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from service.cli import commission, effects, rig
+from service.cli import commission, effects, gap, rig
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ app.command()(commission.demo)
 app.command()(commission.commission)
 app.command()(commission.identify)
 app.command()(effects.effects)
+app.add_typer(gap.app, name="gap")
 app.add_typer(rig.app, name="rig")
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2

@@ -54,7 +54,7 @@ class Figure:
     layout: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        top = 12 + (26 if self.legend else 0) + (24 if self.titles else 0)
+        top = (38 if self.legend else 30) + (24 if self.titles else 0)
         bottom = 46
         inner = self.height_px - top - bottom
         every_row = len(self.titles) > self.columns
@@ -167,8 +167,9 @@ class Figure:
         text: str = "",
         colour: str = SECOND,
         below: bool = False,
+        left: bool = False,
     ) -> None:
-        """A dashed line across a panel, named at its end; ``below`` puts the name under a horizontal one.
+        """A dashed line across a panel, named at its end; ``below`` and ``left`` say where a horizontal one is named.
 
         Logarithmic axes must be set before.
         """
@@ -185,7 +186,7 @@ class Figure:
         log_y = self.layout[f"yaxis{k}"].get("type") == "log"
         note = {"text": text, "showarrow": False, "font": {"size": 11, "color": colour}}
         if y is not None:
-            place = {"x": 0.995, "xref": f"x{k} domain", "xanchor": "right"}
+            place = {"x": 0.005 if left else 0.995, "xref": f"x{k} domain", "xanchor": "left" if left else "right"}
             place |= {"y": math.log10(y) if log_y else y, "yref": f"y{k}", "yanchor": "top" if below else "bottom"}
         else:
             assert x is not None

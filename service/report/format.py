@@ -25,6 +25,27 @@ def figures(value: float, std: float) -> tuple[str, str]:
     return f"{round(value / step) * step}", f"{round(std / step) * step}"
 
 
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+
+
+def quantity(value: float, std: float, unit: str) -> tuple[str, str]:
+    """A value with its unit, and its standard deviation; seconds and metres get a prefix.
+
+    >>> quantity(34.7e-6, 4.8e-8, "s"), quantity(0.0641, 0.0054, ""), quantity(1e-6, 1.0, "m")
+    (('34.700 µs', '0.048'), ('0.0641', '0.0054'), ('1 µm', 'open'))
+    >>> quantity(2.83e-7, 1.0, "s"), quantity(0.5, 0.1, "1")
+    (('280 ns', 'open'), ('0.50', '0.10'))
+    """
+    scale, prefix = 1.0, ""
+    if unit in ("s", "m") and value:
+        scale, prefix = next(((s, p) for s, p in PREFIXES if abs(value) >= s), PREFIXES[-1])
+    name = f" {prefix}{unit}" if unit not in ("", "1") else ""
+    if std > abs(value) or not math.isfinite(std):
+        return f"{number(float(f'{value / scale:.2g}'))}{name}", "open"
+    shown, spread = figures(value / scale, std / scale)
+    return f"{shown}{name}", spread
+
+
 def number(value: float | None, digits: int = 6) -> str:
     """A value without an exponent where that stays short.
 

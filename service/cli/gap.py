@@ -1,0 +1,84 @@
+"""``ambit gap``: where the twin differs from the rig, which effect does it, and a twin that has it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.console import print_json, say, stdout
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+app = typer.Typer(no_args_is_help=True, help="Diagnose the gap between the twin and the rig, and close it.")
+
+
+@app.command()
+def diagnose(
+    experiment: Annotated[Path, typer.Argument(help="Experiment file: HDF5 or MATLAB.")],
+    rig: Annotated[Path, typer.Option(help="Datasheet or twin file of the rig, rig.toml.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results.")],
+    jobs: Annotated[int, typer.Option(help="Processes; 0 for one per core.", min=0)] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON on stdout.")] = False,
+) -> None:
+    """Diagnose the gap between a rig's experiment and its twin; write gap.json and gap.html."""
+    from service import bootstrap
+    from service.experiment import file
+    from service.output import ready_folder
+    from sim.datasheet import read
+
+    datasheet = read(rig)
+    ready_folder(out)
+    measured = file.read(experiment)
+    if sys.stderr.isatty():
+        say("fitting every effect of the catalogue")
+    document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs)
+    if as_json:
+        print_json(document | {"files": {k: str(v) for k, v in files.items()}})
+        return
+    console = stdout()
+    console.print(document["verdict"]["sentence"], soft_wrap=True)
+    for note in document["notes"]:
+        console.print(f"note: {note}", soft_wrap=True)
+    if document["candidates"]:
+        console.print(_candidates(document["candidates"][:5]))
+    if document["next_experiment"]:
+        console.print(f"next: {document['next_experiment']['description']}", soft_wrap=True)
+    for name, path in files.items():
+        console.print(f"{name}: {path}", soft_wrap=True)
+
+
+@app.command()
+def apply(
+    report: Annotated[Path, typer.Argument(help="gap.json of a diagnosis.")],
+    rig: Annotated[Path, typer.Option(help="Datasheet that was diagnosed.")],
+    out: Annotated[Path, typer.Option(help="Twin file to write: the datasheet with the effects that were found.")],
+) -> None:
+    """Write a twin that has the effects that a diagnosis found."""
+    from service.gap.apply import applied
+    from service.output import read_document, ready_folder, write_text
+    from sim.datasheet import read, to_toml
+
+    ready_folder(out.parent)
+    twin = applied(read(rig), read_document(report, "amb-gap-report"))
+    write_text(out, to_toml(twin))
+    names = ", ".join(name for name, _ in twin.effects)
+    print(f"{out}: {twin.name} with {names}")
+
+
+def _candidates(found: list[dict[str, Any]]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("explanation")
+    for head in ("probability", "closure", "parameters"):
+        table.add_column(head, justify="left" if head == "parameters" else "right")
+    for c in found:
+        values = ", ".join(f"{name} {e['value']:.4g}" for name, e in c["parameters"].items())
+        closure = "" if c["closure"] is None else f"{100 * c['closure']:.0f} %"
+        table.add_row(c["effect"], f"{100 * c['probability']:.1f} %", closure, values)
+    return table

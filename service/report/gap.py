@@ -1,0 +1,235 @@
+"""The report of a gap diagnosis: where the twin differs from the rig, which effect does it, how far the gap shrinks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from service.gap.diagnose import Diagnosis
+from service.report import gap_figures as draw
+from service.report.format import MISSING, count, decibel, fixed, number, paragraph, quantity, signed, table
+from service.report.page import Captioned, Page, Section, Tone
+from sim.effects import CATALOGUE
+
+SHOWN = 3
+"""Explanations whose parameters are open; the others are folded away."""
+SUFFIXES = {"s": "_s", "m": "_m", "Hz": "_hz", "rad": "_rad", "N/m": "_n_per_m", "rad/s": "_rad_s", "kgm2": "_kgm2"}
+"""What a parameter's name ends with when it has that unit."""
+Part = str | Captioned
+TONES: dict[str, Tone] = {"no_gap": "good", "effect": "warn", "effects": "warn", "none_of_these": "bad"}
+
+
+def gap_page(diagnosis: Diagnosis) -> str:
+    """The report as one self-contained HTML file."""
+    document = diagnosis.to_dict()
+    verdict = document["verdict"]
+    axes = diagnosis.null.fit.rig.axes
+    before, after = diagnosis.null.fit.rig, diagnosis.chosen.fit.rig
+    unseen = draw.compared(before, after, diagnosis.held_out)
+    fitted = draw.compared(before, after, diagnosis.observation)
+    path = document["where"]["path"]
+    sections = [
+        Section("How far", _how_far(document, unseen)),
+        Section("Where", _where(document, fitted, path, axes)),
+        Section("Which", _which(diagnosis, document)),
+        Section("Amplitude and harmonics", _amplitude(diagnosis, document, fitted, unseen, path)),
+        Section("What it means for the loop", _loop(document)),
+        Section("Next experiment", _next(document)),
+    ]
+    about = (
+        f"{', '.join(axes)}; fitted on {count(len(diagnosis.observation.axis), 'point')}, judged on "
+        f"{count(len(diagnosis.held_out.axis), 'point')} of {document['shrinkage']['held_out']} that no fit has seen"
+    )
+    footer = (
+        "The twin is the datasheet's, its uncertain values refitted within their tolerances (before), then with the "
+        "effect that the verdict names (after). Residuals are in units of the noise of each value."
+    )
+    return Page(
+        f"Gap between rig {diagnosis.rig} and its twin",
+        about,
+        verdict["sentence"],
+        TONES[verdict["kind"]],
+        document["notes"],
+        sections,
+        footer,
+    ).html()
+
+
+def _how_far(document: dict[str, Any], unseen: draw.Compared) -> list[Part]:
+    s, gap = document["shrinkage"], document["gap"]
+    low, high = s["closure_95"]
+    runner = _runner_up(document)
+    rows = [
+        ["relative gap on unseen data, before", f"{100 * gap['before']:.3g} %"],
+        ["the same of noise alone", f"{100 * gap['noise_floor']:.3g} %"],
+        ["residual over noise, mean square, before", number(s["before"], 4)],
+        ["after", number(s["after"], 4)],
+        ["of a right twin", number(s["noise_floor"], 4)],
+    ]
+    if document["verdict"]["effects"]:
+        rows.append(["closure", f"{_percent(s['closure'])} (95 %: {_percent(low)} to {_percent(high)})"])
+        rows += [[f"closure in the {k}", _percent(v)] for k, v in s["by_path"].items()]
+        if runner is not None:
+            rows.append([f"closure of the runner-up, {_words(runner['effect'])}", _percent(runner["closure"])])
+    caption = "Distance of measured and twin, all axes together, line by line on the sweep that no fit has seen."
+    return [table(["", document["shrinkage"]["held_out"]], rows), Captioned(draw.gap_figure(unseen), caption)]
+
+
+def _runner_up(document: dict[str, Any]) -> dict[str, Any] | None:
+    chosen = document["verdict"]["effects"]
+    others = [c for c in document["candidates"] if c["effects"] != chosen and not set(chosen) <= set(c["effects"])]
+    return others[0] if others else None
+
+
+def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tuple[str, ...]) -> list[Part]:
+    where = document["where"]
+    rows = [
+        [
+            p["path"] + ("" if p.get("logged", True) else " (amplifier included)"),
+            _percent(p["gap"], 3),
+            fixed(p["significance"], 1),
+        ]
+        for p in where["paths"]
+    ]
+    words = [
+        f"It does {'' if where['amplitude_dependent'] else 'not '}depend on the amplitude",
+        f"and does {'' if where['speed_dependent'] else 'not '}depend on the speed, as far as these data tell.",
+    ]
+    return [
+        table(["block of the loop", "gap by itself", "significance, standard deviations"], rows),
+        paragraph(" ".join(words)),
+        Captioned(
+            draw.ratio_figure(fitted, path, axes),
+            "The excited axis's own signal in the blamed block, measured over the twin before; bars are 99 %. "
+            + ("The blue line is what the verdict's effect makes of it." if fitted.changed else ""),
+        ),
+        Captioned(
+            draw.heat_figure(fitted, axes),
+            "Residual over noise (rms) by signal and band, on the fitted sweep. One is noise.",
+        ),
+        Captioned(draw.channel_figure(fitted, path, axes), "The same in the blamed block by output and excited axis."),
+    ]
+
+
+def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
+    verdict = document["verdict"]
+    parts: list[Part] = []
+    for name in verdict["effects"]:
+        effect = CATALOGUE[name]
+        parts.append(
+            paragraph(f"{_words(name)} acts in the {effect.path}: {effect.law}. Its signature: {effect.signature}.")
+        )
+    for group in verdict["indistinguishable"]:
+        names = ", ".join(_words(g) for g in group)
+        parts.append(paragraph(f"These data cannot tell apart: {names}. {_separated(group)}", "note"))
+    parts += [paragraph(f"Why: {r}.") for r in verdict.get("reasons", ())]
+    bars = draw.candidate_figure(d, document)
+    if bars is None:
+        return [*parts, paragraph("No effect of the catalogue could be fitted.")]
+    parts.append(
+        Captioned(
+            bars,
+            "The best explanations: probability among those of the catalogue, and share of the gap that each closes.",
+        )
+    )
+    parts.append(_parameters(document["candidates"][:SHOWN]))
+    if rest := document["candidates"][SHOWN:]:
+        parts.append(f"<details><summary>The other explanations</summary>{_parameters(rest)}</details>")
+    return parts
+
+
+def _separated(group: list[str]) -> str:
+    return "; ".join(f"{_words(g)} by {CATALOGUE[g].separated_by}" for g in group if g in CATALOGUE) + "."
+
+
+def _parameters(candidates: list[dict[str, Any]]) -> str:
+    """Fitted parameters, one row each; the first row of a candidate names it."""
+    rows = []
+    for c in candidates:
+        head, tail = _words(c["effect"]), [_percent(c["gap_after"], 3), number(c["log_evidence"], 6)]
+        for name, e in c["parameters"].items():
+            effect, _, parameter = name.rpartition(".")
+            unit = _unit(effect or c["effects"][0], parameter)
+            value, std = quantity(e["value"], e["std"] or float("inf"), unit)
+            rows.append([head, _words(name.removesuffix(SUFFIXES.get(unit, ""))).replace(".", ": "), value, std, *tail])
+            head, tail = "", ["", ""]
+    return table(["explanation", "parameter", "value", "std. dev.", "gap after", "log evidence"], rows, left=2)
+
+
+def _unit(effect: str, parameter: str) -> str:
+    return next((p.unit for p in CATALOGUE[effect].parameters if p.name == parameter), "")
+
+
+def _amplitude(
+    d: Diagnosis, document: dict[str, Any], fitted: draw.Compared, unseen: draw.Compared, path: str
+) -> list[Part]:
+    cases = [("fitted sweep", fitted), (f"unseen, {document['shrinkage']['held_out']}", unseen)]
+    parts: list[Part] = [
+        Captioned(
+            draw.amplitude_figure(cases, path),
+            "Difference from the twin in the blamed block against the current of the excited axis. A gap that grows "
+            "with the current at a given frequency is a nonlinear one.",
+        )
+    ]
+    harmonics = draw.harmonic_figure(d)
+    if harmonics is not None:
+        parts.append(
+            Captioned(
+                harmonics,
+                "Harmonics beyond those of the twin's own magnets: in i they point to the amplifier, in y with a "
+                "clean i to magnet, contact or sensor. Bars end at 60.",
+            )
+        )
+    return parts
+
+
+def _loop(document: dict[str, Any]) -> list[Part]:
+    loop = document.get("loop") or {}
+    peaks = loop.get("sensitivity_peak")
+    if not peaks:
+        return [paragraph("Not every axis was excited at the same frequencies: the loop cannot be compared.")]
+    rows = []
+    for axis in peaks["measured"]:
+        seen, was, now = (decibel(peaks[k][axis]) or 0.0 for k in ("measured", "before", "after"))
+        rows.append([axis, fixed(seen, 2), fixed(was, 2), fixed(now, 2), signed(was - seen), signed(now - seen)])
+    head = ["peak |S| at the measured lines, dB", "measured", "before", "after", "error before", "error after"]
+    parts: list[Part] = [table(head, rows)]
+    nu_gap = draw.nu_gap_figure(document)
+    if nu_gap is not None:
+        largest = loop["nu_gap"]
+        parts.append(
+            Captioned(
+                nu_gap,
+                "Pointwise ν-gap between the measured loop and the twin's: at most "
+                f"{number(largest['largest_before'], 3)} before, {number(largest['largest_after'], 3)} after; nought "
+                "is the same, one as far as can be.",
+            )
+        )
+    return parts
+
+
+def _next(document: dict[str, Any]) -> list[Part]:
+    found = document["next_experiment"]
+    if not found:
+        return [paragraph("Nothing is left that an affordable experiment would have to tell apart.")]
+    a, b = (_words(x) for x in found["separates"])
+    parts: list[Part] = [
+        paragraph(
+            f"To tell {a} from {b}: {found['description']}. Predicted distance {number(found['distance_sd'], 3)} "
+            f"standard deviations, odds of telling them apart {_percent(found['odds_of_telling_apart'])}."
+        )
+    ]
+    others = [[x["experiment"].replace("_", " "), number(x["distance_sd"], 3)] for x in found.get("alternatives", ())]
+    if others:
+        parts.append(table(["alternatives", "distance, standard deviations"], others))
+    tones = [[t["axis"], number(t["frequency_hz"], 5), number(t["amplitude_a"], 3)] for t in found["tones"]]
+    submit = table(["axis", "Hz", "r, A"], tones)
+    parts.append(f"<details><summary>{count(len(tones), 'tone')} ready to submit</summary>{submit}</details>")
+    return parts
+
+
+def _words(effect: str) -> str:
+    return effect.replace("_", " ").replace("+", " + ")
+
+
+def _percent(share: float | None, digits: int = 3) -> str:
+    return MISSING if share is None else f"{100 * share:.{digits}g} %"
