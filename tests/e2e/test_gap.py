@@ -1,0 +1,68 @@
+"""Diagnosis from an experiment of an independent program, and the twin that it leads to."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sim import datasheet
+from tests.support.browser import BROWSER, opened
+from tests.support.command import ambit, refusal
+
+PRACTICE = Path(__file__).parents[2].parent / "shared" / "practice"
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not PRACTICE.exists(), reason="the practice cases are not beside the repository"),
+]
+CASE = "p02"
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    """Folder with gap.json and the JSON that was printed."""
+    out = tmp_path_factory.mktemp("gap") / "out"
+    case = PRACTICE / CASE
+    done = ambit(
+        "gap", "diagnose", case / "experiment.h5", "--rig", case / "rig.toml", "--out", out, "--json", timeout_s=280
+    )
+    assert done.returncode == 0, done.stderr
+    return out, json.loads(done.stdout)
+
+
+def test_the_effect_is_found(diagnosed):
+    out, printed = diagnosed
+    truth = json.loads((PRACTICE / CASE / "truth.json").read_text())
+    document = json.loads((out / "gap.json").read_text())
+    assert {k: printed[k] for k in document} == document
+    assert document["format"] == "amb-gap-report"
+    assert document["verdict"]["effects"] == truth["effects"]
+    assert document["shrinkage"]["closure"] > 0.9
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_the_report_opens_in_a_browser_without_a_network(diagnosed):
+    page = opened(diagnosed[0] / "gap.html")
+    assert page.complaints == ()
+    assert 'data-drawn="yes"' in page.dom
+    for name in ("gap", "quotient", "residuals", "channels", "candidates", "amplitude", "harmonics", "nu-gap"):
+        assert page.drawn(name) == 1, name
+
+
+def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
+    out, _ = diagnosed
+    case = PRACTICE / CASE
+    twin = tmp_path / "twin" / "rig.toml"
+    done = ambit("gap", "apply", out / "gap.json", "--rig", case / "rig.toml", "--out", twin)
+    assert done.returncode == 0, done.stderr
+    assert "loop_delay" in done.stdout
+    assert [name for name, _ in datasheet.read(twin).effects] == ["loop_delay"]
+    again = ambit("gap", "diagnose", case / "experiment.h5", "--rig", twin, "--out", tmp_path, "--json", timeout_s=280)
+    assert json.loads(again.stdout)["verdict"]["kind"] == "no_gap", again.stderr
+    assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")
+
+
+def test_a_report_that_is_none(tmp_path):
+    (tmp_path / "gap.json").write_text('{"format": "something else"}')
+    case = PRACTICE / CASE
+    line = refusal("gap", "apply", tmp_path / "gap.json", "--rig", case / "rig.toml", "--out", tmp_path / "twin.toml")
+    assert "gap.json" in line

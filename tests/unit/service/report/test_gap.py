@@ -1,0 +1,148 @@
+"""The report of a diagnosis says where, which, how far and how sure, whatever the verdict is."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.candidates import Candidate
+from service.gap.diagnose import Diagnosis
+from service.gap.fit import Fit
+from service.gap.loop import loop_figures
+from service.gap.observation import observe
+from service.gap.shrinkage import relative_gap, relative_noise, shrinkage
+from service.gap.verdict import Ranked, Verdict
+from service.gap.where import PathGap, Where
+from service.identification.synthetic import plane_model_of, synthetic_sweep
+from service.report.gap import gap_page
+from sim.effects import effect
+from sim.reference import reference_rig
+
+DELAY_S = 40e-6
+
+
+def candidate(rig, *effects, values=()) -> Candidate:
+    fit = Fit(effects, np.zeros(1), tuple(values), rig, 1.0, 10, np.eye(1), "converged")
+    return Candidate(effects, fit, 0.0, tuple({k: 0.01 * v for k, v in value.items()} for value in values))
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    """A rig with a delay that its twin lacks, and a diagnosis that says so."""
+    twin = reference_rig()
+    rig = effect("loop_delay").on(twin, delay_s=DELAY_S)
+    models = {plane: plane_model_of(rig, plane) for plane in "xy"}
+    controller = (rig.controller.numerator, rig.controller.denominator)
+    hz = np.geomspace(10, 950, 24)
+    main, other = (
+        observe(synthetic_sweep(models, rig.axes, controller, f, a, seed=3), twin)
+        for f, a in ((hz, 0.1), (hz * 1.02, 0.2))
+    )
+    found = {"delay_s": DELAY_S}
+    order = (
+        Ranked(candidate(rig, "loop_delay", values=(found,)), -10.0, 0.9, 0.0),
+        Ranked(candidate(rig, "sensor_lag", values=({"time_constant_s": 3e-5, "delay_s": 1e-7},)), -13.0, 0.1, 0.01),
+        Ranked(candidate(twin), -900.0, 0.0, 1.0),
+    )
+    z = np.zeros((len(main.axis), len(main.harmonics), 4), dtype=complex)
+    where = Where(
+        (PathGap("controller", 0.0, 0.3, z), PathGap("amplifier", 0.04, 22.0, z), PathGap("plant", 0.001, 0.5, z)),
+        ((10.0, 100.0, 0.01), (100.0, 950.0, 0.1)),
+        (("xA", "xA", 0.04),),
+        (("i", 2, 0.4), ("y", 3, 7.5)),
+        False,
+        False,
+    )
+    return Diagnosis(
+        "reference",
+        where,
+        order,
+        Verdict("effect", ("loop_delay",), (("loop_delay", "sensor_lag"),), 0.9, ()),
+        shrinkage(twin, rig, other, "sweeps/1"),
+        {("loop_delay",): 0.999, ("sensor_lag",): 0.93, (): 0.0},
+        relative_gap(twin, other),
+        relative_noise(other, 4),
+        {("loop_delay",): relative_gap(rig, other)},
+        main,
+        other,
+        loop=loop_figures(twin, rig, other),
+        next_experiment={
+            "separates": ["loop_delay", "sensor_lag"],
+            "experiment": "wide_band",
+            "description": "each axis from 1 kHz up to 3 kHz",
+            "distance_sd": 14.2,
+            "odds_of_telling_apart": 0.99,
+            "tones": [{"axis": "xA", "frequency_hz": 1500.0, "amplitude_a": 0.25}],
+            "alternatives": [{"experiment": "larger_amplitude", "distance_sd": 1.5}],
+        },
+        notes=("two sweeps only",),
+    )
+
+
+def lead(page: str) -> str:
+    found = re.search(r'<p class="lead [a-z]+">(.*?)</p>', page)
+    assert found is not None
+    return found[1]
+
+
+def figure(page: str, name: str) -> dict:
+    data = re.search(rf'id="{name}-data">(.*?)</script>', page, flags=re.S)
+    assert data is not None, name
+    return json.loads(data[1])
+
+
+def test_where_which_how_far_and_how_sure_come_first(diagnosis):
+    first = lead(gap_page(diagnosis))
+    for word in ("amplifier", "loop delay", "90 %", "closes"):
+        assert word in first
+
+
+def test_every_figure_is_there(diagnosis):
+    page = gap_page(diagnosis)
+    names = set(re.findall(r'<div class="plot" id="([^"]+)"', page))
+    assert names == {
+        "gap", "quotient", "residuals", "channels", "candidates", "amplitude", "harmonics", "nu-gap",
+    }  # fmt: skip
+
+
+def test_parameters_carry_unit_and_uncertainty(diagnosis):
+    page = gap_page(diagnosis)
+    assert ">40.00 µs<" in page
+    assert ">0.40<" in page
+
+
+def test_the_alias_class_says_what_separates_it(diagnosis):
+    page = gap_page(diagnosis)
+    assert "cannot tell apart: loop delay, sensor lag" in page
+
+
+def test_the_next_experiment_is_ready_to_submit(diagnosis):
+    page = gap_page(diagnosis)
+    assert "from 1 kHz up to 3 kHz" in page
+    assert ">1500<" in page
+
+
+def test_the_gap_closes_down_to_the_noise(diagnosis):
+    """What the heat map shows: large in i before, noise after."""
+    page = gap_page(diagnosis)
+    before, after = (np.array(t["z"]) for t in figure(page, "residuals")["data"])
+    assert before[4:8].max() > 1  # i, ten times the noise
+    assert after[4:8].max() < 0.5
+
+
+def test_nothing_to_add_shows_one_twin(diagnosis):
+    twin = replace(diagnosis, verdict=Verdict("none_of_these", (), (), 0.9, ("nothing fits",)), next_experiment=None)
+    page = gap_page(twin)
+    assert "no known effect explains it" in lead(page)
+    assert {t["name"] for t in figure(page, "gap")["data"]} == {"noise floor", "twin"}
+    assert len(figure(page, "residuals")["data"]) == 1
+    assert "nothing fits" in page
+
+
+def test_without_currents_the_amplifier_has_no_panel(diagnosis):
+    blind = [replace(o, I=None, sd_i=np.full_like(o.sd_y, np.inf)) for o in (diagnosis.observation, diagnosis.held_out)]
+    page = gap_page(replace(diagnosis, observation=blind[0], held_out=blind[1]))
+    shown = figure(page, "gap")["layout"]["annotations"]
+    assert [a["text"] for a in shown] == ["<b>controller: u</b>", "<b>plant: y</b>"]
