@@ -20,6 +20,10 @@ from service.identification.staged import staged_fit
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 
+END_SLOPE = 2.5
+"""Change of a shape near the ends of a free shaft, in largest values per bearing span: 4.65 per length for the first
+mode of a uniform beam, and shafts are up to twice as long as their bearing span."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -128,7 +132,7 @@ def identify_plane(
 def split_knowledge(datasheet: Datasheet, options: Options) -> Knowledge:
     """What the datasheet tells of the modes' splits."""
     (a, b), (sa, sb) = datasheet.bearing_from_cog_m, datasheet.sensor_from_cog_m
-    scale = float(np.clip(0.5 * (abs(sa - a) + abs(sb - b)) / (a + b), 0.02, 0.3))
+    scale = float(np.clip(END_SLOPE * 0.5 * (abs(sa - a) + abs(sb - b)) / (a + b), 0.05, 0.5))
     modes = datasheet.modes if options.datasheet_modes else ()
     modes = tuple(m for m in modes if any(m.shape_at_bearings) and any(m.shape_at_sensors))
     ratios = [np.log(np.linalg.norm(m.shape_at_sensors) / np.linalg.norm(m.shape_at_bearings)) for m in modes]

@@ -16,7 +16,7 @@ from service.identification.split import Knowledge, Posterior, Split, held_at_st
 from service.identification.zoh import Real
 
 MAX_MODES = 6
-SPLIT_ROUNDS = 4
+SPLIT_ROUNDS = 6
 ADEQUATE = 1.5
 """Residual over noise below which a model counts as agreeing with the data while modes are counted."""
 
@@ -160,7 +160,8 @@ def _finished(refined: Refined, data: Data, knowledge: Knowledge) -> tuple[Refin
         # what the data say of a split is linear near the fit only, so it is read where the fit is held
         r, jacobian = now.fit.residual[:-n_modes], now.fit.jacobian[:-n_modes]
         known = posterior(now.model, r, jacobian, now.fit.free, knowledge, use_data=refined.relative == 0)
-        moved = float(np.max(np.abs(known.log_ratios - ratios)))
+        spread = np.sqrt(np.diag(known.covariance))
+        moved = float(np.max(np.abs(known.log_ratios - ratios) / np.maximum(spread, 1e-3)))
         ratios = known.log_ratios
         now = refine(
             with_split(now.model, ratios),
@@ -170,7 +171,7 @@ def _finished(refined: Refined, data: Data, knowledge: Knowledge) -> tuple[Refin
             split=Split(ratios),
             weights=refined.weights,
         )
-        if moved < 0.03:
+        if moved < 0.3:
             break
     return replace(now, noise=refined.noise, relative=refined.relative), known
 

@@ -41,8 +41,8 @@ class Knowledge:
     """What is known of splits besides the data."""
 
     closeness: float | None
-    """Scale of a shape's change from bearing to sensor beside its largest value; about the distance between them over
-    the bearing span. None: nothing is assumed."""
+    """Scale of a shape's change from bearing to sensor beside its largest value. None: nothing is
+    assumed but that shapes are of one order."""
     outboard: tuple[bool, bool]
     """Whether the sensor lies outside the bearing, at A and B."""
     frequencies: Real
@@ -180,6 +180,7 @@ def _log_prior(model: PlaneModel, points: Real, here: Real, known: Real, knowled
             total = total - 0.5 * ((points[:, k] - known[k]) / knowledge.std) ** 2
             continue
         if knowledge.closeness is None:
+            total = total - 0.5 * points[:, k] ** 2  # of one order, no more
             continue
         half = np.exp(0.5 * (points[:, k] - here[k]))[:, None]
         bearing, sensor = mode[2:4] / half, mode[4:6] * half

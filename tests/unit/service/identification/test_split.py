@@ -14,7 +14,7 @@ from service.identification.selection import with_split
 from service.identification.split import Knowledge, Split, held_at_start, log_ratios, posterior, split_rows
 
 NONE = np.empty(0)
-CLOSE = Knowledge(0.08, (True, True), NONE, NONE, 0.1)
+CLOSE = Knowledge(0.2, (True, True), NONE, NONE, 0.1)
 OMEGA = 2 * np.pi * np.geomspace(10, 1000, 40)
 
 

@@ -1,0 +1,73 @@
+"""Empirical transfer function estimates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.identification.etfe import etfe, etfe_all
+from service.identification.plane_model import PlaneModel
+from service.identification.points import plane_points
+from sim.errors import AmbError
+
+
+def test_two_by_two_within_its_own_confidence_regions(experiment, datasheet, truth: dict[str, PlaneModel]) -> None:
+    points = plane_points(experiment.sweeps[1], datasheet.axes, "y")
+    g = etfe(points, "u->y")
+    exact = truth["y"].response(g.omega)
+    # 15 mA of r move the gap by little: the force law's excess is below the noise
+    outside = np.abs(g.value - exact) > g.radius(0.99)
+    assert g.value.shape == (20, 2, 2)
+    assert np.mean(outside) < 0.2
+    assert np.all(np.diff(g.omega) > 0)
+
+
+def test_currents_are_diagonal_and_sampled(experiment, datasheet, truth: dict[str, PlaneModel]) -> None:
+    points = plane_points(experiment.main, datasheet.axes, "x")
+    a = etfe(points, "u->i")
+    exact = truth["x"].amplifier_response(a.omega, base_band=False)
+    assert np.allclose(np.einsum("faa->fa", a.value), exact, atol=6 * a.std.max())
+    assert np.max(np.abs(a.value[:, 0, 1])) < 6 * a.std[:, 0, 1].max()
+
+
+def test_four_by_four_has_nothing_between_the_planes(experiment, datasheet, truth: dict[str, PlaneModel]) -> None:
+    g = etfe_all(experiment.main, datasheet.axes, "u->y")
+    assert g.value.shape[1:] == (4, 4)
+    inside = np.linalg.norm(g.value[:, :2, :2], axis=(1, 2))
+    across = np.linalg.norm(g.value[:, 2:, :2], axis=(1, 2))
+    assert np.median(across / inside) < 1e-3
+    p = etfe_all(experiment.main, datasheet.axes, "i->y")
+    low = p.omega < 2 * np.pi * 50
+    assert np.allclose(p.value[low][:, :2, :2], truth["x"].plant_response(p.omega[low]), rtol=0.02)
+
+
+def test_more_experiments_than_inputs_are_averaged(experiment, datasheet) -> None:
+    main = experiment.main
+    twice = replace(
+        main,
+        **{
+            k: np.concatenate([getattr(main, k)] * 2)
+            for k in ("frequency_hz", "axis", "amplitude_a", "R", "U", "I", "Y")
+        },
+    )
+    once = etfe(plane_points(main, datasheet.axes, "x"), "u->y")
+    both = etfe(plane_points(twice, datasheet.axes, "x"), "u->y")
+    assert np.allclose(once.value, both.value, rtol=1e-9)
+    assert np.median(both.std / once.std) == pytest.approx(1 / np.sqrt(2), rel=0.1)
+
+
+def test_a_sweep_without_currents_says_so(experiment, datasheet) -> None:
+    blind = replace(experiment.main, I=None)
+    with pytest.raises(AmbError, match="coil currents"):
+        etfe(plane_points(blind, datasheet.axes, "x"), "u->i")
+    with pytest.raises(AmbError, match="coil currents"):
+        etfe_all(blind, datasheet.axes, "i->y")
+
+
+def test_frequencies_that_do_not_meet_are_refused(experiment, datasheet) -> None:
+    main = experiment.main
+    apart = replace(main, frequency_hz=main.frequency_hz * (1 + 0.01 * main.axis))
+    with pytest.raises(AmbError, match="same frequency"):
+        etfe(plane_points(apart, datasheet.axes, "x"), "u->y")
