@@ -36,8 +36,8 @@ wrong CRC is refused, an answer with a wrong one is asked for again.
 
 - **Lock-in payload**: Modbus input registers (function 4) from {LOCKIN_ADDRESS}; CANopen 0x{LOCKIN_INDEX:04X}, DOMAIN.
   For u, i, y in turn (block, part, axis); the parts are the mean, then real and imaginary part of harmonics 1, 2, 3.
-  From three blocks on, a shorter form may come (its length tells): the mean over the blocks (part, axis), then what
-  each block differs from it, 16-bit floats in units of 1 mA and 1 nm.
+  From five blocks on, a shorter form may come (its length tells): the mean over the blocks (part, axis), then what
+  each block differs from it, 24-bit floats: 32-bit ones without their last byte.
 - **Raw record**: Modbus input registers from {RAW_ADDRESS}, 48000 at a time, the part chosen with `window`; CANopen
   0x{RAW_INDEX:04X}, DOMAIN. (sample, signal u i y, axis).
 

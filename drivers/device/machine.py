@@ -50,6 +50,8 @@ class RigDevice:
 
     on_event
         Called with every event, from the thread where it happened.
+    simulation
+        Of the rig, in place of one that is made here.
 
     Raises
     ------
@@ -66,8 +68,9 @@ class RigDevice:
         watchdog_s: float = WATCHDOG_S,
         clock: Callable[[], float] = time.monotonic,
         on_event: Callable[[Event], None] | None = None,
+        simulation: Simulation | None = None,
     ) -> None:
-        self._simulation = Simulation(rig, seed)
+        self._simulation = Simulation(rig, seed) if simulation is None else simulation
         self._rig = rig
         self._clock = clock
         self._born = clock()

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from drivers.controller import Capabilities, PointResult, Status, Tone
 from drivers.device.lease import NO_TOKEN
 from drivers.device.machine import RigDevice
+from drivers.payload import as_received
 from sim.rig import Rig
 
 
@@ -52,8 +53,8 @@ class SimulatedController:
             self._device.release(token)
 
     def measure(self, tone: Tone) -> PointResult:
-        """Excite with one tone, measure, ramp back to zero."""
-        return self._device.measure(tone, self._token)
+        """Excite with one tone, measure, ramp back to zero; the result has a bus's word length."""
+        return as_received(self._device.measure(tone, self._token))
 
     def stop(self) -> None:
         """Ramp the excitation to zero, from any thread, at any time."""
