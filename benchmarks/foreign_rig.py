@@ -8,34 +8,37 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from foreign.cases import make  # noqa: E402
+from foreign.cases import make
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=20)
+    parser.add_argument("--cases", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path, help="folder of the cases; a temporary one when not given")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--effects", help="comma-separated: every case gets these")
     args = parser.parse_args()
     effects = args.effects.split(",") if args.effects else None
+    out = args.out or Path(tempfile.mkdtemp(prefix="foreign-"))
     start = time.perf_counter()
     with ProcessPoolExecutor(args.jobs) as pool:
-        waiting = [pool.submit(make, k, args.seed, args.out, effects) for k in range(args.cases)]
+        waiting = [pool.submit(make, k, args.seed, out, effects) for k in range(args.cases)]
         for k, case in enumerate(waiting):
             truth = case.result()
             print(
                 f"c{k + 1:03d} {truth['kind']:8s} {' + '.join(truth['laws']) or '-':45s} "
-                f"level {' '.join(f'{x:.2f}' for x in truth['level'])}{' other rotor' if truth['other_rotor'] else ''}"
+                f"level {' '.join(f'{x:.2f}' for x in truth['level'])}{' other rotor' if truth['other_rotor'] else ''} "
+                f"detectability {truth['detectability']:.0f}"
             )
-    print(f"{args.cases} cases in {time.perf_counter() - start:.0f} s")
+    print(f"{args.cases} cases in {out} after {time.perf_counter() - start:.0f} s")
 
 
 if __name__ == "__main__":

@@ -2,33 +2,48 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 
 import h5py
 import numpy as np
 
+from foreign.detect import detectability
 from foreign.effects import CATALOGUE, PATH, UNKNOWN
 from foreign.measure import LeftLimits, measure, plan
 from foreign.rig import CONTROLLERS, TS, Truth, pid, slowest, small_signal
 
 AXES = ["xA", "xB", "yA", "yB"]
-TOLERANCE = dict(
-    current_stiffness=0.2, position_stiffness=0.2, mode_frequency=0.005, mode_damping=0.5, mode_shape=0.1, mass=0.005,
-    transverse_inertia=0.01, sensor_position_m=0.001, sensor_gain=0.01, amplifier_frequency=0.01,
-    amplifier_damping=0.02, amplifier_gain=0.005,
-)  # fmt: skip
+TOLERANCE = {
+    "current_stiffness": 0.2,
+    "position_stiffness": 0.2,
+    "mode_frequency": 0.005,
+    "mode_damping": 0.5,
+    "mode_shape": 0.1,
+    "mass": 0.005,
+    "transverse_inertia": 0.01,
+    "sensor_position_m": 0.001,
+    "sensor_gain": 0.01,
+    "amplifier_frequency": 0.01,
+    "amplifier_damping": 0.02,
+    "amplifier_gain": 0.005,
+}
 # what the practice cases' datasheets are off by, one sigma: less than their tolerances, and nothing in the geometry
-PRACTICE = dict(
-    current_stiffness=0.1, position_stiffness=0.1, mode_frequency=0.0025, mode_damping=0.15, mode_shape=0.03,
-    amplifier_frequency=0.005, amplifier_damping=0.005,
-)  # fmt: skip
+PRACTICE = {
+    "current_stiffness": 0.1,
+    "position_stiffness": 0.1,
+    "mode_frequency": 0.0025,
+    "mode_damping": 0.15,
+    "mode_shape": 0.03,
+    "amplifier_frequency": 0.005,
+    "amplifier_damping": 0.005,
+}
 
 
 def levitates(t: Truth) -> bool:
     """Eigenvalues of the small-signal loop inside the circle, with some damping left for the fast ones."""
-    big, _, _ = small_signal(*t.build())
-    return slowest(big) < 1 - 1e-5
+    return slowest(small_signal(*t.build()).a) < 1 - 1e-5
 
 
 def other_rotor(rng: np.random.Generator) -> Truth:
@@ -43,12 +58,13 @@ def other_rotor(rng: np.random.Generator) -> Truth:
         shift = rng.uniform(0.85, 1.3, 2)
         t.modes = [
             (
-                w * shift[k], z * float(rng.uniform(0.7, 4.0)),
+                w * shift[k],
+                z * float(rng.uniform(0.7, 4.0)),
                 tuple((np.array(b) * rng.uniform(0.8, 1.2, 2) / np.sqrt(scale)).tolist()),
                 tuple((np.array(s) * rng.uniform(0.8, 1.2, 2) / np.sqrt(scale)).tolist()),
             )
             for k, (w, z, b, s) in enumerate(t.modes)
-        ]  # fmt: skip
+        ]
         t.bias = float(rng.uniform(1.5, 4.0))
         gap = float(rng.uniform(250e-6, 500e-6))
         t.ks = 1.7e6 * scale * rng.uniform(0.85, 1.15, 4) * float(rng.uniform(0.8, 1.2))
@@ -165,39 +181,47 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         noise = float(np.exp(rng.uniform(0, np.log(10)))) if rng.random() < 0.3 else 1.0
         nominal.noise_y *= noise
         nominal.noise_i *= noise
+        plain = copy.deepcopy(nominal)
         factor = float(rng.uniform(1.5, 4.0)) if rng.random() < 0.8 else float(rng.uniform(0.4, 0.7))
         sweeps = plan(nominal, rng, factor)
         levels = [float(rng.uniform(0, level_cap)) for _ in names]
-        changes = {n: (CATALOGUE | UNKNOWN)[n](nominal, rng, x) for n, x in zip(names, levels)}
+        changes = {n: (CATALOGUE | UNKNOWN)[n](nominal, rng, x) for n, x in zip(names, levels, strict=True)}
         level_cap = max(0.3, level_cap * 0.93)  # what does not levitate comes back smaller
         if tries > 200:
             raise RuntimeError(f"case {index} with {names}: no rig that levitates")
         if not levitates(nominal):
             continue
+        before = copy.deepcopy(rng)
         try:
             data = measure(nominal, sweeps, rng)
         except LeftLimits:
             continue
         break
+    seen = detectability(plain, data, measure(plain, sweeps, before), TOLERANCE) if names else 0.0
     name = f"c{index + 1:03d}"
     folder = out / name
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(toml(name, sheet))
     truth = {
-        "effects": ["none_of_these"] if kind == "unknown" else names, "kind": kind, "laws": names,
-        "changes": {k: v for c in changes.values() for k, v in c.items()}, "level": levels, "other_rotor": varied,
-        "wide_datasheet": bool(wide), "noise_factor": noise, "amplitude_factor": factor,
+        "effects": ["none_of_these"] if kind == "unknown" else names,
+        "kind": kind,
+        "laws": names,
+        "changes": {k: v for c in changes.values() for k, v in c.items()},
+        "level": levels,
+        "other_rotor": varied,
+        "wide_datasheet": bool(wide),
+        "noise_factor": noise,
+        "detectability": seen,
+        "amplitude_factor": factor,
         "path": sorted({PATH.get(n, "plant") for n in names}) if kind in ("single", "mixture") else [],
-    }  # fmt: skip
+    }
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     with h5py.File(folder / "experiment.h5", "w") as f:
         f.attrs.update(format="amb-experiment", version=1, rig=name, axes=json.dumps(AXES))
-        for k, (sweep, comment) in enumerate(zip(data, ("main", "other amplitude"))):
+        for k, (sweep, comment) in enumerate(zip(data, ("main", "other amplitude"), strict=True)):
             g = f.create_group(f"sweeps/{k}")
             g.attrs.update(kind="stepped-sine", comment=comment, sample_rate_hz=1 / TS, speed_rad_s=0.0)
             g["harmonics"] = np.arange(4, dtype=np.int8)
             for key, value in sweep.items():
                 g.create_dataset(key, data=value, compression="gzip")
     return truth
-
-

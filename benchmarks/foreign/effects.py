@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from foreign.physics import N_LADDER, N_PLAYS
-from foreign.rig import TS, Truth, four
+from foreign.rig import Truth, four
 
 Rng = np.random.Generator
 Change = dict[str, object]
@@ -39,7 +39,7 @@ def on_axes(axes: list[int], value: float, rest: float = 0.0) -> np.ndarray:
 
 
 def loop_delay(t: Truth, rng: Rng, level: float) -> Change:
-    tau = size(level, 1.5e-6, 45e-6)
+    tau = size(level, 0.4e-6, 40e-6)
     t.loop["delay"] = np.array([tau])
     return {"delay": tau}
 
@@ -51,24 +51,24 @@ def logging_offset(t: Truth, rng: Rng, level: float) -> Change:
 
 def amplifier_bandwidth(t: Truth, rng: Rng, level: float) -> Change:
     if rng.random() < 0.4:
-        hz = size(level, 60e3, 6e3)
+        hz = size(level, 40e3, 6e3)
         t.plant["amp_extra"] = four(2 * np.pi * hz)
         return {"extra_pole_hz": hz}
-    factor = 1 - size(level, 0.04, 0.25)
+    factor = 1 - size(level, 0.015, 0.25)
     t.plant["amp_w"] = lambda w: w * factor
     return {"amp_w": (t.amp_w * factor).tolist()}
 
 
 def amplifier_voltage_limit(t: Truth, rng: Rng, level: float) -> Change:
     # what the tones ask for is up to 0.6 A x 2 pi 1 kHz = 3.8e3 A/s at the main amplitude
-    limit = size(level, 6e3, 1.3e3)
+    limit = size(level, 5.5e3, 2.2e3)
     r_over_l = float(rng.choice([0.0, 80.0, 250.0]))
     t.plant["slew"], t.plant["slew_resistive"] = four(limit), four(r_over_l)
     return {"slew_a_per_s": limit, "r_over_l_per_s": r_over_l}
 
 
 def channel_crosstalk(t: Truth, rng: Rng, level: float) -> Change:
-    e = size(level, 0.003, 0.08) * sign(rng)
+    e = size(level, 3e-4, 0.08) * sign(rng)
     mix, kind = np.eye(4), str(rng.choice(["b_in_a", "both"]))
     for plane in (0, 2):
         mix[plane, plane + 1] = e
@@ -81,7 +81,7 @@ def channel_crosstalk(t: Truth, rng: Rng, level: float) -> Change:
 def controller_mismatch(t: Truth, rng: Rng, level: float) -> Change:
     kind = str(rng.choice(["gain", "derivative", "filter"]))
     c = dict(t.control)
-    e = size(level, 0.01, 0.15) * sign(rng)
+    e = size(level, 5e-4, 0.15) * sign(rng)
     if kind == "gain":
         for name in ("kp", "ki", "kd"):
             c[name] *= 1 + e
@@ -103,7 +103,7 @@ def _fit_ladder(law: Callable[[np.ndarray], np.ndarray], poles: np.ndarray) -> t
 
 
 def eddy_currents(t: Truth, rng: Rng, level: float) -> Change:
-    tau = size(level, 5e-8, 2.5e-5)
+    tau = size(level, 3e-9, 5e-6)
     poles = np.geomspace(60, 5e4, N_LADDER)
     gain, direct = _fit_ladder(lambda s: 1 / (1 + np.sqrt(s * tau)), poles)
     both = rng.random() < 0.4
@@ -113,10 +113,10 @@ def eddy_currents(t: Truth, rng: Rng, level: float) -> Change:
 
 def magnetic_saturation(t: Truth, rng: Rng, level: float) -> Change:
     if rng.random() < 0.5:
-        i_s = size(level, 6.0, 1.0)
+        i_s = size(level, 14.0, 1.0)
         t.plant.update(saturation=1, sat_level=four(i_s))
         return {"sat_A": i_s}
-    b, n = size(level, 1.9, 1.15), float(rng.choice([4.0, 6.0]))
+    b, n = size(level, 2.4, 1.15), float(rng.choice([4.0, 6.0]))
     t.plant.update(saturation=2, sat_level=four(b), sat_power=n)
     # the bias point keeps its stiffness roughly, as a datasheet's identified values would have it
     t.plant["k"] = lambda k: k * (1 + b**-n)
@@ -126,7 +126,7 @@ def magnetic_saturation(t: Truth, rng: Rng, level: float) -> Change:
 def magnetic_hysteresis(t: Truth, rng: Rng, level: float) -> Change:
     width = float(rng.uniform(0.1, 0.5))
     one = rng.random() < 0.5
-    share = size(level, 0.004, 0.15)
+    share = size(level, 5e-4, 0.12)
     w = np.full(N_PLAYS, width) if one else width * 2.5 * np.arange(1, N_PLAYS + 1) / N_PLAYS
     t.plant.update(play_share=four(share), play_width=w)
     return {"law": "play" if one else "rayleigh", "share": share, "width_a": w.tolist()}
@@ -135,20 +135,20 @@ def magnetic_hysteresis(t: Truth, rng: Rng, level: float) -> Change:
 def off_centre_rotor(t: Truth, rng: Rng, level: float) -> Change:
     x = np.zeros(4)
     for a in rng.choice(4, size=int(rng.choice([1, 2, 4], p=[0.5, 0.3, 0.2])), replace=False):
-        x[a] = size(level, 6e-6, 60e-6) * sign(rng) * float(rng.uniform(0.7, 1.0))
+        x[a] = size(level, 1e-6, 60e-6) * sign(rng) * float(rng.uniform(0.7, 1.0))
     t.plant["offset"] = x
     return {"x0": x.tolist()}
 
 
 def thermal_drift(t: Truth, rng: Rng, level: float) -> Change:
-    e = size(level, 0.006, 0.1)
+    e = size(level, 6e-4, 0.1)
     kind = str(rng.choice(["gap", "k"]))
     t.drift = (-e if kind == "k" else 0.0, e if kind == "gap" else 0.0, float(rng.choice([0.3, 1.0, 20.0])))
     return {"kind": kind, "relative": e, "time_constant_of_campaign": t.drift[2]}
 
 
 def magnetic_cross_coupling(t: Truth, rng: Rng, level: float) -> Change:
-    e = size(level, 0.002, 0.06) * sign(rng)
+    e = size(level, 2e-4, 0.06) * sign(rng)
     kind = str(rng.choice(["rotation", "symmetric", "rotation_exact"]))
     m = np.eye(4)
     if kind == "rotation_exact":
@@ -172,7 +172,7 @@ def rotor_inertia(t: Truth, rng: Rng, level: float) -> Change:
 
 def extra_flexible_mode(t: Truth, rng: Rng, level: float) -> Change:
     hz = float(np.exp(rng.uniform(np.log(60), np.log(1400))))
-    a = size(level, 0.01, 0.09) * np.sqrt(280.0 / t.mass)
+    a = size(level, 1.5e-3, 0.09) * np.sqrt(280.0 / t.mass)
     at_b = a * rng.uniform(0.4, 1.0, 2) * np.array([1.0, sign(rng)])
     at_s = at_b * rng.uniform(0.7, 1.3, 2) * (sign(rng) if rng.random() < 0.3 else 1.0)
     zeta = float(np.exp(rng.uniform(np.log(1e-3), np.log(2e-2))))
@@ -192,7 +192,7 @@ def modal_damping(t: Truth, rng: Rng, level: float) -> Change:
 
 def support_resonance(t: Truth, rng: Rng, level: float) -> Change:
     t.housing = {
-        "mass": size(level, 60.0, 2.5) * t.mass,
+        "mass": size(level, 500.0, 2.5) * t.mass,
         "hz": float(np.exp(rng.uniform(np.log(15), np.log(800)))),
         "zeta": float(np.exp(rng.uniform(np.log(5e-3), np.log(8e-2)))),
         "each": bool(rng.random() < 0.35),
@@ -210,8 +210,8 @@ def touchdown_contact(t: Truth, rng: Rng, level: float) -> Change:
 
 
 def sensor_lag(t: Truth, rng: Rng, level: float) -> Change:
-    lag = size(level, 2e-6, 40e-6)
-    if rng.random() < 0.6:
+    lag = size(level, 0.4e-6, 30e-6)
+    if rng.random() < 0.6 and lag > 3e-6:  # a faster pole is a delay to RK4 and to anyone
         t.plant["sensor_w"] = four(1 / lag)
         return {"sensor_hz": 1 / lag / (2 * np.pi)}
     t.loop["sensor_delay"] = lag
@@ -244,10 +244,10 @@ def sensor_position(t: Truth, rng: Rng, level: float) -> Change:
 def mains_interference(t: Truth, rng: Rng, level: float) -> Change:
     hz = 50.0 * int(rng.choice([1, 2, 3], p=[0.6, 0.3, 0.1]))
     if rng.random() < 0.5:
-        a = size(level, 2e-3, 0.1)
+        a = size(level, 3e-4, 0.1)
         t.plant.update(hum_a=four(a), hum_hz=hz, hum_phase=float(rng.uniform(0, 6)))
         return {"current_a": a, "hz": hz}
-    a = size(level, 1.5e-8, 1.5e-6)
+    a = size(level, 2e-9, 1.5e-6)
     t.loop.update(hum_m=four(a), hum_hz=hz, hum_phase=float(rng.uniform(0, 6)))
     return {"sensor_m": a, "hz": hz}
 
@@ -255,18 +255,39 @@ def mains_interference(t: Truth, rng: Rng, level: float) -> Change:
 CATALOGUE = {
     f.__name__: f
     for f in (
-        loop_delay, logging_offset, amplifier_bandwidth, amplifier_voltage_limit, channel_crosstalk,
-        controller_mismatch, eddy_currents, magnetic_saturation, magnetic_hysteresis, off_centre_rotor, thermal_drift,
-        magnetic_cross_coupling, rotor_inertia, extra_flexible_mode, modal_damping, support_resonance,
-        touchdown_contact, sensor_lag, sensor_gain, sensor_position, mains_interference,
+        loop_delay,
+        logging_offset,
+        amplifier_bandwidth,
+        amplifier_voltage_limit,
+        channel_crosstalk,
+        controller_mismatch,
+        eddy_currents,
+        magnetic_saturation,
+        magnetic_hysteresis,
+        off_centre_rotor,
+        thermal_drift,
+        magnetic_cross_coupling,
+        rotor_inertia,
+        extra_flexible_mode,
+        modal_damping,
+        support_resonance,
+        touchdown_contact,
+        sensor_lag,
+        sensor_gain,
+        sensor_position,
+        mains_interference,
     )
-}  # fmt: skip
+}
 
 PATH = {
-    "controller_mismatch": "controller", "logging_offset": "controller", "loop_delay": "amplifier",
-    "amplifier_bandwidth": "amplifier", "amplifier_voltage_limit": "amplifier", "channel_crosstalk": "amplifier",
+    "controller_mismatch": "controller",
+    "logging_offset": "controller",
+    "loop_delay": "amplifier",
+    "amplifier_bandwidth": "amplifier",
+    "amplifier_voltage_limit": "amplifier",
+    "channel_crosstalk": "amplifier",
     "mains_interference": "additive",
-}  # fmt: skip
+}
 """The rest act in the plant."""
 
 
@@ -276,19 +297,19 @@ def clipped_log(t: Truth, rng: Rng, level: float) -> Change:
 
 
 def cubic_sensor(t: Truth, rng: Rng, level: float) -> Change:
-    c = size(level, 8e6, 4e8) * sign(rng)
+    c = size(level, 1e6, 4e8) * sign(rng)
     t.loop["sensor_cubic"] = four(c)
     return {"cubic_per_m2": c}
 
 
 def dead_band(t: Truth, rng: Rng, level: float) -> Change:
-    band = size(level, 2e-3, 25e-3)
+    band = size(level, 2e-4, 25e-3)
     t.plant["dead_band"] = four(band)
     return {"dead_band_a": band}
 
 
 def friction(t: Truth, rng: Rng, level: float) -> Change:
-    force = size(level, 0.4, 15.0) * t.mass / 280.0
+    force = size(level, 0.03, 8.0) * t.mass / 280.0
     t.plant.update(friction=on_axes(some_axes(rng), force), friction_stiffness=1e6 * t.mass / 280.0)
     return {"friction_n": force, "presliding_n_per_m": 1e6}
 
@@ -299,7 +320,7 @@ def held_samples(t: Truth, rng: Rng, level: float) -> Change:
 
 
 def coarse_steps(t: Truth, rng: Rng, level: float) -> Change:
-    step = size(level, 0.3e-6, 2e-6)
+    step = size(level, 0.1e-6, 2e-6)
     in_loop = bool(rng.random() < 0.3)
     if in_loop:
         t.loop["sensor_step"] = step
@@ -311,7 +332,7 @@ def coarse_steps(t: Truth, rng: Rng, level: float) -> Change:
 def stiffening_mode(t: Truth, rng: Rng, level: float) -> Change:
     cubic, k = np.zeros((2, 7)), int(rng.integers(2))
     # of the modal coordinate, m sqrt(kg): a tenth of a per cent of the frequency at its peak is plainly seen
-    cubic[:, 2 + k] = size(level, 3e4, 3e6) * sign(rng)
+    cubic[:, 2 + k] = size(level, 2e5, 2e7) * sign(rng)
     t.plant["cubic"] = cubic
     return {"mode": k, "cubic": float(cubic[0, 2 + k])}
 
@@ -324,7 +345,7 @@ def swinging_stiffness(t: Truth, rng: Rng, level: float) -> Change:
 
 def amplitude_damping(t: Truth, rng: Rng, level: float) -> Change:
     d, k = np.zeros((2, 7)), int(rng.integers(2))
-    d[:, 2 + k] = size(level, 1e8, 1e11)
+    d[:, 2 + k] = size(level, 5e8, 1e11)
     t.plant["square_damping"] = d
     return {"mode": k, "per_q2": float(d[0, 2 + k])}
 
@@ -351,7 +372,17 @@ def filtered_current_log(t: Truth, rng: Rng, level: float) -> Change:
 UNKNOWN = {
     f.__name__: f
     for f in (
-        clipped_log, cubic_sensor, dead_band, friction, held_samples, coarse_steps, stiffening_mode,
-        swinging_stiffness, amplitude_damping, demodulation_phase, loose_connector, filtered_current_log,
+        clipped_log,
+        cubic_sensor,
+        dead_band,
+        friction,
+        held_samples,
+        coarse_steps,
+        stiffening_mode,
+        swinging_stiffness,
+        amplitude_damping,
+        demodulation_phase,
+        loose_connector,
+        filtered_current_log,
     )
-}  # fmt: skip
+}

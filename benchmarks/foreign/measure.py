@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foreign.physics import run_tone
-from foreign.rig import TS, Truth, response, small_signal
+from foreign.rig import TS, Truth, small_signal
 
 FS = 1 / TS
 BLOCKS = 6
@@ -30,6 +30,7 @@ class Tones:
 
     @property
     def frequency(self) -> np.ndarray:
+        """Hz."""
         return self.periods * FS / self.samples
 
 
@@ -58,7 +59,7 @@ def plan(truth: Truth, rng: np.random.Generator, factor: float, peak_m: float = 
     f = np.sort(f)
     closed = small_signal(*truth.build())
     a = profile(f, modes)
-    a *= min(1.5, peak_m / (response(closed, f).max(axis=(1, 2)) * a).max())
+    a *= min(1.5, peak_m / (abs(closed.response(f)[:, 8:]).max(axis=(1, 2)) * a).max())
     top = a / profile(f, modes)
     k2, n2 = _grid(np.sort(np.exp(rng.uniform(np.log(10), np.log(1000), 18))))
     f2 = k2 * FS / n2
@@ -110,6 +111,8 @@ def measure(truth: Truth, sweeps: tuple, rng: np.random.Generator, settle_s: flo
         A tone went past a limit.
     """
     plant, loop = truth.build()
+    fastest = max(plant["amp_extra"].max(), plant["sensor_w"].max())
+    substeps = max(substeps, int(np.ceil(fastest * TS / 2.2)))  # RK4 is stable up to 2.78
     limits = np.array([truth.limit_y, truth.limit_i])
     total = sum(4 * len(t.samples) for t in sweeps)
     done, clock, out = 0, 0.0, []
@@ -126,15 +129,25 @@ def measure(truth: Truth, sweeps: tuple, rng: np.random.Generator, settle_s: flo
             share = done / total
             warm = (1 - np.exp(-share / truth.drift[2])) / (1 - np.exp(-1 / truth.drift[2]))
             r, u, i, y, lasted = run_tone(
-                plant, loop, int(data["axis"][row]), float(tones.amplitude[k]), float(tones.frequency[k]), length,
-                400, clock, 1 + truth.drift[0] * warm, 1 + truth.drift[1] * warm,
-                truth.noise_y * rng.standard_normal((length, 4)), truth.noise_i * rng.standard_normal((length, 4)),
-                substeps, limits,
-            )  # fmt: skip
+                plant,
+                loop,
+                int(data["axis"][row]),
+                float(tones.amplitude[k]),
+                float(tones.frequency[k]),
+                length,
+                400,
+                clock,
+                1 + truth.drift[0] * warm,
+                1 + truth.drift[1] * warm,
+                truth.noise_y * rng.standard_normal((length, 4)),
+                truth.noise_i * rng.standard_normal((length, 4)),
+                substeps,
+                limits,
+            )
             if lasted < length:
                 raise LeftLimits(f"tone {row} at {tones.frequency[k]:.1f} Hz, {1e6 * abs(y[lasted]).max():.0f} um")
             u, i, y = spoil(truth.log, u, i, y, share)
-            for name, x in zip("RUIY", (r, u, i, y)):
+            for name, x in zip("RUIY", (r, u, i, y), strict=True):
                 data[name][row] = lock_in(x, int(tones.periods[k]), n, start)
             if "phase" in truth.log:
                 data["Y"][row, :, 1:, truth.log["phase"][0]] *= np.exp(1j * truth.log["phase"][1])

@@ -252,7 +252,9 @@ class Loop(NamedTuple):
 
 
 @njit(cache=True, fastmath=FAST)
-def run_tone(plants, c, axis, amplitude, frequency, n_samples, ramp, t_start, dk, dg, noise_y, noise_i, substeps, limits):
+def run_tone(
+    plants, c, axis, amplitude, frequency, n_samples, ramp, t_start, dk, dg, noise_y, noise_i, substeps, limits
+):
     """One tone from rest: logged r, u, i, y (n, 4), and how many samples it lasted within the limits."""
     p = plants[0]
     n = L0 if p.ladder == 0 else (L0 + 4 * N_LADDER if p.ladder == 1 else N_STATES)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.linalg import expm
 from scipy.signal import bilinear
 
-from foreign.physics import N_LADDER, N_PLAYS, N_STATES, PLANT, Loop, S0, derivative
+from foreign.physics import I0, N_LADDER, N_PLAYS, N_STATES, PLANT, S0, Loop, derivative
 
 TS = 1e-4
 
@@ -24,8 +25,8 @@ def pid(kp: float, ki: float, kd: float, filter_hz: float, notch_hz: float, dept
 
 
 CONTROLLERS = {
-    "reference": dict(kp=18e3, ki=36e3, kd=80.0, filter_hz=3e3, notch_hz=750.0, depth=0.2, width=0.7),
-    "late": dict(kp=16e3, ki=36e3, kd=60.0, filter_hz=4e3, notch_hz=620.0, depth=0.2, width=0.8),
+    "reference": {"kp": 18e3, "ki": 36e3, "kd": 80.0, "filter_hz": 3e3, "notch_hz": 750.0, "depth": 0.2, "width": 0.7},
+    "late": {"kp": 16e3, "ki": 36e3, "kd": 60.0, "filter_hz": 4e3, "notch_hz": 620.0, "depth": 0.2, "width": 0.8},
 }
 
 
@@ -90,26 +91,66 @@ class Truth:
                     tb[plane, seen, first + end] = ts[plane, seen, first + end] = -1.0
         gap = self.bias * self.ki / self.ks
         nq = 2 + len(self.modes) + ((2 if self.housing["each"] else 1) if self.housing else 0)
-        values = dict(
-            nq=nq,
-            tb=tb, ts=ts, minv=minv, w=w, zeta=zeta, cubic=np.zeros((2, 7)), square_damping=np.zeros((2, 7)),
-            bias=four(self.bias), gap=gap, k=self.ki * gap**2 / (4 * self.bias), offset=np.zeros(4),
-            saturation=0, sat_level=np.ones(4), sat_power=2.0, play_share=np.zeros(4), play_width=np.zeros(N_PLAYS),
-            ladder=0, ladder_pole=np.ones(N_LADDER), ladder_gain=np.zeros(N_LADDER), ladder_direct=1.0,
-            force_mix=np.eye(4), amp_w=np.array(self.amp_w), amp_zeta=np.array(self.amp_zeta), amp_gain=np.ones(4),
-            amp_extra=np.zeros(4), slew=four(np.inf), slew_resistive=np.zeros(4), u_mix=np.eye(4),
-            dead_band=np.zeros(4), stop_gap=four(np.inf), stop_stiffness=0.0, stop_damping=0.0, stop_both=1,
-            friction=np.zeros(4), friction_stiffness=1.0, ks_swing=0.0, ks_swing_hz=37.0, hum_a=np.zeros(4),
-            hum_hz=50.0, hum_phase=0.0, sensor_w=np.zeros(4),
-        )  # fmt: skip
+        values = {
+            "nq": nq,
+            "tb": tb,
+            "ts": ts,
+            "minv": minv,
+            "w": w,
+            "zeta": zeta,
+            "cubic": np.zeros((2, 7)),
+            "square_damping": np.zeros((2, 7)),
+            "bias": four(self.bias),
+            "gap": gap,
+            "k": self.ki * gap**2 / (4 * self.bias),
+            "offset": np.zeros(4),
+            "saturation": 0,
+            "sat_level": np.ones(4),
+            "sat_power": 2.0,
+            "play_share": np.zeros(4),
+            "play_width": np.zeros(N_PLAYS),
+            "ladder": 0,
+            "ladder_pole": np.ones(N_LADDER),
+            "ladder_gain": np.zeros(N_LADDER),
+            "ladder_direct": 1.0,
+            "force_mix": np.eye(4),
+            "amp_w": np.array(self.amp_w),
+            "amp_zeta": np.array(self.amp_zeta),
+            "amp_gain": np.ones(4),
+            "amp_extra": np.zeros(4),
+            "slew": four(np.inf),
+            "slew_resistive": np.zeros(4),
+            "u_mix": np.eye(4),
+            "dead_band": np.zeros(4),
+            "stop_gap": four(np.inf),
+            "stop_stiffness": 0.0,
+            "stop_damping": 0.0,
+            "stop_both": 1,
+            "friction": np.zeros(4),
+            "friction_stiffness": 1.0,
+            "ks_swing": 0.0,
+            "ks_swing_hz": 37.0,
+            "hum_a": np.zeros(4),
+            "hum_hz": 50.0,
+            "hum_phase": 0.0,
+            "sensor_w": np.zeros(4),
+        }
         for name, value in self.plant.items():
             values[name] = value(values[name]) if callable(value) else value
         ba = [pid(**(self.control_by_axis[a] if self.control_by_axis else self.control)) for a in range(4)]
-        loop = dict(
-            b=np.array([b for b, _ in ba]), a=np.array([a for _, a in ba]), sample_time=TS, delay=np.zeros(1),
-            sensor_delay=0.0, sensor_gain=np.ones(4), sensor_cubic=np.zeros(4), sensor_step=0.0,
-            hum_m=np.zeros(4), hum_hz=50.0, hum_phase=0.0,
-        )  # fmt: skip
+        loop = {
+            "b": np.array([b for b, _ in ba]),
+            "a": np.array([a for _, a in ba]),
+            "sample_time": TS,
+            "delay": np.zeros(1),
+            "sensor_delay": 0.0,
+            "sensor_gain": np.ones(4),
+            "sensor_cubic": np.zeros(4),
+            "sensor_step": 0.0,
+            "hum_m": np.zeros(4),
+            "hum_hz": 50.0,
+            "hum_phase": 0.0,
+        }
         loop.update(self.loop)
         plant = np.zeros(1, dtype=PLANT)
         for name, value in values.items():
@@ -133,8 +174,28 @@ def _slope(plants, s, u, plays, dk, dg, ds):
     derivative(plants[0], 0.0, s, u, plays, dk, dg, ds)
 
 
-def small_signal(plant: np.ndarray, loop: Loop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Closed loop over one sample by finite differences: (A, B of r, C of y), ideal sensors' delay left out."""
+class Closed(NamedTuple):
+    """Closed loop over one sample: state matrix, input r, and what reads u, i and y from the state (u: plus r)."""
+
+    a: np.ndarray
+    b: np.ndarray
+    u: np.ndarray
+    i: np.ndarray
+    y: np.ndarray
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """U, I, Y per R: (F, 12, 4)."""
+        w, v = np.linalg.eig(self.a)
+        right = np.linalg.solve(v, self.b.astype(complex))
+        left = np.concatenate([self.u, self.i, self.y]) @ v
+        z = np.exp(2j * np.pi * frequency * TS)
+        out = np.einsum("ak,fk,kb->fab", left, 1 / (z[:, None] - w), right, optimize=True)
+        out[:, :4] += np.eye(4)
+        return np.asarray(out)
+
+
+def small_signal(plant: np.ndarray, loop: Loop) -> Closed:
+    """Closed loop over one sample by finite differences; a sensor's delay is counted with the drive's."""
     plants = plant.copy()
     plants["dead_band"] = 0.0
     plant = plants[0]
@@ -148,7 +209,9 @@ def small_signal(plant: np.ndarray, loop: Loop) -> tuple[np.ndarray, np.ndarray,
         _slope(plants, s, u, plays, 1.0, 1.0, ds)
         return ds
 
-    a = np.array([(slope(zero + e, u0) - slope(zero - e, u0)) / (2 * h) for e, h in zip(np.diag(scale), scale)]).T
+    a = np.array(
+        [(slope(zero + e, u0) - slope(zero - e, u0)) / (2 * h) for e, h in zip(np.diag(scale), scale, strict=True)]
+    ).T
     b = np.array([(slope(zero, u0 + e) - slope(zero, u0 - e)) / 2e-3 for e in 1e-3 * np.eye(4)]).T
     used = _in_use(plant)
     a, b = a[np.ix_(used, used)], b[used]
@@ -200,18 +263,11 @@ def small_signal(plant: np.ndarray, loop: Loop) -> tuple[np.ndarray, np.ndarray,
         big[n + nc + 4 * (q + 1) : n + nc + 4 * (q + 2), n + nc + 4 * q : n + nc + 4 * (q + 1)] = np.eye(4)
     read = np.zeros((4, n + nc + nd))
     read[:, :n] = c
-    return big, r_to, read
+    current = np.zeros((4, n + nc + nd))
+    current[:, :n] = np.eye(N_STATES)[I0 : I0 + 4][:, used]
+    return Closed(big, r_to, u_of, current, read)
 
 
 def slowest(big: np.ndarray) -> float:
     """Largest modulus of the closed loop's eigenvalues."""
     return float(np.abs(np.linalg.eigvals(big)).max())
-
-
-def response(closed: tuple, frequency: np.ndarray) -> np.ndarray:
-    """|y / r| (F, 4, 4) of the small-signal closed loop."""
-    a, b, c = closed
-    w, v = np.linalg.eig(a)
-    left, right = c @ v, np.linalg.solve(v, b.astype(complex))
-    z = np.exp(2j * np.pi * frequency * TS)
-    return np.abs(np.einsum("ak,fk,kb->fab", left, 1 / (z[:, None] - w), right))

@@ -1,0 +1,164 @@
+"""A blind trial: measure a rig with something withheld, seal the truth, diagnose, open the seal, score.
+
+The order is the point. The truth is sealed, and its commitment published, before the diagnosis is called; the
+diagnosis is called with the experiment and the datasheet alone; its report is published before the seal is opened;
+what is opened is checked against the commitment. Whoever holds the published files can check all of it again.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.detectability import detectability, quiet, replay
+from service.gap.scoring import Outcome, score
+from service.gap.seal import SealError, opened, seal
+from service.gap.unlisted_laws import TamperedSimulation
+from service.gap.withheld import Case
+from sim.datasheet import Datasheet
+from sim.stepping import Simulation
+
+FORMAT = "amb-gap-trial"
+
+
+class Report(Protocol):
+    """What a diagnosis gives."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document gap.json."""
+        ...
+
+
+Measure = Callable[[Case], Experiment]
+"""Runs the experiment on the case's rig. It knows the truth; the diagnosis does not see it."""
+Diagnose = Callable[[Experiment, Datasheet], Report]
+Publish = Callable[[str, Mapping[str, Any]], None]
+"""(name, document): what becomes known, in the order in which it becomes known."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One case, run and opened."""
+
+    commitment: str
+    sealed: Mapping[str, Any]
+    report: Mapping[str, Any]
+    seconds: float
+
+    def document(self) -> dict[str, Any]:
+        """As it is kept in trial.json."""
+        return {
+            "commitment": self.commitment,
+            "sealed": dict(self.sealed),
+            "report_sha256": fingerprint(self.report),
+            "report": dict(self.report),
+            "seconds": self.seconds,
+        }
+
+
+def fingerprint(document: Mapping[str, Any]) -> str:
+    """SHA-256 of a document, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+
+
+def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish) -> Trial:
+    """Measure, seal, diagnose and open one case.
+
+    Parameters
+    ----------
+    case
+        What is withheld.
+    measure
+        The experiment on the case's rig.
+    diagnose
+        Gets the experiment and the datasheet.
+    publish
+        Called with "commitment" and "sealed" before the diagnosis begins, with "report" before the seal is opened.
+
+    Raises
+    ------
+    SealError
+        The sealed document was changed while the diagnosis ran.
+    """
+    experiment = measure(case)
+    kept = seal(case.truth() | {"detectability": detectability_of(case, experiment)})
+    document = kept.document()
+    publish("commitment", {"case": case.number, "sha256": kept.commitment})
+    publish("sealed", document)
+    started = time.perf_counter()
+    report = json.loads(json.dumps(diagnose(experiment, case.datasheet).to_dict()))
+    seconds = time.perf_counter() - started
+    publish("report", report)
+    opened(document, kept.commitment)
+    return Trial(kept.commitment, document, report, seconds)
+
+
+def plant_sweeps(experiment: Experiment) -> list[Sweep]:
+    """Excited sweeps of the plant: the main one and the one at another amplitude, points that were measured."""
+    wanted = [s for s in experiment.sweeps if s.kind != "noise" and s.comment in ("main", "validation")]
+    return [s.select((s.amplitude_a > 0) & (np.abs(s.R).max(axis=(1, 2, 3)) > 0)) for s in wanted]
+
+
+def detectability_of(case: Case, experiment: Experiment) -> float:
+    """How plainly the case's secret shows in its experiment; 0 for a clean rig."""
+    if case.kind == "clean":
+        return 0.0
+    sweeps = plant_sweeps(experiment)
+    took = float(experiment.attributes.get("rig_seconds", "nan"))
+    plain = Simulation(quiet(case.plain))
+    without = [replay(plain, s) for s in sweeps]
+    replayed = plain.time_s
+    rig = case.rig
+    if rig.drift is not None and np.isfinite(took):  # the replay takes less time than the campaign did
+        rig = replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replayed / took))
+    changed = TamperedSimulation(quiet(rig), 0, copy.deepcopy(case.tampering), replayed)
+    with_it = [replay(changed, s) for s in sweeps]
+    return detectability(case.plain, case.datasheet.tolerance, list(zip(sweeps, with_it, without, strict=True)))
+
+
+def checked(document: Mapping[str, Any]) -> Outcome:
+    """Outcome of one case of a trial, its seal and its report checked against what was published before.
+
+    Raises
+    ------
+    SealError
+        The sealed truth or the report is not the one that was committed to.
+    """
+    truth = opened(document["sealed"], document["commitment"])
+    if fingerprint(document["report"]) != document["report_sha256"]:
+        raise SealError(f"the report of case {truth.get('case')} is not the one that was published: it was changed")
+    return Outcome(
+        case=truth["case"],
+        kind=truth["kind"],
+        effects=tuple(truth["effects"]),
+        parameters=truth["parameters"],
+        law=truth["law"],
+        detectability=truth["detectability"],
+        report=document["report"],
+        seconds=document["seconds"],
+    )
+
+
+def summary(cases: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:
+    """trial.json: every case as published, and the scores of all that could be opened.
+
+    Raises
+    ------
+    SealError
+        As `checked`.
+    """
+    return {
+        "format": FORMAT,
+        "version": 1,
+        "seed": seed,
+        "scores": score([checked(c) for c in cases]),
+        "cases": [dict(c) for c in cases],
+    }

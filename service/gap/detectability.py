@@ -1,0 +1,260 @@
+"""How plainly a withheld effect shows in an experiment: the yardstick of every score of a blind trial.
+
+The experiment's tones are replayed on the rig with and without what is withheld, both without noise. The change is
+measured in standard deviations of the experiment's noise, and what wrong datasheet values within their tolerances
+could do is taken off: the least of |W (change - J theta)|^2 + |theta / sigma|^2. Its root is about the number of
+standard deviations by which the effect stands out for someone who knows what to look for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+from sim import control_law
+from sim.datasheet import Tolerance
+from sim.rig import Array, FlexibleMode, Noise, Rig
+from sim.stepping import Simulation
+from sim.twin import linear_model
+
+Complex = NDArray[np.complex128]
+
+BLOCKS = 2
+SETTLE_S = 0.25
+RAMP_S = 0.04
+BLOCK_S = 0.05
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Amplitudes of a sweep's tones on a rig without noise: (P, H, n) each."""
+
+    R: Complex
+    U: Complex
+    I: Complex
+    Y: Complex
+    rig_s: float
+
+
+def quiet(rig: Rig) -> Rig:
+    """The rig without measurement noise; steps of its sensors stay, for they may be what is withheld."""
+    return replace(rig, noise=Noise(0.0, 0.0, rig.noise.displacement_step_m, rig.noise.current_step_a))
+
+
+def replay(simulation: Simulation, sweep: Sweep) -> Replayed:
+    """Play a sweep's tones, in order, and demodulate them over whole periods."""
+    fs, n = 1 / simulation.rig.controller.sample_time_s, simulation.n_axes
+    out: dict[str, list[Complex]] = {name: [] for name in "RUIY"}
+    started = simulation.time_s
+    for f, axis, amplitude in zip(sweep.frequency_hz, sweep.axis, sweep.amplitude_a, strict=True):
+        periods, samples = _block(float(f), fs)
+        settle, ramp = round(SETTLE_S * fs), round(RAMP_S * fs)
+        k = np.arange(-settle - ramp, BLOCKS * samples + ramp)
+        end = BLOCKS * samples
+        level = np.clip(np.minimum((k + settle + ramp) / ramp, (end + ramp - k) / ramp), 0.0, 1.0)
+        r = np.zeros((len(k), n))
+        r[:, axis] = amplitude * level * np.cos(2 * np.pi * periods * k / samples)
+        record = simulation.advance(r, check_limits=False)
+        taken = slice(settle + ramp, settle + ramp + end)
+        t = np.arange(end)
+        for name, x in zip("RUIY", (record.r, record.u, record.i, record.y), strict=True):
+            basis = [np.exp(-2j * np.pi * h * periods * t / samples) * (2 if h else 1) / end for h in sweep.harmonics]
+            out[name].append(np.asarray(np.array(basis) @ x[taken]))
+    stacked = {name: np.array(rows) for name, rows in out.items()}
+    return Replayed(**stacked, rig_s=simulation.time_s - started)
+
+
+def _block(frequency_hz: float, sample_rate_hz: float) -> tuple[int, int]:
+    """Whole periods in whole samples that come within 1e-5 of a frequency, in blocks of some 50 ms."""
+    first = max(1, round(frequency_hz * BLOCK_S))
+    best = (first, round(first * sample_rate_hz / frequency_hz))
+    error = np.inf
+    for periods in range(first, first + 40):
+        samples = round(periods * sample_rate_hz / frequency_hz)
+        now = abs(periods * sample_rate_hz / samples / frequency_hz - 1)
+        if now < error:
+            best, error = (periods, samples), now
+        if error < 1e-5:
+            break
+    return best
+
+
+Move = Callable[[Rig, float], Rig]
+"""(rig, relative change) -> rig with one value of its datasheet moved."""
+
+
+def uncertain_values(rig: Rig, tolerance: Tolerance) -> list[tuple[Move, float]]:
+    """What the datasheet may be wrong in, each with its one-sigma error."""
+
+    def axis_value(part: str, name: str, axis: int) -> Move:
+        def move(r: Rig, x: float) -> Rig:
+            whole = getattr(r, part)
+            values = np.array(getattr(whole, name), dtype=float)
+            values[axis] *= 1 + x
+            return replace(r, **{part: replace(whole, **{name: values})})
+
+        return move
+
+    def rotor_value(name: str) -> Move:
+        return lambda r, x: replace(r, rotor=replace(r.rotor, **{name: getattr(r.rotor, name) * (1 + x)}))
+
+    def sensor(end: int) -> Move:
+        def move(r: Rig, x: float) -> Rig:
+            at = list(r.rotor.sensor_from_cog_m)
+            at[end] += x
+            return replace(r, rotor=replace(r.rotor, sensor_from_cog_m=(at[0], at[1])))
+
+        return move
+
+    out: list[tuple[Move, float]] = []
+    for axis in range(rig.n_axes):
+        out += [
+            (axis_value("magnets", "ki", axis), tolerance.current_stiffness),
+            (axis_value("magnets", "ks", axis), tolerance.position_stiffness),
+            (axis_value("amplifiers", "natural_frequency_rad_s", axis), tolerance.amplifier_frequency),
+            (axis_value("amplifiers", "gain", axis), tolerance.amplifier_gain),
+            (axis_value("sensors", "gain", axis), tolerance.sensor_gain),
+        ]
+        if rig.amplifiers.damping_ratio is not None:
+            out.append((axis_value("amplifiers", "damping_ratio", axis), tolerance.amplifier_damping))
+    out.append((rotor_value("mass_kg"), tolerance.mass))
+    out.append((rotor_value("transverse_inertia_kgm2"), tolerance.transverse_inertia))
+    out += [(sensor(end), tolerance.sensor_position_m) for end in (0, 1)]
+    for k in range(len(rig.rotor.modes[0])):
+        out += _mode_values(k, tolerance)
+    return out
+
+
+def _mode_values(k: int, t: Tolerance) -> list[tuple[Move, float]]:
+    def moved(change: Callable[[FlexibleMode, float], FlexibleMode]) -> Move:
+        def move(r: Rig, x: float) -> Rig:
+            modes = tuple(tuple(change(m, x) if j == k else m for j, m in enumerate(p)) for p in r.rotor.modes)
+            return replace(r, rotor=replace(r.rotor, modes=modes))
+
+        return move
+
+    def scaled(name: str) -> Callable[[FlexibleMode, float], FlexibleMode]:
+        return lambda m, x: replace(m, **{name: getattr(m, name) * (1 + x)})
+
+    def shape(name: str, end: int) -> Callable[[FlexibleMode, float], FlexibleMode]:
+        def change(m: FlexibleMode, x: float) -> FlexibleMode:
+            v = list(getattr(m, name))
+            v[end] *= 1 + x
+            pair: Any = (v[0], v[1])
+            return replace(m, **{name: pair})
+
+        return change
+
+    found: list[tuple[Move, float]] = [
+        (moved(scaled("natural_frequency_rad_s")), t.mode_frequency),
+        (moved(scaled("damping_ratio")), t.mode_damping),
+    ]
+    for end in (0, 1):
+        found += [(moved(shape(n, end)), t.mode_shape) for n in ("shape_at_bearings", "shape_at_sensors")]
+    return found
+
+
+def _signals(R: Complex, U: Complex, I: Complex, Y: Complex, C: Complex) -> Complex:
+    """Controller residual, current and displacement side by side, (..., 3 n)."""
+    return np.concatenate([U - R + C * Y, I, Y], axis=-1)
+
+
+def _model(rig: Rig, sweep: Sweep, lines: Array, at: NDArray[np.int64]) -> Complex:
+    """What the small-signal rig answers to the sweep's tones, (P, 3 n)."""
+    m = linear_model(rig, lines)
+    U = m.u_per_r
+    C = m.controller[:, None, None]
+    Y = m.y_per_u @ U
+    response = np.concatenate([U - np.eye(rig.n_axes) + C * Y, m.i_per_u @ U, Y], axis=1)
+    return np.asarray(response[at, :, sweep.axis] * sweep.amplitude_a[:, None])
+
+
+def _whitening(blocks: Complex, at: NDArray[np.int64], n_lines: int) -> Complex:
+    """(P, 3n, 3n): covariance of the mean over blocks, pooled over inputs and neighbouring lines."""
+    noise = blocks - blocks.mean(axis=1, keepdims=True)
+    n_blocks, size = blocks.shape[1:]
+    per_line = np.empty((n_lines, size, size), dtype=complex)
+    for line in range(n_lines):
+        near = np.abs(at - line) <= 1
+        e = noise[near].reshape(-1, size)
+        scale = np.sqrt((np.abs(e) ** 2).mean(axis=0)) + 1e-300
+        cov = (e / scale).T @ (e / scale).conj() / (near.sum() * (n_blocks - 1)) / n_blocks
+        per_line[line] = np.linalg.inv(np.linalg.cholesky(cov + 1e-3 * np.eye(size) / n_blocks)) / scale
+    return per_line[at]
+
+
+def detectability(plain: Rig, tolerance: Tolerance, sweeps: Sequence[tuple[Sweep, Replayed, Replayed]]) -> float:
+    """Standard deviations by which what is withheld stands out of noise and the datasheet's tolerances.
+
+    Parameters
+    ----------
+    plain : Rig
+        Without what is withheld.
+    tolerance : Tolerance
+    sweeps
+        (as measured, replayed with what is withheld, replayed without it).
+    """
+    parts = uncertain_values(plain, tolerance)
+    n, step = len(parts), 1e-3
+    changes: list[Complex] = []
+    roots: list[Complex] = []
+    grids: list[tuple[Array, NDArray[np.int64]]] = []
+    beyond = 0.0
+    for sweep, with_it, without in sweeps:
+        lines, at = np.unique(sweep.frequency_hz, return_inverse=True)
+        C = control_law.response(plain.controller, 2 * np.pi * sweep.frequency_hz)[:, None]
+        I = sweep.U if sweep.I is None else sweep.I
+        f = sweep.harmonic(1)
+        blocks = _signals(sweep.R[:, :, f], sweep.U[:, :, f], I[:, :, f], sweep.Y[:, :, f], C[:, None])
+        dR, dU, dI, dY = (getattr(with_it, name) - getattr(without, name) for name in "RUIY")
+        changes.append(_signals(dR[:, f], dU[:, f], dI[:, f], dY[:, f], C))
+        roots.append(_whitening(blocks, at, len(lines)))
+        grids.append((lines, at))
+        for k, h in enumerate(sweep.harmonics):
+            if h != 1:
+                for X, d in ((sweep.U, dU), (I, dI), (sweep.Y, dY)):
+                    variance = np.median(X[:, :, k].var(axis=1, ddof=1), axis=0) / X.shape[1] / 0.87
+                    beyond += float((np.abs(d[:, k]) ** 2 / (variance + 1e-300)).sum())
+
+    def whitened(x: Sequence[Complex]) -> Array:
+        y = np.concatenate([np.einsum("pab,pb->pa", w, e).ravel() for w, e in zip(roots, x, strict=True)])
+        return np.asarray(np.sqrt(2) * np.concatenate([y.real, y.imag]))
+
+    def model(theta: Array) -> list[Complex]:
+        rig = plain
+        for (move, sigma), x in zip(parts, theta, strict=True):
+            rig = move(rig, sigma * x) if x else rig
+        return [_model(rig, s, *g) for (s, _, _), g in zip(sweeps, grids, strict=True)]
+
+    nominal = model(np.zeros(n))
+    columns = [whitened([(m - m0) / step for m, m0 in zip(model(step * e), nominal, strict=True)]) for e in np.eye(n)]
+    least = _least(np.array(columns).T, whitened(changes), lambda theta: whitened(_minus(model(theta), nominal)))
+    return float(np.sqrt(least + 2 * beyond))
+
+
+def _minus(a: Sequence[Complex], b: Sequence[Complex]) -> list[Complex]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _least(J: Array, change: Array, moved: Callable[[Array], Array], rounds: int = 15) -> float:
+    """Smallest |change - moved(theta)|^2 + |theta|^2, by Levenberg's method with the Jacobian of theta = 0."""
+    normal, n = J.T @ J, J.shape[1]
+    theta, left, damping = np.zeros(n), change, 1e-3
+    best = float(change @ change)
+    for _ in range(rounds):
+        step = np.linalg.solve(normal + np.eye(n) + damping * np.diag(np.diag(normal)), J.T @ left - theta)
+        trial = change - moved(theta + step)
+        cost = float(trial @ trial + (theta + step) @ (theta + step))
+        if not cost < best:
+            damping *= 8
+            continue
+        done = best - cost < 1e-3 * best + 0.1
+        best, theta, left, damping = cost, theta + step, trial, damping / 4
+        if done:
+            break
+    return best

@@ -1,0 +1,253 @@
+"""Scores of a blind trial: verdicts against opened truths, always beside how plainly the truth showed.
+
+Nothing here knows how a diagnosis decides: it reads gap.json documents and the truths that were sealed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+DETECTABLE = 10.0
+"""Whitened norm above which an effect counts as detectable."""
+CLASS_SIZE = 3
+"""Largest alias class that still counts as an answer."""
+BINS = (0.0, 3.0, 10.0, 30.0, 100.0, math.inf)
+"""Bands of detectability."""
+CALIBRATION_BINS = 10
+WORTH_CLOSING = 0.2
+"""Closure of the true effect from which a ratio to it means something."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One case: its truth and what the diagnosis made of it."""
+
+    case: int
+    kind: str
+    """"single", "mixture", "clean" or "unlisted"."""
+    effects: tuple[str, ...]
+    parameters: Mapping[str, Mapping[str, float]]
+    """True values by effect."""
+    law: str
+    detectability: float
+    report: Mapping[str, Any]
+    """gap.json."""
+    seconds: float
+
+    @property
+    def verdict(self) -> Mapping[str, Any]:
+        """The report's verdict."""
+        return dict(self.report["verdict"])
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects that the verdict names, the best first."""
+        return tuple(self.verdict["effects"]) if self.verdict["kind"] in ("effect", "effects") else ()
+
+    @property
+    def probability(self) -> float:
+        """Of the verdict, as it states it."""
+        return float(self.verdict["probability"])
+
+    @property
+    def detectable(self) -> bool:
+        """Whether the truth stands out enough to be asked for."""
+        return self.detectability > DETECTABLE
+
+    def answers(self, effect: str, of: Sequence[str] | None = None) -> bool:
+        """Whether the verdict names an effect, or a small alias class of a named one that holds it."""
+        named = self.named if of is None else tuple(of)
+        if effect in named:
+            return True
+        groups = (tuple(g) for g in self.verdict["indistinguishable"])
+        return any(effect in g and len(g) <= CLASS_SIZE and set(g) & set(named) for g in groups)
+
+    @property
+    def right(self) -> bool:
+        """Whether the verdict is right: kind and effects, by class. Not to find the undetectable is right too."""
+        kind = self.verdict["kind"]
+        if self.kind == "clean":
+            return bool(kind == "no_gap")
+        if self.kind == "unlisted":
+            return bool(kind == "none_of_these" or (kind == "no_gap" and not self.detectable))
+        if kind == "no_gap":
+            return not self.detectable
+        return len(self.named) == len(self.effects) and all(self.answers(e) for e in self.effects)
+
+    def candidate(self, effects: Iterable[str]) -> Mapping[str, Any] | None:
+        """The report's candidate with exactly those effects."""
+        wanted = set(effects)
+        for c in self.report["candidates"]:
+            if set(c.get("effects") or str(c["effect"]).split("+")) == wanted:
+                return dict(c)
+        return None
+
+    @property
+    def closure_share(self) -> float | None:
+        """Closure of the verdict's explanation over that of the true effects refitted; None where it says nothing."""
+        truth = self.candidate(self.effects) if self.effects else None
+        reached = self.report["shrinkage"]["closure"]
+        if truth is None or truth.get("closure") is None or reached is None or not self.named:
+            return None
+        ideal = float(truth["closure"])
+        return float(reached) / ideal if ideal > WORTH_CLOSING else None
+
+
+def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Every score of a trial, as plain values; a share without cases is None."""
+    by_kind = {k: [o for o in outcomes if o.kind == k] for k in ("single", "mixture", "clean", "unlisted")}
+    known = by_kind["single"] + by_kind["mixture"]
+    seen = [o for o in by_kind["single"] if o.detectable]
+    mixed = [o for o in by_kind["mixture"] if o.detectable]
+    return {
+        "cases": {k: len(v) for k, v in by_kind.items()},
+        "detectable": {k: sum(o.detectable for o in v) for k, v in by_kind.items()},
+        "single": {
+            "top1": _share(o.named[:1] == o.effects for o in seen),
+            "top1_by_class": _share(any(o.answers(e, o.named[:1]) for e in o.effects) for o in seen),
+            "verdict_right": _share(o.right for o in seen),
+            "path_right": _share(_path_right(o) for o in seen),
+            "by_effect": _by_effect(by_kind["single"]),
+        },
+        "mixture": {
+            "both_found": _share(all(o.answers(e) for e in o.effects) for o in mixed),
+            "one_found": _share(any(o.answers(e) for e in o.effects) for o in mixed),
+        },
+        "unlisted": _unlisted(by_kind["unlisted"], [o for o in known if o.detectable]),
+        "clean": {"false_alarms": _share(o.verdict["kind"] != "no_gap" for o in by_kind["clean"])},
+        "missed": _share(o.verdict["kind"] == "no_gap" for o in known if o.detectable),
+        "calibration": calibration([(o.probability, o.right) for o in outcomes]),
+        "closure": _closure(outcomes),
+        "parameters": parameters([o for o in known if o.right]),
+        "by_detectability": _by_detectability(known),
+        "seconds": {
+            "median": _median(o.seconds for o in outcomes),
+            "largest": max((o.seconds for o in outcomes), default=None),
+        },
+    }
+
+
+def _share(hits: Iterable[bool]) -> float | None:
+    values = [bool(h) for h in hits]
+    return sum(values) / len(values) if values else None
+
+
+def _median(values: Iterable[float]) -> float | None:
+    found = list(values)
+    return float(np.median(found)) if found else None
+
+
+def _path_right(o: Outcome) -> bool:
+    from sim.effects import CATALOGUE
+
+    return bool(o.report["where"]["path"] in {CATALOGUE[e].path for e in o.effects})
+
+
+def _by_effect(singles: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    names = sorted({e for o in singles for e in o.effects})
+    found = {}
+    for name in names:
+        here = [o for o in singles if name in o.effects and o.detectable]
+        wrong = [" + ".join(o.named) or o.verdict["kind"] for o in here if not o.right]
+        found[name] = {"detectable": len(here), "right": _share(o.right for o in here), "taken_for": wrong}
+    return found
+
+
+def _unlisted(unlisted: Sequence[Outcome], known: Sequence[Outcome]) -> dict[str, Any]:
+    seen = [o for o in unlisted if o.detectable]
+    laws = sorted({o.law for o in unlisted})
+    return {
+        "recall": _share(o.verdict["kind"] == "none_of_these" for o in seen),
+        "false_abstention": _share(o.verdict["kind"] == "none_of_these" for o in known),
+        "by_law": {
+            law: {
+                "detectable": sum(o.detectable for o in unlisted if o.law == law),
+                "verdicts": [" + ".join(o.named) or o.verdict["kind"] for o in seen if o.law == law],
+            }
+            for law in laws
+        },
+    }
+
+
+def _closure(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    shares = [s for o in outcomes if o.detectable and (s := o.closure_share) is not None]
+    reached = [float(o.report["shrinkage"]["closure"]) for o in outcomes if o.detectable and o.named and o.right]
+    return {
+        "of_true_effect_median": _median(shares),
+        "of_true_effect_tenth": float(np.quantile(shares, 0.1)) if shares else None,
+        "cases": len(shares),
+        "median_where_right": _median(reached),
+    }
+
+
+def calibration(forecasts: Sequence[tuple[float, bool]]) -> dict[str, Any]:
+    """Brier score and expected calibration error of (probability, came true).
+
+    The error is the mean over equally wide bins, weighted with their cases, of |mean probability - share that came
+    true| (Naeini, Cooper and Hauskrecht, AAAI 2015).
+
+    >>> calibration([(1.0, True), (0.0, False)])["brier"]
+    0.0
+    """
+    if not forecasts:
+        return {"brier": None, "ece": None, "bins": []}
+    p, came = np.array([f for f, _ in forecasts]), np.array([float(c) for _, c in forecasts])
+    place = np.minimum((p * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
+    bins, error = [], 0.0
+    for k in range(CALIBRATION_BINS):
+        here = place == k
+        if here.any():
+            stated, true = float(p[here].mean()), float(came[here].mean())
+            error += here.mean() * abs(stated - true)
+            bins.append({"stated": stated, "came_true": true, "cases": int(here.sum())})
+    return {"brier": float(((p - came) ** 2).mean()), "ece": float(error), "bins": bins}
+
+
+def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
+    """Errors of the true effects' strengths, and how often their 95 % intervals hold the truth."""
+    from sim.effects import CATALOGUE
+
+    errors, covered, within = [], [], []
+    for o in right:
+        found = o.candidate(o.effects)
+        if found is None:
+            continue
+        for effect, values in o.parameters.items():
+            for p in CATALOGUE[effect].parameters:
+                told = found["parameters"].get(p.name if len(o.effects) == 1 else f"{effect}.{p.name}")
+                true = values.get(p.name, p.null)
+                if told is None or not p.strength or true == p.null:
+                    continue
+                error = abs(float(told["value"]) - true)
+                errors.append(error / abs(true - p.null))
+                within.append(errors[-1] <= 0.15)
+                if told.get("std") is not None:
+                    covered.append(error <= 1.96 * float(told["std"]))
+    return {
+        "values": len(errors),
+        "relative_error_median": _median(errors),
+        "within_15_percent": _share(within),
+        "coverage_95": _share(covered),
+    }
+
+
+def _by_detectability(known: Sequence[Outcome]) -> list[dict[str, Any]]:
+    rows = []
+    for low, high in itertools.pairwise(BINS):
+        here = [o for o in known if low <= o.detectability < high]
+        rows.append(
+            {
+                "from": low,
+                "to": high if math.isfinite(high) else None,
+                "cases": len(here),
+                "found": _share(all(o.answers(e) for e in o.effects) for o in here),
+                "no_gap": _share(o.verdict["kind"] == "no_gap" for o in here),
+            }
+        )
+    return rows

@@ -1,0 +1,185 @@
+"""Blind trials run for real: the campaign on a simulated controller, files as they are published, cases in parallel.
+
+``OUT/case-0001/`` gets, in this order: experiment.h5 and rig.toml (all that the diagnosis may see), commitment.json,
+sealed.json (readable by its owner only), gap.json. ``OUT/trial.json`` has every case and the scores.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from drivers.device.machine import RigDevice
+from drivers.simulated.driver import SimulatedController
+from service.experiment import file
+from service.experiment.campaign import run_campaign
+from service.experiment.data import Experiment
+from service.experiment.errors import CampaignError
+from service.experiment.plan import Profile
+from service.gap.blind_trial import Diagnose, checked, run_case, summary
+from service.gap.unlisted_laws import TamperedSimulation
+from service.gap.withheld import Case, described, draw
+from sim.datasheet import Datasheet, to_toml
+from sim.errors import AmbError
+
+Progress = Callable[[int, int, str], None]
+"""(cases done, cases in all, what the last one was)."""
+
+PROFILE = Profile(
+    points=40,
+    validation_points=16,
+    amplifier_points=6,
+    coarse_points=12,
+    rig_seconds=100.0,
+    peak_points=3,
+    nonlinearity=20.0,
+    displacement_share=0.2,
+)
+"""A compact campaign: four axes in some five minutes of rig time, at amplitudes where magnets are not quite linear."""
+CAMPAIGN_S = 300.0
+"""Rig time that it takes, about."""
+TRIES = 5
+"""Rigs drawn anew for a case whose campaign cannot be run: they trip, or do not come to rest."""
+
+
+def measure(case: Case, out_dir: Path) -> Experiment:
+    """Run the compact campaign on a case's rig; experiment.h5 is written to ``out_dir``.
+
+    Raises
+    ------
+    CampaignError
+        The rig cannot be measured.
+    """
+    law = copy.deepcopy(case.tampering)
+    device = RigDevice(case.rig, simulation=TamperedSimulation(case.rig, case.number, law, CAMPAIGN_S))
+    controller = SimulatedController(device)
+    try:
+        return run_campaign(controller, case.datasheet, out_dir, profile=PROFILE, resume=False, holder="blind trial")
+    finally:
+        controller.close()
+        device.close()
+
+
+def diagnose(experiment: Experiment, datasheet: Datasheet) -> Any:
+    """The service's own diagnosis, on one core."""
+    from service.gap.diagnose import diagnose as engine
+
+    return engine(experiment, datasheet)
+
+
+def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) -> dict[str, Any]:
+    """Run case ``number`` and write its files; the case as it stands in trial.json.
+
+    Raises
+    ------
+    AmbError
+        No rig could be measured, or the diagnosis refused the experiment.
+    """
+    folder = out_dir / f"case-{number + 1:04d}"
+    folder.mkdir(parents=True, exist_ok=True)
+    case, experiment = _measured(number, seed, folder)
+    (folder / "rig.toml").write_text(to_toml(case.datasheet), encoding="utf-8")
+
+    def publish(name: str, document: Mapping[str, Any]) -> None:
+        path = folder / {"report": "gap.json"}.get(name, f"{name}.json")
+        _write(path, document, private=name == "sealed")
+
+    # the diagnosis gets what the file holds, as anyone who reads it would
+    seen = file.read(folder / "experiment.h5")
+    return run_case(case, lambda _: experiment, lambda _, sheet: engine(seen, sheet), publish).document()
+
+
+def _measured(number: int, seed: int, folder: Path) -> tuple[Case, Experiment]:
+    problem: CampaignError | None = None
+    for attempt in range(TRIES):
+        case = draw(number, seed + 1_000_003 * attempt)
+        try:
+            return case, measure(case, folder)
+        except CampaignError as error:
+            problem = error
+    raise AmbError(f"case {number} of seed {seed}: no rig of {TRIES} could be measured: {problem}")
+
+
+def run_blind_trial(
+    cases: int, seed: int, out_dir: Path, progress: Progress | None = None, jobs: int = 2, engine: Diagnose = diagnose
+) -> dict[str, Any]:
+    """Run a blind trial and write ``out_dir/trial.json``; returns what it holds.
+
+    Parameters
+    ----------
+    cases, seed
+        Number of cases, and the seed from which they all follow.
+    out_dir
+        Made when it does not exist.
+    progress
+        Called after every case.
+    jobs
+        Processes; with 1 everything runs in this one.
+    engine
+        The diagnosis; a module-level function when ``jobs`` is above 1.
+
+    Raises
+    ------
+    AmbError
+        A case could not be run, or the folder cannot be written.
+    SealError
+        A seal was tampered with.
+    """
+    if cases < 1:
+        raise AmbError(f"a blind trial needs at least 1 case, not {cases}")
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AmbError(f"cannot write the trial to {out_dir}: {error}; give another folder") from error
+    done: dict[int, dict[str, Any]] = {}
+    for number, document in _finished(cases, seed, out_dir, jobs, engine):
+        done[number] = document
+        if progress is not None:
+            progress(len(done), cases, _told(document))
+    result = summary([done[k] for k in range(cases)], seed)
+    _write(out_dir / "trial.json", result)
+    return result
+
+
+def _told(document: Mapping[str, Any]) -> str:
+    """One line on a case that was opened."""
+    o = checked(document)
+    found = " + ".join(o.named) or str(o.verdict["kind"])
+    truth = o.law or described(o.parameters)
+    mark = "right" if o.right else "wrong"
+    return f"{o.kind}: {truth}, detectability {o.detectability:.0f} -> {found} ({o.probability:.2f}): {mark}"
+
+
+def _finished(
+    cases: int, seed: int, out_dir: Path, jobs: int, engine: Diagnose
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """(number, case) as they come to an end."""
+    if jobs <= 1:
+        for number in range(cases):
+            yield number, run_one(number, seed, out_dir, engine)
+        return
+    # forked processes would inherit locks of the compiled code's threads
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+    try:
+        waiting = {pool.submit(run_one, k, seed, out_dir, engine): k for k in range(cases)}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _write(path: Path, document: Mapping[str, Any], private: bool = False) -> None:
+    """Write JSON whole or not at all."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+    with os.fdopen(handle, "w", encoding="utf-8") as stream:
+        json.dump(document, stream, indent=1)
+        stream.write("\n")
+    os.chmod(name, 0o600 if private else 0o644)
+    os.replace(name, path)
