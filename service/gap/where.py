@@ -81,7 +81,7 @@ def driven_by_current(rig: Rig, o: Observation) -> Observation:
     return replace(o, U=U, sd_y=sd_y)
 
 
-def significance(z: Complex, o: Observation, n_bands: int = 6) -> float:
+def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OUTLIER) -> float:
     """Largest excess of mean square over bands and channels, as a one-sided normal deviate after Bonferroni.
 
     Residuals of one line's points share what is left of the twin's error, so a cell counts half its values.
@@ -91,7 +91,7 @@ def significance(z: Complex, o: Observation, n_bands: int = 6) -> float:
     deviates = []
     for band in range(n_bands):
         # A few outliers at a sharp peak are not a gap: each value counts up to a bound.
-        cell = np.minimum(np.abs(z[which == band]) ** 2 / 2, OUTLIER)  # mean one
+        cell = np.minimum(np.abs(z[which == band]) ** 2 / 2, bound)  # mean one
         if not len(cell):
             continue
         mean = cell.reshape(len(cell), -1).mean(axis=0)
@@ -127,11 +127,15 @@ def locate(nuisance: Nuisance, observations: Sequence[Observation], held_out: Ob
     paths = []
     e_u = o.U - control(nuisance.rig, o)
     z_u = centred(np.concatenate([e_u] * 3, axis=2), weights(o), o)[..., :n] * weights(o)[..., :n]
-    paths.append(PathGap("controller", relative_gap(e_u[:, f], o.U[:, f]), significance(z_u[:, [f]], o), z_u))
+    paths.append(
+        PathGap("controller", relative_gap(e_u[:, f], o.U[:, f]), significance(z_u[:, [f]], o, bound=np.inf), z_u)
+    )
     if o.I is None:
         rig = fitted(o)
         e, z = _plant_part(rig, o)
-        paths.append(PathGap("plant", relative_gap(e[:, f], o.Y[:, f]), significance(z, o), z, logged=False))
+        paths.append(
+            PathGap("plant", relative_gap(e[:, f], o.Y[:, f]), significance(z, o, bound=np.inf), z, logged=False)
+        )
         harmonics = _harmonics({"y": z}, o)
     else:
         rig_i = fitted(replace(o, sd_y=silent))
@@ -140,8 +144,10 @@ def locate(nuisance: Nuisance, observations: Sequence[Observation], held_out: Ob
         case = driven_by_current(rig_i, o)
         rig = fitted(replace(case, sd_i=silent))
         e, z = _plant_part(rig, driven_by_current(rig, o))
-        paths.append(PathGap("amplifier", relative_gap(e_i[:, f], o.I[:, f]), significance(z_i[:, [f]], o), z_i))
-        paths.append(PathGap("plant", relative_gap(e[:, f], o.Y[:, f]), significance(z[:, [f]], o), z))
+        paths.append(
+            PathGap("amplifier", relative_gap(e_i[:, f], o.I[:, f]), significance(z_i[:, [f]], o, bound=np.inf), z_i)
+        )
+        paths.append(PathGap("plant", relative_gap(e[:, f], o.Y[:, f]), significance(z[:, [f]], o, bound=np.inf), z))
         harmonics = _harmonics({"i": z_i, "y": z}, o)
     edges = np.geomspace(o.frequency_hz[0] * 0.999, o.frequency_hz[-1] * 1.001, 7)
     bands = []

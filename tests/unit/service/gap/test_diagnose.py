@@ -1,0 +1,96 @@
+"""A diagnosis names what is there, says nothing where nothing is, and refuses what it cannot do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.gap.apply import applied
+from service.gap.diagnose import diagnose
+from service.gap.observation import GapError
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+
+
+def test_a_clean_rig_has_no_gap() -> None:
+    datasheet, truth = known_datasheet(seed=1)
+    d = diagnose(experiment(true_rig(truth)), datasheet)
+    assert d.verdict.kind == "no_gap"
+    assert d.to_dict()["verdict"]["effects"] == []
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "path"),
+    [
+        ("loop_delay", {"delay_s": 2e-5}, "amplifier"),
+        ("magnetic_saturation", {"saturation_inverse_per_a": 0.6}, "plant"),
+    ],
+)
+def test_a_withheld_effect_is_named_measured_and_closed(effect: str, values: dict[str, float], path: str) -> None:
+    datasheet, truth = known_datasheet(seed=2)
+    d = diagnose(experiment(with_effects(true_rig(truth), {effect: values})), datasheet)
+    report = d.to_dict()
+    assert report["verdict"]["effects"] == [effect]
+    assert report["where"]["path"] == path
+    assert report["shrinkage"]["closure"] > 0.95
+    found = report["candidates"][0]["parameters"]
+    for name, value in values.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.05)
+        assert abs(found[name]["value"] - value) < 4 * found[name]["std"]
+
+
+def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:
+    datasheet, truth = known_datasheet(seed=4)
+    measured = experiment(with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 2e-5}}))
+    report = diagnose(measured, datasheet).to_dict()
+    twin = applied(datasheet, report)
+    assert [name for name, _ in twin.effects] == report["verdict"]["effects"]
+    assert diagnose(measured, twin).verdict.kind == "no_gap"
+
+
+def test_an_unknown_law_is_not_explained_away() -> None:
+    """The logged displacement of one axis saturates softly: in the log only, so no part of the rig does it."""
+    datasheet, truth = known_datasheet(seed=5)
+    measured = experiment(true_rig(truth))
+
+    def bent(sweep):  # type: ignore[no-untyped-def]
+        Y, f = sweep.Y.copy(), sweep.harmonics.index(1)
+        size = np.abs(Y[:, :, f, 0])
+        Y[:, :, f, 0] *= 1 / (1 + (size / 8e-6) ** 2)
+        return replace(sweep, Y=Y)
+
+    d = diagnose(Experiment(measured.rig, measured.axes, tuple(bent(s) for s in measured.sweeps)), datasheet)
+    assert d.verdict.kind == "none_of_these"
+    assert d.to_dict()["where"]["path"] in ("controller", "plant")
+
+
+def test_one_sweep_is_cross_validated_and_says_so() -> None:
+    datasheet, truth = known_datasheet(seed=6)
+    rig = with_effects(true_rig(truth), {"loop_delay": {"delay_s": 3e-5}})
+    one = replace(experiment(rig), sweeps=experiment(rig).sweeps[:1])
+    d = diagnose(one, datasheet)
+    assert d.verdict.effects == ("loop_delay",)
+    assert any("weaker" in note for note in d.notes)
+
+
+def test_without_the_current_it_says_what_is_lost() -> None:
+    datasheet, truth = known_datasheet(seed=7)
+    full = experiment(with_effects(true_rig(truth), {"support_resonance": {"frequency_hz": 300.0}}))
+    d = diagnose(replace(full, sweeps=tuple(replace(s, I=None) for s in full.sweeps)), datasheet)
+    assert d.verdict.effects == ("support_resonance",)
+    assert any("current was not logged" in note for note in d.notes)
+
+
+def test_axes_that_do_not_match_are_refused() -> None:
+    datasheet, truth = known_datasheet()
+    measured = replace(experiment(true_rig(truth)), axes=("xA", "xB"))
+    with pytest.raises(GapError, match="axes"):
+        diagnose(measured, datasheet)
+
+
+def test_a_report_without_effect_cannot_be_applied() -> None:
+    datasheet, _ = known_datasheet()
+    empty = {"format": "amb-gap-report", "rig": datasheet.name, "verdict": {"kind": "no_gap", "effects": []}}
+    with pytest.raises(GapError, match="no_gap"):
+        applied(datasheet, empty)
