@@ -30,7 +30,7 @@ TAILS = 3.0
 """Degrees of freedom of the Student prior."""
 UNLIKELY_FALL = 0.5
 """Of the scale, for a change that goes against the growth towards the shaft's end."""
-CENTRES, DRAWS = 150, 3000
+CENTRES, DRAWS, MAX_ROUNDS, ENOUGH, KERNEL = 150, 3000, 15, 100.0, 0.3
 """Of the importance sampling."""
 REACH = 3.0
 """The logarithm of a lies within this of the even split."""
@@ -97,7 +97,7 @@ def split_rows(model: PlaneModel, split: Split) -> tuple[Real, Real]:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Most likely ln(|phi_s|/|phi_b|) of each mode, and the second moment about it."""
+    """Most likely ln(|phi_s|/|phi_b|) of each mode, and the second moment of the relative change of a about it."""
 
     log_ratios: Real
     covariance: Real
@@ -118,7 +118,7 @@ def posterior(
         False where the model is known to be wrong: the little that the data say of splits is then swamped.
 
     The misfit is quadratic in a (the effect is linear in phi_b^2), everything else refitted. Moments by importance
-    sampling from a space-filling set, refined twice around what it finds.
+    sampling from a space-filling set, drawn in step by step.
     """
     n = model.layout.n_modes
     here = log_ratios(model)
@@ -134,32 +134,55 @@ def posterior(
         return np.asarray(data + _log_prior(model, points, here, known, knowledge))
 
     centre = np.where(np.isnan(known), 0.0, known)
-    unit = qmc.Sobol(n, seed=0).random_base2(12)
-    points = centre + REACH * (2 * unit - 1)
-    log_weight = log_density(points)
+    points = centre + REACH * (2 * qmc.Sobol(n, seed=0).random_base2(12) - 1)
+    proposal = np.zeros(len(points))
     rng = np.random.default_rng(0)
-    for shrink in (0.3, 0.15, 0.15):
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
+    weight, power, final = np.full(len(points), 1.0 / len(points)), 0.0, 0
+    for _ in range(MAX_ROUNDS):
+        # a narrow density is approached in steps that each leave enough points of weight
+        log_weight = log_density(points)
+        power = _largest_power(log_weight, proposal)
+        weight = _normalised(power * log_weight - proposal)
+        final = final + 1 if power == 1.0 else 0
+        if final == 2:
+            break
         chosen = points[rng.choice(len(points), size=CENTRES, p=weight)]
-        spread = np.cov(points.T, aweights=weight).reshape(n, n) + 1e-8 * np.eye(n)
-        kernel = shrink**2 * spread
+        spread = (points - weight @ points).T @ ((points - weight @ points) * weight[:, None])
+        kernel = KERNEL**2 * spread + 1e-14 * np.eye(n)
         root = np.linalg.cholesky(kernel)
         points = chosen[rng.integers(CENTRES, size=DRAWS)] + rng.normal(size=(DRAWS, n)) @ root.T
         proposal = _mixture(points, chosen, kernel)
-        log_weight = log_density(points) - proposal
+    peak = _peak(points, weight, int(log_density(points).argmax()))
+    # everything moves in proportion to a, not to its logarithm: a share that vanishes is a change of one, no more
+    away = 1.0 - np.exp(np.clip(peak - points, -2 * REACH, 2 * REACH))
+    return Posterior(peak, (away * weight[:, None]).T @ away + 1e-12 * np.eye(n))
+
+
+def _normalised(log_weight: Real) -> Real:
     weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    peak = _peak(points, weight, float(log_density(points).argmax()))
-    away = points - peak
-    return Posterior(peak, (away * weight[:, None]).T @ away)
+    return np.asarray(weight / weight.sum())
 
 
-def _peak(points: Real, weight: Real, best: float) -> Real:
+def _largest_power(log_density: Real, proposal: Real) -> float:
+    """Power of the density, at most 1, at which enough points keep weight."""
+
+    def enough(power: float) -> bool:
+        return float(1.0 / np.sum(_normalised(power * log_density - proposal) ** 2)) > ENOUGH
+
+    if enough(1.0):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if enough(middle) else (low, middle)
+    return low
+
+
+def _peak(points: Real, weight: Real, best: int) -> Real:
     """Where the weighted points are densest, near the best of them: a mean-shift of shrinking width."""
-    at = points[int(best)]
+    at = points[best]
     for width in (0.3, 0.3, 0.2, 0.2, 0.1, 0.1, 0.1):
-        near = weight * np.exp(-0.5 * np.sum(((points - at) / width) ** 2, axis=1))
+        near = 1e-300 + weight * np.exp(-0.5 * np.sum(((points - at) / width) ** 2, axis=1))
         at = near @ points / near.sum()
     return np.asarray(at)
 
