@@ -63,13 +63,18 @@ def differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.linalg.norm(a - b, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2))
 
 
+def shaking(n: int) -> np.ndarray:
+    """Every axis at its own frequency, at the usual displacement where it is low and near 5 kA/s where it is high."""
+    t = np.arange(n)[:, None] * 1e-4
+    return np.array([0.4, 0.5, 0.8, 1.2]) * np.sin(2 * np.pi * np.array([13.0, 40.0, 190.0, 700.0]) * t)
+
+
 @cache
 def shaken(rig_id: str, applied: bool, speed: bool) -> np.ndarray:
     """u, i, y of a quarter second of shaking with every axis at its own frequency, (3, N, 4)."""
     rig = reference_rig(speed_rad_s=SPEED_RAD_S if speed else 0.0)
     rig = with_effects(rig, {rig_id: {} if applied else CATALOGUE[rig_id].null()})
-    t = np.arange(2500)[:, None] * rig.controller.sample_time_s
-    r = 0.6 * np.sin(2 * np.pi * np.array([13.0, 40.0, 190.0, 700.0]) * t)
+    r = shaking(2500)
     record = Simulation(rig, seed=3).advance(r, check_limits=False)
     return np.stack([record.u, record.i, record.y])
 
@@ -141,8 +146,7 @@ def test_at_its_null_values_the_linear_model_is_as_before(one):
 @every_effect
 def test_at_its_null_values_the_rig_runs_as_before(one):
     rig = rig_for(one)
-    t = np.arange(2500)[:, None] * rig.controller.sample_time_s
-    r = 0.6 * np.sin(2 * np.pi * np.array([13.0, 40.0, 190.0, 700.0]) * t)
+    r = shaking(2500)
     plain = Simulation(rig, seed=3).advance(r, check_limits=False)
     for before, now in zip((plain.u, plain.i, plain.y), shaken(one.id, False, one.needs_speed), strict=True):
         np.testing.assert_allclose(now, before, rtol=0, atol=1e-9 * np.abs(before).max())
@@ -154,6 +158,25 @@ def test_at_its_typical_values_it_shows(one):
     before, after = (shaken(one.id, applied, one.needs_speed) for applied in (False, True))
     current, displacement = np.abs(after - before)[:2].max(), np.abs(after - before)[2].max()
     assert current > 2e-3 or displacement > 20e-9
+
+
+@every_effect
+def test_each_of_its_parameters_counts(one):
+    """Strengths set to null and shapes moved, one at a time, beside typical values of the others."""
+
+    def answer(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+        model = linear_model(rig, TONES_HZ)
+        record = Simulation(replace(rig, noise=Noise())).advance(shaking(1500), check_limits=False)
+        return np.stack([model.i_per_u, model.y_per_u, model.u_per_r]), np.stack([record.u, record.i, record.y])
+
+    rig = rig_for(one)
+    typical = answer(one.on(rig))
+    for p in one.parameters:
+        moved = p.null if p.strength else 0.8 * p.typical
+        changed = answer(one.on(rig, **{p.name: min(max(moved, min(p.low, p.null)), p.high)}))
+        assert any(np.any(np.abs(a - b) > 1e-9 * np.abs(b).max()) for a, b in zip(changed, typical, strict=True)), (
+            p.name
+        )
 
 
 @every_effect

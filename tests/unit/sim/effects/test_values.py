@@ -1,0 +1,154 @@
+"""Each parameter of an effect moves the figure of the rig that it names, in its unit and by its value."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim import control_law
+from sim.effects import CATALOGUE, effect
+from sim.effects.controller_mismatch import derivative_corner_rad_s
+from sim.errors import EffectError
+from sim.reference import pid_with_biquad, reference_rig
+from sim.rig import ControlLaw, Rig
+from sim.twin import linear_model
+
+RIG = reference_rig()
+
+
+def alone(name: str, rig: Rig = RIG, **values: float) -> Rig:
+    """The rig with an effect of which only the given parameters differ from null."""
+    return effect(name).on(rig, **{**CATALOGUE[name].null(), **values})
+
+
+def test_controller_gain_is_of_the_whole_controller():
+    changed = control_law.response(alone("controller_mismatch", gain_change=0.1).controller, np.array([50.0, 5000.0]))
+    np.testing.assert_allclose(changed, 1.1 * control_law.response(RIG.controller, np.array([50.0, 5000.0])), rtol=1e-9)
+
+
+def test_controller_derivative_is_that_of_the_pid():
+    """Of the reference PID, Kd/Kp = 80/18e3 s: the corner is near 225 rad/s, and Kd alone grows, to a fifth."""
+    assert derivative_corner_rad_s(RIG.controller) == pytest.approx(18e3 / 80, rel=0.2)
+    omega = 2 * np.pi * np.array([2.0, 20.0, 60.0, 200.0, 800.0])
+    changed = control_law.response(alone("controller_mismatch", derivative_change=0.1).controller, omega)
+    exact = control_law.response(ControlLaw(*pid_with_biquad(derivative_as_per_m=88.0), 1e-4), omega)
+    before = control_law.response(RIG.controller, omega)
+    assert np.all(np.abs(changed - exact) < 0.2 * np.abs(exact - before) + 1e-4 * np.abs(before))
+
+
+def test_a_controller_that_never_leads_still_has_a_corner():
+    assert derivative_corner_rad_s(ControlLaw(np.array([5.0]), np.array([1.0]), 1e-4)) == pytest.approx(628.3, rel=1e-3)
+
+
+def test_controller_lag_is_a_share_of_a_sample():
+    omega = np.array([2 * np.pi * 20.0])
+    lagged = control_law.response(alone("controller_mismatch", lag_samples=0.2).controller, omega)
+    ratio = lagged / control_law.response(RIG.controller, omega)
+    assert np.angle(ratio[0]) == pytest.approx(-0.2 * omega[0] * 1e-4, rel=1e-3)
+
+
+def test_amplifiers_change_in_frequency_and_damping():
+    a = alone("amplifier_bandwidth", frequency_change=-0.13).amplifiers
+    np.testing.assert_allclose(a.natural_frequency_rad_s, 0.87 * RIG.amplifiers.natural_frequency_rad_s)
+    np.testing.assert_array_equal(a.damping_ratio, RIG.amplifiers.damping_ratio)
+    b = alone("amplifier_bandwidth", damping_change=0.2).amplifiers
+    np.testing.assert_allclose(b.damping_ratio, 1.2 * RIG.amplifiers.damping_ratio)
+
+
+def test_first_order_amplifiers_have_no_damping_to_change():
+    first = replace(RIG, amplifiers=replace(RIG.amplifiers, damping_ratio=None))
+    changed = alone("amplifier_bandwidth", first, frequency_change=0.1, damping_change=0.3)
+    assert changed.amplifiers.damping_ratio is None
+
+
+def test_the_voltage_limit_is_the_inverse_of_its_parameter_and_the_tighter_one_counts():
+    limited = alone("amplifier_voltage_limit", slew_inverse_s_per_a=5e-4)
+    np.testing.assert_allclose(limited.amplifiers.slew_limit_a_per_s, 2000.0)
+    again = alone("amplifier_voltage_limit", limited, slew_inverse_s_per_a=1e-4)
+    np.testing.assert_allclose(again.amplifiers.slew_limit_a_per_s, 2000.0)
+
+
+def test_crosstalk_ab_is_what_u_of_b_does_to_the_current_of_a():
+    model = linear_model(alone("channel_crosstalk", share_ab=0.03), np.array([10.0]))
+    ratio = model.i_per_u[0] / np.diag(model.i_per_u[0])[:, None]
+    expected = np.eye(4)
+    expected[0, 1] = expected[2, 3] = 0.03
+    np.testing.assert_allclose(np.abs(ratio), expected, atol=1e-12)
+
+
+def test_eddy_currents_in_series_add_the_roots_of_their_time_constants():
+    twice = alone("eddy_currents", alone("eddy_currents", time_constant_s=1e-6), time_constant_s=4e-6)
+    np.testing.assert_allclose(twice.magnets.eddy_time_constant_s, 9e-6)
+
+
+def test_saturations_in_series_add_their_cubic_terms():
+    twice = alone("magnetic_saturation", alone("magnetic_saturation", saturation_inverse_per_a=0.3),
+                  saturation_inverse_per_a=0.4)  # fmt: skip
+    np.testing.assert_allclose(twice.magnets.saturation_current_a, 2.0)
+
+
+def test_offsets_and_gains_are_those_of_their_axis():
+    np.testing.assert_array_equal(alone("off_centre_rotor", offset_xB_m=2e-5).magnets.offset_m, [0, 2e-5, 0, 0])
+    np.testing.assert_allclose(alone("sensor_gain", gain_change_yA=-0.05).sensors.gain, [1, 1, 0.95, 1])
+
+
+def test_mass_and_inertia_change_apart():
+    heavier = alone("rotor_inertia", mass_change=0.1).rotor
+    assert (heavier.mass_kg, heavier.transverse_inertia_kgm2) == pytest.approx((308.0, 10.87))
+    longer = alone("rotor_inertia", inertia_change=0.1).rotor
+    assert (longer.mass_kg, longer.transverse_inertia_kgm2) == pytest.approx((280.0, 11.957))
+
+
+def test_sensors_move_away_from_the_centre_of_gravity():
+    rotor = effect("sensor_position").on(RIG, shift_A_m=0.01, shift_B_m=0.02).rotor
+    assert rotor.sensor_from_cog_m == pytest.approx((0.494, 0.49))
+    assert rotor.bearing_from_cog_m == RIG.rotor.bearing_from_cog_m
+    assert rotor.modes == RIG.rotor.modes
+
+
+def test_an_extra_mode_is_in_both_planes_behind_the_others():
+    rotor = effect("extra_flexible_mode").on(RIG, frequency_hz=300.0, bearing_A_per_sqrt_kg=0.05).rotor
+    for plane in rotor.modes:
+        assert len(plane) == 3
+        assert plane[-1].natural_frequency_rad_s == pytest.approx(2 * np.pi * 300.0)
+        assert plane[-1].shape_at_bearings == (0.05, -0.02)
+
+
+def test_damping_changes_by_the_exponential_of_its_parameter_mode_by_mode():
+    for first, second, plane in zip(
+        alone("modal_damping", mode1_log_ratio=1.1).rotor.modes,
+        alone("modal_damping", mode2_log_ratio=-0.5).rotor.modes,
+        RIG.rotor.modes,
+        strict=True,
+    ):
+        ratios = [m.damping_ratio / k.damping_ratio for m, k in zip(first, plane, strict=True)]
+        assert ratios == pytest.approx([np.exp(1.1), 1.0])
+        ratios = [m.damping_ratio / k.damping_ratio for m, k in zip(second, plane, strict=True)]
+        assert ratios == pytest.approx([1.0, np.exp(-0.5)])
+
+
+def test_drifts_add_their_rates():
+    once = alone("thermal_drift", ki_change=-0.1, duration_s=100.0)
+    twice = alone("thermal_drift", once, ks_change=0.04, duration_s=200.0)
+    assert twice.drift is not None
+    assert (twice.drift.ki_change, twice.drift.ks_change, twice.drift.duration_s) == pytest.approx((-0.2, 0.04, 200.0))
+
+
+def test_a_rig_has_one_support_and_one_contact():
+    with pytest.raises(EffectError, match="already has a resonant support"):
+        effect("support_resonance").on(effect("support_resonance").on(RIG))
+    with pytest.raises(EffectError, match="already has a contact"):
+        effect("touchdown_contact").on(effect("touchdown_contact").on(RIG))
+    support = effect("support_resonance").on(RIG, inverse_mass_per_kg=1 / 500, frequency_hz=100.0).support
+    assert support is not None
+    assert (support.mass_kg, support.natural_frequency_rad_s) == pytest.approx((500.0, 628.3185))
+
+
+def test_hum_is_at_multiples_of_the_mains_and_runout_at_the_speed():
+    hum = alone("mains_interference", amplitude_m=1e-7, frequency_hz=60.0).disturbances
+    assert [d.fixed_hz for d in hum] == [60.0, 120.0, 180.0, 300.0]
+    assert {d.target for d in hum} == {"y"}
+    np.testing.assert_allclose(hum[0].amplitude, 1e-7)
+    (mark,) = alone("runout", amplitude_m=2e-6).disturbances
+    assert (mark.order, mark.fixed_hz, mark.target) == (1.0, 0.0, "y")
+    np.testing.assert_allclose(mark.phase_rad, [0, 0, -np.pi / 2, -np.pi / 2])
