@@ -8,7 +8,7 @@ weakly nonlinear, so a few rounds converge.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,10 @@ class Responder:
         self._point: OperatingPoint = actuator.operating_point(rig)
         grid = np.concatenate([np.maximum(h * frequency_hz, STATIC_HZ) for h in harmonics])
         self._omega = 2 * np.pi * grid
-        self._model: LinearModel = linear_model(rig, grid)
+        # The rig itself does not know of an offset of its log: the logged control signal is put right first.
+        self._model: LinearModel = linear_model(replace(rig, logging_offset_samples=0.0), grid)
+        late = np.exp(-1j * self._omega * rig.controller.sample_time_s * rig.logging_offset_samples)
+        self._log_phase: Complex = late.reshape(len(harmonics), -1)[:, line].T[..., None]  # (P, H, 1)
         self._strongly = bool(
             np.any(rig.magnets.hysteresis_rad > 0)
             or rig.contact
@@ -91,7 +94,10 @@ class Responder:
         )
 
     def answer(self, U: Complex, rounds: int | None = None) -> Answer:
-        """Response to control amplitudes U, (P, H, n), harmonics as given to the constructor."""
+        """Response to logged control amplitudes U, (P, H, n), harmonics as given to the constructor."""
+        return self._answer(U * self._log_phase, rounds)
+
+    def _answer(self, U: Complex, rounds: int | None = None) -> Answer:
         m = self._model
         current, U_eff = self._current(U)
         flux = self._at_points(m.flux_per_u, U_eff)
@@ -176,7 +182,7 @@ class Responder:
 
 
 def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> tuple[Complex, Answer]:
-    """Closed loop: control signal and answer to excitation amplitudes R (P, H, n), u = r - C y.
+    """Closed loop: logged control signal and answer to excitation amplitudes R (P, H, n), u = r - C y.
 
     Newton-like: the linear loop maps what the nonlinear answer lacks back on u.
     """
@@ -184,12 +190,12 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
     controller = m.controller.reshape(H, -1)[:, responder.line].T[..., None]  # (P, H, 1)
     sensitivity = m.sensitivity
     U = responder._at_points(sensitivity, R)
-    answer = responder.answer(U)
+    answer = responder._answer(U)
     for _ in range(rounds):
         lacking = R - controller * answer.Y - U
         U = U + responder._at_points(sensitivity, lacking)
-        answer = responder.answer(U)
-    return U, answer
+        answer = responder._answer(U)
+    return U / responder._log_phase, answer
 
 
 def time_points(frequency_hz: Array) -> tuple[Array, Index]:

@@ -1,0 +1,89 @@
+"""The nonlinear rig's answer to a periodic excitation without running it: harmonics 0 to 3, loop closed or open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.effects import effect
+from sim.harmonic_balance import Responder, respond_to_excitation, time_points
+from sim.reference import reference_rig
+from sim.rig import Noise, Rig
+from sim.stepping import Simulation
+from sim.twin import linear_model
+
+QUIET = reference_rig(noise=Noise())
+FREQUENCY_HZ = np.array([23.0, 140.0, 610.0])
+AMPLITUDE_A = np.array([0.3, 0.7, 0.9])
+
+
+def in_time(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """u and y of the rig for a tone on the second axis, harmonics 0 to 3, (P, 4, n)."""
+    answers = []
+    for frequency_hz, amplitude_a in zip(FREQUENCY_HZ, AMPLITUDE_A, strict=True):
+        t = np.arange(40_000) * 1e-4
+        r = np.zeros((len(t), rig.n_axes))
+        r[:, 1] = amplitude_a * np.sin(np.pi / 2 * np.minimum(t / 2.5, 1.0)) ** 2 * np.cos(2 * np.pi * frequency_hz * t)
+        record = Simulation(rig).advance(r, check_limits=False)
+        basis = np.exp(-2j * np.pi * frequency_hz * np.outer(np.arange(4), t[-10_000:]))
+        basis *= np.array([1, 2, 2, 2])[:, None] / 10_000
+        answers.append((basis @ record.u[-10_000:], basis @ record.y[-10_000:]))
+    u, y = zip(*answers, strict=True)
+    return np.array(u), np.array(y)
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [
+        QUIET,
+        effect("magnetic_saturation").on(QUIET),
+        effect("off_centre_rotor").on(QUIET),
+        effect("touchdown_contact").on(QUIET, clearance_m=15e-6),
+        effect("logging_offset").on(QUIET, samples=2.0),
+        reference_rig(gravity_m_per_s2=3.0, noise=Noise()),
+    ],
+    ids=["plain", "saturation", "off centre", "contact", "log two samples off", "loaded"],
+)
+def test_the_answer_to_an_excitation_is_what_the_loop_does_in_time(rig):
+    u, y = in_time(rig)
+    frequency_hz, line = time_points(FREQUENCY_HZ)
+    R = np.zeros((3, 4, 4), dtype=complex)
+    R[:, 1, 1] = AMPLITUDE_A
+    if rig.logging_offset_samples:
+        # r is logged with i and y; a lock-in puts the origin of time on it, as here
+        shift = np.exp(2j * np.pi * FREQUENCY_HZ[:, None] * 1e-4 * rig.logging_offset_samples * np.arange(4))
+        u, y = u * shift[..., None], y * shift[..., None]
+    U, answer = respond_to_excitation(Responder(rig, frequency_hz, line), R)
+    for found, exact, floor in ((U[:, 1:], u[:, 1:], 2e-5), (answer.Y[:, 1:], y[:, 1:], 1e-9)):
+        fundamental = np.abs(exact[:, 0]).max(axis=1)[:, None, None]
+        assert np.all(np.abs(found - exact) < floor + 3e-3 * fundamental)
+
+
+def test_at_small_amplitude_it_is_the_linear_model():
+    model = linear_model(QUIET, FREQUENCY_HZ)
+    U = np.zeros((3, 4, 4), dtype=complex)
+    U[:, 1, 2] = 1e-4
+    answer = Responder(QUIET, FREQUENCY_HZ, np.arange(3)).answer(U)
+    np.testing.assert_allclose(answer.Y[:, 1], model.y_per_u[:, :, 2] * 1e-4, rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(answer.I[:, 1], model.i_per_u[:, :, 2] * 1e-4, rtol=1e-9, atol=1e-18)
+
+
+def test_harmonics_need_not_be_all_of_them():
+    rig = effect("magnetic_saturation").on(QUIET)
+    U = np.zeros((3, 1, 4), dtype=complex)
+    U[:, 0, 0] = 0.8
+    alone = Responder(rig, FREQUENCY_HZ, np.arange(3), harmonics=(1,)).answer(U)
+    with_others = Responder(rig, FREQUENCY_HZ, np.arange(3)).answer(np.pad(U, ((0, 0), (1, 2), (0, 0))))
+    np.testing.assert_allclose(alone.Y[:, 0, 0], with_others.Y[:, 1, 0], rtol=5e-3)
+
+
+def test_a_drifting_rig_answers_as_of_the_time_of_each_point():
+    drifting = effect("thermal_drift").on(QUIET, ki_change=-0.2, ks_change=0.0)
+    end = replace(QUIET, magnets=replace(QUIET.magnets, ki=0.8 * QUIET.magnets.ki, ks=QUIET.magnets.ks))
+    U = np.zeros((2, 4, 4), dtype=complex)
+    U[:, 1, 0] = 1e-3
+    line, progress = np.array([0, 0]), np.array([0.0, 1.0])
+    answer = Responder(drifting, np.array([150.0]), line, progress=progress).answer(U, rounds=30)
+    for k, rig in enumerate((QUIET, end)):
+        model = linear_model(rig, np.array([150.0]))
+        np.testing.assert_allclose(answer.Y[k, 1], model.y_per_u[0, :, 0] * 1e-3, rtol=2e-3, atol=1e-12)
