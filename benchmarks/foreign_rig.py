@@ -7,13 +7,10 @@ benchmarks/foreign for the physics, the effects and their laws.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from foreign.cases import make
 

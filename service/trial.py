@@ -24,6 +24,7 @@ from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
 from service.experiment.plan import Profile
 from service.gap.blind_trial import Diagnose, checked, run_case, summary
+from service.gap.seal import SealError
 from service.gap.unlisted_laws import TamperedSimulation
 from service.gap.withheld import Case, described, draw
 from sim.datasheet import Datasheet, to_toml
@@ -91,9 +92,15 @@ def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) 
         path = folder / {"report": "gap.json"}.get(name, f"{name}.json")
         _write(path, document, private=name == "sealed")
 
+    def reopen() -> dict[str, Any]:
+        try:
+            return dict(json.loads((folder / "sealed.json").read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError) as error:
+            raise SealError(f"{folder / 'sealed.json'} cannot be read any more: {error}") from error
+
     # the diagnosis gets what the file holds, as anyone who reads it would
     seen = file.read(folder / "experiment.h5")
-    return run_case(case, lambda _: experiment, lambda _, sheet: engine(seen, sheet), publish).document()
+    return run_case(case, lambda _: experiment, lambda _, sheet: engine(seen, sheet), publish, reopen).document()
 
 
 def _measured(number: int, seed: int, folder: Path) -> tuple[Case, Experiment]:

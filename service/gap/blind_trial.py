@@ -42,6 +42,8 @@ Measure = Callable[[Case], Experiment]
 Diagnose = Callable[[Experiment, Datasheet], Report]
 Publish = Callable[[str, Mapping[str, Any]], None]
 """(name, document): what becomes known, in the order in which it becomes known."""
+Reopen = Callable[[], Mapping[str, Any]]
+"""The sealed document as it lies where it was published, after the diagnosis."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def fingerprint(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
-def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish) -> Trial:
+def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish, reopen: Reopen) -> Trial:
     """Measure, seal, diagnose and open one case.
 
     Parameters
@@ -82,6 +84,8 @@ def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish)
         Gets the experiment and the datasheet.
     publish
         Called with "commitment" and "sealed" before the diagnosis begins, with "report" before the seal is opened.
+    reopen
+        Called once the report is out.
 
     Raises
     ------
@@ -90,15 +94,15 @@ def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish)
     """
     experiment = measure(case)
     kept = seal(case.truth() | {"detectability": detectability_of(case, experiment)})
-    document = kept.document()
     publish("commitment", {"case": case.number, "sha256": kept.commitment})
-    publish("sealed", document)
+    publish("sealed", kept.document())
     started = time.perf_counter()
     report = json.loads(json.dumps(diagnose(experiment, case.datasheet).to_dict()))
     seconds = time.perf_counter() - started
     publish("report", report)
-    opened(document, kept.commitment)
-    return Trial(kept.commitment, document, report, seconds)
+    sealed = dict(reopen())
+    opened(sealed, kept.commitment)
+    return Trial(kept.commitment, sealed, report, seconds)
 
 
 def plant_sweeps(experiment: Experiment) -> list[Sweep]:
@@ -119,7 +123,8 @@ def detectability_of(case: Case, experiment: Experiment) -> float:
     rig = case.rig
     if rig.drift is not None and np.isfinite(took):  # the replay takes less time than the campaign did
         rig = replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replayed / took))
-    changed = TamperedSimulation(quiet(rig), 0, copy.deepcopy(case.tampering), replayed)
+    coarse = rig.noise.displacement_step_m != case.plain.noise.displacement_step_m
+    changed = TamperedSimulation(quiet(rig, steps=coarse), 0, copy.deepcopy(case.tampering), replayed)
     with_it = [replay(changed, s) for s in sweeps]
     return detectability(case.plain, case.datasheet.tolerance, list(zip(sweeps, with_it, without, strict=True)))
 

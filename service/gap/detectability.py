@@ -25,8 +25,8 @@ from sim.twin import linear_model
 Complex = NDArray[np.complex128]
 
 BLOCKS = 2
-SETTLE_S = 0.25
-RAMP_S = 0.04
+SETTLE_S = 0.3
+RAMP_S = 0.1
 BLOCK_S = 0.05
 
 
@@ -41,9 +41,11 @@ class Replayed:
     rig_s: float
 
 
-def quiet(rig: Rig) -> Rig:
-    """The rig without measurement noise; steps of its sensors stay, for they may be what is withheld."""
-    return replace(rig, noise=Noise(0.0, 0.0, rig.noise.displacement_step_m, rig.noise.current_step_a))
+def quiet(rig: Rig, steps: bool = False) -> Rig:
+    """The rig without measurement noise; ``steps`` keeps its sensors' resolution, which noise else smooths over."""
+    n = rig.noise
+    kept = Noise(0.0, 0.0, n.displacement_step_m, n.current_step_a) if steps else Noise()
+    return replace(rig, noise=kept)
 
 
 def replay(simulation: Simulation, sweep: Sweep) -> Replayed:
@@ -217,7 +219,7 @@ def detectability(plain: Rig, tolerance: Tolerance, sweeps: Sequence[tuple[Sweep
         grids.append((lines, at))
         for k, h in enumerate(sweep.harmonics):
             if h != 1:
-                for X, d in ((sweep.U, dU), (I, dI), (sweep.Y, dY)):
+                for X, d in ((I, dI), (sweep.Y, dY)):
                     variance = np.median(X[:, :, k].var(axis=1, ddof=1), axis=0) / X.shape[1] / 0.87
                     beyond += float((np.abs(d[:, k]) ** 2 / (variance + 1e-300)).sum())
 

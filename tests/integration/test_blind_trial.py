@@ -1,0 +1,133 @@
+"""A blind trial on the simulated rig, through the campaign and the diagnosis that the service has."""
+
+import json
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from service.experiment.data import Experiment
+from service.gap.blind_trial import checked, summary
+from service.gap.seal import SealError, opened
+from service.gap.withheld import draw
+from service.trial import run_blind_trial, run_one
+from sim.datasheet import Datasheet, read
+from sim.errors import AmbError
+
+pytestmark = pytest.mark.timeout(900)
+
+CASES, SEED = 3, 4
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("trial")
+    told: list[tuple[int, int]] = []
+    result = run_blind_trial(CASES, SEED, out, lambda done, total, _: told.append((done, total)), jobs=1)
+    assert told == [(k + 1, CASES) for k in range(CASES)]
+    return out, result
+
+
+def test_every_case_is_measured_sealed_diagnosed_and_scored(trial: tuple[Path, dict[str, Any]]) -> None:
+    out, result = trial
+    assert json.loads((out / "trial.json").read_text()) == result
+    assert sum(result["scores"]["cases"].values()) == CASES
+    assert result["scores"]["calibration"]["brier"] is not None
+    for k in range(CASES):
+        folder = out / f"case-{k + 1:04d}"
+        names = {p.name for p in folder.iterdir()}
+        assert names >= {"experiment.h5", "rig.toml", "commitment.json", "sealed.json", "gap.json"}
+        assert json.loads((folder / "gap.json").read_text()) == result["cases"][k]["report"]
+
+
+def test_the_published_files_alone_prove_the_trial(trial: tuple[Path, dict[str, Any]]) -> None:
+    out, result = trial
+    for k in range(CASES):
+        folder = out / f"case-{k + 1:04d}"
+        commitment = json.loads((folder / "commitment.json").read_text())["sha256"]
+        truth = opened(json.loads((folder / "sealed.json").read_text()), commitment)
+        assert truth == {**draw(k, SEED).truth(), "detectability": truth["detectability"]}
+        assert truth["kind"] == "clean" or truth["detectability"] > 0
+        assert result["cases"][k]["commitment"] == commitment
+    again = summary(result["cases"], SEED)
+    assert again["scores"] == result["scores"]
+
+
+def test_what_the_diagnosis_may_see_tells_nothing(trial: tuple[Path, dict[str, Any]]) -> None:
+    out, _ = trial
+    for k in range(CASES):
+        folder, truth = out / f"case-{k + 1:04d}", draw(k, SEED).truth()
+        sheet = read(folder / "rig.toml")
+        assert (sheet.name, sheet.effects) == ("withheld", ())
+        raw = (folder / "experiment.h5").read_bytes()
+        for word in [*truth["effects"], truth["law"]]:
+            assert not word or word.encode() not in raw
+        assert stat.S_IMODE((folder / "sealed.json").stat().st_mode) == 0o600
+
+
+def test_a_truth_changed_after_the_trial_is_caught(trial: tuple[Path, dict[str, Any]]) -> None:
+    _, result = trial
+    case = result["cases"][0]
+    truth = json.loads(case["sealed"]["truth"])
+    flattering = {**truth, "effects": case["report"]["verdict"]["effects"], "kind": "single"}
+    forged = {**case, "sealed": {**case["sealed"], "truth": json.dumps(flattering, sort_keys=True) + " "}}
+    with pytest.raises(SealError, match="was changed"):
+        summary([forged], SEED)
+
+
+def test_a_report_changed_after_the_seal_was_opened_is_caught(trial: tuple[Path, dict[str, Any]]) -> None:
+    _, result = trial
+    case = result["cases"][0]
+    forged = {**case, "report": {**case["report"], "rig": "another"}}
+    with pytest.raises(SealError, match="report"):
+        checked(forged)
+
+
+def _report(kind: str = "no_gap") -> Any:
+    verdict = {"kind": kind, "effects": [], "indistinguishable": [], "probability": 0.9}
+    document: Mapping[str, Any] = {
+        "verdict": verdict,
+        "where": {"path": "plant"},
+        "candidates": [],
+        "shrinkage": {"closure": None},
+    }
+    return SimpleNamespace(to_dict=lambda: dict(document))
+
+
+def test_the_truth_is_committed_to_before_the_diagnosis_begins(tmp_path: Path) -> None:
+    seen: list[set[str]] = []
+
+    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+        seen.append({p.name for p in (tmp_path / "case-0001").iterdir()})
+        return _report()
+
+    run_one(0, SEED, tmp_path, engine)
+    assert {"commitment.json", "sealed.json"} <= seen[0]
+    assert "gap.json" not in seen[0]
+
+
+def test_a_seal_changed_while_the_diagnosis_runs_is_caught(tmp_path: Path) -> None:
+    sealed = tmp_path / "case-0001" / "sealed.json"
+
+    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+        document = json.loads(sealed.read_text())
+        truth = {**json.loads(document["truth"]), "kind": "clean", "effects": []}
+        sealed.write_text(json.dumps({**document, "truth": json.dumps(truth)}))
+        return _report()
+
+    with pytest.raises(SealError, match="was changed"):
+        run_one(0, SEED, tmp_path, engine)
+
+
+def test_a_trial_without_cases_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AmbError, match="at least 1 case"):
+        run_blind_trial(0, SEED, tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(AmbError, match="cannot write the trial"):
+        run_blind_trial(1, SEED, tmp_path / "file" / "out")

@@ -1,0 +1,87 @@
+"""The yardstick: nothing for nothing, more for more, and little for what a datasheet's tolerance covers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Sweep
+from service.gap.detectability import Replayed, detectability, quiet, replay
+from sim.datasheet import Tolerance
+from sim.effects import CATALOGUE
+from sim.reference import reference_rig
+from sim.rig import Rig
+from sim.stepping import Simulation
+
+RIG = reference_rig()
+BLOCKS = 6
+AMPLITUDE_A = 0.05
+TOLERANCE = Tolerance(mode_frequency=0.005)
+
+
+def tones() -> Sweep:
+    """What is asked of the rig; no amplitudes yet."""
+    frequency = np.repeat(np.geomspace(15, 800, 10), 4)
+    empty = np.zeros((len(frequency), BLOCKS, 4, 4), dtype=complex)
+    return Sweep(
+        "stepped-sine",
+        frequency,
+        np.tile(np.arange(4), 10),
+        np.full(len(frequency), AMPLITUDE_A),
+        (0, 1, 2, 3),
+        *(empty.copy() for _ in range(4)),
+    )
+
+
+@pytest.fixture(scope="module")
+def plain() -> Replayed:
+    return replay(Simulation(quiet(RIG)), tones())
+
+
+@pytest.fixture(scope="module")
+def measured(plain: Replayed) -> Sweep:
+    """The plain rig's amplitudes with noise of every block; the controller passes its sensors' noise on."""
+    rng, sweep = np.random.default_rng(1), tones()
+
+    def noisy(X: np.ndarray, sd: float) -> np.ndarray:
+        shape = (len(X), BLOCKS, *X.shape[1:])
+        return X[:, None] + sd * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+
+    return replace(sweep, R=noisy(plain.R, 0.0), U=noisy(plain.U, 1e-5), I=noisy(plain.I, 1e-4), Y=noisy(plain.Y, 1e-9))
+
+
+def shown(rig: Rig, plain: Replayed, measured: Sweep) -> float:
+    return detectability(RIG, TOLERANCE, [(measured, replay(Simulation(quiet(rig)), measured), plain)])
+
+
+def test_a_replay_answers_as_the_linear_model_does(plain: Replayed) -> None:
+    from sim.twin import linear_model
+
+    sweep = tones()
+    model = linear_model(RIG, sweep.frequency_hz)
+    expected = (model.y_per_u @ model.u_per_r)[np.arange(40), :, sweep.axis] * AMPLITUDE_A
+    error = np.linalg.norm(plain.Y[:, 1] - expected) / np.linalg.norm(expected)
+    assert error < 0.02
+
+
+def test_a_rig_without_a_secret_shows_nothing(plain: Replayed, measured: Sweep) -> None:
+    assert shown(RIG, plain, measured) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_stronger_effect_shows_more_in_proportion(plain: Replayed, measured: Sweep) -> None:
+    weak, strong = (shown(CATALOGUE["loop_delay"].on(RIG, delay_s=delay), plain, measured) for delay in (5e-6, 20e-6))
+    assert weak > 10
+    assert strong / weak == pytest.approx(4, rel=0.25)
+
+
+def test_what_a_datasheet_may_be_wrong_in_hardly_shows(plain: Replayed, measured: Sweep) -> None:
+    stiffer = replace(RIG, magnets=replace(RIG.magnets, ki=RIG.magnets.ki * np.array([1.03, 1, 1, 1])))
+    within = shown(stiffer, plain, measured)
+    change = shown(CATALOGUE["loop_delay"].on(RIG, delay_s=20e-6), plain, measured)
+    assert within < 10 < 0.2 * change
+
+
+def test_harmonics_show_what_the_fundamental_does_not(plain: Replayed, measured: Sweep) -> None:
+    third = np.arange(4)[:, None] == 3
+    distorted = replace(plain, Y=plain.Y + np.where(third, 2e-9, 0.0))
+    assert detectability(RIG, TOLERANCE, [(measured, distorted, plain)]) > 10
