@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
 import sys
 
 import typer
@@ -25,10 +27,17 @@ app.add_typer(gap.app, name="gap")
 app.add_typer(rig.app, name="rig")
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2
+INTERRUPTED = 130
+"""What typer makes of Ctrl-C; told and turned into `FAILED`."""
 
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """The matrices here are small: threads of linear algebra only wait for one another, and long on a busy machine."""
+
+
+if multiprocessing.current_process().name != "MainProcess":
+    # a worker of a command: Ctrl-C reaches it too, and only the command itself shall speak of it
+    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -47,12 +56,14 @@ def run(arguments: list[str]) -> int:
     except typer.TyperException as error:
         return _bad_usage(error)
     except (typer.Abort, KeyboardInterrupt):
-        say("ambit: stopped by the user; files that were finished are kept")
-        return FAILED
+        status = INTERRUPTED
     except BrokenPipeError:
         return _reader_left()
     except (AmbError, OSError) as error:
         say(f"ambit: {one_line(str(error))}")
+        return FAILED
+    if status == INTERRUPTED:
+        say("ambit: stopped by the user; files that were finished are kept")
         return FAILED
     return status if isinstance(status, int) else DONE
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,6 +69,63 @@ def apply(
     write_text(out, to_toml(twin))
     names = ", ".join(name for name, _ in twin.effects)
     print(f"{out}: {twin.name} with {names}")
+
+
+@app.command()
+def blind_trial(
+    out: Annotated[Path, typer.Option(help="Folder of the trial: one folder a case, and trial.json.")],
+    cases: Annotated[int, typer.Option(help="How many rigs are drawn.", min=1)] = 20,
+    seed: Annotated[int, typer.Option(help="Seed of everything that is drawn.", min=0)] = 1,
+    jobs: Annotated[int, typer.Option(help="Processes; 0 for one per core.", min=0)] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print trial.json's scores as JSON on stdout.")] = False,
+) -> None:
+    """Withhold effects on simulated rigs, seal the truth, measure, diagnose, open the seal and score."""
+    from service.output import ready_folder
+    from service.trial import run_blind_trial
+
+    ready_folder(out)
+    trial = run_blind_trial(
+        cases, seed, out, lambda k, n, text: say(f"{k} of {n}: {text}"), jobs or os.cpu_count() or 1
+    )
+    scores = trial["scores"]
+    if as_json:
+        print_json({"format": trial["format"], "version": trial["version"], "seed": seed, "scores": scores})
+        return
+    console = stdout()
+    console.print(_scores(scores))
+    console.print(f"trial: {out / 'trial.json'}", soft_wrap=True)
+
+
+def _scores(scores: dict[str, Any]) -> Table:
+    """The figures that a trial is judged by; a dash where no case tells."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("score")
+    table.add_column("value", justify="right")
+    for name, value in _told(scores):
+        table.add_row(name, value)
+    return table
+
+
+def _told(scores: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    single, unlisted = scores["single"], scores["unlisted"]
+    yield "cases: single, mixed, clean, outside the catalogue", ", ".join(str(n) for n in scores["cases"].values())
+    yield "of these detectable", ", ".join(str(n) for n in scores["detectable"].values())
+    for name, share in (
+        ("first answer is the effect", single["top1"]),
+        ("first answer by alias class", single["top1_by_class"]),
+        ("both effects of a mixture", scores["mixture"]["both_found"]),
+        ("laws outside the catalogue recognised", unlisted["recall"]),
+        ("effects of the catalogue taken for one outside", unlisted["false_abstention"]),
+        ("false alarms on clean rigs", scores["clean"]["false_alarms"]),
+        ("closure over that of the true effect, median", scores["closure"]["of_true_effect_median"]),
+    ):
+        yield name, "–" if share is None else f"{100 * share:.0f} %"
+    for name, value in (("expected calibration error", "ece"), ("Brier score", "brier")):
+        found = scores["calibration"][value]
+        yield name, "–" if found is None else f"{found:.3f}"
 
 
 def _candidates(found: list[dict[str, Any]]) -> Table:

@@ -1,25 +1,27 @@
 """Diagnosis from an experiment of an independent program, and the twin that it leads to."""
 
+import hashlib
 import json
+import time
 from pathlib import Path
 
 import pytest
 
 from sim import datasheet
 from tests.support.browser import BROWSER, opened
-from tests.support.command import ambit, refusal
+from tests.support.command import Running, ambit, refusal, wait_until
 
 PRACTICE = Path(__file__).parents[2].parent / "shared" / "practice"
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not PRACTICE.exists(), reason="the practice cases are not beside the repository"),
-]
+pytestmark = pytest.mark.slow
+needs_practice = pytest.mark.skipif(not PRACTICE.exists(), reason="the practice cases are not beside the repository")
 CASE = "p02"
 
 
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
     """Folder with gap.json and the JSON that was printed."""
+    if not PRACTICE.exists():
+        pytest.skip("the practice cases are not beside the repository")
     out = tmp_path_factory.mktemp("gap") / "out"
     case = PRACTICE / CASE
     done = ambit(
@@ -61,8 +63,43 @@ def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
     assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")
 
 
+@needs_practice
 def test_a_report_that_is_none(tmp_path):
     (tmp_path / "gap.json").write_text('{"format": "something else"}')
     case = PRACTICE / CASE
     line = refusal("gap", "apply", tmp_path / "gap.json", "--rig", case / "rig.toml", "--out", tmp_path / "twin.toml")
     assert "gap.json" in line
+
+
+@needs_practice
+@pytest.mark.parametrize("seconds", [0.3, 3.0], ids=["while workers load", "while they fit"])
+def test_ctrl_c_ends_all_workers_in_one_line(seconds, tmp_path):
+    case, out = PRACTICE / CASE, tmp_path / "out"
+    run = Running("gap", "diagnose", case / "experiment.h5", "--rig", case / "rig.toml", "--out", out, "--jobs", 2)
+    try:
+        wait_until(out.exists, "the folder")
+        time.sleep(seconds)
+        run.interrupt()
+        assert run.wait() == 1
+        assert run.said == ["ambit: stopped by the user; files that were finished are kept\n"]
+        assert not (out / "gap.json").exists()
+    finally:
+        run.end()
+
+
+def test_a_blind_trial_can_be_checked_by_anyone(tmp_path):
+    """Truth sealed behind the hash that was published, report and seal as they were, scores printed."""
+    out = tmp_path / "trial"
+    done = ambit("gap", "blind-trial", "--cases", 1, "--seed", 4, "--jobs", 1, "--out", out, "--json", timeout_s=280)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["scores"]["cases"]["single"] == 1
+    case = out / "case-0001"
+    assert {p.name for p in case.iterdir()} >= {
+        "experiment.h5", "rig.toml", "commitment.json", "sealed.json", "gap.json",
+    }  # fmt: skip
+    commitment = json.loads((case / "commitment.json").read_text())["sha256"]
+    sealed = json.loads((case / "sealed.json").read_text())
+    assert hashlib.sha256(f"{sealed['nonce']}\n{sealed['truth']}".encode()).hexdigest() == commitment
+    truth = json.loads(sealed["truth"])
+    assert truth["kind"] == "single"
+    assert truth["effects"][0] not in (case / "rig.toml").read_text()

@@ -40,6 +40,7 @@ class Running:
             stderr=subprocess.PIPE,
             text=True,
             env=ENVIRONMENT,
+            start_new_session=True,
         )
         self.said: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -55,8 +56,11 @@ class Running:
         return self.process.stdout.readline().strip()
 
     def interrupt(self, number: int = signal.SIGINT) -> None:
-        """Ctrl-C."""
-        self.process.send_signal(number)
+        """Ctrl-C, which a terminal sends to the command and all of its workers; other signals to the command alone."""
+        if number == signal.SIGINT:
+            os.killpg(self.process.pid, number)
+        else:
+            self.process.send_signal(number)
 
     def wait(self, timeout_s: float = 60.0) -> int:
         """Exit status, once everything it said is read."""
