@@ -1,5 +1,7 @@
 """What a trial withholds: the same for the same seed, every kind of it, and within what rigs and datasheets allow."""
 
+import subprocess
+import sys
 from collections import Counter
 
 import numpy as np
@@ -62,3 +64,11 @@ def test_some_rigs_turn_and_most_do_not() -> None:
     g = np.random.default_rng(3)
     turning = sum(base_rig(g).speed_rad_s > 0 for _ in range(300)) / 300
     assert abs(turning - AT_SPEED) < 0.06
+
+
+def test_the_diagnosis_imports_nothing_that_knows_a_truth() -> None:
+    code = "import sys, service.gap.diagnose; print(*(m for m in sys.modules if m.startswith('service.gap.')))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "service.gap.diagnose" in found
+    secret = {"withheld", "unlisted_laws", "blind_trial", "scoring", "seal", "detectability"}
+    assert not {m.rsplit(".", 1)[-1] for m in found} & secret
