@@ -17,5 +17,7 @@ def response(law: ControlLaw, omega_rad_s: Array) -> NDArray[np.complex128]:
 def transposed_form(law: ControlLaw) -> tuple[Array, Array]:
     """Monic denominator and numerator padded to its length, for the direct form II transposed."""
     a = np.asarray(law.denominator, dtype=float)
+    if len(a) == 1:  # a plain gain: give it one state that stays at rest
+        return np.array([law.numerator[0] / a[0], 0.0]), np.array([1.0, 0.0])
     b = np.concatenate([np.zeros(len(a) - len(law.numerator)), np.asarray(law.numerator, dtype=float)])
     return b / a[0], a / a[0]

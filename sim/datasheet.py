@@ -316,8 +316,11 @@ def read(path: Path) -> Datasheet:
     """Read a datasheet from a file; errors name the file."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasheetError(f"cannot read the datasheet {path}: {error}") from error
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise DatasheetError(f"cannot read the datasheet {path}: {why}; give the path of a rig.toml") from error
+    except UnicodeDecodeError as error:
+        raise DatasheetError(f"the datasheet {path} is not UTF-8 text ({error}); save it as UTF-8") from error
     return parse(text, str(path))
 
 

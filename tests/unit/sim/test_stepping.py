@@ -206,3 +206,10 @@ def test_more_steps_a_sample_change_nothing_that_counts():
     assert np.abs(coarse.y - fine.y).max() < 1e-6 * np.abs(fine.y).max()
     single = Simulation(QUIET, substeps=1).advance(r, check_limits=False)
     assert np.abs(single.y - fine.y).max() < 1e-4 * np.abs(fine.y).max()
+
+
+def test_a_plain_gain_as_controller_is_refused_as_not_levitating() -> None:
+    rig = reference_rig()
+    law = replace(rig.controller, numerator=np.array([1.0]), denominator=np.array([1.0]))
+    with pytest.raises(LevitationError, match="does not levitate"):
+        Simulation(replace(rig, controller=law))
