@@ -91,7 +91,7 @@ def datasheet(t: Truth, rng: np.random.Generator, sigma: dict) -> dict:
         return (v * (1 + sigma.get(name, 0.0) * e)).tolist()
 
     def damped(value: float) -> float:
-        return float(value * max(0.1, 1 + sigma.get("mode_damping", 0.0) * rng.standard_normal()))
+        return float(value * (1 + sigma.get("mode_damping", 0.0) * np.clip(rng.standard_normal(), -1.5, 2.0)))
 
     b, a = pid(**t.control)
     p = sigma.get("sensor_position_m", 0.0) * rng.standard_normal(2)
