@@ -1,0 +1,76 @@
+"""Words of the audit log: who did what to which thing, and above all who moved which rotor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+from service.access.keys import Identity
+
+
+class Action(StrEnum):
+    """What can be done that someone may later ask about."""
+
+    key_created = "key.created"
+    key_revoked = "key.revoked"
+    access_refused = "access.refused"
+    rig_created = "rig.created"
+    rig_changed = "rig.changed"
+    rig_removed = "rig.removed"
+    experiment_uploaded = "experiment.uploaded"
+    upload_refused = "upload.refused"
+    job_submitted = "job.submitted"
+    job_cancelled = "job.cancelled"
+    job_retried = "job.retried"
+    schedule_created = "schedule.created"
+    schedule_changed = "schedule.changed"
+    schedule_removed = "schedule.removed"
+    baseline_changed = "baseline.changed"
+    rotor_excited = "rotor.excited"
+    """A worker has taken the controller's lease for a job: from now on the rotor moves."""
+    rotor_released = "rotor.released"
+    """The lease is given back; the detail says how the excitation ended."""
+
+    @property
+    def moves_a_rotor(self) -> bool:
+        """Whether it made, or was meant to make, a rotor move."""
+        return self in (Action.rotor_excited, Action.rotor_released, Action.job_submitted, Action.job_retried)
+
+
+@dataclass(frozen=True)
+class AuditEvent:
+    """One line of the audit log."""
+
+    action: Action
+    actor: str
+    """Id of the key, "local", or "schedule:<id>" for what the clock began."""
+    actor_name: str
+    subject: str
+    """Id of the thing: rig_..., job_..., key_..."""
+    rig: str | None = None
+    """Id of the rig, where there is one."""
+    detail: dict[str, Any] = field(default_factory=dict)
+    request_id: str | None = None
+    address: str | None = None
+    """Where the request came from."""
+    at: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+
+def audited(
+    who: Identity,
+    action: Action,
+    subject: str,
+    rig: str | None = None,
+    request_id: str | None = None,
+    address: str | None = None,
+    **detail: Any,
+) -> AuditEvent:
+    """An event by an identity, now.
+
+    >>> from service.access.keys import LOCAL
+    >>> audited(LOCAL, Action.job_submitted, "job_1", rig="rig_1", kind="experiment").detail
+    {'kind': 'experiment'}
+    """
+    return AuditEvent(action, who.key_id, who.name, subject, rig, detail, request_id, address)
