@@ -8,7 +8,12 @@
     └── ServiceError
         ├── OutputError              a result cannot be written
         ├── DocumentError            a result, a report or a twin that shall be read is not what it should be
-        └── StoppedError             the user stopped the job; what was finished is kept
+        ├── StoppedError             the user stopped the job; what was finished is kept
+        ├── ConfigurationError       a setting of the service is unknown or out of range
+        ├── StorageError             a database or the store cannot be used
+        ├── NotFoundError            there is no such resource
+        ├── ConflictError            the state of a resource does not allow it
+        └── JobError                 a job cannot be done; its title says in a few words what is the matter
 """
 
 from sim.errors import AmbError
@@ -28,3 +33,35 @@ class DocumentError(ServiceError):
 
 class StoppedError(ServiceError):
     """The user stopped the job."""
+
+
+class ConfigurationError(ServiceError):
+    """A setting is unknown, of the wrong type or out of range."""
+
+
+class StorageError(ServiceError):
+    """A database or the store cannot be used."""
+
+
+class NotFoundError(ServiceError):
+    """There is no such resource."""
+
+
+class ConflictError(ServiceError):
+    """The state of a resource does not allow what was asked for."""
+
+
+class JobError(ServiceError):
+    """A job cannot be done.
+
+    Parameters
+    ----------
+    title
+        A few words that stay the same for the same reason.
+    detail
+        One line that names the thing and the remedy.
+    """
+
+    def __init__(self, title: str, detail: str) -> None:
+        super().__init__(detail)
+        self.title = title

@@ -1,0 +1,143 @@
+"""Settings of the service: a TOML file, environment variables over it, flags over both."""
+
+from __future__ import annotations
+
+import os
+import socket
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from service.errors import ConfigurationError
+
+PREFIX = "AMBIT_"
+FILE_VARIABLE = "AMBIT_CONFIG"
+
+
+def _default_home() -> Path:
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "ambit"
+
+
+class Settings(BaseModel):
+    """Everything that an installation may decide. Each field is also an environment variable, ``AMBIT_<FIELD>``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    home: Path = Field(default_factory=_default_home)
+    """Folder of the SQLite databases, the default store and the work in progress."""
+    database_url: str = ""
+    """Our own tables: empty for SQLite in ``home``, or postgresql://user:password@host/name."""
+    jobs_database_url: str = ""
+    """Tables of the job engine: empty for SQLite in ``home``, or the PostgreSQL of ``database_url``."""
+    store_url: str = ""
+    """Where files are kept: any fsspec URL; empty for a folder in ``home``."""
+
+    host: str = "127.0.0.1"
+    port: int = Field(8311, ge=0, le=65535)
+    tls_certificate: Path | None = None
+    """PEM; with ``tls_key`` the API speaks HTTPS."""
+    tls_key: Path | None = None
+    behind_proxy: bool = False
+    """Trust X-Forwarded-* of the proxy in front."""
+
+    worker_name: str = Field("", max_length=60)
+    """Stable and unique per worker; empty for the host's name."""
+    cpu_jobs: int = Field(1, ge=1, le=64)
+    """Identifications and diagnoses that one worker calculates at a time."""
+    worker_timeout_s: float = Field(30.0, gt=1.0)
+    """A worker that was silent for so long has lost its jobs to the others."""
+    controller_patience_s: float = Field(60.0, ge=0.0)
+    """How long a job waits for a controller that does not answer before it fails."""
+
+    max_body_bytes: int = Field(1_000_000, ge=1000)
+    max_upload_bytes: int = Field(256_000_000, ge=1000)
+    upload_memory_bytes: int = Field(2_000_000_000, ge=100_000_000)
+    """Memory of the process that reads an upload."""
+    upload_seconds: float = Field(20.0, gt=0)
+    """Time that reading an upload may take."""
+    requests_per_s: float = Field(500.0, gt=0)
+    """Sustained rate that one key may ask for."""
+    requests_burst: int = Field(1000, ge=1)
+
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["console", "json"] = "console"
+    otlp_endpoint: str = ""
+    """Where OpenTelemetry traces go; empty for none."""
+
+    @field_validator("database_url", "jobs_database_url")
+    @classmethod
+    def _known_database(cls, url: str) -> str:
+        if url and urlsplit(url).scheme not in ("sqlite", "postgresql"):
+            raise ValueError("is neither sqlite:////folder/file.db nor postgresql://user:password@host/name")
+        return url
+
+    @property
+    def database(self) -> str:
+        """URL of our own tables."""
+        return self.database_url or f"sqlite:///{self.home.absolute() / 'ambit.db'}"
+
+    @property
+    def jobs_database(self) -> str:
+        """URL of the job engine's tables."""
+        if self.jobs_database_url:
+            return self.jobs_database_url
+        if self.database_url.startswith("postgresql"):
+            return self.database_url
+        return f"sqlite:///{self.home.absolute() / 'jobs.db'}"
+
+    @property
+    def store(self) -> str:
+        """fsspec URL of the store."""
+        return self.store_url or str(self.home.absolute() / "store")
+
+    @property
+    def work(self) -> Path:
+        """Folder of the work in progress of this machine."""
+        return self.home.absolute() / "work"
+
+    @property
+    def worker(self) -> str:
+        """Name of this machine's worker."""
+        return self.worker_name or socket.gethostname()[:60] or "worker"
+
+
+def load(
+    file: Path | None = None, environment: Mapping[str, str] | None = None, flags: Mapping[str, Any] | None = None
+) -> Settings:
+    """Settings from a TOML file, the environment, and flags that are not None; the later wins.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or a value is unknown or out of range; names it and where it came from.
+    """
+    environment = os.environ if environment is None else environment
+    if file is None and environment.get(FILE_VARIABLE):
+        file = Path(environment[FILE_VARIABLE])
+    values: dict[str, Any] = {} if file is None else _from_file(file)
+    origin = dict.fromkeys(values, str(file))
+    for name in Settings.model_fields:
+        variable = PREFIX + name.upper()
+        if variable in environment:
+            values[name], origin[name] = environment[variable], variable
+    for name, value in (flags or {}).items():
+        if value is not None:
+            values[name], origin[name] = value, f"--{name.replace('_', '-')}"
+    try:
+        return Settings(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0]) if first["loc"] else ""
+        reason = "there is no such setting" if first["type"] == "extra_forbidden" else first["msg"]
+        raise ConfigurationError(f"{origin.get(name, 'settings')}: {name}: {reason}") from error
+
+
+def _from_file(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"cannot read the settings {file}: {error}; give a TOML file") from error
