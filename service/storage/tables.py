@@ -68,6 +68,8 @@ class Rig(Base):
     updated_at: Mapped[datetime]
     retired_at: Mapped[datetime | None]
     """A retired rig takes no jobs; its history stays."""
+    baseline_model_id: Mapped[str | None] = mapped_column(ID)
+    """What health checks compare with; None for the newest model of a whole commissioning."""
 
 
 class RigVersion(Base):

@@ -1,0 +1,42 @@
+"""The audit log: written in the transaction of what it tells of, never changed."""
+
+from __future__ import annotations
+
+from sqlalchemy.orm import Session
+
+from service.access.audit import AuditEvent
+from service.storage.ids import new_id
+from service.storage.listing import Page, page
+from service.storage.tables import AuditRow
+
+
+def record(session: Session, event: AuditEvent) -> None:
+    """Add a line to the log."""
+    detail = dict(event.detail) | ({"address": event.address} if event.address else {})
+    session.add(
+        AuditRow(
+            id=new_id("aud"),
+            at=event.at,
+            who=event.actor_name,
+            key_id=event.actor,
+            action=str(event.action),
+            rig_id=event.rig,
+            resource=event.subject,
+            detail=detail,
+            request_id=event.request_id or "",
+        )
+    )
+
+
+def listed(
+    session: Session,
+    rig_id: str | None = None,
+    action: str | None = None,
+    resource: str | None = None,
+    after: str | None = None,
+    limit: int = 100,
+) -> Page[AuditRow]:
+    """A page of the log, newest first."""
+    wanted = ((AuditRow.rig_id, rig_id), (AuditRow.action, action), (AuditRow.resource, resource))
+    conditions = [column == value for column, value in wanted if value is not None]
+    return page(session, AuditRow, *conditions, after=after, limit=limit)

@@ -1,0 +1,279 @@
+"""Jobs as their owners see them. Only the last worker that began with a job may write to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import CursorResult, delete, func, select, update
+from sqlalchemy.orm import Session
+
+from service.errors import ConflictError, NotFoundError
+from service.storage.database import now
+from service.storage.ids import new_id
+from service.storage.listing import Page, page
+from service.storage.tables import JobRow, JournalPart
+
+QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
+STATES = (QUEUED, RUNNING, DONE, FAILED, CANCELLED)
+ENDED = (DONE, FAILED, CANCELLED)
+ON_RIG = ("experiment", "health")
+"""Kinds that move a rotor."""
+KINDS = ("experiment", "identification", "gap", "health")
+
+
+def submit(
+    session: Session,
+    kind: str,
+    rig_id: str,
+    rig_version: int,
+    by: str,
+    experiment_id: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    priority: int = 5,
+    schedule_id: str | None = None,
+) -> JobRow:
+    """A new job, queued; the engine is told of it once this is committed."""
+    job = JobRow(
+        id=new_id("job"),
+        kind=kind,
+        rig_id=rig_id,
+        rig_version=rig_version,
+        experiment_id=experiment_id,
+        schedule_id=schedule_id,
+        options=dict(options or {}),
+        priority=priority,
+        state=QUEUED,
+        submitted_by=by,
+        created_at=now(),
+        result={},
+    )
+    session.add(job)
+    session.flush()
+    return job
+
+
+def get(session: Session, job_id: str) -> JobRow:
+    """A job.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id.
+    """
+    job = session.get(JobRow, job_id)
+    if job is None:
+        raise NotFoundError(f"there is no job {job_id!r}; list them at /api/v1/jobs")
+    return job
+
+
+def listed(
+    session: Session,
+    state: str | None = None,
+    kind: str | None = None,
+    rig_id: str | None = None,
+    after: str | None = None,
+    limit: int = 100,
+) -> Page[JobRow]:
+    """A page of jobs."""
+    wanted = ((JobRow.state, state), (JobRow.kind, kind), (JobRow.rig_id, rig_id))
+    conditions = [column == value for column, value in wanted if value is not None]
+    return page(session, JobRow, *conditions, after=after, limit=limit)
+
+
+def counts(session: Session) -> dict[str, int]:
+    """Number of jobs by state."""
+    found = session.execute(select(JobRow.state, func.count()).group_by(JobRow.state))
+    return dict.fromkeys(STATES, 0) | {row[0]: row[1] for row in found}
+
+
+def ahead(session: Session, job: JobRow) -> int:
+    """How many jobs of the same rig are queued before this one, or run."""
+    before = (JobRow.priority < job.priority) | ((JobRow.priority == job.priority) & (JobRow.id < job.id))
+    waiting = (JobRow.state == QUEUED) & before
+    query = (
+        select(func.count())
+        .select_from(JobRow)
+        .where(
+            JobRow.rig_id == job.rig_id,
+            JobRow.kind.in_(ON_RIG),
+            JobRow.id != job.id,
+            waiting | (JobRow.state == RUNNING),
+        )
+    )
+    return session.scalar(query) or 0
+
+
+def cancel(session: Session, job_id: str) -> JobRow:
+    """Cancel a job: a queued one at once, a running one by asking its worker.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id.
+    ConflictError
+        It has ended.
+    """
+    at = now()
+    job = get(session, job_id)
+    changed = session.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.state == QUEUED, JobRow.attempt == 0)
+        .values(state=CANCELLED, cancel_requested=True, ended_at=at, phase="cancelled", changes=JobRow.changes + 1)
+    )
+    if not _rows(changed):
+        changed = session.execute(
+            update(JobRow)
+            .where(JobRow.id == job_id, JobRow.state.in_((QUEUED, RUNNING)))
+            .values(cancel_requested=True, changes=JobRow.changes + 1)
+        )
+    session.refresh(job)
+    if not _rows(changed) and job.state != CANCELLED:
+        raise ConflictError(f"the job {job_id} is {job.state} already; there is nothing to cancel")
+    return job
+
+
+def retry(session: Session, job_id: str) -> JobRow:
+    """Queue a job again that failed or was cancelled; an experiment goes on with what it has measured.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id.
+    ConflictError
+        It has not failed and was not cancelled.
+    """
+    job = get(session, job_id)
+    changed = session.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.state.in_((FAILED, CANCELLED)))
+        .values(
+            state=QUEUED,
+            run=JobRow.run + 1,
+            attempt=0,
+            worker="",
+            cancel_requested=False,
+            started_at=None,
+            ended_at=None,
+            phase="",
+            time_left_s=None,
+            error_title="",
+            error_detail="",
+            changes=JobRow.changes + 1,
+        )
+    )
+    session.refresh(job)
+    if not _rows(changed):
+        raise ConflictError(f"the job {job_id} is {job.state}; only what failed or was cancelled can be tried again")
+    return job
+
+
+def dispatched(session: Session, job_id: str, run: int) -> None:
+    """Note that the engine knows of a run."""
+    session.execute(update(JobRow).where(JobRow.id == job_id, JobRow.run == run).values(dispatched_run=run))
+
+
+def undispatched(session: Session, limit: int = 200) -> list[JobRow]:
+    """Queued jobs that the engine was not told of: whoever took them was stopped in between."""
+    query = (
+        select(JobRow)
+        .where(JobRow.state == QUEUED, JobRow.dispatched_run < JobRow.run)
+        .order_by(JobRow.id)
+        .limit(limit)
+    )
+    return list(session.scalars(query))
+
+
+def claim(session: Session, job_id: str, run: int, worker: str) -> JobRow | None:
+    """Begin with a job, or go on with it; None when it has ended, or was retried since.
+
+    From now on only who holds this ``attempt`` writes to it.
+    """
+    session.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.run == run, JobRow.state.in_((QUEUED, RUNNING)))
+        .values(
+            state=RUNNING,
+            attempt=JobRow.attempt + 1,
+            worker=worker,
+            started_at=func.coalesce(JobRow.started_at, now()),
+            changes=JobRow.changes + 1,
+        )
+    )
+    job = get(session, job_id)
+    session.refresh(job)
+    return job if job.run == run and job.state == RUNNING else None
+
+
+def note(session: Session, job_id: str, attempt: int, **values: Any) -> tuple[bool, bool]:
+    """Write to a running job; an empty note only asks.
+
+    Returns
+    -------
+    mine, cancelled
+        Whether this attempt is still the one, and whether it shall end.
+    """
+    if values:
+        changed = session.execute(
+            update(JobRow)
+            .where(JobRow.id == job_id, JobRow.attempt == attempt, JobRow.state == RUNNING)
+            .values(**values, changes=JobRow.changes + 1)
+        )
+        if not _rows(changed):
+            return False, True
+    found = session.execute(
+        select(JobRow.attempt, JobRow.state, JobRow.cancel_requested).where(JobRow.id == job_id)
+    ).one_or_none()
+    if found is None:
+        return False, True
+    return found.attempt == attempt and found.state == RUNNING, bool(found.cancel_requested)
+
+
+def finish(
+    session: Session, job_id: str, run: int, state: str, result: dict[str, Any], title: str = "", detail: str = ""
+) -> None:
+    """The end of a run; a second time changes nothing."""
+    values: dict[str, Any] = {"percent": 100.0, "time_left_s": 0.0} if state == DONE else {"time_left_s": None}
+    session.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.run == run, JobRow.state.in_((QUEUED, RUNNING)))
+        .values(
+            state=state,
+            result=result,
+            error_title=title,
+            error_detail=detail,
+            ended_at=now(),
+            phase=state,
+            changes=JobRow.changes + 1,
+            **values,
+        )
+    )
+
+
+def add_journal(session: Session, job_id: str, attempt: int, offset: int, content: bytes) -> bool:
+    """Keep a piece of a campaign's journal; False when another worker has the job now."""
+    mine, _ = note(session, job_id, attempt)
+    if mine:
+        session.merge(JournalPart(job_id=job_id, offset=offset, content=content))
+    return mine
+
+
+def journal(session: Session, job_id: str) -> bytes:
+    """The journal so far, as far as it has no gap."""
+    whole = bytearray()
+    parts = select(JournalPart).where(JournalPart.job_id == job_id).order_by(JournalPart.offset)
+    for part in session.scalars(parts):
+        if part.offset > len(whole):
+            break
+        whole[part.offset :] = part.content
+    return bytes(whole)
+
+
+def drop_journal(session: Session, job_id: str) -> None:
+    """Forget a journal: its experiment is whole."""
+    session.execute(delete(JournalPart).where(JournalPart.job_id == job_id))
+
+
+def _rows(result: Any) -> int:
+    assert isinstance(result, CursorResult)
+    return result.rowcount

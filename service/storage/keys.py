@@ -1,0 +1,58 @@
+"""API keys as rows; what a key is, and when it holds, is service.access.keys."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+from sqlalchemy import func, select, update
+from sqlalchemy.orm import Session
+
+from service.errors import NotFoundError
+from service.storage.database import now
+from service.storage.tables import KeyRow
+
+_USED_EVERY = timedelta(minutes=1)
+"""How exactly the last use of a key is kept."""
+
+
+def add(session: Session, row: KeyRow) -> KeyRow:
+    """A new key."""
+    session.add(row)
+    session.flush()
+    return row
+
+
+def find(session: Session, key_id: str) -> KeyRow | None:
+    """A key, or None."""
+    return session.get(KeyRow, key_id)
+
+
+def any_key(session: Session) -> bool:
+    """Whether there is a key, revoked and expired ones too: then nobody comes in without."""
+    return bool(session.scalar(select(func.count()).select_from(KeyRow)))
+
+
+def listed(session: Session) -> list[KeyRow]:
+    """All keys, newest first."""
+    return list(session.scalars(select(KeyRow).order_by(KeyRow.id.desc())))
+
+
+def revoke(session: Session, key_id: str) -> KeyRow:
+    """Revoke a key from now on; again changes nothing.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id.
+    """
+    row = session.get(KeyRow, key_id)
+    if row is None:
+        raise NotFoundError(f"there is no key {key_id!r}; list them with ambit keys list")
+    row.revoked_at = row.revoked_at or now()
+    return row
+
+
+def used(session: Session, key_id: str, at: datetime) -> None:
+    """Note the use of a key, to the minute."""
+    stale = KeyRow.used_at.is_(None) | (KeyRow.used_at < at - _USED_EVERY)
+    session.execute(update(KeyRow).where(KeyRow.id == key_id, stale).values(used_at=at))

@@ -1,0 +1,38 @@
+"""Pages of a list, newest first: a page begins after the last id of the one before, however much was added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import ColumnElement, select
+from sqlalchemy.orm import Session
+
+from service.storage.tables import Base
+
+Row = TypeVar("Row", bound=Base)
+
+LARGEST_PAGE = 1000
+
+
+@dataclass(frozen=True)
+class Page(Generic[Row]):
+    """One page."""
+
+    items: list[Row]
+    next: str | None
+    """Where the next page begins; None at the end."""
+
+
+def page(
+    session: Session, table: type[Row], *conditions: ColumnElement[bool], after: str | None = None, limit: int = 100
+) -> Page[Row]:
+    """Rows of a table whose ids sort by time, newest first."""
+    key: Any = table.__table__.c["id"]
+    query = select(table).where(*conditions).order_by(key.desc()).limit(limit + 1)
+    if after is not None:
+        query = query.where(key < after)
+    items = list(session.scalars(query))
+    more = len(items) > limit
+    items = items[:limit]
+    return Page(items, items[-1].id if more and items else None)  # type: ignore[attr-defined]

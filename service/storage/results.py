@@ -1,0 +1,79 @@
+"""Experiments, models, gap diagnoses and health checks: what jobs make. Made twice, they are the same row."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from sqlalchemy import ColumnElement, select
+from sqlalchemy.orm import Session
+
+from service.errors import NotFoundError
+from service.storage.listing import Page, page
+from service.storage.tables import Base, ExperimentRow, GapRow, HealthRow, ModelRow, Rig
+
+Row = TypeVar("Row", ExperimentRow, ModelRow, GapRow, HealthRow)
+
+_NAMES: dict[type[Base], tuple[str, str]] = {
+    ExperimentRow: ("experiment", "experiments"),
+    ModelRow: ("model", "models"),
+    GapRow: ("gap diagnosis", "gaps"),
+    HealthRow: ("health check", "health-checks"),
+}
+
+
+def get(session: Session, table: type[Row], row_id: str) -> Row:
+    """One result.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id.
+    """
+    found = session.get(table, row_id)
+    if found is None:
+        name, path = _NAMES[table]
+        raise NotFoundError(f"there is no {name} {row_id!r}; list them at /api/v1/{path}")
+    return found
+
+
+def keep(session: Session, row: Row) -> Row:
+    """Insert a row, or replace the one of the same id: a job that is repeated makes it again."""
+    return session.merge(row)
+
+
+def listed(
+    session: Session,
+    table: type[Row],
+    rig_id: str | None = None,
+    after: str | None = None,
+    limit: int = 100,
+    **equal: Any,
+) -> Page[Row]:
+    """A page of results, of one rig or of all; ``equal`` are columns and their values, None for any."""
+    conditions: list[ColumnElement[bool]] = [
+        getattr(table, name) == value for name, value in {"rig_id": rig_id, **equal}.items() if value is not None
+    ]
+    return page(session, table, *conditions, after=after, limit=limit)
+
+
+def baseline(session: Session, rig: Rig) -> ModelRow:
+    """The model that a rig's health is compared with.
+
+    Raises
+    ------
+    NotFoundError
+        The rig has no model of a whole commissioning.
+    """
+    if rig.baseline_model_id is not None:
+        return get(session, ModelRow, rig.baseline_model_id)
+    query = (
+        select(ModelRow)
+        .join(ExperimentRow, ExperimentRow.id == ModelRow.experiment_id)
+        .where(ModelRow.rig_id == rig.id, ExperimentRow.complete, ExperimentRow.purpose == "commissioning")
+        .order_by(ModelRow.id.desc())
+        .limit(1)
+    )
+    found = session.scalar(query)
+    if found is None:
+        raise NotFoundError(f"the rig {rig.name!r} has no model to compare with; commission it first")
+    return found

@@ -1,0 +1,76 @@
+"""Schedules of health checks, the times at which they were due, and what their webhooks were told."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from service.errors import NotFoundError
+from service.storage.database import now
+from service.storage.listing import Page, page
+from service.storage.tables import ScheduleRow, ScheduleRunRow, WebhookRow
+
+SUBMITTED, MISSED, REFUSED = "submitted", "missed", "refused"
+
+
+def get(session: Session, schedule_id: str, for_update: bool = False) -> ScheduleRow:
+    """A schedule.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id, or it was removed.
+    """
+    row = session.get(ScheduleRow, schedule_id, with_for_update=for_update or None)
+    if row is None or row.deleted_at is not None:
+        raise NotFoundError(f"there is no schedule {schedule_id!r}; list them at /api/v1/schedules")
+    return row
+
+
+def listed(
+    session: Session, rig_id: str | None = None, after: str | None = None, limit: int = 100
+) -> Page[ScheduleRow]:
+    """A page of schedules."""
+    conditions = [ScheduleRow.deleted_at.is_(None)] + ([ScheduleRow.rig_id == rig_id] if rig_id is not None else [])
+    return page(session, ScheduleRow, *conditions, after=after, limit=limit)
+
+
+def due(session: Session, at: datetime) -> list[ScheduleRow]:
+    """Schedules whose time has come, each for one worker only."""
+    query = (
+        select(ScheduleRow)
+        .where(ScheduleRow.enabled, ScheduleRow.deleted_at.is_(None), ScheduleRow.next_at <= at)
+        .order_by(ScheduleRow.id)
+        .with_for_update(skip_locked=True)
+    )
+    return list(session.scalars(query))
+
+
+def record_run(
+    session: Session, schedule_id: str, due_at: datetime, state: str, job_id: str | None = None, detail: str = ""
+) -> None:
+    """Note what became of one time at which a schedule was due."""
+    session.merge(
+        ScheduleRunRow(
+            schedule_id=schedule_id, due_at=due_at, state=state, job_id=job_id, detail=detail, recorded_at=now()
+        )
+    )
+
+
+def runs(session: Session, schedule_id: str, limit: int = 100) -> list[ScheduleRunRow]:
+    """The last times at which a schedule was due, newest first."""
+    query = (
+        select(ScheduleRunRow)
+        .where(ScheduleRunRow.schedule_id == schedule_id)
+        .order_by(ScheduleRunRow.due_at.desc())
+        .limit(limit)
+    )
+    return list(session.scalars(query))
+
+
+def deliveries(session: Session, schedule_id: str, limit: int = 100) -> list[WebhookRow]:
+    """The last messages of a schedule, newest first."""
+    query = select(WebhookRow).where(WebhookRow.schedule_id == schedule_id).order_by(WebhookRow.id.desc()).limit(limit)
+    return list(session.scalars(query))

@@ -1,0 +1,96 @@
+"""Workers and their signs of life."""
+
+from __future__ import annotations
+
+import os
+import socket
+from datetime import timedelta
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from service.errors import ConflictError
+from service.storage.database import now
+from service.storage.tables import WorkerRow
+
+ALIVE_S = 5.0
+"""A worker beats every second; one that was silent for so long is no rival for its name."""
+
+
+def machine() -> str:
+    """Name of the machine, or of the container."""
+    return socket.gethostname()
+
+
+def sign_on(session: Session, name: str, instance: str) -> None:
+    """Take a worker's name.
+
+    Raises
+    ------
+    ConflictError
+        Another process has it and is alive: two workers of one name would do one job twice.
+    """
+    at = now()
+    row = session.get(WorkerRow, name)
+    if row is not None and row.instance != instance and _lives(row):
+        raise ConflictError(
+            f"a worker named {name!r} runs on {row.machine} as process {row.process}; end it, or give another name"
+        )
+    session.merge(
+        WorkerRow(
+            name=name,
+            instance=instance,
+            machine=machine(),
+            process=os.getpid(),
+            started_at=at,
+            beat_at=at,
+            stopped_at=None,
+        )
+    )
+
+
+def _lives(row: WorkerRow) -> bool:
+    if row.stopped_at is not None or now() - row.beat_at > timedelta(seconds=ALIVE_S):
+        return False
+    if row.machine != machine():
+        return True
+    try:
+        os.kill(row.process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return row.process != os.getpid()
+
+
+def beat(session: Session, name: str, instance: str) -> bool:
+    """Give a sign of life; False when another process has the name."""
+    changed = session.execute(
+        update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance).values(beat_at=now())
+    )
+    return bool(changed.rowcount)  # type: ignore[attr-defined]
+
+
+def sign_off(session: Session, name: str, instance: str) -> None:
+    """Note that a worker ended in good order."""
+    session.execute(
+        update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance).values(stopped_at=now())
+    )
+
+
+def silent(session: Session, seconds: float) -> list[str]:
+    """Names of workers without a sign of life for so long, or ended."""
+    limit = now() - timedelta(seconds=seconds)
+    return list(session.scalars(select(WorkerRow.name).where(WorkerRow.beat_at < limit)))
+
+
+def listed(session: Session) -> list[WorkerRow]:
+    """All workers by name."""
+    return list(session.scalars(select(WorkerRow).order_by(WorkerRow.name)))
+
+
+def anyone(session: Session) -> bool:
+    """Whether a worker is alive."""
+    limit = now() - timedelta(seconds=ALIVE_S)
+    query = select(WorkerRow.name).where(WorkerRow.beat_at >= limit, WorkerRow.stopped_at.is_(None)).limit(1)
+    return session.scalar(query) is not None
