@@ -13,6 +13,8 @@
         ├── StorageError             a database or the store cannot be used
         ├── NotFoundError            there is no such resource
         ├── ConflictError            the state of a resource does not allow it
+        ├── AccessError              service.access.errors: no key, too small a scope, too many requests
+        ├── UploadError              service.uploads.errors: a file that was sent is refused
         └── JobError                 a job cannot be done; its title says in a few words what is the matter
 """
 

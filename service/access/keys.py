@@ -59,7 +59,7 @@ class KeyRecord:
     revoked: datetime | None = None
 
     def state(self, now: datetime) -> str:
-        """ "valid", "expired" or "revoked"."""
+        """Whether it is "valid", "expired" or "revoked"."""
         if self.revoked is not None:
             return "revoked"
         return "expired" if self.expires is not None and self.expires <= now else "valid"
