@@ -1,0 +1,143 @@
+"""Who asks, and whether they may: `require` in front of every route.
+
+The application keeps its `Gate` as ``app.state.gate``; ``request.state.identity`` tells the log who asked.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Annotated
+
+from fastapi import Request, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.access import keys
+from service.access.errors import UnauthorisedError
+from service.access.keys import LOCAL, Identity, KeyRecord, Scope
+from service.access.loopback import must_be_this_machine
+from service.access.rate import Limiter, Rate
+from service.storage import keys as rows
+from service.storage.database import Database, now
+from service.storage.tables import KeyRow
+
+FAILURES = Rate(per_s=2.0, burst=20)
+"""Wrong keys that one address may try."""
+NOTED_EVERY_S = 60.0
+
+_scheme = HTTPBearer(
+    scheme_name="key",
+    description="An API key, `ambit_<id>_<secret>`; `ambit keys create` makes one. A service that has no keys yet "
+    "serves its own machine without.",
+    auto_error=False,
+)
+
+
+class Gate:
+    """Lets callers in.
+
+    Parameters
+    ----------
+    database
+        Where the keys are.
+    rate
+        Requests that one key may make.
+    """
+
+    def __init__(self, database: Database, rate: Rate) -> None:
+        self._database = database
+        self._limiter = Limiter(rate)
+        self._failures = Limiter(FAILURES)
+        self._noted: dict[str, float] = {}
+
+    def identity(self, key: str | None, address: str | None, request: Request | None = None) -> Identity:
+        """Whoever shows this key, or sits at a service without keys.
+
+        Raises
+        ------
+        UnauthorisedError
+            There is no key that holds.
+        RateError
+            Too many requests by this key, or too many wrong keys from this address.
+        """
+        try:
+            who = self._local(address, request) if key is None else self._holder(key)
+        except UnauthorisedError:
+            self._failures.take(f"wrong {address}")
+            raise
+        self._limiter.take(who.key_id)
+        return who
+
+    def _local(self, address: str | None, request: Request | None) -> Identity:
+        with self._database.read() as session:
+            if rows.any_key(session):
+                raise UnauthorisedError(f"this needs a key; {keys.REMEDY}")
+        must_be_this_machine(address, {} if request is None else request.headers)
+        return LOCAL
+
+    def _holder(self, key: str) -> Identity:
+        key_id = keys.id_of(key)
+        with self._database.read() as session:
+            row = rows.find(session, key_id) if key_id else None
+        who = keys.verify(key, None if row is None else record(row), now())
+        self._note(who.key_id)
+        return who
+
+    def _note(self, key_id: str) -> None:
+        """Note the use of a key now and then; a database that is busy with better things is left alone."""
+        at = time.monotonic()
+        if at - self._noted.get(key_id, -NOTED_EVERY_S) < NOTED_EVERY_S:
+            return
+        self._noted[key_id] = at
+        try:
+            with self._database.write() as session:
+                rows.used(session, key_id, now())
+        except SQLAlchemyError:
+            self._noted.pop(key_id, None)
+
+
+def record(row: KeyRow) -> KeyRecord:
+    """A row as what the rules of access know."""
+    return KeyRecord(
+        row.id, row.name, Scope(row.scope), row.secret_hash, row.created_at, row.expires_at, row.revoked_at
+    )
+
+
+def row(of: KeyRecord, created_by: str) -> KeyRow:
+    """A row that keeps a key."""
+    return KeyRow(
+        id=of.id,
+        name=of.name,
+        scope=str(of.scope),
+        secret_hash=of.hash,
+        created_at=of.created,
+        created_by=created_by,
+        expires_at=of.expires,
+        revoked_at=of.revoked,
+        used_at=None,
+    )
+
+
+@cache
+def require(scope: Scope) -> Callable[..., Identity]:
+    """Dependency of a route: the identity of whoever asks, if its scope reaches so far.
+
+    ``who: Annotated[Identity, Depends(require(Scope.operator))]``; answers 401, 403 or 429 otherwise.
+    """
+
+    def allowed(request: Request, given: Annotated[HTTPAuthorizationCredentials | None, Security(_scheme)]) -> Identity:
+        gate: Gate = request.app.state.gate
+        key = given.credentials if given is not None else _other_scheme(request)
+        who = gate.identity(key, request.client.host if request.client else None, request)
+        request.state.identity = who
+        return who.must_reach(scope)
+
+    return allowed
+
+
+def _other_scheme(request: Request) -> str | None:
+    """None where nothing is shown; whoever shows something that is no key is not taken for nobody."""
+    header = request.headers.get("authorization")
+    return None if header is None else keys.bearer(header)
