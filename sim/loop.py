@@ -24,7 +24,7 @@ from sim.state_space import state_space
 _NONE = 1e30
 """Stands for an absent limit in the compiled loop, whose fast arithmetic has no infinities."""
 
-_compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+_compiled = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
 @_compiled
