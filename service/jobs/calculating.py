@@ -1,0 +1,60 @@
+"""The child process that calculates: reads one request a line, writes one answer a line.
+
+Run as ``python -m service.jobs.calculating``. It ends when its parent does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from service.jobs import calculations
+from sim.errors import AmbError
+
+_NICE = 5
+"""Rigs and requests come first."""
+_PR_SET_PDEATHSIG = 1
+
+
+def main() -> None:
+    """Answer requests until there are no more."""
+    _end_with_parent()
+    with contextlib.suppress(OSError):
+        os.nice(_NICE)
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what a library prints is no answer
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for request in sys.stdin:
+        answers.write(json.dumps(_answer(json.loads(request))) + "\n")
+        answers.flush()
+
+
+def _answer(request: dict[str, Any]) -> dict[str, Any]:
+    function: Callable[..., dict[str, Any]] = calculations.BY_NAME[request["function"]]
+    try:
+        return {"result": function(**request["arguments"])}
+    except AmbError as error:
+        return {"error": str(error)}
+    except MemoryError:
+        return {"error": "the calculation needs more memory than there is; give the worker more, or less data"}
+    except Exception as error:  # a defect of ours is told, and does not end the worker
+        import traceback
+
+        traceback.print_exc(file=sys.stderr)
+        return {"defect": f"{type(error).__name__}: {error}"}
+
+
+def _end_with_parent() -> None:
+    """On Linux, die with the parent; elsewhere the end of stdin does it when the calculation is over."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""What is calculated in a process of its own: paths and values in, values and files out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from service import bootstrap
+from service.experiment import file
+from service.output import json_text, write_text
+from sim import datasheet
+
+RESULT, REPORT, PLOTS, GAP, GAP_REPORT = "result.json", "report.html", "plots.json", "gap.json", "gap.html"
+
+
+def identification(experiment: str, rig: str, out: str, name: str) -> dict[str, Any]:
+    """Identify an experiment; result.json, report.html and plots.json are in ``out``.
+
+    Parameters
+    ----------
+    experiment, rig, out
+        Paths of the experiment file, the datasheet and the folder.
+    name
+        How the result refers to the experiment.
+
+    Returns
+    -------
+    summary
+        What lists and histories show.
+    """
+    from service.report.curves import curves
+
+    sheet = datasheet.read(Path(rig))
+    done = bootstrap.identify_into(file.read(Path(experiment)), sheet, Path(out), name)
+    write_text(Path(out) / PLOTS, json_text(curves(done.result, sheet)))
+    return model_summary(done.document)
+
+
+def gap(experiment: str, rig: str, out: str, processes: int) -> dict[str, Any]:
+    """Diagnose the gap of an experiment; gap.json and gap.html are in ``out``; the summary."""
+    sheet = datasheet.read(Path(rig))
+    document, _ = bootstrap.diagnose_into(file.read(Path(experiment)), sheet, Path(out), processes)
+    verdict = document["verdict"]
+    return {
+        "verdict": verdict["kind"],
+        "effects": verdict["effects"],
+        "indistinguishable": verdict["indistinguishable"],
+        "probability": verdict["probability"],
+        "gap_before": document["gap"]["before"],
+        "noise_floor": document["gap"]["noise_floor"],
+        "closure": (document.get("shrinkage") or {}).get("closure"),
+    }
+
+
+def model_summary(document: dict[str, Any]) -> dict[str, Any]:
+    """Stiffness, modes, fits and margins of a result.json, plane by plane."""
+    return {
+        "rig": document["rig"],
+        "planes": {name: _plane(plane) for name, plane in document["planes"].items()},
+        "warnings": document.get("warnings", []),
+    }
+
+
+def _plane(plane: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "stiffness": {
+            name: {k: entry[k] for k in ("value", "std", "unit", "nominal")}
+            for name, entry in plane["stiffness"].items()
+        },
+        "modes": [{k: mode[k] for k in ("natural_frequency_rad_s", "damping_ratio")} for mode in plane["rotor_modes"]],
+        "fit_percent": plane["fit_percent"],
+        "cross_validation_fit_percent": plane["cross_validation_fit_percent"],
+        "residuals_passed": plane["residuals"]["passed"],
+        "sensitivity_peak": plane["margins"]["sensitivity_peak"],
+        "iso_14839_3_zone": plane["margins"]["iso_14839_3_zone"],
+    }
+
+
+BY_NAME: dict[str, Callable[..., dict[str, Any]]] = {"identification": identification, "gap": gap}

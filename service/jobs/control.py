@@ -1,0 +1,107 @@
+"""A running job's line to its row: progress out, cancellation in, whatever the database does meanwhile."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.jobs.context import Context
+from service.storage import jobs
+
+POLL_S = 0.15
+"""Together with the campaign's own watch, a cancelled tone ends well within a second."""
+log = logging.getLogger(__name__)
+
+
+class Control:
+    """Writes progress and asks for cancellation, several times a second, from a thread of its own.
+
+    Parameters
+    ----------
+    attempt
+        Of the claim: when another worker has begun since, this one is superseded, and shall end.
+    journal
+        File whose growth is kept in the database too, so that another machine can go on.
+    """
+
+    def __init__(self, context: Context, job_id: str, attempt: int, journal: Path | None = None) -> None:
+        self._context = context
+        self._job_id = job_id
+        self._attempt = attempt
+        self._journal = journal
+        self._shipped = 0
+        self._pending: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._over = threading.Event()
+        self.cancel_requested = False
+        self.superseded = False
+        self._thread = threading.Thread(target=self._watch, name=f"control-{job_id}", daemon=True)
+
+    def __enter__(self) -> Control:
+        self._turn()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        self._over.set()
+        self._thread.join()
+        self._turn()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the worker ends."""
+        return self._context.stopping.is_set()
+
+    def stopped(self) -> bool:
+        """Whether the job shall not go on, for whatever reason."""
+        return self.cancel_requested or self.superseded or self.stopping
+
+    def report(self, **values: Any) -> None:
+        """Progress, written soon: columns of the job's row."""
+        with self._lock:
+            self._pending |= values
+
+    def begin_journal(self, shipped: int) -> None:
+        """The journal's file is in place, and so much of it is in the database."""
+        self._shipped = shipped
+
+    def _watch(self) -> None:
+        while not self._over.wait(POLL_S):
+            self._turn()
+
+    def _turn(self) -> None:
+        with self._lock:
+            values, self._pending = self._pending, {}
+        offset, content = self._shipped, self._grown()
+        try:
+            if values or content:
+                with self._context.database.write() as session:
+                    mine, cancelled = jobs.note(session, self._job_id, self._attempt, **values)
+                    if mine and content:
+                        jobs.add_journal(session, self._job_id, self._attempt, offset, content)
+            else:
+                with self._context.database.read() as session:
+                    mine, cancelled = jobs.note(session, self._job_id, self._attempt)
+        except SQLAlchemyError as error:  # the database is away: the job goes on, and tells later
+            log.warning("job %s: the database does not answer: %s", self._job_id, str(error).splitlines()[0])
+            with self._lock:
+                self._pending = values | self._pending
+            return
+        self._shipped = offset + len(content)
+        self.superseded = self.superseded or not mine
+        self.cancel_requested = self.cancel_requested or (mine and cancelled)
+
+    def _grown(self) -> bytes:
+        if self._journal is None:
+            return b""
+        try:
+            with self._journal.open("rb") as file:
+                file.seek(self._shipped)
+                return file.read()
+        except FileNotFoundError:
+            return b""

@@ -1,0 +1,67 @@
+"""Steps that calculate: identification and gap diagnosis of an experiment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from service.jobs import calculations
+from service.jobs.context import Context
+from service.jobs.control import Control
+from service.jobs.steps import datasheet_file, experiment_file
+from service.storage import results
+from service.storage.database import now
+from service.storage.ids import derived_id
+from service.storage.tables import GapRow, JobRow, ModelRow
+
+
+def identify(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:
+    """Identify an experiment; ``{"experiment": id, "model": id}``."""
+    row, path = experiment_file(worker, job, experiment_id)
+    _, rig = datasheet_file(worker, job)
+    control.report(phase="identification")
+    out = worker.folder(job.id) / "model"
+    arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "name": f"{experiment_id}/{row.file_name}"}
+    summary = worker.calculator.run("identification", arguments, control.stopped)
+    kept = {
+        name: worker.blobs.put_file(out / name)
+        for name in (calculations.RESULT, calculations.REPORT, calculations.PLOTS)
+    }
+    model = ModelRow(
+        id=derived_id("mod", job.id),
+        rig_id=job.rig_id,
+        rig_version=job.rig_version,
+        experiment_id=experiment_id,
+        job_id=job.id,
+        result_sha256=kept[calculations.RESULT],
+        report_sha256=kept[calculations.REPORT],
+        plots_sha256=kept[calculations.PLOTS],
+        summary=summary,
+        created_at=now(),
+        created_by=job.submitted_by,
+    )
+    worker.database.surely(lambda session: results.keep(session, model))
+    return {"experiment": experiment_id, "model": model.id}
+
+
+def diagnose(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:
+    """Diagnose the gap of an experiment; ``{"experiment": id, "gap": id}``."""
+    _, path = experiment_file(worker, job, experiment_id)
+    _, rig = datasheet_file(worker, job)
+    control.report(phase="gap diagnosis")
+    out = worker.folder(job.id) / "gap"
+    arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "processes": 1}
+    summary = worker.calculator.run("gap", arguments, control.stopped)
+    gap = GapRow(
+        id=derived_id("gap", job.id),
+        rig_id=job.rig_id,
+        rig_version=job.rig_version,
+        experiment_id=experiment_id,
+        job_id=job.id,
+        gap_sha256=worker.blobs.put_file(out / calculations.GAP),
+        report_sha256=worker.blobs.put_file(out / calculations.GAP_REPORT),
+        summary=summary,
+        created_at=now(),
+        created_by=job.submitted_by,
+    )
+    worker.database.surely(lambda session: results.keep(session, gap))
+    return {"experiment": experiment_id, "gap": gap.id}

@@ -1,0 +1,113 @@
+"""The job engine, DBOS: its names, how a worker starts it and how a job is handed to it.
+
+Our own row of a job is what counts; the engine decides which worker takes it and when, and after a crash gives it to
+a worker again. What a workflow is given is the id of the row, and the number of the run.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from service.config import Settings
+from service.storage.database import sqlite_file, use_wal
+from service.storage.jobs import ON_RIG
+from service.storage.tables import JobRow
+
+if TYPE_CHECKING:
+    from dbos import DBOSClient, DBOSConfig
+
+APPLICATION = "ambit"
+VERSION = "jobs-1"
+"""Of the workflows' steps, not of the product: a job that began before an upgrade goes on after it. Changes only when
+the order of the steps does."""
+RIGS, CPU = "rigs", "cpu"
+RIGS_POLL_S, CPU_POLL_S = 0.1, 0.1
+
+
+def workflow_id(job_id: str, run: int) -> str:
+    """Name of a job's run in the engine."""
+    return f"{job_id}.{run}"
+
+
+def workflow_name(kind: str) -> str:
+    """Name of the workflow of a kind of job."""
+    return f"ambit.{kind}"
+
+
+def engine_config(settings: Settings) -> DBOSConfig:
+    """Configuration of a worker's engine."""
+    _prepare(settings)
+    return {
+        "name": APPLICATION,
+        "system_database_url": settings.jobs_database,
+        "executor_id": settings.worker,
+        "application_version": VERSION,
+        "console_log_level": "WARNING",
+        "log_level": "WARNING",
+        "use_listen_notify": False,
+        "max_executor_threads": 64,
+    }
+
+
+def _prepare(settings: Settings) -> None:
+    """The engine leaves SQLite in its slower journal mode; the mode is kept in the file."""
+    if (path := sqlite_file(settings.jobs_database)) is not None:
+        use_wal(path)
+
+
+class Dispatcher:
+    """Hands jobs to the engine; connects when it is first used, and again after an error.
+
+    The tables of the engine are made by the first worker: until then `dispatch` raises, the job waits in its row, and
+    the worker hands it over when it is there.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._client: DBOSClient | None = None
+        self._lock = threading.Lock()
+
+    def _connected(self) -> DBOSClient:
+        from dbos import DBOSClient
+
+        with self._lock:
+            if self._client is None:
+                _prepare(self._settings)
+                self._client = DBOSClient(
+                    system_database_url=self._settings.jobs_database,
+                    application_name=APPLICATION,
+                    lazy=True,
+                    retry_connection_errors=False,
+                )
+            return self._client
+
+    def dispatch(self, job: JobRow) -> None:
+        """Hand over a job's run; a second time changes nothing.
+
+        Raises
+        ------
+        Exception
+            Whatever the engine's database raises; try again later.
+        """
+        options = {
+            "workflow_name": workflow_name(job.kind),
+            "queue_name": RIGS if job.kind in ON_RIG else CPU,
+            "workflow_id": workflow_id(job.id, job.run),
+            "priority": job.priority,
+            "app_version": VERSION,
+        }
+        if job.kind in ON_RIG:
+            options["queue_partition_key"] = job.rig_id
+        self._connected().enqueue(options, job.id, job.run)  # type: ignore[arg-type]
+
+    def check(self) -> None:
+        """Raise when the engine's database does not answer."""
+        self._connected().check_connection()
+
+    def close(self) -> None:
+        """Give up the connection."""
+        with self._lock:
+            if self._client is not None:
+                self._client.destroy()
+                self._client = None

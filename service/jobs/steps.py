@@ -1,0 +1,129 @@
+"""What a step of a workflow is: claims the job, does its part, and answers in plain values.
+
+A step may run more than once: after a crash it is repeated. What it makes has names that follow from the job's, so that
+made twice it is the same.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from service.errors import JobError, StoppedError
+from service.jobs.context import Context, context
+from service.jobs.control import Control
+from service.storage import jobs, results, rigs
+from service.storage.tables import ExperimentRow, JobRow, RigVersion
+from sim.errors import AmbError
+
+log = logging.getLogger(__name__)
+
+Outcome = dict[str, Any]
+"""``{"state": "done", "result": {...}}``, or failed with a title and a detail, or cancelled. What a job has made so far
+is in ``result`` whatever the state."""
+
+_counts = {"begun": 0, "parked": 0}
+_counting = threading.Lock()
+
+
+def outcome(state: str, result: dict[str, Any], title: str = "", detail: str = "") -> Outcome:
+    """An outcome."""
+    return {"state": state, "result": result, "title": title, "detail": detail}
+
+
+def guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int) -> Outcome:
+    """Run a part of a job under its control; what it returns is the result."""
+    _count("begun", 1)
+    try:
+        return _guarded(work, job_id, run)
+    finally:
+        _count("begun", -1)
+
+
+def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int) -> Outcome:
+    worker = context()
+    if worker.stopping.is_set():
+        park(job_id)
+    job = worker.database.surely(lambda session: jobs.claim(session, job_id, run, worker.settings.worker))
+    if job is None:  # cancelled before it began
+        return outcome(jobs.CANCELLED, {})
+    if job.cancel_requested:
+        return outcome(jobs.CANCELLED, {})
+    with Control(worker, job_id, job.attempt, worker.folder(job_id) / "experiment.journal") as control:
+        try:
+            found = outcome(jobs.DONE, work(worker, job, control))
+        except StoppedError:
+            found = outcome(jobs.CANCELLED, {})
+        except JobError as error:
+            found = outcome(jobs.FAILED, {}, error.title, str(error))
+        except AmbError as error:
+            found = outcome(jobs.FAILED, {}, _title(error), str(error))
+        except Exception as error:
+            log.exception("job %s met a defect", job_id)
+            title = "defect of the service"
+            found = outcome(jobs.FAILED, {}, title, f"{type(error).__name__}: {error}; report it with the worker's log")
+    if found["state"] != jobs.DONE and (control.stopping or control.superseded):
+        park(job_id)
+    return found
+
+
+def park(job_id: str) -> None:
+    """Never come back: the worker ends, or another one has the job. The engine must hear nothing from here."""
+    log.info("job %s is left to the next worker", job_id)
+    _count("parked", 1)
+    threading.Event().wait()
+
+
+def under_way() -> int:
+    """How many steps run and are not parked."""
+    with _counting:
+        return _counts["begun"] - _counts["parked"]
+
+
+def _count(name: str, by: int) -> None:
+    with _counting:
+        _counts[name] += by
+
+
+def _title(error: AmbError) -> str:
+    """A few words from the class: BusError is "bus error"."""
+    words = "".join(f" {c.lower()}" if c.isupper() else c for c in type(error).__name__)
+    return words.strip()
+
+
+def datasheet_file(worker: Context, job: JobRow) -> tuple[RigVersion, Path]:
+    """The version of the rig that the job is for, and its datasheet as a file."""
+    with worker.database.read() as session:
+        version = rigs.version(session, rigs.get(session, job.rig_id), job.rig_version)
+    path = worker.folder(job.id) / "rig.toml"
+    path.write_text(version.datasheet, encoding="utf-8")
+    return version, path
+
+
+def experiment_file(worker: Context, job: JobRow, experiment_id: str) -> tuple[ExperimentRow, Path]:
+    """An experiment, and its file on this machine."""
+    with worker.database.read() as session:
+        row = results.get(session, ExperimentRow, experiment_id)
+    suffix = Path(row.file_name).suffix or ".h5"
+    path = worker.folder(job.id) / f"{experiment_id}{suffix}"
+    if not path.exists():
+        worker.blobs.fetch(row.file_sha256, path)
+    return row, path
+
+
+def finish(job_id: str, run: int, found: Outcome) -> None:
+    """Write the end of a job to its row, and drop its work in progress."""
+    worker = context()
+
+    def write(session: Any) -> None:
+        jobs.finish(session, job_id, run, found["state"], found["result"], found["title"], found["detail"])
+        if found["state"] == jobs.DONE:
+            jobs.drop_journal(session, job_id)
+
+    worker.database.surely(write)
+    if found["state"] == jobs.DONE:  # what failed or was cancelled may be tried again
+        shutil.rmtree(worker.folder(job_id), ignore_errors=True)

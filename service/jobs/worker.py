@@ -1,0 +1,178 @@
+"""A worker: takes jobs from the queues until it is told to end."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
+from types import FrameType
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.config import Settings
+from service.errors import ConflictError
+from service.jobs import steps, submission
+from service.jobs.calculator import Calculator
+from service.jobs.context import Context, use
+from service.jobs.engine import CPU, CPU_POLL_S, RIGS, RIGS_POLL_S, Dispatcher, engine_config
+from service.storage import idempotency, workers
+from service.storage.blobs import Blobs
+from service.storage.database import Database
+from service.storage.ids import new_id
+from service.storage.migrate import upgrade
+
+log = logging.getLogger(__name__)
+
+BEAT_S = 1.0
+GRACE_S = 10.0
+"""Time that rigs have to stop when the worker ends."""
+_NAME_PATIENCE_S = workers.ALIVE_S + 1.0
+
+
+class Worker:
+    """One worker of this process.
+
+    Parameters
+    ----------
+    settings
+        ``worker_name`` must be stable, and unique among the workers of a database.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.instance = new_id("wrk")
+        self.context = Context(
+            settings, Database(settings.database), Blobs(settings.store), Calculator(), Dispatcher(settings)
+        )
+        self._lost_name = False
+
+    def start(self) -> None:
+        """Take the name, start the engine, and go on with what an earlier process of this name left.
+
+        Raises
+        ------
+        ConflictError
+            A worker of this name is alive.
+        StorageError
+            A database or the store cannot be used.
+        """
+        from dbos import DBOS
+
+        self.settings.work.mkdir(parents=True, exist_ok=True)
+        upgrade(self.context.database)
+        self.context.blobs.check()
+        self._sign_on()
+        use(self.context)
+        import_module("service.jobs.workflows")  # registers them
+        DBOS(config=engine_config(self.settings))
+        DBOS.launch()
+        DBOS.register_queue(RIGS, partition_concurrency=1, polling_interval_sec=RIGS_POLL_S)
+        DBOS.register_queue(CPU, worker_concurrency=self.settings.cpu_jobs, polling_interval_sec=CPU_POLL_S)
+        self.context.calculator.warm()
+        log.info("worker %s is ready", self.settings.worker)
+
+    def _sign_on(self) -> None:
+        """Take the name; one that was just killed on another machine is waited for."""
+        deadline = time.monotonic() + _NAME_PATIENCE_S
+        while True:
+            try:
+                with self.context.database.write() as session:
+                    workers.sign_on(session, self.settings.worker, self.instance)
+                return
+            except ConflictError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.25)
+
+    def run(self) -> None:
+        """Work until `Context.stopping` is set; then stop the rigs and leave the jobs to the next worker."""
+        chores: list[tuple[float, Callable[[], None]]] = [
+            (BEAT_S, self._beat),
+            (1.0, self._hand_over),
+            (min(5.0, self.settings.worker_timeout_s / 3), self._take_over),
+            (3600.0, self._tidy),
+        ]
+        due = [time.monotonic()] * len(chores)
+        while not self.context.stopping.wait(0.1):
+            for k, (period, chore) in enumerate(chores):
+                if time.monotonic() >= due[k]:
+                    due[k] = time.monotonic() + period
+                    try:
+                        chore()
+                    except SQLAlchemyError as error:
+                        log.warning("the database does not answer: %s", str(error).splitlines()[0])
+                    except Exception:
+                        log.exception("a chore of the worker failed")
+        self._end()
+
+    def _beat(self) -> None:
+        with self.context.database.write() as session:
+            mine = workers.beat(session, self.settings.worker, self.instance)
+        if not mine:
+            log.error("another process has the name %s: this one ends", self.settings.worker)
+            self._lost_name = True
+            self.context.stopping.set()
+
+    def _hand_over(self) -> None:
+        submission.hand_over_all(self.context.database, self.context.dispatcher)
+
+    def _take_over(self) -> None:
+        """Give the jobs of workers that are silent back to the queue."""
+        from dbos import DBOS
+
+        with self.context.database.read() as session:
+            silent = workers.silent(session, self.settings.worker_timeout_s)
+        silent = [name for name in silent if name != self.settings.worker]
+        if silent:
+            for handle in DBOS._recover_pending_workflows(silent):
+                log.warning("taking over %s of a silent worker", handle.workflow_id)
+
+    def _tidy(self) -> None:
+        with self.context.database.write() as session:
+            idempotency.forget_old(session)
+
+    def _end(self) -> None:
+        """Leave: rigs are stopped by their steps, which see `stopping`; then nothing is excited any more."""
+        deadline = time.monotonic() + GRACE_S
+        while steps.under_way() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        with suppress(SQLAlchemyError):
+            if not self._lost_name:
+                with self.context.database.write() as session:
+                    workers.sign_off(session, self.settings.worker, self.instance)
+        self.context.calculator.close()
+
+
+def serve(settings: Settings, end_with_stdin: bool = False) -> None:
+    """Be a worker until SIGTERM or SIGINT; never returns.
+
+    Parameters
+    ----------
+    end_with_stdin
+        End when stdin closes too: the process that started this one is gone.
+    """
+    worker = Worker(settings)
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        worker.context.stopping.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    worker.start()
+    print(f"worker {settings.worker} is ready", flush=True)
+    if end_with_stdin:
+        threading.Thread(target=_wait_for_end, args=(worker,), daemon=True).start()
+    worker.run()
+    os._exit(0)  # the engine must not hear that parked steps end
+
+
+def _wait_for_end(worker: Worker) -> None:
+    with suppress(OSError):
+        while os.read(0, 1024):
+            pass
+    worker.context.stopping.set()
