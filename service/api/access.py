@@ -16,12 +16,11 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.access import keys
 from service.access.errors import UnauthorisedError
-from service.access.keys import LOCAL, Identity, KeyRecord, Scope
+from service.access.keys import LOCAL, Identity, Scope
 from service.access.loopback import must_be_this_machine
 from service.access.rate import Limiter, Rate
 from service.storage import keys as rows
 from service.storage.database import Database, now
-from service.storage.tables import KeyRow
 
 FAILURES = Rate(per_s=2.0, burst=20)
 """Wrong keys that one address may try."""
@@ -81,7 +80,7 @@ class Gate:
         key_id = keys.id_of(key)
         with self._database.read() as session:
             row = rows.find(session, key_id) if key_id else None
-        who = keys.verify(key, None if row is None else record(row), now())
+        who = keys.verify(key, None if row is None else rows.record(row), now())
         self._note(who.key_id)
         return who
 
@@ -96,28 +95,6 @@ class Gate:
                 rows.used(session, key_id, now())
         except SQLAlchemyError:
             self._noted.pop(key_id, None)
-
-
-def record(row: KeyRow) -> KeyRecord:
-    """A row as what the rules of access know."""
-    return KeyRecord(
-        row.id, row.name, Scope(row.scope), row.secret_hash, row.created_at, row.expires_at, row.revoked_at
-    )
-
-
-def row(of: KeyRecord, created_by: str) -> KeyRow:
-    """A row that keeps a key."""
-    return KeyRow(
-        id=of.id,
-        name=of.name,
-        scope=str(of.scope),
-        secret_hash=of.hash,
-        created_at=of.created,
-        created_by=created_by,
-        expires_at=of.expires,
-        revoked_at=of.revoked,
-        used_at=None,
-    )
 
 
 @cache

@@ -9,7 +9,7 @@ import sys
 
 import typer
 
-from service.cli import commission, effects, gap, rig
+from service.cli import commission, effects, gap, keys, rig
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app.command()(commission.identify)
 app.command()(effects.effects)
 app.add_typer(gap.app, name="gap")
 app.add_typer(rig.app, name="rig")
+app.add_typer(keys.app, name="keys")
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2
 INTERRUPTED = 130

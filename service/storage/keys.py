@@ -7,12 +7,35 @@ from datetime import datetime, timedelta
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
+from service.access.keys import KeyRecord, Scope
 from service.errors import NotFoundError
 from service.storage.database import now
 from service.storage.tables import KeyRow
 
 _USED_EVERY = timedelta(minutes=1)
 """How exactly the last use of a key is kept."""
+
+
+def record(row: KeyRow) -> KeyRecord:
+    """A row as what the rules of access know."""
+    return KeyRecord(
+        row.id, row.name, Scope(row.scope), row.secret_hash, row.created_at, row.expires_at, row.revoked_at
+    )
+
+
+def row(of: KeyRecord, created_by: str) -> KeyRow:
+    """A row that keeps a key."""
+    return KeyRow(
+        id=of.id,
+        name=of.name,
+        scope=str(of.scope),
+        secret_hash=of.hash,
+        created_at=of.created,
+        created_by=created_by,
+        expires_at=of.expires,
+        revoked_at=of.revoked,
+        used_at=None,
+    )
 
 
 def add(session: Session, row: KeyRow) -> KeyRow:

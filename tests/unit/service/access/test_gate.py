@@ -50,7 +50,7 @@ def client(database):
 def made(database, scope: Scope, name: str = "laptop", **times) -> tuple[str, dict[str, str]]:
     record, key = keys.issue(new_id("key"), name, scope, times.get("at"), times.get("expires"))
     with database.write() as session:
-        rows.add(session, access.row(record, "test"))
+        rows.add(session, rows.row(record, "test"))
     return record.id, {"Authorization": f"Bearer {key}"}
 
 
