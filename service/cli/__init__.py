@@ -9,7 +9,7 @@ import sys
 
 import typer
 
-from service.cli import commission, effects, gap, keys, rig
+from service.cli import commission, effects, gap, health, keys, rig
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -24,6 +24,7 @@ app.command()(commission.commission)
 app.command()(commission.identify)
 app.command()(effects.effects)
 app.add_typer(gap.app, name="gap")
+app.add_typer(health.app, name="health")
 app.add_typer(rig.app, name="rig")
 app.add_typer(keys.app, name="keys")
 

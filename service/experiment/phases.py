@@ -157,6 +157,9 @@ class Phases:
     def main_sweep(self) -> None:
         """The log-spaced grid, then what its peaks need."""
         aim, lines = self.aims["main"], self.knowledge.noise.lines_hz
+        if self.profile.frequencies_hz:
+            self._given_frequencies()
+            return
         for f in plan.main_grid(self.profile, self.limits, aim, lines):
             self._frequency("main", "main", float(f))
         for _ in range(PEAK_ROUNDS):
@@ -166,6 +169,15 @@ class Phases:
             self.meter.total += len(new) * self.limits.n_axes
             for f, tolerance in new:
                 self._frequency("main", "main", f, tolerance, shown="peaks")
+
+    def _given_frequencies(self) -> None:
+        """The profile's own frequencies, each met to a fifth of the way to its neighbour."""
+        given = plan.main_grid(self.profile, self.limits, self.aims["main"], ())
+        self._expect(len(given), self.profile.points)
+        for f in given:
+            others = given[given != f]
+            nearest = float(np.min(np.abs(others - f))) if len(others) else np.inf
+            self._frequency("main", "main", float(f), tolerance_hz=0.2 * nearest)
 
     def _missing_at_peaks(self) -> list[tuple[float, float]]:
         """Frequencies that peaks of the plant still need, each with how closely it must be met."""
@@ -193,7 +205,7 @@ class Phases:
     def validation_sweep(self) -> None:
         """Other frequencies, another amplitude: no fit sees them."""
         f, _, _ = responses(self.done["main"], self.limits.n_axes)
-        if len(f) < 2:
+        if len(f) < 2 or not self.profile.validation_points:
             return
         frequencies = plan.validation_grid(self.profile, self.aims["validation"], f, self.knowledge.noise.lines_hz)
         self._expect(len(frequencies), self.profile.validation_points)
@@ -202,6 +214,8 @@ class Phases:
 
     def amplifier_sweep(self) -> None:
         """Each amplifier alone, to the top of its range."""
+        if not self.profile.amplifier_points:
+            return
         aim = self.aims["amplifier"]
         for f in plan.amplifier_grid(self.profile, self.limits, aim, self.knowledge.noise.lines_hz):
             self._frequency("amplifier", "amplifier", float(f))

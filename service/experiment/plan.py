@@ -57,6 +57,8 @@ class Profile:
     """Points within the half-power width of a peak that resolve it."""
     tries: int = 5
     """Attempts at one point: longer settling, other amplitudes."""
+    frequencies_hz: tuple[float, ...] = ()
+    """Frequencies of the main sweep in place of ``points`` log-spaced ones; peaks are then not searched."""
 
 
 @dataclass(frozen=True)
@@ -362,6 +364,9 @@ def resolution_hz(profile: Profile, aim: Aim) -> float:
 def main_grid(profile: Profile, limits: Limits, aim: Aim, lines_hz: tuple[float, ...]) -> Real:
     """Frequencies of the main sweep before peaks are known."""
     to = min(profile.to_hz, limits.max_frequency_hz)
+    if profile.frequencies_hz:
+        given = np.unique(np.array(profile.frequencies_hz, dtype=float))
+        return given[given <= limits.max_frequency_hz]
     return clear_grid(profile.from_hz, to, profile.points, resolution_hz(profile, aim), lines_hz)
 
 

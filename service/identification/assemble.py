@@ -141,6 +141,7 @@ def assemble(
         subspace=subspace(plant, 2 * (2 + model.layout.n_modes)),
         status=refined.fit.status,
         warnings=tuple(warnings),
+        covariance_from_data=u.from_data,
     )
 
 

@@ -167,15 +167,7 @@ def start_model(
         )
         parameters = [f.parameters for f in fits]
         delay = float(np.mean([f.delay_s for f in fits]))
-    bandwidth = datasheet.sensor_bandwidth_hz
-    known = Known(
-        datasheet.bearing_from_cog_m,
-        datasheet.sensor_from_cog_m,
-        np.array([datasheet.bias_current_a[k] for k in pair]),
-        datasheet.sample_time_s,
-        datasheet.computing_delay_s,
-        np.full(2, np.inf) if bandwidth is None else 2 * np.pi * np.array([bandwidth[k] for k in pair]),
-    )
+    known = known_of(datasheet, plane, axes)
     orders = (len(parameters[0]) - 1, len(parameters[1]) - 1)
     theta = np.concatenate(
         [
@@ -188,6 +180,20 @@ def start_model(
         ]
     )
     return PlaneModel(known, Layout(orders), theta), fits  # type: ignore[return-value]
+
+
+def known_of(datasheet: Datasheet, plane: str, axes: tuple[str, ...]) -> Known:
+    """What the datasheet tells of a plane and no fit changes."""
+    pair = list(planes_of(axes)[plane])
+    bandwidth = datasheet.sensor_bandwidth_hz
+    return Known(
+        datasheet.bearing_from_cog_m,
+        datasheet.sensor_from_cog_m,
+        np.array([datasheet.bias_current_a[k] for k in pair]),
+        datasheet.sample_time_s,
+        datasheet.computing_delay_s,
+        np.full(2, np.inf) if bandwidth is None else 2 * np.pi * np.array([bandwidth[k] for k in pair]),
+    )
 
 
 def _nominal_amplifier(datasheet: Datasheet, axis: int) -> tuple[float, ...]:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from service.identification.etfe import FrequencyResponse
 from service.identification.plane_model import PlaneModel
@@ -60,6 +61,41 @@ def dense_grid(model: PlaneModel, highest_hz: float = 3000.0) -> Real:
     return np.unique(np.concatenate([base, *near]))
 
 
+@dataclass(frozen=True)
+class Peak:
+    """The largest |S_jj| of an axis, the other loop closed."""
+
+    value: float
+    omega: float
+    """rad/s"""
+
+
+def sensitivity_peaks(model: PlaneModel, controller: tuple[Real, Real]) -> tuple[Peak, Peak]:
+    """Peaks of both axes: the largest of a dense grid, then the maximum between its neighbours.
+
+    Parameters
+    ----------
+    controller
+        Numerator and denominator of the discrete law from -y to u.
+    """
+    omega = dense_grid(model)
+    size = np.abs(sensitivity(model, controller, omega))
+    return _refined(model, controller, omega, size[:, 0, 0], 0), _refined(model, controller, omega, size[:, 1, 1], 1)
+
+
+def _refined(model: PlaneModel, controller: tuple[Real, Real], omega: Real, size: Real, j: int) -> Peak:
+    k = int(np.argmax(size))
+    low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+
+    def below(w: float) -> float:
+        return -float(np.abs(sensitivity(model, controller, np.array([w]))[0, j, j]))
+
+    found = minimize_scalar(below, bounds=(low, high), method="bounded", options={"xatol": 1e-5 * omega[k]})
+    if -found.fun > size[k]:
+        return Peak(-float(found.fun), float(found.x))
+    return Peak(float(size[k]), float(omega[k]))
+
+
 def axis_margins(
     model: PlaneModel,
     controller: tuple[Real, Real],
@@ -78,18 +114,19 @@ def axis_margins(
     """
     omega = dense_grid(model)
     s = sensitivity(model, controller, omega)
+    peaks = sensitivity_peaks(model, controller)
     out = []
     for j in range(2):
-        k = int(np.argmax(np.abs(s[:, j, j])))
-        peak = float(np.abs(s[k, j, j]))
-        std = _peak_std(model, controller, omega[k : k + 1], j, covariance, free)
+        peak = peaks[j]
+        std = _peak_std(model, controller, np.array([peak.omega]), j, covariance, free)
         seen = seen_hz = seen_std = None
         if measured is not None:
             m = int(np.argmax(np.abs(measured.value[:, j, j])))
             seen, seen_hz = float(np.abs(measured.value[m, j, j])), float(measured.frequency_hz[m])
             seen_std = float(measured.std[m, j, j] / math.sqrt(2))
         gains, phase, delay = _classical(omega, 1.0 / s[:, j, j] - 1.0)
-        out.append(AxisMargins(peak, float(omega[k] / 2 / np.pi), std, seen, seen_hz, seen_std, gains, phase, delay))
+        hz = peak.omega / (2 * np.pi)
+        out.append(AxisMargins(peak.value, hz, std, seen, seen_hz, seen_std, gains, phase, delay))
     return out[0], out[1]
 
 

@@ -186,6 +186,8 @@ class PlaneResult:
     """Black-box model of the same order from coil current to y, for comparison (Table 5-6)."""
     status: str
     warnings: tuple[str, ...] = ()
+    covariance_from_data: Real | None = None
+    """The part of ``covariance`` that noise brings, the shapes' splits held."""
 
     def document(self) -> dict[str, Any]:
         """As JSON, contracts.md section 3."""
@@ -252,6 +254,14 @@ class PlaneResult:
                 "order": self.subspace.order,
                 "fit_percent": self.subspace.fit_percent.tolist(),
                 "poles_rad_s": _complex(self.subspace.poles),
+            },
+            "parameters": {
+                "amplifier_orders": list(self.model.layout.amplifier_orders),
+                "modes": self.model.layout.n_modes,
+                "values": dict(zip(self.model.layout.names, self.model.theta.tolist(), strict=True)),
+                "free": list(self.parameter_names),
+                "covariance": self.covariance.tolist(),
+                "covariance_from_data": _matrix(self.covariance_from_data),
             },
             "status": self.status,
             "warnings": list(self.warnings),

@@ -1,0 +1,147 @@
+"""A health check from the rig to its files: baseline folder, short experiment, comparison, report. The wiring of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from service.bootstrap import DATASHEET, RESULT
+from service.output import json_text, read_document, ready_folder, write_text
+
+if TYPE_CHECKING:
+    from drivers.controller import Controller
+    from service.experiment.data import Experiment
+    from service.experiment.progress import ProgressCallback
+    from service.health.compare import Baseline
+    from service.health.sequential import Policy
+    from service.health.tones import ShortPlan
+    from service.health.trend import Checked
+    from sim.datasheet import Datasheet
+
+HEALTH = "health.json"
+PAGE = "health.html"
+HISTORY = "history.jsonl"
+YEAR_S = 365 * 86_400.0
+
+
+@dataclass(frozen=True)
+class CheckedUp:
+    """What a check left behind."""
+
+    document: dict[str, Any]
+    """The contents of health.json."""
+    files: dict[str, Path]
+
+
+def read_baseline(folder: Path) -> tuple[Baseline, Datasheet]:
+    """Result and datasheet of a commissioning's folder.
+
+    Raises
+    ------
+    AmbError
+        One of them is missing or cannot be read.
+    """
+    from service.health.compare import Baseline
+    from sim.datasheet import read
+
+    return Baseline(read_document(folder / RESULT, "amb-commissioning-result")), read(folder / DATASHEET)
+
+
+def plan_for(baseline: Baseline, datasheet: Datasheet, budget_s: float) -> ShortPlan:
+    """The short experiment of a rig."""
+    from service.health.tones import short_plan
+
+    return short_plan(datasheet, baseline.document, budget_s)
+
+
+def measure_check(
+    controller: Controller,
+    datasheet: Datasheet,
+    plan: ShortPlan,
+    out_dir: Path,
+    progress: ProgressCallback | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    holder: str = "ambit health",
+) -> Experiment:
+    """Run the short experiment into a folder; it resumes like any campaign."""
+    from service.experiment.campaign import run_campaign
+
+    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, holder)
+
+
+def compare_into(
+    baseline: Baseline,
+    datasheet: Datasheet,
+    experiment: Experiment,
+    out_dir: Path,
+    history_file: Path | None = None,
+    policy: Policy | None = None,
+    at: datetime | None = None,
+) -> CheckedUp:
+    """Compare, write health.json and health.html, and add the check to the history.
+
+    Parameters
+    ----------
+    history_file
+        JSON lines of earlier checks; those of the year before ``at`` share the allowance of false alarms.
+    at
+        When the check was made; now without it.
+    """
+    from service.health.compare import compare
+    from service.health.trend import Checked
+    from service.report.health import health_page
+
+    ready_folder(out_dir)
+    when = (at or datetime.now(UTC)).astimezone(UTC)
+    history = [] if history_file is None else read_history(history_file)
+    made = sum(0 <= (when - c.at).total_seconds() < YEAR_S for c in history)
+    document = compare(baseline, experiment, datasheet, made, policy).document()
+    document["checked_at"] = when.isoformat().replace("+00:00", "Z")
+    files = {"health": write_text(out_dir / HEALTH, json_text(document))}
+    everything = [*history, Checked(when, document)]
+    files["report"] = write_text(out_dir / PAGE, health_page(document, everything))
+    if history_file is not None:
+        _append(history_file, document)
+        files["history"] = history_file
+    return CheckedUp(document, files)
+
+
+def read_history(path: Path) -> list[Checked]:
+    """Earlier checks, one JSON document a line; none where there is no file.
+
+    A last line that a crash cut short is left out.
+    """
+    from service.errors import DocumentError
+    from service.health.trend import Checked
+
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    except (OSError, UnicodeDecodeError) as error:
+        raise DocumentError(
+            f"cannot read the history {path}: {error}; give the file that ambit health wrote"
+        ) from error
+    found = []
+    for number, text in enumerate(lines):
+        try:
+            document = json.loads(text)
+            found.append(Checked(datetime.fromisoformat(document["checked_at"]), document))
+        except (ValueError, KeyError, TypeError) as error:
+            if number < len(lines) - 1:
+                raise DocumentError(f"line {number + 1} of {path} is no health check; mend or move the file") from error
+    return found
+
+
+def _append(path: Path, document: dict[str, Any]) -> None:
+    from service.errors import OutputError
+
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    try:
+        broken = path.exists() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
+        with path.open("a", encoding="utf-8") as file:
+            file.write(("\n" if broken else "") + text + "\n")
+    except OSError as error:
+        raise OutputError(f"cannot add to the history {path}: {error.strerror or error}") from error

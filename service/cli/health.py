@@ -1,0 +1,171 @@
+"""``ambit health``: short checks of a commissioned rig, with or without the service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.console import print_json, stdout
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+app = typer.Typer(no_args_is_help=True, help="Short checks of a commissioned rig: what drifted, and how sure that is.")
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+BaselineFolder = Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")]
+BUDGET_S = 90.0
+STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
+Budget = Annotated[float, typer.Option(help="Rig time of the check, s.", min=20.0)]
+PerYear = Annotated[
+    float, typer.Option(help="False alarms a year that are accepted, over all figures.", min=1e-6, max=1.0)
+]
+ALLOWANCE = 0.2
+History = Annotated[
+    Path | None, typer.Option(help="Earlier checks, JSON lines; history.jsonl in the baseline's folder without it.")
+]
+
+
+@app.command()
+def check(
+    controller: Annotated[str, typer.Option(help="Where the controller is: modbus://host:502, canopen://..., ...")],
+    baseline: BaselineFolder,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")],
+    budget_s: Budget = BUDGET_S,
+    false_alarms_per_year: PerYear = ALLOWANCE,
+    history: History = None,
+    as_json: Json = False,
+) -> None:
+    """Measure a few tones, compare with the commissioning; write health.json and health.html."""
+    from service import bootstrap, checkup
+    from service.cli.interrupt import asked_to_stop
+    from service.cli.progress import campaign_progress
+    from service.health.sequential import Policy
+    from service.output import ready_folder
+
+    then, datasheet = checkup.read_baseline(baseline)
+    ready_folder(out)
+    plan = checkup.plan_for(then, datasheet, budget_s)
+    rig = bootstrap.connect(controller)
+    try:
+        with asked_to_stop(STOPPING) as cancelled, campaign_progress() as progress:
+            experiment = checkup.measure_check(rig, datasheet, plan, out, progress, cancelled)
+    finally:
+        rig.close()
+    file = history or baseline / checkup.HISTORY
+    done = checkup.compare_into(then, datasheet, experiment, out, file, Policy(false_alarms_per_year))
+    _show(done.document, done.files, as_json)
+
+
+@app.command()
+def compare(
+    experiment: Annotated[Path, typer.Argument(help="Experiment file of a check, HDF5 or MATLAB.")],
+    baseline: BaselineFolder,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")],
+    false_alarms_per_year: PerYear = ALLOWANCE,
+    history: History = None,
+    as_json: Json = False,
+) -> None:
+    """Compare an experiment that was measured before with the commissioning."""
+    from service import checkup
+    from service.experiment import file
+    from service.health.sequential import Policy
+
+    then, datasheet = checkup.read_baseline(baseline)
+    measured = file.read(experiment)
+    done = checkup.compare_into(then, datasheet, measured, out, history, Policy(false_alarms_per_year))
+    _show(done.document, done.files, as_json)
+
+
+@app.command()
+def plan(baseline: BaselineFolder, budget_s: Budget = BUDGET_S, as_json: Json = False) -> None:
+    """Show which tones a check would take, and how well it would tell each figure."""
+    from service import checkup
+
+    then, datasheet = checkup.read_baseline(baseline)
+    found = checkup.plan_for(then, datasheet, budget_s)
+    if as_json:
+        print_json(found.document())
+        return
+    console = stdout()
+    tones = ", ".join(f"{f:.4g}" for f in found.profile.frequencies_hz)
+    console.print(f"tones: {tones} Hz, every axis; about {found.expected_s:.0f} s of rig time", soft_wrap=True)
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("figure")
+    table.add_column("expected std, %", justify="right")
+    for name, value in found.std_percent.items():
+        table.add_row(name, f"{value:.3g}")
+    console.print(table)
+
+
+@app.command()
+def trend(
+    history: Annotated[Path, typer.Argument(help="history.jsonl of earlier checks.")],
+    as_json: Json = False,
+) -> None:
+    """Show how every figure went over the checks so far."""
+    from service import checkup
+    from service.errors import DocumentError
+    from service.health.trend import trend as series_of
+
+    checks = checkup.read_history(history)
+    if not checks:
+        raise DocumentError(f"{history} holds no check; run ambit health check first")
+    found = series_of(checks)
+    if as_json:
+        print_json({"checks": len(checks), "series": {k: s.document() for k, s in found.items()}})
+        return
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("figure")
+    for head in ("last change, %", "slope, % a year", "in std. dev.", ""):
+        table.add_column(head, justify="right")
+    for name, s in found.items():
+        slope = "" if s.slope_percent_per_year is None else f"{s.slope_percent_per_year:+.3g} ± {s.slope_std:.2g}"
+        sigma = "" if s.significance is None else f"{s.significance:+.1f}"
+        table.add_row(name, f"{s.change_percent[-1]:+.3f}", slope, sigma, "steady" if s.drifting else "")
+    stdout().print(table)
+
+
+@app.command()
+def secret() -> None:
+    """Make a secret for signing webhooks; it is shown once."""
+    from service.health.webhook import new_secret
+
+    print(new_secret())
+
+
+def _show(document: dict[str, Any], files: dict[str, Path], as_json: bool) -> None:
+    if as_json:
+        print_json(document | {"files": {k: str(v) for k, v in files.items()}})
+        return
+    console = stdout()
+    console.print(("ALARM: " if document["alarm"] else "") + document["sentence"], soft_wrap=True)
+    console.print(_table(document))
+    for name, path in files.items():
+        console.print(f"{name}: {path}", soft_wrap=True)
+
+
+def _table(document: dict[str, Any]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    from service.report.format import figures
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("figure")
+    for head in ("commissioned", "now", "change, %", "in std. dev.", ""):
+        table.add_column(head, justify="right")
+    for name, p in document["parameters"].items():
+        was, _ = figures(p["baseline"]["value"], p["baseline"]["std"])
+        now, _ = figures(p["now"]["value"], p["now"]["std"])
+        change = f"{p['change_percent']:+.3f} ± {p['change_std_percent']:.3f}"
+        table.add_row(name, was, now, change, f"{p['significance']:+.1f}", "drifted" if p["drifted"] else "")
+    return table

@@ -1,0 +1,168 @@
+"""Now against the commissioning: which figure changed, by how much, and whether chance explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from service.errors import DocumentError
+from service.experiment.data import Experiment
+from service.health.fit import PlaneNow, plane_now
+from service.health.monitored import Monitored, PlaneFigures, plane_figures
+from service.health.result import FigureChange, HealthResult, PlaneHealth
+from service.health.sequential import Policy, p_values
+from service.identification.etfe import etfe
+from service.identification.margins import ISO_14839_3_DB
+from service.identification.saved import SavedPlane, saved_planes
+from service.identification.uncertainty import ESTIMATED_WEIGHTS
+from service.identification.zoh import Real
+from sim.datasheet import Datasheet
+from sim.errors import AmbError
+
+FORMAT = "amb-commissioning-result"
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What a rig was when it was commissioned: the contents of its result.json."""
+
+    document: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        found = self.document.get("format")
+        if found != FORMAT or self.document.get("version") != 1:
+            raise DocumentError(f"a baseline is an {FORMAT} of version 1, not {found!r}; give the rig's result.json")
+
+
+def compare(
+    baseline: Baseline,
+    experiment: Experiment,
+    datasheet: Datasheet,
+    tests_made: int = 0,
+    policy: Policy | None = None,
+    zones: tuple[tuple[str, float], ...] = ISO_14839_3_DB,
+) -> HealthResult:
+    """Compare a short experiment with the commissioning.
+
+    Parameters
+    ----------
+    baseline, datasheet
+        Of the rig.
+    experiment
+        A check's, or any other whose main sweep excites the planes that were commissioned.
+    tests_made
+        Checks of this rig in the 365 days before this one; they share the allowance of false alarms.
+    policy, zones
+        Allowance of false alarms; limits of the zones of ISO 14839-3, dB.
+
+    Raises
+    ------
+    AmbError
+        The experiment is of another rig, or excites no plane of the baseline well enough.
+    """
+    if tuple(experiment.axes) != tuple(datasheet.axes):
+        raise AmbError(
+            f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
+            "give the datasheet of the rig that was measured"
+        )
+    saved = saved_planes(baseline.document, datasheet)
+    controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+    rule = policy or Policy()
+    now = {name: plane_now(s, experiment) for name, s in saved.items()}
+    figures = {name: plane_figures(s, controller) for name, s in saved.items()}
+    n_tests = sum(len(f.monitored) + 1 for f in figures.values())  # one for what the model does not explain
+    level = rule.level(tests_made, n_tests)
+    planes = []
+    for name, s in saved.items():
+        freedom = min(now[name].freedom, s_freedom(baseline.document, name))
+        threshold = rule.threshold(tests_made, n_tests, freedom)
+        changes = _changes(figures[name], s, now[name], freedom, threshold)
+        planes.append(
+            PlaneHealth(
+                plane=name,
+                axes=s.axes,
+                changes=changes,
+                measured_peak=_measured_peaks(now[name]),
+                rms_over_sigma=now[name].rms,
+                unexplained=_unexplained(s, now[name], level),
+                frequency_hz=np.unique(now[name].points.omega) / (2 * np.pi),
+                left_out=now[name].points.left_out,
+            )
+        )
+    return HealthResult(
+        rig=datasheet.name,
+        planes=tuple(planes),
+        tests_made=tests_made,
+        false_alarms_per_year=rule.per_year,
+        level=level,
+        zones=zones,
+        rig_seconds=_rig_seconds(experiment),
+        speed_rad_s=experiment.main.speed_rad_s,
+    )
+
+
+def s_freedom(document: Mapping[str, Any], plane: str) -> int:
+    """Degrees of freedom of the baseline's standard deviations: those of its residuals, where the document tells."""
+    evidence = document["planes"][plane].get("mode_evidence") or []
+    chosen = [e for e in evidence if e.get("chosen")]
+    return max(int(chosen[0]["data"]) - int(chosen[0]["parameters"]), 30) if chosen else 300
+
+
+def _changes(
+    figures: PlaneFigures, saved: SavedPlane, now: PlaneNow, freedom: int, threshold: float
+) -> tuple[FigureChange, ...]:
+    """Every figure now and then. Errors of check and baseline are independent: other data, other days."""
+    was, is_now = figures.of(saved.model), figures.of(now.model)
+    std_was = _std(figures, saved, saved.covariance_from_data)
+    std_now, _ = now.uncertainty.std(now.model, figures.of)
+    together = np.hypot(std_was, std_now)
+    p = p_values(is_now - was, together, freedom)
+    return tuple(
+        _change(m, float(a), float(b), float(sa), float(sb), float(q), threshold)
+        for m, a, b, sa, sb, q in zip(figures.monitored, was, is_now, std_was, std_now, p, strict=True)
+    )
+
+
+def _change(
+    monitored: Monitored, was: float, now: float, std_was: float, std_now: float, p: float, threshold: float
+) -> FigureChange:
+    return FigureChange(monitored, was, std_was, now, std_now, p, threshold)
+
+
+def _std(figures: PlaneFigures, saved: SavedPlane, covariance: Real) -> Real:
+    """Standard deviations of the baseline's figures."""
+    size = np.sqrt(np.diag(covariance))
+    columns = []
+    for place, s in zip(np.flatnonzero(saved.free), size, strict=True):
+        step = np.zeros_like(saved.model.theta)
+        step[place] = max(min(0.1 * s, 1e-5 * abs(saved.model.theta[place])), 1e-12)
+        up, down = (figures.of(saved.model.at(saved.model.theta + sign * step)) for sign in (1, -1))
+        columns.append((up - down) / (2 * step[place]))
+    gradient = np.stack(columns, axis=-1)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ka,ab,kb->k", gradient, covariance, gradient), 0.0)))
+
+
+def _measured_peaks(now: PlaneNow) -> tuple[float, float] | None:
+    """Largest measured |S| of both axes; the tones of a check are few, so the true peak may be higher."""
+    try:
+        s = np.abs(etfe(now.points, "r->u").value)
+    except ValueError:  # both axes excited at once: S cannot be told apart
+        return None
+    return float(s[:, 0, 0].max()), float(s[:, 1, 1].max())
+
+
+def _unexplained(saved: SavedPlane, now: PlaneNow, level: float) -> bool:
+    """Whether the residuals are larger than the noise, and than they were, beyond what chance explains."""
+    usual = max(1.0, saved.rms_over_sigma) ** 2 * ESTIMATED_WEIGHTS
+    return bool(now.rms**2 > usual * chi2.isf(level, now.freedom) / now.freedom)
+
+
+def _rig_seconds(experiment: Experiment) -> float | None:
+    try:
+        return float(experiment.attributes["rig_seconds"])
+    except (KeyError, ValueError):
+        return None

@@ -1,0 +1,92 @@
+"""A plane as it is now: the commissioned model, fitted once more to the few tones of a check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.experiment.data import Experiment
+from service.identification.plane_model import PlaneModel
+from service.identification.points import PlanePoints, check_excitation, plane_points
+from service.identification.refine import Data, Refined, refine, residuals, weights_of
+from service.identification.saved import SavedPlane
+from service.identification.split import Posterior, Split, log_ratios
+from service.identification.uncertainty import Uncertainty, uncertainty_of
+from service.identification.zoh import Real
+from sim.errors import AmbError
+
+FEWEST_TONES = 6
+FORGIVING = 0.05
+"""Relative model error that the search for moved modes allows for."""
+SHIFTS = np.linspace(-0.02, 0.02, 81)
+DAMPING = (0.4, 1.0, 2.5)
+"""A mode is looked for within 2 % of its frequency and a factor of its damping, and from there by gradients."""
+
+
+@dataclass(frozen=True)
+class PlaneNow:
+    """A plane's model after a check."""
+
+    points: PlanePoints
+    model: PlaneModel
+    refined: Refined
+    uncertainty: Uncertainty
+    """With the shapes' splits held where the commissioning has them: what is not known of them is common to both."""
+    freedom: int
+    """Residuals less parameters."""
+    rms: float
+    """Residuals over their noise."""
+
+
+def plane_now(saved: SavedPlane, experiment: Experiment) -> PlaneNow:
+    """Fit of a check's main sweep.
+
+    Raises
+    ------
+    AmbError
+        Too few usable tones, or only one axis excited.
+    """
+    if all(s.kind == "noise" for s in experiment.sweeps):
+        raise AmbError(f"the check of rig {experiment.rig!r} has no excited tone; run it once more")
+    points = plane_points(experiment.main, tuple(experiment.axes), saved.plane)
+    check_excitation(points, FEWEST_TONES)
+    data = Data(points)
+    split = Split(log_ratios(saved.model))
+    free = saved.free
+    start = _moved_modes(saved, data)
+    near = refine(start, data, free, relative=FORGIVING, split=split)
+    refined = refine(near.model, data, free, split=split)
+    n = len(split.log_ratios)
+    held = Posterior(split.log_ratios, np.zeros((n, n))) if n else None
+    u = uncertainty_of(refined, held)
+    rest = refined.fit.residual[: len(refined.fit.residual) - n]
+    freedom = max(len(rest) - int(free.sum()) + n, 1)
+    return PlaneNow(points, refined.model, refined, u, freedom, float(np.sqrt(rest @ rest / freedom)))
+
+
+def _moved_modes(saved: SavedPlane, data: Data) -> PlaneModel:
+    """Start of the fit: the commissioned model, each mode where its peak is now.
+
+    A mode that moved by many times its half-width leaves the gradient nothing to go by, so it is looked for on a grid.
+    """
+    model = saved.model
+    weights, _ = weights_of(model, data, None, FORGIVING)
+
+    def cost(theta: Real) -> float:
+        r, _ = residuals(model.at(theta), data, weights, None, gradient=False)
+        return float(np.sum(np.minimum(r**2, 25.0)))
+
+    theta = model.theta.copy()
+    for k in saved.rotor_modes:
+        at = model.layout.mode(k).start
+        best, least = theta, cost(theta)
+        for damping in DAMPING:
+            for shift in SHIFTS:
+                trial = theta.copy()
+                trial[at] *= 1 + shift
+                trial[at + 1] *= damping
+                if (now := cost(trial)) < 0.9 * least:
+                    best, least = trial, now
+        theta = best
+    return model.at(theta)

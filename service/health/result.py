@@ -1,0 +1,186 @@
+"""What a health check found, as data, as a document and in words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from scipy.stats import norm
+
+from service.health.monitored import Monitored
+from service.identification.margins import zone
+from service.identification.zoh import Real
+
+
+@dataclass(frozen=True)
+class FigureChange:
+    """One figure then and now."""
+
+    monitored: Monitored
+    was: float
+    std_was: float
+    now: float
+    std_now: float
+    """Both with what is not known of the shapes' splits left out: it is common to both."""
+    p_value: float
+    """Probability of a change at least that large where nothing changed."""
+    threshold: float
+    """Standard deviations of the difference above which a change is an alarm."""
+
+    @property
+    def change_percent(self) -> float:
+        """Change, percent of the baseline."""
+        return 100 * (self.now - self.was) / abs(self.was)
+
+    @property
+    def std_percent(self) -> float:
+        """Standard deviation of the change, percent."""
+        return 100 * math.hypot(self.std_was, self.std_now) / abs(self.was)
+
+    @property
+    def significance(self) -> float:
+        """The change in its standard deviations, with sign."""
+        return (self.now - self.was) / max(math.hypot(self.std_was, self.std_now), 1e-300)
+
+    @property
+    def drifted(self) -> bool:
+        """Whether chance does not explain it."""
+        return abs(self.significance) > self.threshold
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        m = self.monitored
+        return {
+            "plane": m.plane,
+            "name": m.name,
+            "unit": m.unit,
+            "description": m.words,
+            "kind": m.kind,
+            "now": {"value": self.now, "std": self.std_now},
+            "baseline": {"value": self.was, "std": self.std_was},
+            "change_percent": self.change_percent,
+            "change_std_percent": self.std_percent,
+            "significance": self.significance,
+            "threshold": self.threshold,
+            "p_value": self.p_value,
+            "drifted": self.drifted,
+        }
+
+
+@dataclass(frozen=True)
+class PlaneHealth:
+    """One plane after a check."""
+
+    plane: str
+    axes: tuple[str, str]
+    changes: tuple[FigureChange, ...]
+    measured_peak: tuple[float, float] | None
+    rms_over_sigma: float
+    unexplained: bool
+    """Whether something acts that neither the model nor any change of its parameters explains."""
+    frequency_hz: Real
+    left_out: tuple[str, ...]
+
+    @property
+    def sensitivity_peaks(self) -> dict[str, FigureChange]:
+        """By axis."""
+        return {c.monitored.name[-1]: c for c in self.changes if c.monitored.kind == "margin"}
+
+
+@dataclass(frozen=True)
+class HealthResult:
+    """A rig after a check."""
+
+    rig: str
+    planes: tuple[PlaneHealth, ...]
+    tests_made: int
+    false_alarms_per_year: float
+    level: float
+    zones: tuple[tuple[str, float], ...]
+    rig_seconds: float | None
+    speed_rad_s: float = 0.0
+
+    @property
+    def changes(self) -> tuple[FigureChange, ...]:
+        """Of all planes."""
+        return tuple(c for p in self.planes for c in p.changes)
+
+    @property
+    def drifted(self) -> tuple[str, ...]:
+        """Ids of the parameters that changed, the surest first.
+
+        The sensitivity peak is no parameter: it follows from them, and counts by itself only where none of them did.
+        """
+        found = [c for c in self.changes if c.drifted]
+        causes = [c for c in found if c.monitored.kind != "margin"] or found
+        surest = sorted(causes, key=lambda c: -abs(c.significance))
+        names = [c.monitored.id for c in surest]
+        return tuple(names + [f"{p.plane}.unexplained" for p in self.planes if p.unexplained])
+
+    @property
+    def alarm(self) -> bool:
+        """Whether anything drifted."""
+        return bool(self.drifted)
+
+    @property
+    def peak(self) -> float:
+        """Largest sensitivity peak of all axes, of the model or measured."""
+        modelled = [c.now for p in self.planes for c in p.sensitivity_peaks.values()]
+        measured = [m for p in self.planes for m in p.measured_peak or ()]
+        return max([*modelled, *measured])
+
+    @property
+    def zone(self) -> str:
+        """Zone of ISO 14839-3 of the worst axis."""
+        return zone(self.peak, self.zones)
+
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        state = f"sensitivity peak {self.peak:.2f}, zone {self.zone} of ISO 14839-3"
+        by_id = {c.monitored.id: c for c in self.changes}
+        told = [
+            f"{by_id[d].monitored.words} {by_id[d].change_percent:+.2g} % "
+            f"({abs(by_id[d].significance):.0f} standard deviations)"
+            if d in by_id
+            else f"plane {d[0]} has a change that no parameter explains"
+            for d in self.drifted
+        ]
+        if not told:
+            return f"{self.rig}: nothing drifted; {state}"
+        more = f" and {len(told) - 3} more" if len(told) > 3 else ""
+        return f"{self.rig}: {'; '.join(told[:3])}{more}; {state}"
+
+    def document(self) -> dict[str, Any]:
+        """The contents of health.json."""
+        return {
+            "format": "amb-health-check",
+            "version": 1,
+            "rig": self.rig,
+            "alarm": self.alarm,
+            "drifted": list(self.drifted),
+            "sentence": self.sentence(),
+            "parameters": {c.monitored.id: c.document() for c in self.changes},
+            "sensitivity_peak": {
+                f"{p.plane}{axis}": {
+                    "value": c.now,
+                    "std": c.std_now,
+                    "interval_95": [c.now - norm.ppf(0.975) * c.std_now, c.now + norm.ppf(0.975) * c.std_now],
+                    "measured": None if p.measured_peak is None else p.measured_peak["AB".index(axis)],
+                    "zone": zone(c.now, self.zones),
+                }
+                for p in self.planes
+                for axis, c in p.sensitivity_peaks.items()
+            },
+            "zone": self.zone,
+            "residuals": {
+                p.plane: {"rms_over_sigma": p.rms_over_sigma, "unexplained": p.unexplained} for p in self.planes
+            },
+            "tests_made": self.tests_made,
+            "false_alarms_per_year": self.false_alarms_per_year,
+            "level": self.level,
+            "rig_seconds": self.rig_seconds,
+            "speed_rad_s": self.speed_rad_s,
+            "frequencies_hz": [float(f) for f in self.planes[0].frequency_hz] if self.planes else [],
+            "left_out": [text for p in self.planes for text in p.left_out],
+        }

@@ -1,0 +1,265 @@
+"""Which few tones tell most of a rig's health: frequencies chosen for the Fisher information that they carry.
+
+The campaign gives every tone the same relative accuracy, so what a frequency tells of a figure follows from the
+commissioned model alone: the exact Jacobian of its currents and displacements at the excitation that the closed loop
+lets through. Frequencies are picked one by one so that the product of the figures' variances falls fastest per second
+of rig time, every other parameter of the plane being unknown too (Ds-optimality: Atkinson, Donev, Tobias, Optimum
+Experimental Designs, with SAS, 2007, section 10.3; greedy choice and exchange: Fedorov 1972). A rig that has changed
+is the one that matters, so the information is averaged over rigs whose modes have moved and whose damping differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from service.experiment.plan import CLEARANCE_HZ, Profile, mains_harmonics, off_lines
+from service.health.monitored import plane_figures
+from service.identification.plane_model import PlaneModel, Points
+from service.identification.saved import SavedPlane, saved_planes
+from service.identification.split import Split, log_ratios, split_rows
+from service.identification.synthetic import closed_loop_points
+from service.identification.zoh import Real
+from sim.datasheet import Datasheet
+from sim.errors import AmbError
+
+ACCURACY = 0.003
+"""Relative standard deviation that every tone aims at."""
+COARSE_POINTS = 8
+"""A coarse sweep comes first all the same: it finds the amplitudes that the rig bears today."""
+FEWEST, MOST = 9, 24
+"""Tones of a check: fewer leave no residual to judge the model by."""
+CANDIDATES = 90
+BLOCKS = 6
+OVERHEAD_S = 3.0 + 2.5
+"""Noise record and periodic records of a campaign over four axes."""
+BLOCK_S = 0.05
+RAMP_S = 0.08
+SETTLING = 7.0
+"""Time constants of the closed loop that a tone waits: to a thousandth."""
+WOKEN_HZ = 10.0
+REPEATED = 1.5
+"""Attempts at a tone, on average: settling is found by trying."""
+AMNESIA = 1e4
+"""Covariance of the baseline by which a check may be guided, times this: a hundred standard deviations."""
+SCENARIOS = ((0.0, 1.0), (4e-3, 1.0), (-4e-3, 1.0), (0.0, 2.0), (0.0, 0.5))
+"""Relative shift of every mode's frequency, and factor on its damping."""
+
+
+@dataclass(frozen=True)
+class ShortPlan:
+    """A short experiment and what it should reach."""
+
+    profile: Profile
+    """For `service.experiment.campaign.run_campaign`."""
+    std_percent: dict[str, float]
+    """Expected standard deviation of every monitored figure, percent of its value."""
+    expected_s: float
+    """Rig time that it should need."""
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "frequencies_hz": list(self.profile.frequencies_hz),
+            "expected_rig_seconds": self.expected_s,
+            "expected_std_percent": dict(self.std_percent),
+        }
+
+
+def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budget_s: float = 90.0) -> ShortPlan:
+    """Plan of a health check.
+
+    Parameters
+    ----------
+    datasheet, baseline_document
+        Of the rig: its rig.toml, and the result.json of its commissioning.
+    budget_s
+        Rig time that the check may take, s; about a tenth of a commissioning's is plenty.
+
+    Raises
+    ------
+    AmbError
+        The budget holds too few tones, or the document has no parameters.
+    """
+    planes = saved_planes(baseline_document, datasheet)
+    n_axes = datasheet.n_axes
+    designs = [_Design(s, datasheet) for s in planes.values()]
+    candidates = candidate_frequencies(planes, datasheet)
+    for design in designs:
+        design.prepare(candidates)
+    settling = np.max([d.settling_s(candidates) for d in designs], axis=0)
+    coarse = np.interp(np.geomspace(candidates[0], candidates[-1], COARSE_POINTS), candidates, settling)
+    first = (OVERHEAD_S / 4 + REPEATED * float(np.sum(coarse + BLOCKS * BLOCK_S / 2 + RAMP_S))) * n_axes
+    seconds = n_axes * REPEATED * (settling + RAMP_S + BLOCKS * np.maximum(BLOCK_S, 1 / candidates))
+    chosen = _greedy(designs, seconds, budget_s - first)
+    if len(chosen) < FEWEST:
+        least = first + float(np.sum(np.sort(seconds)[:FEWEST]))
+        raise AmbError(
+            f"a health check of {budget_s:g} s holds only {len(chosen)} tones; allow at least {least * 1.3:.0f} s"
+        )
+    chosen = _exchanged(designs, seconds, chosen)
+    frequencies = np.sort(candidates[chosen])
+    total = first + float(seconds[chosen].sum())
+    profile = Profile(
+        accuracy=ACCURACY,
+        points=len(frequencies),
+        from_hz=float(frequencies[0]),
+        to_hz=float(frequencies[-1]),
+        validation_points=0,
+        amplifier_points=0,
+        coarse_points=COARSE_POINTS,
+        blocks=BLOCKS,
+        rig_seconds=BLOCK_S * BLOCKS * 2 * 4 * (len(frequencies) + COARSE_POINTS / 2),
+        peak_points=0,
+        tries=4,
+        frequencies_hz=tuple(float(f) for f in frequencies),
+    )
+    std = {k: v for d in designs for k, v in d.std_percent(chosen).items()}
+    return ShortPlan(profile, std, total)
+
+
+def candidate_frequencies(planes: Mapping[str, SavedPlane], datasheet: Datasheet) -> Real:
+    """Frequencies to choose from, clear of the mains, Hz: a log-spaced grid, and a comb across every mode."""
+    top = min(1000.0, 0.4 * datasheet.sample_rate_hz)
+    grid = off_lines(np.geomspace(10.0, top, CANDIDATES), CLEARANCE_HZ, mains_harmonics(top))
+    near = []
+    for s in planes.values():
+        for mode in s.model.modes[list(s.rotor_modes)]:
+            centre, half = mode[0] / (2 * np.pi), max(mode[1], 5e-4 * mode[0]) / (2 * np.pi)
+            near.append(centre + half * np.array([-12, -5, -2.0, -0.9, -0.3, 0.3, 0.9, 2.0, 5, 12]))
+    comb = np.concatenate(near) if near else np.empty(0)
+    # a mode on a harmonic of the mains is measured all the same: the lock-in sees the line only when it is hit
+    comb = off_lines(comb[(comb > 10.0) & (comb < top)], 0.3, mains_harmonics(top))
+    return np.unique(np.concatenate([grid, comb]))
+
+
+class _Design:
+    """Information matrices of one plane at every candidate frequency, for every scenario."""
+
+    def __init__(self, saved: SavedPlane, datasheet: Datasheet) -> None:
+        self.saved = saved
+        self.controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+        self.figures = plane_figures(saved, self.controller)
+        self.values = self.figures.of(saved.model)
+        self.models = [_moved(saved, shift, damping) for shift, damping in SCENARIOS]
+        self.gradients = [_gradient(self, m) for m in self.models]
+        rows = split_rows(saved.model, Split(log_ratios(saved.model)))[1][:, saved.free]
+        self.prior = np.linalg.inv(AMNESIA * saved.covariance_from_data) + rows.T @ rows
+        self.information = np.zeros((len(self.models), 0, 0, 0))
+
+    def prepare(self, frequencies_hz: Real) -> None:
+        """Information of each frequency, both axes of the plane excited: (scenarios, candidates, n, n)."""
+        omega = 2 * np.pi * frequencies_hz
+        self.information = np.stack([self._at(m, omega) for m in self.models])
+
+    def _at(self, model: PlaneModel, omega: Real) -> Real:
+        total = 0.0
+        for axis in range(2):
+            where = np.full(len(omega), axis)
+            u, i, y = closed_loop_points(model, self.controller, omega, where, np.full(len(omega), 1e-6), rounds=0)
+            p = model.predict(Points(omega, u), gradient=True)
+            assert p.d_i is not None
+            assert p.d_y is not None
+            # half of the relative variance is the displacement's, half the current's
+            sd_y = ACCURACY * np.linalg.norm(y, axis=1) / 2
+            sd_i = ACCURACY * np.abs(i[np.arange(len(omega)), axis]) / 2
+            d = np.concatenate([p.d_i / sd_i[:, None, None], p.d_y / sd_y[:, None, None]], axis=1)[
+                :, :, self.saved.free
+            ]
+            total = total + 2 * np.einsum("pca,pcb->pab", d.conj(), d).real
+        return np.asarray(total)
+
+    def settling_s(self, frequencies_hz: Real) -> Real:
+        """Time, s, after which the closed loop's transient is small beside a tone, (candidates,).
+
+        The relative slope of the response peaks at every closed-loop pole with the pole's time constant. A ramp of
+        some tens of milliseconds wakes the poles within some ten hertz.
+        """
+        dense = np.arange(frequencies_hz[0], 1.1 * frequencies_hz[-1], 0.5)
+        omega = 2 * np.pi * dense
+        slope = np.zeros(len(omega))
+        for axis in range(2):
+            where, small = np.full(len(omega), axis), np.full(len(omega), 1e-6)
+            y, near = (
+                closed_loop_points(self.saved.model, self.controller, w, where, small, rounds=0)[2]
+                for w in (omega, omega * (1 + 1e-5))
+            )
+            change = np.linalg.norm(near - y, axis=1) / np.linalg.norm(y, axis=1) / (1e-5 * omega)
+            slope = np.maximum(slope, change)
+        poles = 1 + np.flatnonzero((slope[1:-1] > slope[:-2]) & (slope[1:-1] >= slope[2:]))
+        distance = (frequencies_hz[:, None] - dense[poles]) / WOKEN_HZ
+        waits = SETTLING * slope[poles] / (1 + distance**2)
+        return np.asarray(np.max(waits, axis=1, initial=0.03))
+
+    def criterion(self, chosen: Real) -> Real:
+        """Mean log variance of the figures for sums of information, (..., scenarios, n, n) -> (...)."""
+        cov = np.linalg.inv(chosen + self.prior)
+        out = np.zeros(chosen.shape[:-3])
+        for k, g in enumerate(self.gradients):
+            variance = np.einsum("ka,...ab,kb->...k", g, cov[..., k, :, :], g)
+            out = out + np.log(variance).sum(axis=-1)
+        return np.asarray(out / len(self.gradients))
+
+    def std_percent(self, chosen: list[int]) -> dict[str, float]:
+        """Expected standard deviations on the commissioned rig."""
+        cov = np.linalg.inv(self.information[0, chosen].sum(axis=0) + self.prior)
+        g = self.gradients[0]
+        std = np.sqrt(np.einsum("ka,ab,kb->k", g, cov, g))
+        return {name: 100 * float(s) for name, s in zip(self.figures.ids, std, strict=True)}
+
+
+def _moved(saved: SavedPlane, shift: float, damping: float) -> PlaneModel:
+    """The commissioned plane with other modes."""
+    theta = saved.model.theta.copy()
+    for k in saved.rotor_modes:
+        at = saved.model.layout.mode(k).start
+        theta[at] *= 1 + shift
+        theta[at + 1] *= damping
+    return saved.model.at(theta)
+
+
+def _gradient(design: _Design, model: PlaneModel) -> Real:
+    """Derivatives of the figures, relative to their values, to the free parameters, (K, n)."""
+    saved = design.saved
+    sd = np.sqrt(np.diag(saved.covariance_from_data))
+    columns = []
+    for place, s in zip(np.flatnonzero(saved.free), sd, strict=True):
+        step = np.zeros_like(model.theta)
+        step[place] = max(min(0.3 * s, 1e-4 * abs(model.theta[place])), 1e-12)
+        change = design.figures.of(model.at(model.theta + step)) - design.figures.of(model.at(model.theta - step))
+        columns.append(change / (2 * step[place]))
+    return np.stack(columns, axis=-1) / np.abs(design.values)[:, None]
+
+
+def _greedy(designs: list[_Design], seconds: Real, budget_s: float) -> list[int]:
+    """Frequencies one by one, each the one that lowers the criterion most per second, while the budget lasts."""
+    chosen: list[int] = []
+    sums = [np.zeros_like(d.information[:, 0]) for d in designs]
+    now = sum(float(d.criterion(s)) for d, s in zip(designs, sums, strict=True))
+    while len(chosen) < MOST:
+        after = sum(d.criterion(s + np.swapaxes(d.information, 0, 1)) for d, s in zip(designs, sums, strict=True))
+        gain = (now - np.asarray(after)) / seconds
+        gain[seconds > budget_s] = -np.inf
+        gain[chosen] = -np.inf
+        best = int(np.argmax(gain))
+        if not np.isfinite(gain[best]) or gain[best] <= 0:
+            break
+        chosen.append(best)
+        budget_s -= float(seconds[best])
+        sums = [s + d.information[:, best] for d, s in zip(designs, sums, strict=True)]
+        now = float(np.asarray(after)[best])
+    return chosen
+
+
+def _exchanged(designs: list[_Design], seconds: Real, chosen: list[int]) -> list[int]:
+    """One round of exchanges: each frequency against every other that takes no longer."""
+    for place in range(len(chosen)):
+        rest = [c for k, c in enumerate(chosen) if k != place]
+        after = sum(d.criterion(d.information[:, rest].sum(axis=1) + np.swapaxes(d.information, 0, 1)) for d in designs)
+        score = np.where(seconds <= 1.02 * seconds[chosen[place]], np.asarray(after), np.inf)
+        score[rest] = np.inf
+        chosen[place] = int(np.argmin(score))
+    return chosen

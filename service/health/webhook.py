@@ -1,0 +1,188 @@
+"""Telling others of a check: what is sent, how it is signed, when it is tried again. Nothing here sends.
+
+Payload and signature follow the Standard Webhooks specification 1.0.0 (standardwebhooks.com), so receivers have
+libraries for it: headers ``webhook-id``, ``webhook-timestamp`` and ``webhook-signature`` = ``v1,`` and the base64 of
+HMAC-SHA256 over ``id.timestamp.body``; a secret is written ``whsec_`` and base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+import hmac
+import json
+import math
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+from urllib.parse import urlsplit
+
+from sim.errors import AmbError
+
+PREFIX = "whsec_"
+RETRY_S = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 36000.0)
+"""Waits between attempts: eight attempts over some thirty hours."""
+TOLERANCE_S = 300.0
+"""A receiver refuses what is older: a recorded message cannot be sent again later."""
+LONGEST_WAIT_S = 86_400.0
+
+
+class WebhookError(AmbError):
+    """A webhook that cannot be used: its address or secret is wrong, or a signature does not hold."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """What is sent: one body, and the headers that prove its origin."""
+
+    body: bytes
+    headers: dict[str, str]
+
+
+def payload(check_id: str, rig_id: str, document: Mapping[str, Any], ended: datetime, url: str = "") -> dict[str, Any]:
+    """Contents of a message about a check: what drifted, and where the whole result is.
+
+    Parameters
+    ----------
+    document
+        Of the check (``amb-health-check``).
+    url
+        Of the check at the service.
+    """
+    drifted = [
+        {
+            "parameter": name,
+            "change_percent": document["parameters"][name]["change_percent"],
+            "significance": document["parameters"][name]["significance"],
+        }
+        if name in document["parameters"]
+        else {"parameter": name, "change_percent": None, "significance": None}
+        for name in document["drifted"]
+    ]
+    return {
+        "type": "health.alarm" if document["alarm"] else "health.ok",
+        "timestamp": ended.isoformat().replace("+00:00", "Z"),
+        "data": {
+            "check": check_id,
+            "rig": rig_id,
+            "rig_name": document["rig"],
+            "alarm": document["alarm"],
+            "sentence": document["sentence"],
+            "drifted": drifted,
+            "zone": document["zone"],
+            "url": url,
+        },
+    }
+
+
+def signed(contents: Mapping[str, Any], secret: str, message_id: str, at_unix_s: float) -> Message:
+    """A message that its receiver can check; the body is signed byte by byte as it is sent."""
+    body = json.dumps(contents, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode("utf-8")
+    stamp = str(math.floor(at_unix_s))
+    return Message(
+        body,
+        {
+            "content-type": "application/json",
+            "webhook-id": message_id,
+            "webhook-timestamp": stamp,
+            "webhook-signature": f"v1,{_signature(_key(secret), message_id, stamp, body)}",
+        },
+    )
+
+
+def verify(message: Message, secret: str, now_unix_s: float) -> None:
+    """What a receiver does: compares signature and time.
+
+    Raises
+    ------
+    WebhookError
+        The signature does not hold, or the message is too old or from the future.
+    """
+    headers = {k.lower(): v for k, v in message.headers.items()}
+    try:
+        name, stamp, given = (headers[f"webhook-{k}"] for k in ("id", "timestamp", "signature"))
+        age = abs(now_unix_s - float(stamp))
+    except (KeyError, ValueError) as error:
+        raise WebhookError("the message has no webhook-id, webhook-timestamp and webhook-signature") from error
+    expected = f"v1,{_signature(_key(secret), name, stamp, message.body)}"
+    if not any(hmac.compare_digest(expected.encode(), one.encode()) for one in given.split()):
+        raise WebhookError("the signature does not hold: the body was changed, or the secret is another")
+    if not age <= TOLERANCE_S:
+        raise WebhookError(f"the message is {age:.0f} s off; it may be an old one sent again")
+
+
+def new_secret() -> str:
+    """A fresh secret; show it once."""
+    return PREFIX + base64.b64encode(secrets.token_bytes(32)).decode("ascii")
+
+
+def retry_at(
+    attempts: int, last_unix_s: float, retry_after_s: float | None = None, jitter: float = 0.0
+) -> float | None:
+    """When to try again after a failure; None when it is given up.
+
+    Parameters
+    ----------
+    attempts
+        Made so far, at least one.
+    retry_after_s
+        What the receiver asked for; a longer wait than the schedule's is granted, up to a day.
+    jitter
+        In [-1, 1]: a tenth of the wait is spread, so that many messages do not come back at once.
+
+    >>> retry_at(1, 0.0), retry_at(3, 0.0), retry_at(8, 0.0)
+    (5.0, 1800.0, None)
+    """
+    if attempts > len(RETRY_S):
+        return None
+    wait = RETRY_S[attempts - 1] * (1 + 0.1 * max(-1.0, min(1.0, jitter)))
+    return last_unix_s + max(wait, min(retry_after_s or 0.0, LONGEST_WAIT_S))
+
+
+def worth_retrying(status: int | None) -> bool:
+    """Whether another attempt may help: no answer, too many requests, or an error of the receiver's own.
+
+    >>> worth_retrying(None), worth_retrying(503), worth_retrying(429), worth_retrying(410), worth_retrying(404)
+    (True, True, True, False, True)
+    """
+    # 410 is a receiver's way to say: never again (Standard Webhooks); any other refusal may be a deployment under way
+    return status != 410 and not (status is not None and 200 <= status < 300)
+
+
+def checked_url(url: str) -> str:
+    """The address, when messages can go there.
+
+    Raises
+    ------
+    WebhookError
+        Not http or https, no host, or a password in it.
+    """
+    try:
+        parts = urlsplit(url)
+        host = parts.hostname
+        _ = parts.port
+    except ValueError as error:
+        raise WebhookError(f"webhook address {url!r} cannot be read: {error}") from error
+    if parts.scheme not in ("http", "https") or not host:
+        raise WebhookError(f"webhook address {url!r} is no http or https address of a host")
+    if parts.username or parts.password:
+        raise WebhookError("a webhook address holds no user or password: messages are signed instead")
+    return url
+
+
+def _key(secret: str) -> bytes:
+    try:
+        key = base64.b64decode(secret.removeprefix(PREFIX), validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise WebhookError(f"a webhook's secret is {PREFIX} and base64; make one with ambit health secret") from error
+    if len(key) < 16:
+        raise WebhookError("a webhook's secret has at least 16 bytes; make one with ambit health secret")
+    return key
+
+
+def _signature(key: bytes, name: str, stamp: str, body: bytes) -> str:
+    signed_text = f"{name}.{stamp}.".encode() + body
+    return base64.b64encode(hmac.new(key, signed_text, hashlib.sha256).digest()).decode("ascii")

@@ -1,0 +1,98 @@
+"""A plane as result.json keeps it, back as a model with its covariance: what later work starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.fit import known_of
+from service.identification.plane_model import Layout, PlaneModel
+from service.identification.zoh import Real
+from sim.datasheet import Datasheet
+from sim.errors import AmbError
+
+
+@dataclass(frozen=True)
+class SavedPlane:
+    """An identified plane."""
+
+    plane: str
+    axes: tuple[str, str]
+    model: PlaneModel
+    free: NDArray[np.bool_]
+    """(size,) which parameters were fitted."""
+    covariance: Real
+    """(n, n) of the free ones, with what is not known of the shapes' splits."""
+    covariance_from_data: Real
+    """(n, n) the splits held, widened as the fit's residuals asked for."""
+    rms_over_sigma: float
+    """Residuals of the fit over its noise; about 1 where the model is right."""
+    adequate: bool
+    rotor_modes: tuple[int, ...]
+    """Places among the model's modes of those that are the rotor's, by rising frequency."""
+
+
+def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, SavedPlane]:
+    """Every plane of a result.json.
+
+    Raises
+    ------
+    AmbError
+        The document does not fit the datasheet, or was written before parameters were kept in it.
+    """
+    try:
+        return _checked(document, datasheet)
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise AmbError(
+            f"the commissioning result is incomplete ({type(error).__name__}: {error}); give a result.json that ambit "
+            "wrote, as it wrote it"
+        ) from error
+
+
+def _checked(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, SavedPlane]:
+    names = {a[0] for a in datasheet.axes}
+    unknown = set(document["planes"]) - names
+    if unknown:
+        raise AmbError(
+            f"the result of rig {document['rig']} has plane {', '.join(sorted(unknown))}, the datasheet "
+            f"{datasheet.name} only {', '.join(sorted(names))}; give the datasheet of the rig that was commissioned"
+        )
+    return {plane: _saved(found, datasheet, plane) for plane, found in document["planes"].items()}
+
+
+def _saved(found: Mapping[str, Any], datasheet: Datasheet, plane: str) -> SavedPlane:
+    kept = found.get("parameters")
+    if kept is None:
+        raise AmbError(
+            f"plane {plane} of the result has no parameters with covariance: an older version wrote it; identify "
+            "its experiment once more (ambit identify)"
+        )
+    layout = Layout((int(kept["amplifier_orders"][0]), int(kept["amplifier_orders"][1])), int(kept["modes"]))
+    theta = np.array([float(kept["values"][name]) for name in layout.names])
+    free = np.isin(np.array(layout.names), np.array(kept["free"]))
+    pair = (f"{plane}A", f"{plane}B")
+    model = PlaneModel(known_of(datasheet, plane, datasheet.axes), layout, theta)
+    total = np.array(kept["covariance"], dtype=float)
+    own = total if kept["covariance_from_data"] is None else np.array(kept["covariance_from_data"], dtype=float)
+    residuals = found["residuals"]
+    return SavedPlane(
+        plane,
+        pair,
+        model,
+        free,
+        total,
+        own * float(residuals["std_widened_by"] or 1.0) ** 2,
+        float(residuals["rms_over_sigma"]),
+        bool(residuals["model_adequate"]),
+        _rotor_modes(model, found["rotor_modes"]),
+    )
+
+
+def _rotor_modes(model: PlaneModel, listed: list[Mapping[str, Any]]) -> tuple[int, ...]:
+    """Places of the rotor's modes: those that the result lists as such, by their frequency."""
+    w = model.natural_frequencies
+    return tuple(int(np.argmin(np.abs(w - m["natural_frequency_rad_s"]["value"]))) for m in listed)

@@ -1,0 +1,138 @@
+"""Page of a health check: what drifted, how sure that is, and how every figure went over the checks so far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from service.health.trend import Checked, Series, trend
+from service.report.figure import BAD, GRID, MEASURED, MODEL, Figure, points
+from service.report.format import count, figures, fixed, paragraph, signed, table
+from service.report.page import Captioned, Page, Section, Tone
+
+GROUPS = (
+    ("magnets", "Magnets", ("ki", "ks")),
+    ("modes", "Flexible modes", ("wn", "zeta")),
+    ("amplifiers", "Amplifiers", ("amplifier",)),
+    ("margin", "Sensitivity peaks", ("sensitivity",)),
+)
+COLUMNS = 4
+
+
+def health_page(document: Mapping[str, Any], history: Sequence[Checked]) -> str:
+    """The page as one self-contained file.
+
+    Parameters
+    ----------
+    document
+        Of the check, ``amb-health-check``.
+    history
+        All checks of the rig up to this one, itself included.
+    """
+    tone: Tone = "bad" if document["alarm"] else "warn" if document["zone"] in "CD" else "good"
+    series = trend(history)
+    drifting = [n for n, s in series.items() if s.drifting and n not in document["drifted"]]
+    notes = [f"{n} changes steadily over the checks, although no single one shows it" for n in drifting]
+    about = f"Checked {document.get('checked_at', 'at an unknown time')}"
+    if document["rig_seconds"]:
+        about += f"; the rig was busy for {document['rig_seconds']:.0f} s"
+    return Page(
+        f"Health of {document['rig']}",
+        about,
+        _capital(document["sentence"].removeprefix(f"{document['rig']}: ")),
+        tone,
+        notes,
+        [_changes(document), _margins(document), _history(series, len(history)), _method(document)],
+    ).html()
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _changes(document: Mapping[str, Any]) -> Section:
+    rows = []
+    for name, p in document["parameters"].items():
+        was, was_std = figures(p["baseline"]["value"], p["baseline"]["std"])
+        now, now_std = figures(p["now"]["value"], p["now"]["std"])
+        unit = f", {p['unit']}" if p["unit"] not in ("", "1") else ""
+        mark = "drifted" if p["drifted"] else ""
+        change = f"{signed(p['change_percent'], 3)} ± {fixed(p['change_std_percent'], 3)}"
+        rows.append([name + unit, was, was_std, now, now_std, change, signed(p["significance"], 1), mark])
+    head = ["figure", "commissioned", "std", "now", "std", "change, %", "in std. dev.", ""]
+    threshold = next(iter(document["parameters"].values()))["threshold"] if document["parameters"] else 0.0
+    text = (
+        f"A change is an alarm beyond {threshold:.2f} standard deviations of check and commissioning together: with "
+        f"{count(document['tests_made'], 'check')} of this rig in the year before, that keeps the expected number of "
+        f"false alarms below {document['false_alarms_per_year']:g} a year over all figures."
+    )
+    return Section("Figures", [table(head, rows), paragraph(text)])
+
+
+def _margins(document: Mapping[str, Any]) -> Section:
+    rows = [
+        [axis, *figures(p["value"], p["std"]), fixed(p["measured"], 2), p["zone"]]
+        for axis, p in document["sensitivity_peak"].items()
+    ]
+    head = ["axis", "peak of |S|", "std", "largest measured", "zone"]
+    note = "The largest measured value is one of the check's few tones, so the peak is at least that high."
+    return Section("Stability margin", [table(head, rows), paragraph(note)])
+
+
+def _history(series: Mapping[str, Series], n: int) -> Section:
+    if n < 2:
+        return Section("Trend", [paragraph("This is the first check: a trend needs more of them.")])
+    parts = []
+    for name, title, prefixes in GROUPS:
+        chosen = {k: s for k, s in series.items() if k.split(".", 1)[-1].startswith(prefixes)}
+        if chosen:
+            parts.append(Captioned(trend_figure(f"trend-{name}", chosen), f"{title}: change against the baseline."))
+    rows = [
+        [
+            k,
+            f"{signed(s.slope_percent_per_year, 3)} ± {fixed(s.slope_std, 3)}",
+            signed(s.significance, 1),
+            "steady" if s.drifting else "",
+        ]
+        for k, s in series.items()
+        if s.slope_percent_per_year is not None
+    ]
+    tables = [table(["figure", "slope, % a year", "in std. dev.", ""], rows)] if rows else []
+    return Section("Trend", [*parts, *tables])
+
+
+def trend_figure(name: str, chosen: Mapping[str, Series]) -> Figure:
+    """Change of some figures over time, percent, each in its panel, with one standard deviation."""
+    columns = min(COLUMNS, len(chosen))
+    rows = -(-len(chosen) // columns)
+    figure = Figure(name, rows, columns, 90 + 170 * rows, titles=list(chosen), legend=False, column_gap=0.06)
+    for k, s in enumerate(chosen.values()):
+        r, c = divmod(k, columns)
+        times = np.array([a.isoformat() for a in s.at])
+        wide = s.baseline_std_percent
+        figure.line_at(r, c, y=0.0, colour=GRID)
+        colours = [BAD if d else MODEL for d in s.drifted]
+        trace = points(times, s.change_percent, s.name, MEASURED, size=5)
+        trace["marker"]["color"] = colours
+        trace["error_y"] = {
+            "type": "data",
+            "array": np.hypot(s.std_percent, wide),
+            "thickness": 1,
+            "width": 0,
+            "color": "#9aa5b1",
+        }
+        figure.add(r, c, trace)
+        figure.x(r, c, type="date", nticks=3)
+        figure.y(r, c, title="%" if c == 0 else "", nticks=5)
+    return figure
+
+
+def _method(document: Mapping[str, Any]) -> Section:
+    tones = ", ".join(f"{f:.4g}" for f in document["frequencies_hz"])
+    fits = "; ".join(
+        f"plane {name}: residuals {r['rms_over_sigma']:.2f} times the noise"
+        for name, r in document["residuals"].items()
+    )
+    return Section("Method", [paragraph(f"Tones at {tones} Hz. {fits}.")])
