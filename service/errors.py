@@ -15,6 +15,7 @@
         ├── ConflictError            the state of a resource does not allow it
         ├── AccessError              service.access.errors: no key, too small a scope, too many requests
         ├── UploadError              service.uploads.errors: a file that was sent is refused
+        ├── ControllerRefusedError   a controller that was checked would not be safe on the rig
         └── JobError                 a job cannot be done; its title says in a few words what is the matter
 """
 
@@ -51,6 +52,10 @@ class NotFoundError(ServiceError):
 
 class ConflictError(ServiceError):
     """The state of a resource does not allow what was asked for."""
+
+
+class ControllerRefusedError(ServiceError):
+    """A controller must not be loaded."""
 
 
 class JobError(ServiceError):

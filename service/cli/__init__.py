@@ -9,7 +9,7 @@ import sys
 
 import typer
 
-from service.cli import commission, effects, gap, health, keys, rig
+from service.cli import commission, controller, effects, gap, health, keys, rig, serve
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -22,11 +22,14 @@ app = typer.Typer(
 app.command()(commission.demo)
 app.command()(commission.commission)
 app.command()(commission.identify)
+app.command()(controller.check_controller)
 app.command()(effects.effects)
 app.add_typer(gap.app, name="gap")
 app.add_typer(health.app, name="health")
 app.add_typer(rig.app, name="rig")
 app.add_typer(keys.app, name="keys")
+app.command()(serve.serve)
+app.command()(serve.worker)
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2
 INTERRUPTED = 130

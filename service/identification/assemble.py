@@ -8,6 +8,7 @@ import numpy as np
 
 from service.identification import amplifier as amp
 from service.identification.amplifier_fit import AmplifierFit
+from service.identification.closed_loop import predicted_closed_loop
 from service.identification.combine import amplifier_state_space, plant_poles, plant_state_space, transmission_zeros
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.extended import extended_report
@@ -142,6 +143,7 @@ def assemble(
         status=refined.fit.status,
         warnings=tuple(warnings),
         covariance_from_data=u.from_data,
+        closed_loop=predicted_closed_loop(model, controller, points if held_out is None else held_out),
     )
 
 

@@ -16,7 +16,7 @@ from service.identification.points import PlanePoints, same_frequency
 from service.identification.zoh import Complex, Real
 from sim.errors import AmbError
 
-Path = Literal["u->i", "u->y", "i->y", "r->u"]
+Path = Literal["u->i", "u->y", "i->y", "r->u", "r->y"]
 MAX_CONDITION = 1e4
 
 

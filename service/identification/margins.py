@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -11,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from service.identification.etfe import FrequencyResponse
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real, discrete_response
+from sim.errors import AmbError
 
 ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
 """Zones of ISO 14839-3 by peak sensitivity, upper limits in dB."""
@@ -42,6 +44,32 @@ def zone(peak: float, limits: tuple[tuple[str, float], ...] = ISO_14839_3_DB) ->
     """
     decibel = 20 * math.log10(max(peak, 1e-12))
     return next(name for name, limit in limits if decibel < limit or math.isinf(limit))
+
+
+def zone_table(text: str) -> tuple[tuple[str, float], ...]:
+    """Zones and their upper limits in dB from a user's words; the last zone has no limit.
+
+    Raises
+    ------
+    AmbError
+        Not of that form, limits that do not rise, or no last zone without a limit.
+
+    >>> zone_table("good=9.5, bad")
+    (('good', 9.5), ('bad', inf))
+    """
+    found: list[tuple[str, float]] = []
+    try:
+        for part in text.split(","):
+            name, _, limit = part.strip().partition("=")
+            found.append((name.strip(), float(limit) if limit.strip() else math.inf))
+    except ValueError as error:
+        raise AmbError(f"zones {text!r} cannot be read; write them as A=9.5,B=12,C=14,D") from error
+    limits = [limit for _, limit in found]
+    names = [name for name, _ in found]
+    rising = all(a < b for a, b in pairwise(limits))
+    if not rising or not math.isinf(limits[-1]) or not all(names) or len(set(names)) < len(names):
+        raise AmbError(f"zones {text!r} need different names, rising limits in dB, and a last zone without a limit")
+    return tuple(found)
 
 
 def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -> Complex:
@@ -124,7 +152,7 @@ def axis_margins(
             m = int(np.argmax(np.abs(measured.value[:, j, j])))
             seen, seen_hz = float(np.abs(measured.value[m, j, j])), float(measured.frequency_hz[m])
             seen_std = float(measured.std[m, j, j] / math.sqrt(2))
-        gains, phase, delay = _classical(omega, 1.0 / s[:, j, j] - 1.0)
+        gains, phase, delay = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
         hz = peak.omega / (2 * np.pi)
         out.append(AxisMargins(peak.value, hz, std, seen, seen_hz, seen_std, gains, phase, delay))
     return out[0], out[1]
@@ -146,7 +174,7 @@ def _peak_std(
     return float(np.sqrt(max(g @ covariance @ g, 0.0)))
 
 
-def _classical(omega: Real, loop: Complex) -> tuple[tuple[float | None, float | None], float | None, float | None]:
+def loop_margins(omega: Real, loop: Complex) -> tuple[tuple[float | None, float | None], float | None, float | None]:
     """Gain margins (down, up) in dB, phase margin in degrees and delay margin in s of L = 1/S - 1."""
     real, imag = loop.real, loop.imag
     crossings = np.flatnonzero(imag[:-1] * imag[1:] < 0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from service.identification.closed_loop import Predicted
 from service.identification.combine import StateSpace
 from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
@@ -188,6 +189,8 @@ class PlaneResult:
     warnings: tuple[str, ...] = ()
     covariance_from_data: Real | None = None
     """The part of ``covariance`` that noise brings, the shapes' splits held."""
+    closed_loop: Predicted | None = None
+    """Predicted against measured closed loop, on the unseen sweep where there is one."""
 
     def document(self) -> dict[str, Any]:
         """As JSON, contracts.md section 3."""
@@ -249,6 +252,10 @@ class PlaneResult:
                 "phase_margin_deg": {a: m.phase_margin_deg for a, m in self.margins.items()},
                 "delay_margin_s": {a: m.delay_margin_s for a, m in self.margins.items()},
                 "iso_14839_3_zone": zone(worst),
+                "closed_loop_fit_percent": {
+                    "r_to_u": _matrix(None if self.closed_loop is None else self.closed_loop.u_percent),
+                    "r_to_y": _matrix(None if self.closed_loop is None else self.closed_loop.y_percent),
+                },
             },
             "subspace": {
                 "order": self.subspace.order,

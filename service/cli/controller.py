@@ -1,0 +1,114 @@
+"""``ambit check-controller``: whether a controller would hold the rig that was identified."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.cli.console import print_json, stdout
+
+
+def check_controller(
+    controller: Annotated[Path, typer.Argument(help="TOML file with a [controller] section, as in rig.toml.")],
+    baseline: Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")],
+    zones: Annotated[
+        str, typer.Option(help="Upper limits of the zones, dB, rising; the last zone has none.")
+    ] = "A=9.5,B=12,C=14,D",
+    accept: Annotated[str, typer.Option(help="Worst zone that is safe.")] = "B",
+    out: Annotated[Path | None, typer.Option(help="File to write the result to, JSON.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> None:
+    """Judge a controller on the identified model and its uncertainty, before it is loaded.
+
+    Exit status 0 when it is safe, 1 when it is not.
+    """
+    import numpy as np
+
+    from service.checkup import read_baseline
+    from service.identification.controller_check import check_controller as checked
+    from service.identification.margins import zone_table
+    from service.identification.saved import saved_planes
+    from service.output import json_text, write_text
+
+    then, datasheet = read_baseline(baseline)
+    law, sample_time_s = read_law(controller)
+    table = zone_table(zones)
+    found = checked(
+        datasheet.name,
+        saved_planes(then.document, datasheet),
+        (np.array(law[0]), np.array(law[1])),
+        sample_time_s,
+        table,
+        accept,
+    )
+    document = found.document()
+    if out is not None:
+        write_text(out, json_text(document))
+    if as_json:
+        print_json(document)
+    else:
+        _show(document)
+    if not found.safe:
+        from service.errors import ControllerRefusedError
+
+        raise ControllerRefusedError(f"the controller is not safe on {datasheet.name}: {found.reasons[0]}")
+
+
+def read_law(path: Path) -> tuple[tuple[list[float], list[float]], float | None]:
+    """Numerator and denominator of a file's [controller] section, and its sample time where it states one.
+
+    Raises
+    ------
+    DocumentError
+        The file cannot be read, or has no such section.
+    """
+    from service.errors import DocumentError
+
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8"))["controller"]
+        law = [float(v) for v in found["numerator"]], [float(v) for v in found["denominator"]]
+        period = found.get("sample_time_s")
+        return law, None if period is None else float(period)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise DocumentError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DocumentError(
+            f"{path} has no [controller] section with numerator and denominator as lists of numbers ({error}); "
+            "write it as in rig.toml"
+        ) from error
+
+
+def _show(document: dict[str, Any]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    console = stdout()
+    console.print(f"verdict: {document['verdict']}")
+    for kind in ("reasons", "warnings"):
+        for text in document[kind]:
+            console.print(f"{kind[:-1]}: {text}", soft_wrap=True)
+    if not document["axes"]:
+        return
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("axis")
+    for head in ("peak of S", "95 %", "zone", "gain, dB", "phase, deg", "delay, us"):
+        table.add_column(head, justify="right")
+    for name, a in document["axes"].items():
+        p, g = a["sensitivity_peak"], a["gain_margin_db"]
+        table.add_row(
+            name,
+            _number(p["value"], 3),
+            f"{_number(p['low'], 3)} to {_number(p['high'], 3)}",
+            a["iso_14839_3_zone"],
+            f"{_number(g['down']['value'], 1)} / {_number(g['up']['value'], 1)}",
+            _number(a["phase_margin_deg"]["value"], 1),
+            _number(None if a["delay_margin_s"]["value"] is None else 1e6 * a["delay_margin_s"]["value"], 1),
+        )
+    console.print(table)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,165 @@
+"""The sampled closed loop of an identified plane with any controller, and how well it predicts the measured one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, expm
+from scipy.signal import tf2ss
+
+from service.identification.combine import physical_matrices
+from service.identification.etfe import etfe
+from service.identification.margins import sensitivity
+from service.identification.plane_model import PlaneModel
+from service.identification.points import PlanePoints
+from service.identification.validation import nrmse_percent
+from service.identification.zoh import Complex, Real
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """x+ = A x + B u, y = C x at the controller's samples, from u as computed to y as sampled."""
+
+    A: Real
+    B: Real
+    C: Real
+
+    def response(self, omega: Real, sample_time_s: float) -> Complex:
+        """Response at frequencies, (P, 2, 2)."""
+        z = np.exp(1j * omega * sample_time_s)[:, None, None]
+        inner = z * np.eye(len(self.A)) - self.A
+        right = np.broadcast_to(self.B.astype(complex), (len(omega), *self.B.shape))
+        return np.asarray(self.C @ np.linalg.solve(inner, right))
+
+
+def continuous(model: PlaneModel) -> tuple[Real, Real, Real]:
+    """A, B, C from the amplifiers' inputs to the sensors' outputs, without hold and delay."""
+    a, b, c = physical_matrices(model)
+    parts = [_companion(amp.poles, amp.dc_gain) for amp in model.amplifiers]
+    amp_a = block_diag(*[p[0] for p in parts])
+    amp_b = block_diag(*[p[1] for p in parts])
+    amp_c = block_diag(*[p[2] for p in parts])
+    n = len(amp_a)
+    whole_a = np.block([[amp_a, np.zeros((n, len(a)))], [b @ amp_c, a]])
+    whole_b = np.vstack([amp_b, np.zeros((len(a), 2))])
+    whole_c = np.hstack([np.zeros((2, n)), c])
+    for j, w in enumerate(model.known.sensor_bandwidth_rad_s):
+        if math.isfinite(w):  # one more state, which lags the sensor
+            size = len(whole_a)
+            whole_a = np.block([[whole_a, np.zeros((size, 1))], [w * whole_c[j], np.array([[-w]])]])
+            whole_b = np.vstack([whole_b, np.zeros((1, 2))])
+            whole_c = np.hstack([whole_c, np.zeros((2, 1))])
+            whole_c[j] = 0.0
+            whole_c[j, -1] = 1.0
+    return whole_a, whole_b, whole_c
+
+
+def _companion(poles: Complex, gain: float) -> tuple[Real, Real, Real]:
+    """Controllable form of gain prod(-p) / prod(s - p), its states scaled to be of one size."""
+    n = len(poles)
+    w = float(np.exp(np.mean(np.log(np.abs(poles)))))
+    coefficients = np.real(np.poly(poles / w))
+    a = np.eye(n, k=1)
+    a[-1] = -coefficients[:0:-1]
+    b, c = np.zeros((n, 1)), np.zeros((1, n))
+    b[-1, 0] = w
+    c[0, 0] = gain * coefficients[-1]
+    return w * a, b, c
+
+
+def sampled(model: PlaneModel) -> Sampled:
+    """Exact discretisation with zero-order hold and delay (Astrom and Wittenmark, Computer-Controlled Systems, 3.2)."""
+    a, b, c = continuous(model)
+    period = model.known.sample_time_s
+    delay = max(model.delay_s + model.known.computing_delay_s, 0.0)
+    whole = math.floor(delay / period + 1e-9)
+    rest = max(delay - whole * period, 0.0)
+    phi_late, gamma_late = _integrated(a, b, rest)
+    phi_first, gamma_first = _integrated(a, b, period - rest)
+    older = phi_first @ gamma_late  # the input of one sample earlier acts first
+    phi = phi_first @ phi_late
+    if delay < 1e-12:
+        return Sampled(phi, gamma_first, c)
+    n, kept = len(a), whole + 1
+    big = np.zeros((n + 2 * kept, n + 2 * kept))
+    drive = np.zeros((n + 2 * kept, 2))
+    big[:n, :n] = phi
+    # past inputs, the latest first: u(k - 1), ..., u(k - whole - 1)
+    big[:n, n + 2 * whole :] = older
+    if whole == 0:
+        drive[:n] = gamma_first
+    else:
+        big[:n, n + 2 * (whole - 1) : n + 2 * whole] = gamma_first
+    drive[n : n + 2] = np.eye(2)
+    for k in range(1, kept):
+        big[n + 2 * k : n + 2 * k + 2, n + 2 * k - 2 : n + 2 * k] = np.eye(2)
+    return Sampled(big, drive, np.hstack([c, np.zeros((2, 2 * kept))]))
+
+
+def _integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:
+    """exp(A t) and the integral of exp(A s) B from 0 to t."""
+    n = len(a)
+    both = expm(np.block([[a, b], [np.zeros((b.shape[1], n + b.shape[1]))]]) * seconds)
+    return both[:n, :n], both[:n, n:]
+
+
+def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Complex:
+    """Eigenvalues of the sampled loop u = C(z)(-y), the same law in both axes; stable within the unit circle."""
+    plant = sampled(model)
+    numerator, denominator = (np.trim_zeros(np.asarray(x, dtype=float), "f") for x in controller)
+    if not len(numerator):
+        numerator = np.zeros(1)
+    if len(denominator) == 1:  # a plain gain has no state
+        gain = float(numerator[0] / denominator[0])
+        return np.asarray(np.linalg.eigvals(plant.A - gain * plant.B @ plant.C), dtype=np.complex128)
+    ca, cb, cc, cd = (np.asarray(x, dtype=float) for x in tf2ss(numerator, denominator))
+    two = [block_diag(x, x) for x in (ca, cb, cc, cd)]
+    ca, cb, cc, cd = two
+    top = np.hstack([plant.A - plant.B @ cd @ plant.C, plant.B @ cc])
+    bottom = np.hstack([-cb @ plant.C, ca])
+    return np.asarray(np.linalg.eigvals(np.vstack([top, bottom])), dtype=np.complex128)
+
+
+def slowest_decay(poles: Complex, sample_time_s: float) -> float:
+    """Rate at which the closed loop's slowest transient decays, 1/s; negative where one grows.
+
+    >>> round(slowest_decay(np.array([0.5 + 0j, 0.99]), 1e-3), 2)
+    10.05
+    """
+    return float(-np.log(np.max(np.abs(poles))) / sample_time_s)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """The measured closed loop against the one that model and controller predict: NRMSE, percent, (2, 2) each.
+
+    Rows are outputs, columns excited axes. The published figure of a real rig is 97.9 %.
+    """
+
+    u_percent: Real
+    """r -> u, the sensitivity."""
+    y_percent: Real
+    """r -> y."""
+
+
+def predicted_closed_loop(model: PlaneModel, controller: tuple[Real, Real], points: PlanePoints) -> Predicted | None:
+    """Fit of the predicted closed loop; None where r cannot tell the axes apart.
+
+    Parameters
+    ----------
+    points
+        Measured with ``controller`` running; best of a sweep that the model was not made from.
+    """
+    try:
+        u, y = etfe(points, "r->u"), etfe(points, "r->y")
+    except ValueError:
+        return None
+    s = sensitivity(model, controller, u.omega)
+    t = np.asarray(model.response(u.omega) @ s)
+    fits = [
+        np.array([[nrmse_percent(m.value[:, a, b], p[:, a, b]) for b in range(2)] for a in range(2)])
+        for m, p in ((u, s), (y, t))
+    ]
+    return Predicted(fits[0], fits[1])

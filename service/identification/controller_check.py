@@ -1,0 +1,279 @@
+"""Is a controller safe on this rig? Judged on the identified model and its uncertainty, before it is loaded.
+
+The loop is closed with the model and with many others that the data allow as well (draws from the estimate's
+covariance); what is reported holds for nearly all of them, not for the best guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from service.identification.closed_loop import closed_loop_poles, slowest_decay
+from service.identification.margins import (
+    ISO_14839_3_DB,
+    dense_grid,
+    loop_margins,
+    sensitivity,
+    sensitivity_peaks,
+    zone,
+)
+from service.identification.plane_model import PlaneModel
+from service.identification.saved import SavedPlane
+from service.identification.zoh import Complex, Real
+from sim.errors import AmbError
+
+DRAWS = 100
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure of the best model, and where it lies with 95 % probability. None: unbounded or without meaning."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+    def document(self) -> dict[str, float | None]:
+        """As JSON."""
+        return {"value": self.value, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True)
+class AxisCheck:
+    """One axis, the other loop of its plane closed."""
+
+    axis: str
+    sensitivity_peak: Interval
+    peak_hz: float
+    gain_margin_down_db: Interval
+    """Negative: how far the gain may fall."""
+    gain_margin_up_db: Interval
+    phase_margin_deg: Interval
+    delay_margin_s: Interval
+    zone: str
+    """Of the peak's upper end."""
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "sensitivity_peak": self.sensitivity_peak.document(),
+            "sensitivity_peak_hz": self.peak_hz,
+            "gain_margin_db": {
+                "down": self.gain_margin_down_db.document(),
+                "up": self.gain_margin_up_db.document(),
+            },
+            "phase_margin_deg": self.phase_margin_deg.document(),
+            "delay_margin_s": self.delay_margin_s.document(),
+            "iso_14839_3_zone": self.zone,
+        }
+
+
+@dataclass(frozen=True)
+class ControllerCheck:
+    """What loading a controller would do."""
+
+    rig: str
+    safe: bool
+    reasons: tuple[str, ...]
+    """Why it is not safe; empty when it is."""
+    warnings: tuple[str, ...]
+    stable: bool
+    """The best model's loop."""
+    stable_share: float
+    """Share of the models drawn whose loop is stable."""
+    slowest_decay_per_s: float
+    axes: tuple[AxisCheck, ...] = ()
+    zones: tuple[tuple[str, float], ...] = ISO_14839_3_DB
+    accepted_zone: str = "B"
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "format": "amb-controller-check",
+            "version": 1,
+            "rig": self.rig,
+            "verdict": "safe" if self.safe else "unsafe",
+            "reasons": list(self.reasons),
+            "warnings": list(self.warnings),
+            "stable": self.stable,
+            "stable_share_of_models": self.stable_share,
+            "slowest_decay_per_s": self.slowest_decay_per_s,
+            "axes": {a.axis: a.document() for a in self.axes},
+            "zones_db": {name: None if np.isinf(limit) else limit for name, limit in self.zones},
+            "accepted_zone": self.accepted_zone,
+            **({"provenance": self.provenance} if self.provenance else {}),
+        }
+
+
+def check_controller(
+    rig: str,
+    planes: Mapping[str, SavedPlane],
+    controller: tuple[Real, Real],
+    sample_time_s: float | None = None,
+    zones: Sequence[tuple[str, float]] = ISO_14839_3_DB,
+    accepted_zone: str = "B",
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> ControllerCheck:
+    """Judge a controller on every identified plane of a rig.
+
+    Parameters
+    ----------
+    controller
+        Numerator and denominator of the discrete law from -y to u in every axis, highest power of z first.
+    sample_time_s
+        For which it was designed; the rig's without it.
+    zones, accepted_zone
+        Limits of the sensitivity peak, dB, rising, and the worst zone that is safe.
+    draws, seed
+        Models drawn from the uncertainty.
+
+    Raises
+    ------
+    AmbError
+        The controller is no proper transfer function, its sample time is not the rig's, or no such zone is in the
+        table.
+    """
+    law = _checked_law(controller)
+    limits = tuple(zones)
+    if accepted_zone not in [name for name, _ in limits]:
+        raise AmbError(f"zone {accepted_zone!r} is not in the table of zones {', '.join(n for n, _ in limits)}")
+    for s in planes.values():
+        period = s.model.known.sample_time_s
+        if sample_time_s is not None and abs(sample_time_s / period - 1) > 1e-6:
+            raise AmbError(
+                f"the controller is for a sample time of {1e6 * sample_time_s:g} us, the rig {rig} samples every "
+                f"{1e6 * period:g} us; discretise it anew"
+            )
+    reasons: list[str] = []
+    warnings: list[str] = []
+    axes: list[AxisCheck] = []
+    stable, share, decay = True, 1.0, np.inf
+    for s in planes.values():
+        poles = closed_loop_poles(s.model, law)
+        own = slowest_decay(poles, s.model.known.sample_time_s)
+        decay = min(decay, own)
+        if not s.adequate:
+            warnings.append(
+                f"plane {s.plane}: the model leaves residuals {s.rms_over_sigma:.2g} times the noise; what it lacks, "
+                "this check does not see"
+            )
+        if own <= 0:
+            stable, share = False, 0.0
+            reasons.append(f"plane {s.plane}: the loop is unstable, {_unstable_words(poles, s.model)}")
+            continue
+        drawn = _drawn(s, draws, seed)
+        held = [m for m in drawn if slowest_decay(closed_loop_poles(m, law), m.known.sample_time_s) > 0]
+        share = min(share, len(held) / max(len(drawn), 1))
+        if len(held) < len(drawn):
+            reasons.append(
+                f"plane {s.plane}: {len(drawn) - len(held)} of {len(drawn)} models that the data allow as well are "
+                "unstable with it"
+            )
+        axes += _axes(s, law, held, limits)
+    order = [name for name, _ in limits]
+    for a in axes:
+        if order.index(a.zone) > order.index(accepted_zone):
+            p = a.sensitivity_peak
+            reasons.append(
+                f"axis {a.axis}: sensitivity peak {p.value:.2f} (up to {p.high:.2f}) at {a.peak_hz:.4g} Hz is in zone "
+                f"{a.zone}; accepted is {accepted_zone} or better"
+            )
+    if not planes:
+        raise AmbError(f"the result of rig {rig} has no plane; identify the rig first")
+    return ControllerCheck(
+        rig, not reasons, tuple(reasons), tuple(warnings), stable, share, decay, tuple(axes), limits, accepted_zone
+    )
+
+
+def _checked_law(controller: tuple[Real, Real]) -> tuple[Real, Real]:
+    numerator, denominator = (np.atleast_1d(np.asarray(x, dtype=float)) for x in controller)
+    if not (np.all(np.isfinite(numerator)) and np.all(np.isfinite(denominator))):
+        raise AmbError("the controller has a coefficient that is not finite")
+    if not len(denominator) or denominator[0] == 0:
+        raise AmbError("the controller's denominator must begin with a coefficient that is not zero")
+    if len(np.trim_zeros(numerator, "f")) > len(denominator):
+        raise AmbError("the controller's numerator has a higher order than its denominator: it is not causal")
+    return numerator, denominator
+
+
+def _unstable_words(poles: Complex, model: PlaneModel) -> str:
+    worst = poles[np.argmax(np.abs(poles))]
+    rate = np.log(np.abs(worst)) / model.known.sample_time_s
+    hz = abs(np.angle(worst)) / model.known.sample_time_s / (2 * np.pi)
+    how = f"a motion of {hz:.4g} Hz" if hz > 0.5 else "the rotor leaves its place"
+    return f"{how}, growing at {rate:.3g} 1/s"
+
+
+def _drawn(saved: SavedPlane, draws: int, seed: int) -> list[PlaneModel]:
+    """Models that the data allow as well as the best one; unphysical ones are drawn again."""
+    rng = np.random.default_rng(seed)
+    values, vectors = np.linalg.eigh(saved.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    found: list[PlaneModel] = []
+    for _ in range(3 * draws):
+        if len(found) == draws:
+            break
+        step = np.zeros_like(saved.model.theta)
+        step[saved.free] = root @ rng.normal(size=len(values))
+        model = saved.model.at(_moved(saved.model.theta, step))
+        if model.is_physical:
+            found.append(model)
+    return found
+
+
+def _moved(theta: Real, step: Real) -> Real:
+    """Parameters after a step, in proportion: a change of a shape's split then leaves the product of its parts."""
+    share = np.divide(step, theta, out=np.full_like(theta, np.inf), where=theta != 0)
+    small = np.abs(share) < 0.7
+    return np.where(small, theta * np.exp(np.where(small, share, 0.0)), theta + step)
+
+
+def _axes(
+    saved: SavedPlane, law: tuple[Real, Real], drawn: list[PlaneModel], limits: tuple[tuple[str, float], ...]
+) -> list[AxisCheck]:
+    omega = dense_grid(saved.model)
+    best_peaks = sensitivity_peaks(saved.model, law)
+    best = _figures(saved.model, law, omega)
+    others = list(zip(*(_figures(m, law, omega) for m in drawn), strict=True)) or [(), ()]
+    found = []
+    for j in range(2):
+        # a draw's peak is read at the grid: only its ratio to the best model's, read there too, counts
+        on_grid = np.array([o[0] for o in others[j]], dtype=float) * best_peaks[j].value / float(best[j][0] or 1.0)
+        peak = _interval(best_peaks[j].value, on_grid.tolist())
+        down, up, phase, delay = (_interval(best[j][k], [o[k] for o in others[j]]) for k in range(1, 5))
+        hz = best_peaks[j].omega / (2 * np.pi)
+        worst = zone(peak.high or best_peaks[j].value, limits)
+        found.append(AxisCheck(saved.axes[j], peak, hz, down, up, phase, delay, worst))
+    return found
+
+
+Figures = tuple[float | None, float | None, float | None, float | None, float | None]
+
+
+def _figures(model: PlaneModel, law: tuple[Real, Real], omega: Real) -> tuple[Figures, Figures]:
+    """Peak, gain margins down and up, phase margin, delay margin of both axes."""
+    whole = sensitivity(model, law, omega)
+    found: list[Figures] = []
+    for j in range(2):
+        s = whole[:, j, j]
+        (down, up), phase, delay = loop_margins(omega, 1.0 / s - 1.0)
+        found.append((float(np.abs(s).max()), down, up, phase, delay))
+    return found[0], found[1]
+
+
+def _interval(value: float | None, drawn: list[float | None]) -> Interval:
+    """95 % of the draws; an end at which draws have no such margin is open."""
+    if value is None:
+        return Interval(None, None, None)
+    known = np.array([d for d in drawn if d is not None])
+    if len(known) < 0.5 * len(drawn) or not len(known):
+        return Interval(value, None, None)
+    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Interval(value, float(min(low, value)), float(max(high, value)))
