@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.controller import Controller, PointResult, State, Tone
-from drivers.device.faults import KINDS, FaultPlan, FaultyTcp
+from drivers.device.faults import KINDS, FaultPlan, ModbusSpoiler
 from drivers.device.front import DeviceFront
 from drivers.device.machine import Event, RigDevice
 from drivers.device.modbus import TcpServer
@@ -64,10 +64,10 @@ def run(points: int, seed: int, rate: float, progress: Callable[[int], None] = l
     """Play that many random tones through a faulty Modbus link, every fault at ``rate`` per frame."""
     tally = Tally()
     device = Witness(tally)
-    server = TcpServer(DeviceFront(device, "big"))
-    proxy = FaultyTcp(("127.0.0.1", server.port), FaultPlan(seed, dict.fromkeys(KINDS, rate)))
+    spoiler = ModbusSpoiler(FaultPlan(seed, dict.fromkeys(KINDS, rate)))
+    server = TcpServer(DeviceFront(device, "big"), spoiler=spoiler)
     generator = np.random.default_rng(seed)
-    controller = _connected(f"modbus://127.0.0.1:{proxy.port}", tally)
+    controller = _connected(f"modbus://127.0.0.1:{server.port}", tally)
     began = time.monotonic()
     try:
         while tally.points < points:
@@ -84,12 +84,11 @@ def run(points: int, seed: int, rate: float, progress: Callable[[int], None] = l
             except ControllerError as error:
                 tally.marks[type(error).__name__] += 1
     finally:
-        proxy.dice.on = False
+        spoiler.dice.on = False
         controller.close()
-        proxy.close()
         server.close()
         device.close()
-    tally.faults = proxy.dice.struck
+    tally.faults = spoiler.dice.struck
     tally.seconds = time.monotonic() - began
     return tally
 

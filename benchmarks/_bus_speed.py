@@ -76,7 +76,7 @@ def _driver(repetitions: int) -> float:
         controller = connect(url)
         with controller.lease("benchmark"):
             sequence = controller.measure(TONE).sequence
-        link: Link = controller._link  # the transfer alone, without the tone
+        link: Link = controller._dialogue.link  # the transfer alone, without the tone
         rates = []
         for _ in range(repetitions):
             began = time.perf_counter()
@@ -98,7 +98,7 @@ def sdo_block(bitrate: int = 1_000_000) -> tuple[float, float, float]:
         controller = connect(url)
         with controller.lease("benchmark"):
             sequence = controller.measure(TONE).sequence
-        link: Link = controller._link
+        link: Link = controller._dialogue.link
         rates = []
         for _ in range(3):
             began = time.perf_counter()

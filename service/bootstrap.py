@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -55,9 +56,9 @@ def product_version() -> str:
 
 def connect(url: str) -> Controller:
     """The controller at a URL; see `drivers.url.connect` for the schemes."""
-    from drivers.url import connect as connected
+    from drivers import url as controllers
 
-    return connected(url)
+    return controllers.connect(url)
 
 
 def simulated_reference(seed: int) -> tuple[Controller, Rig, Datasheet]:
@@ -67,6 +68,29 @@ def simulated_reference(seed: int) -> tuple[Controller, Rig, Datasheet]:
 
     rig = reference_rig()
     return SimulatedController(rig, seed), rig, reference_datasheet()
+
+
+@contextmanager
+def connected(url: str) -> Iterator[Controller]:
+    """The controller at a URL, closed at the end."""
+    controller = connect(url)
+    try:
+        yield controller
+    finally:
+        controller.close()
+
+
+@contextmanager
+def demo_controller(seed: int, in_process: bool = False) -> Iterator[Controller]:
+    """The reference rig behind Modbus TCP, in a device process that ends with this context; or in this process."""
+    if in_process:
+        with connected(f"simulated://?seed={seed}") as controller:
+            yield controller
+        return
+    from service.device_process import device_process
+
+    with device_process("--protocol", "modbus", "--seed", str(seed)) as device, connected(device.url) as controller:
+        yield controller
 
 
 def quick_profile() -> Profile:

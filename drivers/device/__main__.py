@@ -6,7 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from drivers.device.machine import WATCHDOG_S, RigDevice
+from drivers.device.lease import WATCHDOG_S
+from drivers.device.machine import RigDevice
 from drivers.device.rigs import RigOptions, build_rig
 from drivers.device.serve import (
     CanOptions,
@@ -53,10 +54,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
     if a.protocol == "modbus-rtu":
-        return serve_modbus_rtu(device, RtuOptions(a.device, unit=a.unit, map=a.map))
+        rtu = RtuOptions(a.device, unit=a.unit, map=a.map, faults=a.faults, fault_seed=a.fault_seed)
+        return serve_modbus_rtu(device, rtu)
     if a.protocol == "canopen":
         return serve_canopen(
-            device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle, a.faults, a.fault_seed)
+            device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle, a.map, a.faults, a.fault_seed)
         )
     options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca, a.faults, a.fault_seed)
     return serve_modbus(device, options) if a.protocol == "modbus" else serve_modbus_tls(device, options)
@@ -73,10 +75,13 @@ def main(arguments: list[str] | None = None) -> int:
     except AmbError as error:
         print(error, file=sys.stderr)
         return 1
-    print(served.url, flush=True)
-    if built.commitment:
-        print(f"commitment {built.commitment}", flush=True)
-    run(served)
+
+    def announce() -> None:
+        print(served.url, flush=True)
+        if built.commitment:
+            print(f"commitment {built.commitment}", flush=True)
+
+    run(served, announce)
     return 0
 
 

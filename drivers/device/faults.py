@@ -1,20 +1,21 @@
-"""Faults on purpose, seeded: a proxy that spoils Modbus TCP frame by frame, and a spoiler for the CAN hub.
+"""Faults on purpose, seeded: a spoiler for the Modbus servers, and one for the CAN hub.
 
 ==============  ==============================  ==========================================================
-fault           Modbus TCP                      CAN
+fault           Modbus                          CAN
 ==============  ==============================  ==========================================================
 drop            the frame is lost               the frame is lost
 delay           it comes late                   it comes late, after later ones
 duplicate       it comes twice                  it comes twice
 truncate        part of it, then the end of     its last bytes are missing
-                the connection
+                the connection (RTU: silence)
 corrupt         one bit is flipped              one bit is flipped
 stale           an older answer comes instead   an older frame of the same identifier comes again
 busy            "device busy", not asked        -
 exception       a random exception, not asked   an SDO abort comes in
 half_open       nothing passes any more, and    -
                 the connection stays
-disconnect      the connection ends             bus-off: nothing passes for a while
+disconnect      the connection ends (RTU:       bus-off: nothing passes for a while
+                nothing passes for a while)
 error_frame     -                               an error frame comes before it
 second_master   another host asks in between    another master's SDO request comes in between
 ==============  ==============================  ==========================================================
@@ -22,13 +23,12 @@ second_master   another host asks in between    another master's SDO request com
 
 from __future__ import annotations
 
-import socket
+import math
 import struct
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -117,141 +117,136 @@ class Dice:
         return bytes(spoilt)
 
 
-class FaultyTcp:
-    """A proxy before a Modbus TCP device, on its own threads until `close`.
+@dataclass(frozen=True)
+class Wire:
+    """How one transport wraps a Modbus PDU, for `SpoiltConversation`."""
+
+    function_at: int
+    """Place of the function code in a frame."""
+    covered_from: int
+    """First byte that a flipped bit may hit: before it a transport would lose its step, not a value."""
+    reply: Callable[[bytes, bytes], bytes]
+    """(request, PDU) -> answer's frame."""
+    connected: bool
+    """Whether there are connections that can end; a serial line falls silent instead."""
+
+
+class ModbusSpoiler:
+    """Spoils the frames of a Modbus server: give it as ``spoiler``. All connections share its dice."""
+
+    def __init__(self, plan: FaultPlan) -> None:
+        self.dice = Dice(plan)
+        self._answers: dict[int, bytes] = {}
+        self._lock = threading.Lock()
+
+    def older_answer(self, function: int, pdu: bytes) -> bytes:
+        """An earlier answer to the same function, this one if there is none; and perhaps remember this one."""
+        remember = self.dice.below(4) == 0
+        with self._lock:
+            older = self._answers.get(function, pdu)
+            if remember:
+                self._answers[function] = pdu
+        return older
+
+
+class SpoiltConversation:
+    """One connection's requests and answers, through the faults.
 
     Parameters
     ----------
-    target
-        Host and port of the device.
+    answer
+        The device's frame to a request's, empty for none.
+    send
+        To the host, a frame or what is left of it.
+    other_host
+        The device's PDU to another host's.
     """
 
-    def __init__(self, target: tuple[str, int], plan: FaultPlan, host: str = "127.0.0.1", port: int = 0) -> None:
-        self.dice = Dice(plan)
-        self._target = target
-        self._closing = threading.Event()
-        try:
-            self._listener = socket.create_server((host, port))
-        except OSError as error:
-            raise ControllerError(f"cannot listen on {host}:{port}: {error}; choose another port") from error
-        self._listener.settimeout(0.1)
-        self.port: int = self._listener.getsockname()[1]
-        self._answers: dict[int, bytes] = {}
-        self._pairs: list[_Pair] = []
-        self._thread = threading.Thread(target=self._accept, name="faults", daemon=True)
-        self._thread.start()
+    def __init__(
+        self,
+        spoiler: ModbusSpoiler,
+        wire: Wire,
+        answer: Callable[[bytes], bytes],
+        send: Callable[[bytes], None],
+        other_host: Callable[[bytes], bytes],
+    ) -> None:
+        self._spoiler, self._dice, self._wire = spoiler, spoiler.dice, wire
+        self._answer, self._send, self._other_host = answer, send, other_host
+        self._deaf_until = 0.0
 
-    def close(self) -> None:
-        """End; safe twice."""
-        self._closing.set()
-        self._thread.join(timeout=2.0)
-        self._listener.close()
-        for pair in self._pairs:
-            pair.end()
-
-    def _accept(self) -> None:
-        while not self._closing.is_set():
-            with suppress(OSError):
-                host, _ = self._listener.accept()
-                host.settimeout(None)
-                threading.Thread(target=self._carry, args=(host,), name="faulty-host", daemon=True).start()
-
-    def _carry(self, host: socket.socket) -> None:
-        try:
-            device = socket.create_connection(self._target, timeout=2.0)
-        except OSError:
-            host.close()
-            return
-        device.settimeout(None)
-        for one in (host, device):
-            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        pair = _Pair(self, host, device)
-        self._pairs = [p for p in self._pairs if not p.ended] + [pair]
-        threading.Thread(target=pair.pass_on, args=(device, host, False), daemon=True).start()
-        pair.pass_on(host, device, True)
-
-    def older_answer(self, frame: bytes) -> bytes:
-        """An earlier answer to the same function, under this one's transaction number; and remember this one."""
-        function = frame[7]
-        older = self._answers.get(function, frame)
-        if self.dice.below(4) == 0:
-            self._answers[function] = frame
-        return frame[:2] + older[2:]
-
-
-class _Pair:
-    """One connection through the proxy, frame by frame."""
-
-    def __init__(self, proxy: FaultyTcp, host: socket.socket, device: socket.socket) -> None:
-        self._proxy, self._host, self._device = proxy, host, device
-        self._deaf = False
-        self.ended = False
-
-    def pass_on(self, source: socket.socket, sink: socket.socket, request: bool) -> None:
-        buffer = b""
-        try:
-            while chunk := source.recv(65536):
-                buffer += chunk
-                while len(buffer) >= 7:
-                    size = 6 + struct.unpack_from(">H", buffer, 4)[0]
-                    if len(buffer) < size:
-                        break
-                    frame, buffer = buffer[:size], buffer[size:]
-                    if not self._deaf and not self._frame(frame, sink, request):
-                        return
-        except (OSError, struct.error):
-            pass
-        finally:
-            self.end()
-
-    def _frame(self, frame: bytes, sink: socket.socket, request: bool) -> bool:
-        """Pass a frame on, or what a fault makes of it; False when the connection has ended."""
-        dice = self._proxy.dice
-        fault = dice.fault()
-        if not request:
-            stale = self._proxy.older_answer(frame)
-            frame = stale if fault == "stale" else frame
-        if fault == "delay":
-            time.sleep(dice.delay_s())
-        elif fault == "corrupt":
-            frame = dice.flipped(frame, first=6)
-        elif fault == "duplicate":
-            frame = frame + frame
-        elif fault == "truncate":
-            sink.sendall(frame[: 1 + dice.below(len(frame) - 1)])
-            self.end()
-            return False
-        elif fault == "disconnect":
-            self.end()
-            return False
-        elif fault == "half_open":
-            self._deaf = True
+    def take(self, request: bytes) -> bool:
+        """Answer a request's frame, or not quite; False when the connection ends."""
+        if time.monotonic() < self._deaf_until:
             return True
-        elif fault in ("busy", "exception") and request:
-            code = 6 if fault == "busy" else 1 + dice.below(4)
-            self._host.sendall(frame[:4] + struct.pack(">HBBB", 3, frame[6], frame[7] | 0x80, code))
-            return True
-        elif fault == "second_master" and request:
-            self._second_master()
-        if fault != "drop":
-            sink.sendall(frame)
+        dice, fault = self._dice, self._dice.fault()
+        match fault:
+            case "drop":
+                return True
+            case "delay":
+                time.sleep(dice.delay_s())
+            case "corrupt":
+                request = dice.flipped(request, self._wire.covered_from)
+            case "truncate":
+                return not self._wire.connected  # a request that was cut short is no request
+            case "disconnect":
+                return self._lost()
+            case "half_open":
+                return self._deaf()
+            case "busy" | "exception":
+                code = 6 if fault == "busy" else 1 + dice.below(4)
+                function = request[self._wire.function_at]
+                self._send(self._wire.reply(request, bytes([function | 0x80, code])))
+                return True
+            case "second_master":
+                self._second_master(request)
+        for _ in range(2 if fault == "duplicate" else 1):
+            frame = self._answer(request)
+            if frame and not self._pass_on(request, frame):
+                return False
         return True
 
-    def _second_master(self) -> None:
-        """Another host, on a connection of its own, tries a command without the lease."""
-        with suppress(OSError), socket.create_connection(self._proxy._target, timeout=1.0) as other:
-            address = self._proxy.dice.below(0x0B00)
-            other.sendall(struct.pack(">HHHBBHHBHH", 1, 0, 11, 1, 16, address, 2, 4, 0xDEAD, 0xBEEF))
-            other.settimeout(0.2)
-            other.recv(64)
+    def _pass_on(self, request: bytes, frame: bytes) -> bool:
+        """An answer on its way to the host; False when the connection ends."""
+        dice, fault = self._dice, self._dice.fault()
+        function = frame[self._wire.function_at]
+        pdu = frame[self._wire.function_at : None if self._wire.connected else -2]
+        older = self._spoiler.older_answer(function, pdu)
+        match fault:
+            case "drop":
+                return True
+            case "delay":
+                time.sleep(dice.delay_s())
+            case "corrupt":
+                frame = dice.flipped(frame, self._wire.covered_from)
+            case "duplicate":
+                frame = frame + frame
+            case "truncate":
+                self._send(frame[: 1 + dice.below(len(frame) - 1)])
+                return not self._wire.connected
+            case "disconnect":
+                return self._lost()
+            case "half_open":
+                return self._deaf()
+            case "stale":
+                frame = self._wire.reply(request, older)
+        self._send(frame)
+        return True
 
-    def end(self) -> None:
-        """Close both sides; safe twice."""
-        self.ended = True
-        for one in (self._host, self._device):
-            with suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
+    def _deaf(self) -> bool:
+        """Nothing is heard any more; on a serial line, for a while."""
+        self._deaf_until = math.inf if self._wire.connected else time.monotonic() + BUS_OFF_S
+        return True
+
+    def _lost(self) -> bool:
+        """The end of the connection; a serial line has none."""
+        return self._deaf() and not self._wire.connected
+
+    def _second_master(self, request: bytes) -> None:
+        """Another host tries a command without the lease; on a serial line this host hears the answer."""
+        command = struct.pack(">BHHBHH", 16, self._dice.below(0x0B00), 2, 4, 0xDEAD, 0xBEEF)
+        answer = self._other_host(command)
+        if not self._wire.connected:
+            self._send(self._wire.reply(request, answer))
 
 
 class CanSpoiler:

@@ -5,6 +5,7 @@ What a write may do, and what it is refused for, is decided here and in `RigDevi
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,6 +56,8 @@ class DeviceFront:
         self._outcome = Outcome.DONE
         self._finished: _Finished | None = None
         self._window = 0
+        self._tones: queue.SimpleQueue[tuple[Callable[[], PointResult], int]] = queue.SimpleQueue()
+        self._player: threading.Thread | None = None
         self._listeners: list[Callable[[], None]] = []
         self._writers: dict[str, Callable[[Values], None]] = {
             "lease": self._lease,
@@ -214,7 +217,15 @@ class DeviceFront:
                 return
             self._command, self._outcome = command, Outcome.UNDER_WAY
             self._accepted = (token, command)
-        threading.Thread(target=self._run, args=(play, command), name="tone", daemon=True).start()
+            if self._player is None:
+                self._player = threading.Thread(target=self._play_what_comes, name="tones", daemon=True)
+                self._player.start()
+        # to a thread that waits: starting one would keep the bus waiting for its answer
+        self._tones.put((play, command))
+
+    def _play_what_comes(self) -> None:
+        while True:
+            self._run(*self._tones.get())
 
     def _run(self, play: Callable[[], PointResult], command: int) -> None:
         self._tell()
@@ -229,12 +240,13 @@ class DeviceFront:
             outcome = Outcome.STOPPED
         except TripError:
             outcome = Outcome.TRIPPED
-        finally:
-            with self._lock:
-                self._finished = finished or self._finished
-                self._outcome = outcome
-                self._window = 0
-            self._tell()
+        except Exception as error:
+            self.device.fault(f"the tone failed: {error}")
+        with self._lock:
+            self._finished = finished or self._finished
+            self._outcome = outcome
+            self._window = 0
+        self._tell()
 
     def _tell(self) -> None:
         for listener in self._listeners:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from drivers.errors import LeaseError
 
 NO_TOKEN = 0
+WATCHDOG_S = 0.2
+"""Silence of the host after which a controller ends the excitation, unless it is told otherwise."""
 
 
 @dataclass

@@ -14,14 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
-from drivers.device.lease import LeaseTable
+from drivers.device.lease import WATCHDOG_S, LeaseTable
 from drivers.device.limits import MAX_SAMPLES, check_tone
 from drivers.device.play import Gauges, Interruption, Pace, Player
 from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, TripError
 from sim.rig import Rig
 from sim.stepping import Simulation
-
-WATCHDOG_S = 0.2
 
 
 @dataclass(frozen=True)

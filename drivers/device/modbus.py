@@ -17,6 +17,7 @@ from contextlib import suppress
 
 from pymodbus.framer.rtu import FramerRTU
 
+from drivers.device.faults import ModbusSpoiler, SpoiltConversation, Wire
 from drivers.device.front import DeviceFront
 from drivers.device.registers import RegisterSession
 from drivers.errors import ControllerError
@@ -36,6 +37,8 @@ class TcpServer:
         0 takes a free one; ``port`` then says which.
     context
         Of TLS; it says whether hosts must show a certificate.
+    spoiler
+        Faults on purpose.
 
     Raises
     ------
@@ -51,8 +54,9 @@ class TcpServer:
         unit: int = 1,
         registers: RegisterMap = DEFAULT_MAP,
         context: ssl.SSLContext | None = None,
+        spoiler: ModbusSpoiler | None = None,
     ) -> None:
-        self._front, self._unit, self._map, self._context = front, unit, registers, context
+        self._front, self._unit, self._map, self._context, self._spoiler = front, unit, registers, context, spoiler
         self._connections: set[socket.socket] = set()
         self._closing = threading.Event()
         try:
@@ -101,31 +105,70 @@ class TcpServer:
 
     def _converse(self, connection: socket.socket) -> None:
         session = RegisterSession(self._front, self._map)
+        spoilt = self._spoilt(connection, session) if self._spoiler else None
         buffer = b""
         while chunk := connection.recv(65536):
             buffer = buffer + chunk if buffer else chunk
             while len(buffer) >= 7:
-                transaction, protocol, length, unit = _HEADER.unpack_from(buffer)
+                _, protocol, length, _ = _HEADER.unpack_from(buffer)
                 if protocol != 0 or not 2 <= length <= MAX_PDU + 1:
                     return  # out of step: only a new connection helps
                 if len(buffer) < 6 + length:
                     break
-                answer = self._answer(session, unit, buffer[7 : 6 + length])
-                buffer = buffer[6 + length :]
-                connection.sendall(_HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer)
+                frame, buffer = buffer[: 6 + length], buffer[6 + length :]
+                if spoilt is None:
+                    connection.sendall(self._answer(session, frame))
+                elif not spoilt.take(frame):
+                    return
 
-    def _answer(self, session: RegisterSession, unit: int, request: bytes) -> bytes:
+    def _answer(self, session: RegisterSession, frame: bytes) -> bytes:
+        """The answer's frame to a request's."""
+        unit = frame[6]
         if unit != self._unit and unit not in (0, 255):
-            return bytes([request[0] | 0x80, GATEWAY_TARGET_FAILED])
-        return session.answer(request)
+            return _tcp_frame(frame, bytes([frame[7] | 0x80, GATEWAY_TARGET_FAILED]))
+        return _tcp_frame(frame, session.answer(frame[7:]))
+
+    def _spoilt(self, connection: socket.socket, session: RegisterSession) -> SpoiltConversation:
+        assert self._spoiler is not None
+        return SpoiltConversation(
+            self._spoiler,
+            _TCP_WIRE,
+            lambda frame: self._answer(session, frame),
+            connection.sendall,
+            RegisterSession(self._front, self._map).answer,
+        )
+
+
+def _tcp_frame(request: bytes, pdu: bytes) -> bytes:
+    return request[:4] + (len(pdu) + 1).to_bytes(2, "big") + request[6:7] + pdu
+
+
+_TCP_WIRE = Wire(function_at=7, covered_from=6, reply=_tcp_frame, connected=True)
 
 
 class RtuServer:
-    """Modbus RTU on an open serial port or pseudo-terminal (a file descriptor), on its own thread until `close`."""
+    """Modbus RTU on an open serial port or pseudo-terminal (a file descriptor), on its own thread until `close`.
 
-    def __init__(self, front: DeviceFront, fd: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> None:
+    Parameters
+    ----------
+    spoiler
+        Faults on purpose.
+    """
+
+    def __init__(
+        self,
+        front: DeviceFront,
+        fd: int,
+        unit: int = 1,
+        registers: RegisterMap = DEFAULT_MAP,
+        spoiler: ModbusSpoiler | None = None,
+    ) -> None:
         self._fd, self._unit = fd, unit
         self._session = RegisterSession(front, registers)
+        self._spoilt: SpoiltConversation | None = None
+        if spoiler is not None:
+            other = RegisterSession(front, registers).answer
+            self._spoilt = SpoiltConversation(spoiler, _RTU_WIRE, self._answer, self._send, other)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="modbus-rtu", daemon=True)
         self._thread.start()
@@ -155,13 +198,29 @@ class RtuServer:
                 self._serve(frame)
 
     def _serve(self, frame: bytes) -> None:
+        if self._spoilt is not None:
+            self._spoilt.take(frame)
+        elif answer := self._answer(frame):
+            self._send(answer)
+
+    def _answer(self, frame: bytes) -> bytes:
+        """The answer's frame; none to what was corrupted, or meant for another unit."""
         if frame[0] != self._unit or not _crc_fits(frame):
-            return
-        answer = frame[:1] + self._session.answer(frame[1:-2])
-        raw = answer + struct.pack(">H", FramerRTU.compute_CRC(answer))
+            return b""
+        return _rtu_frame(frame, self._session.answer(frame[1:-2]))
+
+    def _send(self, raw: bytes) -> None:
         while raw:
             select.select([], [self._fd], [], 1.0)
             raw = raw[os.write(self._fd, raw) :]
+
+
+def _rtu_frame(request: bytes, pdu: bytes) -> bytes:
+    answer = request[:1] + pdu
+    return answer + struct.pack(">H", FramerRTU.compute_CRC(answer))
+
+
+_RTU_WIRE = Wire(function_at=1, covered_from=0, reply=_rtu_frame, connected=False)
 
 
 def _request_size(buffer: bytearray) -> int | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ FAST_CHUNK_SAMPLES = 1000
 REAL_TIME_CHUNK_S = 0.005
 EMERGENCY_RAMP_S = 0.02
 CALM_S = 0.5
-"""Simulated time that passes after an early end, so that the rotor is at rest when the next tone begins."""
+"""Simulated time that passes after a limit was exceeded, so that the rotor is at rest when the next tone begins."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ class Player:
     def play(self, tone: Tone, sequence: int) -> tuple[PointResult | None, Interruption | None]:
         """Result, or None and why the tone ended early; the excitation is zero either way."""
         run = _Run(tone, quantised_amplitude(tone.amplitude_a), self._sim.n_axes)
+        before = self._moment()
         ramp = ramp_samples(tone, self._fs)
         record = tone.blocks * tone.samples
         try:
@@ -115,10 +117,15 @@ class Player:
             if early.interruption.cause != TripCause.NONE:
                 self._latch(early.interruption)
             self._emergency_ramp(run)
+            if early.interruption.cause in (TripCause.NONE, TripCause.HOST):
+                self._return_to(before)
+            elif not self._pace.real_time:
+                self.idle(round(CALM_S * self._fs))
             return None, early.interruption
         except BaseException:
             # whatever went wrong (Ctrl-C included), the excitation ends before anyone hears of it
             self._emergency_ramp(run)
+            self._return_to(before)
             raise
         finally:
             self._gauges.excitation_a = 0.0
@@ -161,8 +168,22 @@ class Player:
             self._gauges.excitation_a = run.amplitude_a * float(level[-1])
             self._advance(r, check_limits=False)
             self._pace.wait(n)
-        if not self._pace.real_time:
-            self.idle(round(CALM_S * self._fs))
+
+    def _moment(self) -> Simulation | None:
+        """The rig as it is now; None in real time, which cannot be had back."""
+        if self._pace.real_time:
+            return None
+        return copy.deepcopy(self._sim, {id(self._rig): self._rig})
+
+    def _return_to(self, moment: Simulation | None) -> None:
+        """Undo a tone that a host cut short.
+
+        Simulated time passes only for what was measured or tripped: a tone that is asked for again, because a host
+        stood still or was stopped, meets the same noise, and an experiment's result does not depend on how often.
+        """
+        if moment is not None:
+            self._sim = moment
+            self._gauges.rig_time_s = moment.time_s
 
     def _advance(
         self, r: Array, check_limits: bool = True, run: _Run | None = None, keep: bool = False

@@ -14,20 +14,25 @@ import json
 import os
 import signal
 import ssl
+import sys
 import threading
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
 from drivers.controller import State
-from drivers.device.faults import CanSpoiler, FaultPlan, FaultyTcp
+from drivers.device.faults import CanSpoiler, FaultPlan, ModbusSpoiler
 from drivers.device.front import DeviceFront
 from drivers.device.machine import Event, RigDevice
 from drivers.device.modbus import RtuServer, TcpServer
 from drivers.errors import ControllerError
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
+
+SWITCH_INTERVAL_S = 0.0005
+"""How long a thread of the device process may keep the others waiting: the bus answers while the rig is computed."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class ModbusOptions:
     client_ca: Path | None = None
     """Hosts must show a certificate of this authority."""
     faults: str = ""
-    """Faults on purpose, ``drop=0.01,corrupt=0.01`` or ``all=0.001`` per frame; not in TLS."""
+    """Faults on purpose, ``drop=0.01,corrupt=0.01`` or ``all=0.001`` per frame."""
     fault_seed: int = 0
 
 
@@ -58,6 +63,9 @@ class RtuOptions:
     baud: int = 115200
     unit: int = 1
     map: Path | None = None
+    faults: str = ""
+    """As for Modbus TCP."""
+    fault_seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,8 @@ class CanOptions:
     hub_port: int = 0
     throttle: bool = False
     """Hold the hub's frames back to the bit rate."""
+    map: Path | None = None
+    """A rig's own objects."""
     faults: str = ""
     """Faults on purpose, as for Modbus; on a hub of its own only."""
     fault_seed: int = 0
@@ -95,6 +105,10 @@ def _registers(path: Path | None) -> RegisterMap:
     return DEFAULT_MAP if path is None else read_map(path)
 
 
+def _spoiler(faults: str, seed: int) -> ModbusSpoiler | None:
+    return ModbusSpoiler(FaultPlan.parse(faults, seed)) if faults else None
+
+
 def serve_modbus(device: RigDevice, options: ModbusOptions) -> Served:
     """The device on Modbus TCP.
 
@@ -103,19 +117,15 @@ def serve_modbus(device: RigDevice, options: ModbusOptions) -> Served:
     ControllerError
         The address cannot be listened on, or the map is wrong.
     """
-    registers, front = _registers(options.map), DeviceFront(device, "big")
-    if not options.faults:
-        server = TcpServer(front, options.host, options.port, options.unit, registers)
-        return Served(f"modbus://{options.host}:{server.port}?unit={options.unit}", device, server.close)
-    plan = FaultPlan.parse(options.faults, options.fault_seed)
-    hidden = TcpServer(front, "127.0.0.1", 0, options.unit, registers)
-    proxy = FaultyTcp(("127.0.0.1", hidden.port), plan, options.host, options.port)
-
-    def shut() -> None:
-        proxy.close()
-        hidden.close()
-
-    return Served(f"modbus://{options.host}:{proxy.port}?unit={options.unit}", device, shut)
+    server = TcpServer(
+        DeviceFront(device, "big"),
+        options.host,
+        options.port,
+        options.unit,
+        _registers(options.map),
+        spoiler=_spoiler(options.faults, options.fault_seed),
+    )
+    return Served(f"modbus://{options.host}:{server.port}?unit={options.unit}", device, server.close)
 
 
 def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
@@ -131,7 +141,13 @@ def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
     except (OSError, ssl.SSLError) as error:
         raise ControllerError(f"cannot use the certificates: {error}") from error
     server = TcpServer(
-        DeviceFront(device, "big"), options.host, options.port, options.unit, _registers(options.map), context
+        DeviceFront(device, "big"),
+        options.host,
+        options.port,
+        options.unit,
+        _registers(options.map),
+        context,
+        _spoiler(options.faults, options.fault_seed),
     )
     return Served(f"modbuss://{options.host}:{server.port}?unit={options.unit}", device, server.close)
 
@@ -141,18 +157,18 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
     import serial
 
     front = DeviceFront(device, "big")
-    registers = _registers(options.map)
+    registers, spoiler = _registers(options.map), _spoiler(options.faults, options.fault_seed)
     if options.device:
         try:
             port = serial.Serial(options.device, options.baud, timeout=0)
         except (OSError, serial.SerialException, ValueError) as error:
             raise ControllerError(f"cannot open the serial port {options.device}: {error}") from error
-        server = RtuServer(front, port.fileno(), options.unit, registers)
+        server = RtuServer(front, port.fileno(), options.unit, registers, spoiler)
         name, close_port = options.device, port.close
     else:
         master, slave = os.openpty()
         tty.setraw(slave)
-        server = RtuServer(front, master, options.unit, registers)
+        server = RtuServer(front, master, options.unit, registers, spoiler)
         name = os.ttyname(slave)
 
         def close_port() -> None:
@@ -232,15 +248,26 @@ def status_line(device: RigDevice) -> str:
     return text + (f"  TRIP {s.trip_message}" if s.state is State.TRIPPED else "")
 
 
-def run(served: Served, draw: Callable[[str], None] | None = None, period_s: float = 0.2) -> None:
+def run(
+    served: Served,
+    ready: Callable[[], None] | None = None,
+    draw: Callable[[str], None] | None = None,
+    until_stdin_closes: bool = False,
+    period_s: float = 0.2,
+) -> None:
     """Serve until SIGINT or SIGTERM, then switch the excitation off and leave the bus.
 
     Parameters
     ----------
+    ready
+        Called once a signal would end the device in good order.
     draw
         Gets the status line whenever it has changed.
+    until_stdin_closes
+        End, too, when stdin does: whoever started the device holds its other end, and cannot leave it behind.
     """
     end = threading.Event()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
 
     def ask(signum: int, frame: FrameType | None) -> None:
         end.set()
@@ -248,6 +275,10 @@ def run(served: Served, draw: Callable[[str], None] | None = None, period_s: flo
     before = {s: signal.signal(s, ask) for s in (signal.SIGINT, signal.SIGTERM)}
     shown = ""
     try:
+        if until_stdin_closes:
+            threading.Thread(target=_wait_for_end_of_input, args=(end,), name="stdin", daemon=True).start()
+        if ready is not None:
+            ready()
         while not end.wait(period_s):
             if draw is not None and (line := status_line(served.device)) != shown:
                 draw(line)
@@ -256,3 +287,10 @@ def run(served: Served, draw: Callable[[str], None] | None = None, period_s: flo
         served.close()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _wait_for_end_of_input(end: threading.Event) -> None:
+    with suppress(OSError):
+        while os.read(0, 4096):
+            pass
+    end.set()

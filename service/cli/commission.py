@@ -13,6 +13,8 @@ import typer
 from service.cli.console import print_json, say, stdout
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from drivers.controller import Controller
     from service.bootstrap import Commissioned
     from service.experiment.data import Experiment
@@ -28,15 +30,22 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(help="Seed of the rig's noise.", min=0)] = 1,
     quick: Quick = False,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="Simulate in this process, and not behind Modbus TCP in another one.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Commission a simulated rig, from nothing to result.json and report.html."""
+    """Commission a simulated rig, from nothing to result.json and report.html.
+
+    The rig is a device process that the demo starts, talks to over Modbus TCP, and ends.
+    """
     from service import bootstrap
     from service.output import ready_folder
+    from sim.reference import reference_datasheet, reference_rig
 
     ready_folder(out)
-    controller, rig, datasheet = bootstrap.simulated_reference(seed)
-    _commission(controller, datasheet, out, resume=True, quick=quick, as_json=as_json, truth=rig)
+    rig = bootstrap.demo_controller(seed, in_process)
+    _commission(rig, reference_datasheet(), out, resume=True, quick=quick, as_json=as_json, truth=reference_rig())
 
 
 def commission(
@@ -56,7 +65,7 @@ def commission(
 
     datasheet = read(rig)
     ready_folder(out)
-    _commission(bootstrap.connect(controller), datasheet, out, resume, quick, as_json, None)
+    _commission(bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None)
 
 
 def identify(
@@ -79,7 +88,13 @@ def identify(
 
 
 def _commission(
-    controller: Controller, datasheet: Datasheet, out: Path, resume: bool, quick: bool, as_json: bool, truth: Rig | None
+    connection: AbstractContextManager[Controller],
+    datasheet: Datasheet,
+    out: Path,
+    resume: bool,
+    quick: bool,
+    as_json: bool,
+    truth: Rig | None,
 ) -> None:
     """Campaign with a bar and an orderly Ctrl-C; then the rest, in which nothing moves any more."""
     from service import bootstrap
@@ -88,11 +103,8 @@ def _commission(
 
     began = time.monotonic()
     profile = bootstrap.quick_profile() if quick else None
-    try:
-        with asked_to_stop(STOPPING) as cancelled, campaign_progress() as progress:
-            experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
-    finally:
-        controller.close()
+    with asked_to_stop(STOPPING) as cancelled, connection as controller, campaign_progress() as progress:
+        experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
     measured = time.monotonic() - began
     done = bootstrap.identify_into(experiment, datasheet, out, announce=say)
     done = replace(

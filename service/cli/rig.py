@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.device.lease import WATCHDOG_S
 from service.cli.console import print_json, say
 
 if TYPE_CHECKING:
@@ -60,13 +61,15 @@ def serve(
     speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.")] = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="Hold the rig to the wall clock.")] = False,
     watchdog_s: Annotated[
-        float, typer.Option(help="Excitation ends when the host is silent for so long.", min=0.01)
-    ] = 2.0,
+        float, typer.Option(help="Excitation ends, and a trip latches, when the host is silent for so long.", min=0.01)
+    ] = WATCHDOG_S,
     events: Annotated[Path | None, typer.Option(help="File for the device's events, JSON lines.")] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; 0 takes a free one.", min=0, max=65535)] = 0,
     unit: Annotated[int, typer.Option(help="Modbus unit.", min=1, max=247)] = 1,
-    register_map: Annotated[Path | None, typer.Option("--map", help="A rig's own Modbus register map.")] = None,
+    own_map: Annotated[
+        Path | None, typer.Option("--map", help="A rig's own map of registers or CANopen objects, TOML.")
+    ] = None,
     certificate: Annotated[Path | None, typer.Option(help="modbus-tls: certificate, PEM.")] = None,
     key: Annotated[Path | None, typer.Option(help="modbus-tls: its key, PEM.")] = None,
     client_ca: Annotated[Path | None, typer.Option(help="modbus-tls: authority of the hosts' certificates.")] = None,
@@ -76,6 +79,13 @@ def serve(
     node: Annotated[int, typer.Option(help="canopen: node number.", min=1, max=127)] = 5,
     bitrate: Annotated[int, typer.Option(help="canopen: bits per second.", min=10_000)] = 1_000_000,
     throttle: Annotated[bool, typer.Option("--throttle", help="canopen: hold the hub to the bit rate.")] = False,
+    faults: Annotated[
+        str, typer.Option(help="Faults on purpose, probability per frame: drop=0.01,corrupt=0.002, or all=0.001.")
+    ] = "",
+    fault_seed: Annotated[int, typer.Option(help="Seed of the faults.", min=0)] = 0,
+    until_stdin_closes: Annotated[
+        bool, typer.Option("--until-stdin-closes", help="End with stdin: for a program that starts the rig.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print URL and commitment as JSON.")] = False,
 ) -> None:
     """Serve a simulated rig until Ctrl-C; prints the URL to connect to when it is ready."""
@@ -90,15 +100,21 @@ def serve(
     served: Served
     match protocol:
         case Protocol.modbus_rtu:
-            served = devices.serve_modbus_rtu(machine, devices.RtuOptions(device, baud, unit, register_map))
+            rtu = devices.RtuOptions(device, baud, unit, own_map, faults, fault_seed)
+            served = devices.serve_modbus_rtu(machine, rtu)
         case Protocol.canopen:
-            served = devices.serve_canopen(machine, devices.CanOptions(bus, node, bitrate, host, port, throttle))
+            can = devices.CanOptions(bus, node, bitrate, host, port, throttle, own_map, faults, fault_seed)
+            served = devices.serve_canopen(machine, can)
         case _:
-            tcp = devices.ModbusOptions(host, port, unit, register_map, certificate, key, client_ca)
+            tcp = devices.ModbusOptions(host, port, unit, own_map, certificate, key, client_ca, faults, fault_seed)
             secure = protocol is Protocol.modbus_tls
             served = (devices.serve_modbus_tls if secure else devices.serve_modbus)(machine, tcp)
-    _announce(served, built.commitment, as_json)
-    devices.run(served, _status() if sys.stderr.isatty() else None)
+    devices.run(
+        served,
+        ready=lambda: _announce(served, built.commitment, as_json),
+        draw=_status() if sys.stderr.isatty() else None,
+        until_stdin_closes=until_stdin_closes,
+    )
 
 
 def _announce(served: Served, commitment: str, as_json: bool) -> None:

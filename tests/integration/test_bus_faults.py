@@ -1,6 +1,8 @@
 """A bus that fails in every way: no wrong value is accepted, none is lost without a mark, the run ends by itself."""
 
+import os
 import re
+import tty
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -12,11 +14,11 @@ import pytest
 
 from drivers.controller import Controller, PointResult, State, Tone
 from drivers.device.canopen import CanopenNode
-from drivers.device.faults import KINDS, CanSpoiler, Dice, FaultPlan, FaultyTcp
+from drivers.device.faults import KINDS, CanSpoiler, Dice, FaultPlan, ModbusSpoiler
 from drivers.device.front import DeviceFront
 from drivers.device.hub import CanHub
 from drivers.device.machine import RigDevice
-from drivers.device.modbus import TcpServer
+from drivers.device.modbus import RtuServer, TcpServer
 from drivers.errors import BusError, ControllerError, LeaseError, TripError
 from drivers.url import connect
 from sim.reference import reference_rig
@@ -45,12 +47,26 @@ class Witness(RigDevice):
 
 @contextmanager
 def faulty_modbus(device: RigDevice, plan: FaultPlan) -> Iterator[tuple[str, Dice]]:
-    with ExitStack() as stack:
-        server = TcpServer(DeviceFront(device, "big"))
-        stack.callback(server.close)
-        proxy = FaultyTcp(("127.0.0.1", server.port), plan)
-        stack.callback(proxy.close)
-        yield f"modbus://127.0.0.1:{proxy.port}", proxy.dice
+    spoiler = ModbusSpoiler(plan)
+    server = TcpServer(DeviceFront(device, "big"), spoiler=spoiler)
+    try:
+        yield f"modbus://127.0.0.1:{server.port}", spoiler.dice
+    finally:
+        server.close()
+
+
+@contextmanager
+def faulty_modbus_rtu(device: RigDevice, plan: FaultPlan) -> Iterator[tuple[str, Dice]]:
+    spoiler = ModbusSpoiler(plan)
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    server = RtuServer(DeviceFront(device, "big"), master, spoiler=spoiler)
+    try:
+        yield f"modbus+rtu://{os.ttyname(slave)}", spoiler.dice
+    finally:
+        server.close()
+        os.close(master)
+        os.close(slave)
 
 
 @contextmanager
@@ -119,7 +135,7 @@ def some_tones(count: int, seed: int) -> list[Tone]:
 
 
 # A point takes some ten frames on Modbus, and some hundred on CAN.
-@pytest.mark.parametrize(("bus", "rate"), [(faulty_modbus, 0.02), (faulty_canopen, 0.002)])
+@pytest.mark.parametrize(("bus", "rate"), [(faulty_modbus, 0.02), (faulty_modbus_rtu, 0.02), (faulty_canopen, 0.002)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_fault_is_survived(bus, rate: float, kind: str) -> None:
     device = Witness(seed=3)
@@ -134,7 +150,9 @@ def test_each_fault_is_survived(bus, rate: float, kind: str) -> None:
     check(device, tones, results)
 
 
-@pytest.mark.parametrize(("bus", "rate"), [(faulty_modbus, 0.002), (faulty_canopen, 0.0002)])
+@pytest.mark.parametrize(
+    ("bus", "rate"), [(faulty_modbus, 0.002), (faulty_modbus_rtu, 0.002), (faulty_canopen, 0.0002)]
+)
 def test_all_faults_together_let_no_wrong_value_through(bus, rate: float) -> None:
     device = Witness(seed=5)
     tones = some_tones(POINTS, seed=6)
