@@ -1,1 +1,1 @@
-"""The API under /api/v1: HTTP in, jobs and documents out."""
+"""The API: resources over HTTP, problems as RFC 9457 says, and the description of it all in OpenAPI."""

@@ -118,7 +118,7 @@ def cancel(session: Session, job_id: str) -> JobRow:
     job = get(session, job_id)
     changed = session.execute(
         update(JobRow)
-        .where(JobRow.id == job_id, JobRow.state == QUEUED, JobRow.attempt == 0)
+        .where(JobRow.id == job_id, JobRow.state == QUEUED)
         .values(state=CANCELLED, cancel_requested=True, ended_at=at, phase="cancelled", changes=JobRow.changes + 1)
     )
     if not _rows(changed):
@@ -150,7 +150,6 @@ def retry(session: Session, job_id: str) -> JobRow:
         .values(
             state=QUEUED,
             run=JobRow.run + 1,
-            attempt=0,
             worker="",
             cancel_requested=False,
             started_at=None,

@@ -1,0 +1,99 @@
+"""The application: wires the services, the routes and what is around them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from anyio import to_thread
+from fastapi import APIRouter, FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from service import tracing
+from service.access.rate import Rate
+from service.api import access, events, experiments, gaps, jobs, live, log, models, operations, problems, rigs
+from service.api.middleware import Around
+from service.api.state import Services
+from service.bootstrap import product_version
+from service.config import Settings
+from service.jobs.engine import Dispatcher
+from service.storage.blobs import Blobs
+from service.storage.database import Database
+from service.storage.migrate import upgrade
+
+logger = logging.getLogger(__name__)
+THREADS = 24
+"""Requests that are worked on at once; the others wait their turn."""
+DESCRIPTION = """Commissioning of active magnetic bearings as a service: rigs, experiments, models, diagnoses and
+health checks. Every error is `application/problem+json` (RFC 9457). Lists are pages, newest first: the field `next`
+is `after` of the next page. Documents have ETags. What takes time is a job: `POST` answers 202 with its URL, and
+`/api/v1/jobs/{id}/events` tells how far it is."""
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """The application of these settings; migrates the tables.
+
+    Raises
+    ------
+    StorageError
+        A database or the store cannot be used.
+    """
+    settings.work.mkdir(parents=True, exist_ok=True)
+    database = Database(settings.database, pool_size=THREADS)
+    upgrade(database)
+    services = Services(settings, database, Blobs(settings.store), Dispatcher(settings))
+    app = FastAPI(
+        title="ambit",
+        version=product_version(),
+        description=DESCRIPTION,
+        lifespan=_lifespan,
+        docs_url="/docs",
+        redoc_url=None,
+    )
+    app.state.services = services
+    app.state.gate = access.Gate(database, Rate(settings.requests_per_s, settings.requests_burst))
+    app.state.lines = live.Lines()
+    app.state.metrics = operations.Metrics(services)
+    problems.install(app)
+    for router in (*_routers(), operations.router):
+        app.include_router(router)
+    app.add_middleware(
+        Around,
+        metrics=app.state.metrics,
+        max_body_bytes=settings.max_body_bytes,
+        max_upload_bytes=settings.max_upload_bytes,
+    )
+    if settings.otlp_endpoint:
+        app.add_middleware(tracing.TraceRequests)
+    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+    return app
+
+
+def _routers() -> list[APIRouter]:
+    found = [rigs, live, jobs, events, experiments, models, gaps, log]
+    return [module.router for module in found]
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    to_thread.current_default_thread_limiter().total_tokens = THREADS
+    yield
+    services: Services = app.state.services
+    app.state.lines.close()
+    services.dispatcher.close()
+    services.database.close()
+
+
+def _openapi(app: FastAPI) -> dict[str, Any]:
+    """The description, with our problems in place of FastAPI's own errors."""
+    if app.openapi_schema:
+        return app.openapi_schema
+    found = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+    schemas = found.setdefault("components", {}).setdefault("schemas", {})
+    schemas["Problem"] = problems.Problem.model_json_schema()
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    app.openapi_schema = found
+    return found

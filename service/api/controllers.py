@@ -1,0 +1,44 @@
+"""Which controllers a rig may have: an address on a bus, never a file of this machine that a caller names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+from drivers.errors import ControllerError
+from service.config import Settings
+
+SCHEMES = ("modbus", "modbuss", "modbus+rtu", "canopen", "simulated")
+FILES = ("map", "ca", "cert", "key", "rig")
+REFUSED = ("transcript",)
+FOLDER = "controllers"
+"""Folder in the service's home whose files a controller's URL may name."""
+
+
+def checked_url(url: str, settings: Settings) -> str:
+    """The URL of a controller, or empty.
+
+    Raises
+    ------
+    ControllerError
+        An unknown scheme, or a file that is not one of the service's.
+    """
+    if not url:
+        return url
+    try:
+        parts = urlsplit(url)
+        _ = parts.port
+        query = parse_qs(parts.query, keep_blank_values=True)
+    except ValueError as error:
+        raise ControllerError(f"the controller's URL cannot be read: {error}") from error
+    if parts.scheme not in SCHEMES:
+        raise ControllerError(f"a controller's URL begins with one of {', '.join(f'{s}://' for s in SCHEMES)}")
+    if parts.scheme in ("modbus", "modbuss") and not parts.hostname:
+        raise ControllerError(f"{url!r} names no host; write {parts.scheme}://host:port")
+    folder = (settings.home.absolute() / FOLDER).resolve()
+    for name, values in query.items():
+        if name in REFUSED:
+            raise ControllerError(f"the option {name} is for the command line; leave it out")
+        if name in FILES and any(not Path(value).resolve().is_relative_to(folder) for value in values):
+            raise ControllerError(f"the option {name} must name a file in {folder}; have it put there")
+    return url

@@ -1,0 +1,72 @@
+"""ETags: a caller that has the newest version is not sent it again, and changes only what it has read."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from typing import Any
+
+from fastapi import Response
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+
+from service.api.problems import PreconditionError, PreconditionRequiredError
+
+IMMUTABLE = "private, max-age=31536000, immutable"
+REVALIDATE = "private, no-cache"
+
+
+def quoted(tag: str) -> str:
+    """A strong ETag."""
+    return f'"{tag}"'
+
+
+def matches(header: str | None, tag: str) -> bool:
+    """Whether If-Match or If-None-Match names the tag."""
+    if header is None:
+        return False
+    wanted = {part.strip().removeprefix("W/") for part in header.split(",")}
+    return "*" in wanted or quoted(tag) in wanted
+
+
+def require_match(header: str | None, tag: str) -> None:
+    """Refuse a change of another version than the one there is.
+
+    Raises
+    ------
+    PreconditionRequiredError
+        There is no If-Match.
+    PreconditionError
+        It names another version.
+    """
+    if header is None:
+        raise PreconditionRequiredError(f"send If-Match: {quoted(tag)}, the ETag of the version that you have read")
+    if not matches(header, tag):
+        raise PreconditionError(f"this was changed since you read it; its ETag is {quoted(tag)}: read it again")
+
+
+def document(
+    shape: BaseModel | dict[str, Any], if_none_match: str | None = None, tag: str | None = None, status: int = 200
+) -> Response:
+    """A document with its ETag: the tag given, or one of its content; 304 when the caller has it."""
+    content = shape.model_dump_json().encode() if isinstance(shape, BaseModel) else JSONResponse(shape).body
+    return content_response(
+        bytes(content), "application/json", tag or sha256(content).hexdigest()[:32], if_none_match, status
+    )
+
+
+def content_response(
+    content: bytes,
+    media_type: str,
+    tag: str,
+    if_none_match: str | None = None,
+    status: int = 200,
+    cache: str = REVALIDATE,
+    filename: str | None = None,
+) -> Response:
+    """Bytes with an ETag; 304 when the caller has them."""
+    headers = {"ETag": quoted(tag), "Cache-Control": cache}
+    if matches(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    if filename is not None:
+        headers["Content-Disposition"] = f'attachment; filename="{filename}"'
+    return Response(content, status, headers, media_type)

@@ -1,0 +1,87 @@
+"""A job as it goes on: server-sent events until it has ended."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from anyio import to_thread
+from fastapi import APIRouter, Header, Request
+from sqlalchemy.exc import SQLAlchemyError
+from sse_starlette import EventSourceResponse, ServerSentEvent
+
+from service.api.jobs import JobShape, shape
+from service.api.problems import documented
+from service.api.shapes import JobId, Viewer
+from service.api.state import Api, Services
+from service.storage import jobs
+
+router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"])
+
+POLL_S = 0.2
+PING_S = 15
+_EXAMPLE = (
+    'event: progress\nid: 17\ndata: {"id": "job_01k9...", "state": "running", "progress": {"percent": 42.0, '
+    '"point": 126, "points": 300, "phase": "main", "time_left_s": 180.0}}\n\n'
+    'event: state\nid: 31\ndata: {"id": "job_01k9...", "state": "done"}\n\n'
+)
+
+
+@router.get(
+    "/{job_id}/events",
+    response_class=EventSourceResponse,
+    responses=documented(404)
+    | {
+        200: {
+            "description": "Events `progress` and `state`, the data of both the job as JSON; ends with the job.",
+            "content": {"text/event-stream": {"schema": {"type": "string"}, "example": _EXAMPLE}},
+        }
+    },
+)
+async def job_events(
+    request: Request,
+    job_id: JobId,
+    who: Viewer,
+    api: Api,
+    last_event_id: Annotated[
+        str | None, Header(description="Id of the last event that the caller has.", max_length=40)
+    ] = None,
+) -> EventSourceResponse:
+    """Watch a job: an event for every change, with percent, point and time left."""
+    first = await to_thread.run_sync(_job, api, job_id)
+    known = int(last_event_id) if last_event_id and last_event_id.isdigit() else -1
+    return EventSourceResponse(_changes(request, api, first, known), ping=PING_S)
+
+
+def _job(api: Services, job_id: str) -> tuple[int, JobShape]:
+    with api.database.read() as session:
+        job = jobs.get(session, job_id)
+    return job.changes, shape(job)
+
+
+async def _changes(
+    request: Request, api: Services, first: tuple[int, JobShape], known: int
+) -> AsyncIterator[ServerSentEvent]:
+    state = ""
+    changes, job = first
+    while True:
+        if changes != known or state == "":
+            kind = "state" if job.state != state else "progress"
+            yield ServerSentEvent(data=_data(job), event=kind, id=str(changes))
+            known, state = changes, job.state
+        if job.state in jobs.ENDED:
+            return
+        await asyncio.sleep(POLL_S)
+        if await request.is_disconnected():
+            return
+        try:
+            changes, job = await to_thread.run_sync(_job, api, job.id)
+        except SQLAlchemyError:  # the database is away for a moment: the watcher need not know
+            await asyncio.sleep(1.0)
+
+
+def _data(job: JobShape) -> str:
+    body: dict[str, Any] = job.model_dump(mode="json")
+    return json.dumps(body, separators=(",", ":"))

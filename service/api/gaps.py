@@ -1,0 +1,113 @@
+"""Gap diagnoses: where the twin departs from the rig, and which effect explains it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+from pydantic import ConfigDict
+
+from service.api import etags, examples
+from service.api.problems import documented
+from service.api.shapes import After, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
+from service.api.state import Api
+from service.storage import results
+from service.storage.tables import GapRow
+
+router = APIRouter(prefix="/api/v1/gaps", tags=["gaps"])
+NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed"}}
+
+
+class GapShape(Shape):
+    """A gap diagnosis; its whole content is in gap.json."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": examples.GAP,
+                    "rig": examples.RIG,
+                    "rig_version": 2,
+                    "experiment": examples.EXPERIMENT,
+                    "job": examples.JOB,
+                    "summary": {"verdict": "effect", "effects": ["loop_delay"], "probability": 0.97},
+                    "created_at": examples.TIME,
+                    "created_by": "lab bench",
+                    "links": {"gap": f"/api/v1/gaps/{examples.GAP}/gap.json"},
+                }
+            ]
+        }
+    )
+
+    id: str
+    rig: str
+    rig_version: int
+    experiment: str
+    job: str | None
+    summary: dict[str, Any]
+    created_at: Time
+    created_by: str
+    links: dict[str, str]
+
+
+def shape(row: GapRow) -> GapShape:
+    """A diagnosis as it is sent."""
+    return GapShape(
+        id=row.id,
+        rig=row.rig_id,
+        rig_version=row.rig_version,
+        experiment=row.experiment_id,
+        job=row.job_id,
+        summary=row.summary,
+        created_at=row.created_at,
+        created_by=row.created_by,
+        links={
+            name: f"/api/v1/gaps/{row.id}/{file}" for name, file in (("gap", "gap.json"), ("report", "report.html"))
+        },
+    )
+
+
+@router.get("", response_model=Listed[GapShape], responses=documented())
+def list_gaps(who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100) -> Listed[GapShape]:
+    """All diagnoses, newest first."""
+    with api.database.read() as session:
+        page = results.listed(session, GapRow, rig, after, limit)
+    return Listed(items=[shape(row) for row in page.items], next=page.next)
+
+
+@router.get("/{gap_id}", response_model=GapShape, responses=documented(404) | NOT_CHANGED)
+def get_gap(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """A diagnosis in short."""
+    return etags.document(shape(_row(api, gap_id)), if_none_match)
+
+
+@router.get(
+    "/{gap_id}/gap.json",
+    response_class=Response,
+    responses=documented(404)
+    | NOT_CHANGED
+    | {200: {"description": "The diagnosis, amb-gap-report", "content": {"application/json": {}}}},
+)
+def get_gap_document(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """The whole diagnosis."""
+    row = _row(api, gap_id)
+    return etags.content_response(api.blobs.read(row.gap_sha256), "application/json", row.gap_sha256, if_none_match)
+
+
+@router.get(
+    "/{gap_id}/report.html",
+    response_class=Response,
+    responses=documented(404)
+    | NOT_CHANGED
+    | {200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
+)
+def get_gap_report(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """The report of a diagnosis, one page that needs nothing else."""
+    row = _row(api, gap_id)
+    content = api.blobs.read(row.report_sha256)
+    return etags.content_response(content, "text/html; charset=utf-8", row.report_sha256, if_none_match)
+
+
+def _row(api: Api, gap_id: str) -> GapRow:
+    with api.database.read() as session:
+        return results.get(session, GapRow, gap_id)

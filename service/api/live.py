@@ -1,0 +1,201 @@
+"""A rig as it is now: asked of its controller. Reading moves nothing; `stop` is safe at any time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
+
+from fastapi import APIRouter, Request, Response
+from pydantic import ConfigDict
+
+from drivers.errors import ControllerError
+from service import bootstrap
+from service.access.audit import Action
+from service.api import etags
+from service.api.auditing import audit
+from service.api.problems import documented
+from service.api.shapes import Operator, RigId, Shape, Viewer
+from service.api.state import Api, Services
+from service.errors import ConflictError
+from service.storage import rigs
+
+if TYPE_CHECKING:
+    from drivers.controller import Controller
+
+T = TypeVar("T")
+router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
+
+FRESH_S = 0.5
+"""Whoever asks again within this time gets the same answer: a page that many look at does not load the bus."""
+IDLE_S = 30.0
+"""A connection that nobody asked for so long is given up."""
+
+
+class LiveStatus(Shape):
+    """A controller now; only the first three where it does not answer."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "reachable": True,
+                    "detail": "",
+                    "controller_url": "modbus://10.0.0.7:502?unit=1",
+                    "identity": "amb reference rig",
+                    "state": "levitated",
+                    "trip": "none",
+                    "trip_message": "",
+                    "excitation_a": 0.0,
+                    "displacement_m": [1e-7, -2e-7, 0.0, 0.0],
+                    "current_a": [0.01, 0.0, -0.02, 0.0],
+                    "lease_holder": "",
+                    "lease_seconds_left": 0.0,
+                    "speed_rad_s": 0.0,
+                    "uptime_s": 3600.0,
+                }
+            ]
+        }
+    )
+
+    reachable: bool
+    detail: str = ""
+    """Why it does not answer."""
+    controller_url: str
+    identity: str | None = None
+    state: str | None = None
+    trip: str | None = None
+    trip_message: str | None = None
+    excitation_a: float | None = None
+    displacement_m: list[float] | None = None
+    current_a: list[float] | None = None
+    lease_holder: str | None = None
+    """Who may move the rotor now; empty when nobody does."""
+    lease_seconds_left: float | None = None
+    speed_rad_s: float | None = None
+    uptime_s: float | None = None
+
+
+@dataclass
+class _Line:
+    """A connection to one controller, used by one caller at a time."""
+
+    url: str
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    controller: Controller | None = None
+    asked: float = 0.0
+    answer: LiveStatus | None = None
+
+    def ask(self, question: Callable[[Controller], T]) -> T:
+        try:
+            if self.controller is None:
+                self.controller = bootstrap.connect(self.url)
+            return question(self.controller)
+        except ControllerError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        controller, self.controller = self.controller, None
+        if controller is not None:
+            with suppress(Exception):
+                controller.close()
+
+
+class Lines:
+    """Connections of the API to controllers."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, _Line] = {}
+        self._lock = threading.Lock()
+
+    def status(self, url: str) -> LiveStatus:
+        """Status of a controller, at most half a second old."""
+        line = self._line(url)
+        with line.lock:
+            if line.answer is not None and time.monotonic() - line.asked < FRESH_S:
+                return line.answer
+            try:
+                line.answer = line.ask(lambda controller: _status(url, controller))
+            except ControllerError as error:
+                line.answer = LiveStatus(reachable=False, detail=str(error), controller_url=url)
+            line.asked = time.monotonic()
+            return line.answer
+
+    def stop(self, url: str) -> None:
+        """Ramp the excitation to zero, whoever holds the lease.
+
+        Raises
+        ------
+        ControllerError
+            The controller does not answer.
+        """
+        line = self._line(url)
+        with line.lock:
+            line.answer = None
+            line.ask(lambda controller: controller.stop())
+
+    def _line(self, url: str) -> _Line:
+        with self._lock:
+            old = [k for k, line in self._lines.items() if time.monotonic() - line.asked > IDLE_S and k != url]
+            dropped = [self._lines.pop(k) for k in old if not self._lines[k].lock.locked()]
+            line = self._lines.setdefault(url, _Line(url))
+        for other in dropped:
+            other.close()
+        return line
+
+    def close(self) -> None:
+        """Give up every connection."""
+        with self._lock:
+            lines, self._lines = list(self._lines.values()), {}
+        for line in lines:
+            line.close()
+
+
+def _status(url: str, controller: Controller) -> LiveStatus:
+    s = controller.status()
+    return LiveStatus(
+        reachable=True,
+        controller_url=url,
+        identity=controller.capabilities().identity,
+        state=s.state.name.lower(),
+        trip=s.trip.name.lower(),
+        trip_message=s.trip_message,
+        excitation_a=s.excitation_a,
+        displacement_m=list(s.displacement_m),
+        current_a=list(s.current_a),
+        lease_holder=s.lease_holder,
+        lease_seconds_left=s.lease_seconds_left,
+        speed_rad_s=s.speed_rad_s,
+        uptime_s=s.uptime_s,
+    )
+
+
+def _url(api: Services, rig_id: str) -> str:
+    with api.database.read() as session:
+        rig = rigs.get(session, rig_id)
+        url = rigs.version(session, rig).controller_url
+    if not url:
+        raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one to see it live")
+    return url
+
+
+@router.get("/{rig_id}/status", response_model=LiveStatus, responses=documented(404, 409))
+def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Response:
+    """The rig now: state, trip, excitation, displacements, and who holds the lease."""
+    lines: Lines = request.app.state.lines
+    return etags.document(lines.status(_url(api, rig_id)))
+
+
+@router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))
+def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Response:
+    """Ramp the rig's excitation to zero at once. A running job notices that its tone was stopped, and ends."""
+    url = _url(api, rig_id)
+    lines: Lines = request.app.state.lines
+    lines.stop(url)
+    with api.database.write() as session:
+        audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how="stopped by hand")
+    return Response(status_code=204)

@@ -1,0 +1,116 @@
+"""Around every request: an id, a limit on its body, and a count."""
+
+from __future__ import annotations
+
+import logging
+import re
+import secrets
+import time
+from typing import Any
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service import logs
+from service.api.operations import Metrics
+
+log = logging.getLogger(__name__)
+_ID = re.compile(rb"[\w.:-]{1,64}")
+_UPLOAD = re.compile(r"/api/v1/rigs/[^/]+/experiments")
+_HEADERS = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-frame-options", b"SAMEORIGIN"),
+)
+
+
+class Around:
+    """ASGI middleware.
+
+    Parameters
+    ----------
+    app
+        The application.
+    metrics
+        Counts requests and their time.
+    max_body_bytes, max_upload_bytes
+        Limits of a body, and of an experiment file.
+    """
+
+    def __init__(self, app: ASGIApp, metrics: Metrics, max_body_bytes: int, max_upload_bytes: int) -> None:
+        self._app = app
+        self._metrics = metrics
+        self._max_body = max_body_bytes
+        self._max_upload = max_upload_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = dict(scope["headers"])
+        given = headers.get(b"x-request-id", b"")
+        request_id = given.decode() if _ID.fullmatch(given) else secrets.token_hex(8)
+        scope.setdefault("state", {})["request_id"] = request_id
+        limit = self._max_upload if _UPLOAD.fullmatch(scope["path"]) else self._max_body
+        began = time.perf_counter()
+        status = 500
+
+        async def sending(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message["headers"] = [*message["headers"], (b"x-request-id", request_id.encode()), *_HEADERS]
+            await send(message)
+
+        with logs.bound(request=request_id):
+            try:
+                if _too_large(headers, limit):
+                    await _refuse(sending, limit, request_id)
+                else:
+                    await self._app(scope, _limited(receive, limit), sending)
+            finally:
+                self._count(scope, status, time.perf_counter() - began)
+
+    def _count(self, scope: Scope, status: int, seconds: float) -> None:
+        route = getattr(scope.get("route"), "path", "none")
+        self._metrics.requests.labels(scope["method"], route, status).inc()
+        if not route.endswith("/events"):
+            self._metrics.seconds.labels(scope["method"], route).observe(seconds)
+        log.debug("%s %s %d in %.1f ms", scope["method"], scope["path"], status, 1e3 * seconds)
+
+
+def _too_large(headers: dict[bytes, bytes], limit: int) -> bool:
+    length = headers.get(b"content-length", b"")
+    return length.isdigit() and int(length) > limit
+
+
+def _limited(receive: Receive, limit: int) -> Receive:
+    """Receives no more than the limit of a body without a length: what comes after is as if the caller had gone."""
+    size = 0
+
+    async def limited() -> Message:
+        nonlocal size
+        message: dict[str, Any] = dict(await receive())
+        if message["type"] == "http.request":
+            size += len(message.get("body", b""))
+            if size > limit:
+                from service.api.problems import TooLargeError
+
+                raise TooLargeError(f"the body is larger than {limit:,} bytes")
+        return message
+
+    return limited
+
+
+async def _refuse(send: Send, limit: int, request_id: str) -> None:
+    from service.api.problems import MEDIA_TYPE, Problem
+
+    body = Problem(
+        title="Content Too Large",
+        status=413,
+        detail=f"the body is larger than {limit:,} bytes",
+        request_id=request_id,
+    )
+    headers = [(b"content-type", MEDIA_TYPE.encode()), (b"connection", b"close")]
+    await send({"type": "http.response.start", "status": 413, "headers": headers})
+    await send({"type": "http.response.body", "body": body.model_dump_json().encode()})

@@ -1,0 +1,247 @@
+"""Models: what identification found, as documents, curves and a report; and how a rig's figures changed over time."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from pydantic import ConfigDict
+
+from service.api import etags, examples
+from service.api.problems import documented
+from service.api.shapes import (
+    After,
+    IfNoneMatch,
+    Limit,
+    Listed,
+    ModelId,
+    OfRig,
+    RigId,
+    Shape,
+    Time,
+    Viewer,
+)
+from service.api.state import Api
+from service.errors import NotFoundError
+from service.storage import results, rigs
+from service.storage.tables import ModelRow
+
+router = APIRouter(prefix="/api/v1", tags=["models"])
+NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed"}}
+
+
+class ModelShape(Shape):
+    """A model; its whole content is in result.json."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": examples.MODEL,
+                    "rig": examples.RIG,
+                    "rig_version": 2,
+                    "experiment": examples.EXPERIMENT,
+                    "job": examples.JOB,
+                    "summary": {
+                        "planes": {
+                            "x": {
+                                "stiffness": {"kiA": {"value": 181.0, "std": 0.02, "unit": "N/A", "nominal": 340.0}},
+                                "iso_14839_3_zone": "A",
+                            }
+                        }
+                    },
+                    "created_at": examples.TIME,
+                    "created_by": "lab bench",
+                    "links": {"result": f"/api/v1/models/{examples.MODEL}/result.json"},
+                }
+            ]
+        }
+    )
+
+    id: str
+    rig: str
+    rig_version: int
+    experiment: str
+    job: str | None
+    summary: dict[str, Any]
+    """Stiffness, modes, fits and margins, plane by plane."""
+    created_at: Time
+    created_by: str
+    links: dict[str, str]
+
+
+class HistoryEntry(Shape):
+    """Figures of one model."""
+
+    model: str
+    experiment: str
+    created_at: Time
+    planes: dict[str, Any]
+
+
+def shape(row: ModelRow) -> ModelShape:
+    """A model as it is sent."""
+    address = f"/api/v1/models/{row.id}"
+    return ModelShape(
+        id=row.id,
+        rig=row.rig_id,
+        rig_version=row.rig_version,
+        experiment=row.experiment_id,
+        job=row.job_id,
+        summary=row.summary,
+        created_at=row.created_at,
+        created_by=row.created_by,
+        links={
+            "result": f"{address}/result.json",
+            "report": f"{address}/report.html",
+            "curves": f"{address}/curves.json",
+            "frequency_response": f"{address}/frequency-response",
+            "nyquist": f"{address}/nyquist",
+            "step": f"{address}/step",
+            "state_space": f"{address}/state-space",
+        },
+    )
+
+
+@router.get("/models", response_model=Listed[ModelShape], responses=documented())
+def list_models(
+    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100
+) -> Listed[ModelShape]:
+    """All models, newest first."""
+    with api.database.read() as session:
+        page = results.listed(session, ModelRow, rig, after, limit)
+    return Listed(items=[shape(row) for row in page.items], next=page.next)
+
+
+@router.get("/models/{model_id}", response_model=ModelShape, responses=documented(404) | NOT_CHANGED)
+def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """A model's figures, and where the rest of it is."""
+    return etags.document(shape(_row(api, model_id)), if_none_match)
+
+
+@router.get(
+    "/models/{model_id}/result.json",
+    response_class=Response,
+    responses=documented(404)
+    | NOT_CHANGED
+    | {200: {"description": "The result, amb-commissioning-result", "content": {"application/json": {}}}},
+)
+def get_result(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """The whole result of the identification."""
+    row = _row(api, model_id)
+    content = api.blobs.read(row.result_sha256)
+    return etags.content_response(content, "application/json", row.result_sha256, if_none_match)
+
+
+@router.get(
+    "/models/{model_id}/report.html",
+    response_class=Response,
+    responses=documented(404)
+    | NOT_CHANGED
+    | {200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
+)
+def get_report(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """The report, one page that needs nothing else."""
+    row = _row(api, model_id)
+    content = api.blobs.read(row.report_sha256)
+    return etags.content_response(content, "text/html; charset=utf-8", row.report_sha256, if_none_match)
+
+
+@router.get(
+    "/models/{model_id}/curves.json",
+    response_class=Response,
+    responses=documented(404)
+    | NOT_CHANGED
+    | {200: {"description": "All curves, amb-model-curves", "content": {"application/json": {}}}},
+)
+def get_curves(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """Frequency response, Nyquist and step of every plane, for plotting."""
+    row = _row(api, model_id)
+    content = api.blobs.read(row.plots_sha256)
+    return etags.content_response(content, "application/json", row.plots_sha256, if_none_match)
+
+
+def _row(api: Api, model_id: str) -> ModelRow:
+    with api.database.read() as session:
+        return results.get(session, ModelRow, model_id)
+
+
+Plane = Annotated[str | None, Query(description="Only this plane.", pattern="^[xy]$")]
+
+
+def _curve(api: Api, model_id: str, name: str, plane: str | None, if_none_match: str | None) -> Response:
+    row = _row(api, model_id)
+    planes = json.loads(api.blobs.read(row.plots_sha256))["planes"]
+    wanted = [p for p in planes if plane in (None, p)]
+    if not wanted:
+        raise NotFoundError(f"the model {model_id} has no plane {plane!r}; it has {', '.join(planes)}")
+    body = {p: {"axes": planes[p]["axes"], **planes[p][name]} for p in wanted}
+    return etags.document(body, if_none_match, f"{row.plots_sha256[:24]}.{name}.{plane or ''}")
+
+
+@router.get(
+    "/models/{model_id}/frequency-response",
+    response_model=dict[str, Any],
+    responses=documented(404) | NOT_CHANGED,
+)
+def get_frequency_response(
+    model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
+) -> Response:
+    """Measured and modelled response from u to y (m/A), real and imaginary parts, by plane: a Bode plot."""
+    return _curve(api, model_id, "frequency_response", plane, if_none_match)
+
+
+@router.get("/models/{model_id}/nyquist", response_model=dict[str, Any], responses=documented(404) | NOT_CHANGED)
+def get_nyquist(
+    model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
+) -> Response:
+    """The loop of each axis with the others closed, by plane: a Nyquist plot."""
+    return _curve(api, model_id, "nyquist", plane, if_none_match)
+
+
+@router.get("/models/{model_id}/step", response_model=dict[str, Any], responses=documented(404) | NOT_CHANGED)
+def get_step(
+    model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
+) -> Response:
+    """Displacement (m) of the closed loop after 1 A more on r, by plane: a step plot."""
+    return _curve(api, model_id, "step", plane, if_none_match)
+
+
+@router.get("/models/{model_id}/state-space", response_model=dict[str, Any], responses=documented(404) | NOT_CHANGED)
+def get_state_space(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """Plant and amplifiers in state space, continuous time, modal form, by plane."""
+    row = _row(api, model_id)
+    planes = json.loads(api.blobs.read(row.result_sha256))["planes"]
+    body = {p: {"plant": d["state_space"], "amplifiers": d["amplifier_state_space"]} for p, d in planes.items()}
+    return etags.document(body, if_none_match, f"{row.result_sha256[:24]}.ss")
+
+
+def _history(api: Api, rig_id: str, after: str | None, limit: int, name: str) -> Listed[HistoryEntry]:
+    with api.database.read() as session:
+        rigs.get(session, rig_id)
+        page = results.listed(session, ModelRow, rig_id, after, limit)
+    items = [
+        HistoryEntry(
+            model=row.id,
+            experiment=row.experiment_id,
+            created_at=row.created_at,
+            planes={p: values[name] for p, values in row.summary["planes"].items()},
+        )
+        for row in page.items
+    ]
+    return Listed(items=items, next=page.next)
+
+
+@router.get("/rigs/{rig_id}/stiffness", response_model=Listed[HistoryEntry], responses=documented(404))
+def stiffness_history(
+    rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100
+) -> Listed[HistoryEntry]:
+    """ki (N/A) and ks (N/m) of a rig's bearings with their standard deviations, newest model first."""
+    return _history(api, rig_id, after, limit, "stiffness")
+
+
+@router.get("/rigs/{rig_id}/modes", response_model=Listed[HistoryEntry], responses=documented(404))
+def mode_history(rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100) -> Listed[HistoryEntry]:
+    """Natural frequencies (rad/s) and damping ratios of a rig's rotor, newest model first."""
+    return _history(api, rig_id, after, limit, "modes")

@@ -1,0 +1,119 @@
+"""For whoever runs the service: is it alive, is it ready, what does it do."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import JSONResponse
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.registry import Collector
+from pydantic import ConfigDict
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.api.problems import documented
+from service.api.shapes import Shape
+from service.api.state import Api, Services
+from service.storage import jobs, migrate, workers
+from service.storage.database import now
+
+router = APIRouter(tags=["operations"])
+
+BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+
+
+class Metrics(Collector):
+    """Prometheus metrics of one application: requests as they come, jobs and workers as they are when asked."""
+
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self.registry = CollectorRegistry()
+        self.requests = Counter(
+            "ambit_requests_total", "Requests", ["method", "route", "status"], registry=self.registry
+        )
+        self.seconds = Histogram(
+            "ambit_request_seconds", "Time to answer", ["method", "route"], buckets=BUCKETS, registry=self.registry
+        )
+        self.registry.register(self)
+
+    def collect(self) -> list[GaugeMetricFamily]:
+        """Jobs by state, workers by age of their last sign of life."""
+        by_state = GaugeMetricFamily("ambit_jobs", "Jobs by state", labels=["state"])
+        silence = GaugeMetricFamily(
+            "ambit_worker_silence_seconds", "Since a worker's last sign of life", labels=["worker"]
+        )
+        try:
+            with self._services.database.read() as session:
+                for state, count in jobs.counts(session).items():
+                    by_state.add_metric([state], count)
+                for row in workers.listed(session):
+                    if row.stopped_at is None:
+                        silence.add_metric([row.name], (now() - row.beat_at).total_seconds())
+        except SQLAlchemyError:  # what can be told is told
+            return []
+        return [by_state, silence]
+
+
+class Ready(Shape):
+    """Whether the service can do its work."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [{"ready": True, "database": "ok", "store": "ok", "workers": "ok", "version": "0.1.0"}]
+        }
+    )
+
+    ready: bool
+    database: str
+    store: str
+    workers: str
+    """Without a worker jobs wait; the API is ready all the same."""
+    version: str
+
+
+class Alive(Shape):
+    """The process answers."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"alive": True}]})
+
+    alive: bool = True
+
+
+@router.get("/healthz", response_model=Alive)
+async def alive() -> Alive:
+    """Whether the process answers: restart it when it does not."""
+    return Alive()
+
+
+@router.get("/readyz", response_model=Ready, responses={503: {"model": Ready, "description": "Not ready"}})
+def ready(api: Api) -> Response:
+    """Whether database and store answer: send no requests while they do not."""
+    from service.bootstrap import product_version
+
+    database = store = worker = "ok"
+    try:
+        api.database.check()
+        if migrate.revision(api.database) != migrate.head():
+            database = "of another version; run ambit db upgrade"
+        with api.database.read() as session:
+            if not workers.anyone(session):
+                worker = "none is alive: jobs wait"
+    except SQLAlchemyError:
+        database, worker = "does not answer", "unknown"
+    try:
+        api.blobs.check()
+    except Exception:
+        store = "does not answer"
+    good = database == store == "ok"
+    shape = Ready(ready=good, database=database, store=store, workers=worker, version=product_version())
+    return JSONResponse(shape.model_dump(), 200 if good else 503)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={**documented(), 200: {"description": "Prometheus text", "content": {"text/plain": {}}}},
+)
+def metrics(request: Request) -> Response:
+    """Metrics for Prometheus; no key is needed, and nothing of a rig is told."""
+    found: Metrics = request.app.state.metrics
+    return Response(generate_latest(found.registry), media_type=CONTENT_TYPE_LATEST)

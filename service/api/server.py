@@ -1,0 +1,76 @@
+"""The process that serves the API."""
+
+from __future__ import annotations
+
+import socket
+
+import uvicorn
+
+from service.access.loopback import bound_to
+from service.api.app import create_app
+from service.api.state import Services
+from service.config import Settings
+from service.errors import ConfigurationError
+from service.storage import keys
+
+GRACE_S = 5
+"""Time that open requests have when the server ends."""
+
+
+def prepared(settings: Settings) -> tuple[Server, str]:
+    """A server that is ready to run, and what to tell the operator ("" for nothing).
+
+    Raises
+    ------
+    ConfigurationError
+        The settings of TLS are not whole.
+    StorageError
+        A database or the store cannot be used.
+    """
+    if (settings.tls_certificate is None) != (settings.tls_key is None):
+        raise ConfigurationError("TLS needs both tls_certificate and tls_key; give the other one too")
+    app = create_app(settings)
+    services: Services = app.state.services
+    with services.database.read() as session:
+        host, notice = bound_to(settings.host, keys.any_key(session))
+    options = uvicorn.Config(
+        app,
+        host=host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=settings.behind_proxy,
+        forwarded_allow_ips="*" if settings.behind_proxy else "",
+        ssl_certfile=settings.tls_certificate,
+        ssl_keyfile=settings.tls_key,
+        timeout_graceful_shutdown=GRACE_S,
+    )
+    return Server(options), notice
+
+
+class Server(uvicorn.Server):
+    """Prints its URL once it listens: the reader may be a program that waits for it."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen."""
+        await super().startup(sockets)
+        if self.started and self.servers:
+            host, port = self.servers[0].sockets[0].getsockname()[:2]
+            scheme = "https" if self.config.ssl_certfile else "http"
+            print(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}", flush=True)
+
+    def run(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve until SIGTERM or Ctrl-C.
+
+        Raises
+        ------
+        ConfigurationError
+            The address is taken or not of this machine.
+        """
+        try:
+            super().run(sockets)
+        except SystemExit as error:
+            raise ConfigurationError(
+                f"cannot listen on {self.config.host} port {self.config.port}; give another host or port"
+            ) from error

@@ -1,0 +1,91 @@
+"""Parts that the shapes of all resources share."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Annotated, Any, Generic, TypeVar
+
+from fastapi import Depends, Header, Path, Query
+from pydantic import BaseModel, ConfigDict, PlainSerializer
+
+from service.access.keys import Identity, Scope
+from service.api.access import require
+from service.storage.listing import LARGEST_PAGE
+
+T = TypeVar("T")
+
+
+def _utc(value: datetime) -> str:
+    return value.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+Time = Annotated[datetime, PlainSerializer(_utc, when_used="json")]
+"""ISO 8601, UTC."""
+
+
+class Shape(BaseModel):
+    """What the service sends."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Wanted(BaseModel):
+    """What is sent to the service: nothing that it does not know."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Listed(Shape, Generic[T]):
+    """A page of a list, newest first."""
+
+    items: list[T]
+    next: str | None
+    """``after`` of the next page; null on the last."""
+
+
+def identifier(prefix: str) -> Any:
+    """A path parameter: the id of a resource."""
+    return Path(
+        description=f"Id of the resource, {prefix}_...",
+        max_length=40,
+        pattern=rf"^{prefix}_[0-9a-z]+$",
+        examples=[f"{prefix}_01k9abcdefghjkmnpqrstvwxyz"],
+    )
+
+
+RigId = Annotated[str, identifier("rig")]
+JobId = Annotated[str, identifier("job")]
+ExperimentId = Annotated[str, identifier("exp")]
+ModelId = Annotated[str, identifier("mod")]
+GapId = Annotated[str, identifier("gap")]
+HealthId = Annotated[str, identifier("hc")]
+ScheduleId = Annotated[str, identifier("sch")]
+
+After = Annotated[
+    str | None,
+    Query(description="The field `next` of the page before.", max_length=40, pattern=r"^[a-z]+_[0-9a-z]+$"),
+]
+Limit = Annotated[int, Query(description="Items of a page.", ge=1, le=LARGEST_PAGE)]
+OfRig = Annotated[str | None, Query(description="Only of this rig.", max_length=40, pattern=r"^rig_[0-9a-z]+$")]
+
+IfMatch = Annotated[
+    str | None,
+    Header(description="ETag of the version that is changed; another one gives 412.", max_length=200),
+]
+IfNoneMatch = Annotated[
+    str | None, Header(description="ETag that the caller has; the same one gives 304.", max_length=2000)
+]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        description="Any text that is new for every new request. The same request sent again under the same key is "
+        "done once, and gets the first answer.",
+        min_length=1,
+        max_length=255,
+        examples=["6f1c9f0e-5b1d-4d77-9a4e-0b3f8f9f2a11"],
+    ),
+]
+
+Viewer = Annotated[Identity, Depends(require(Scope.viewer))]
+Operator = Annotated[Identity, Depends(require(Scope.operator))]
+Admin = Annotated[Identity, Depends(require(Scope.admin))]

@@ -1,0 +1,65 @@
+"""``ambit serve`` and ``ambit worker``: the API, and who does the jobs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.console import say
+
+Config = Annotated[Path | None, typer.Option(help="Settings of the service, TOML; else AMBIT_CONFIG.")]
+Home = Annotated[Path | None, typer.Option(help="Folder of databases, store and work in progress.")]
+
+
+def serve(
+    config: Config = None,
+    home: Home = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.", min=0, max=65535)] = None,
+    certificate: Annotated[Path | None, typer.Option(help="TLS certificate, PEM.")] = None,
+    key: Annotated[Path | None, typer.Option(help="Its key, PEM.")] = None,
+    worker: Annotated[bool, typer.Option(help="Also work on jobs, in a process beside.")] = True,
+) -> None:
+    """Serve the API, and work on jobs, until Ctrl-C; prints the URL when it is ready."""
+    from service import logs, tracing
+    from service.api.server import prepared
+    from service.bootstrap import product_version
+    from service.config import load
+    from service.jobs.supervisor import Supervisor
+
+    flags = {"home": home, "host": host, "port": port, "tls_certificate": certificate, "tls_key": key}
+    settings = load(config, flags=flags)
+    logs.configure(settings.log_level, settings.log_format)
+    tracing.configure(settings.otlp_endpoint, "ambit-api", product_version())
+    server, notice = prepared(settings)
+    if notice:
+        say(f"ambit serve: {notice}")
+    supervisor = Supervisor(settings) if worker else None
+    if supervisor is not None:
+        supervisor.start()
+    try:
+        server.run()
+    finally:
+        if supervisor is not None:
+            supervisor.end()
+
+
+def worker(
+    name: Annotated[
+        str | None, typer.Option(help="Stable, and unique among the workers; else the host's name.")
+    ] = None,
+    config: Config = None,
+    home: Home = None,
+) -> None:
+    """Work on jobs until Ctrl-C. Run it under a supervisor that starts it again under the same name."""
+    from service import logs, tracing
+    from service.bootstrap import product_version
+    from service.config import load
+    from service.jobs.worker import serve as work
+
+    settings = load(config, flags={"home": home, "worker_name": name})
+    logs.configure(settings.log_level, settings.log_format)
+    tracing.configure(settings.otlp_endpoint, "ambit-worker", product_version())
+    work(settings)
