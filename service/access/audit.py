@@ -33,6 +33,8 @@ class Action(StrEnum):
     rotor_released = "rotor.released"
     """The lease is given back; the detail says how the excitation ended."""
 
+    restored = "service.restored"
+
     @property
     def moves_a_rotor(self) -> bool:
         """Whether it made, or was meant to make, a rotor move."""

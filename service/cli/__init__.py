@@ -9,7 +9,7 @@ import sys
 
 import typer
 
-from service.cli import commission, controller, effects, gap, health, keys, rig, serve
+from service.cli import commission, controller, db, effects, export, gap, health, keys, rig, serve
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -24,10 +24,12 @@ app.command()(commission.commission)
 app.command()(commission.identify)
 app.command()(controller.check_controller)
 app.command()(effects.effects)
+app.add_typer(export.app, name="export")
 app.add_typer(gap.app, name="gap")
 app.add_typer(health.app, name="health")
 app.add_typer(rig.app, name="rig")
 app.add_typer(keys.app, name="keys")
+app.add_typer(db.app, name="db")
 app.command()(serve.serve)
 app.command()(serve.worker)
 

@@ -85,6 +85,16 @@ class Blobs:
         except OSError as error:
             raise StorageError(f"cannot write to the store: {error}; free space, or check its address") from error
 
+    def names(self) -> Iterator[str]:
+        """SHA-256 of everything in the store."""
+        try:
+            for path in self._fs.find(self._root):
+                folder, _, name = str(path).rpartition("/")
+                if len(name) == 64 and folder.endswith(f"/{name[:2]}"):
+                    yield name
+        except FileNotFoundError:
+            return
+
     def has(self, sha256: str) -> bool:
         """Whether the content is there."""
         return bool(self._fs.exists(self._path(sha256)))

@@ -49,6 +49,11 @@ def sign_on(session: Session, name: str, instance: str) -> None:
     )
 
 
+def alive(row: WorkerRow) -> bool:
+    """Whether a worker gave a sign of life just now."""
+    return _lives(row)
+
+
 def _lives(row: WorkerRow) -> bool:
     if row.stopped_at is not None or now() - row.beat_at > timedelta(seconds=ALIVE_S):
         return False

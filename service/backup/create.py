@@ -1,0 +1,189 @@
+"""Make a backup while the service runs."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import func, select
+
+from service.backup import manifest, postgres, sqlite
+from service.backup.manifest import Manifest
+from service.bootstrap import product_version
+from service.config import Settings
+from service.errors import NotFoundError, StorageError
+from service.output import ready_folder
+from service.storage import migrate
+from service.storage.blobs import Blobs
+from service.storage.database import Database, sqlite_file
+from service.storage.tables import Base
+
+OWN, JOBS = "ambit", "jobs"
+OWN_SCHEMA, JOBS_SCHEMA = "public", "dbos"
+COLUMNS = "columns.json"
+
+
+@dataclass
+class _Copied:
+    """Files of the store that are in the backup."""
+
+    count: int = 0
+    bytes: int = 0
+    missing: list[str] = field(default_factory=list)
+
+
+def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda _: None) -> tuple[Path, Manifest]:
+    """Back up both databases and the store into ``folder``.
+
+    The databases come first, the store after them: a file is in the store before a row names it, so that every row of
+    the copy finds its file.
+
+    Returns
+    -------
+    path, manifest
+        The folder of this backup, named by its time, and what it holds. ``manifest.missing`` names files that the
+        store had lost or that were damaged: the backup is good otherwise.
+
+    Raises
+    ------
+    StorageError, OutputError
+        A database cannot be read, or the folder cannot be written.
+    """
+    at = datetime.now(UTC)
+    path = ready_folder(folder) / f"{at:%Y%m%dT%H%M%SZ}"
+    if path.exists():
+        raise StorageError(f"{path} exists; wait a second and try again")
+    part = ready_folder(folder / f".{path.name}.part")
+    try:
+        database = Database(settings.database)
+        try:
+            migrate.upgrade(database)
+            say("the databases")
+            kinds = _databases(settings, part)
+            rows, named = _rows(database, part)
+            say("the store")
+            copied = _store(Blobs(settings.store), folder / manifest.STORE, named)
+            made = Manifest(
+                created=f"{at:%Y-%m-%dT%H:%M:%SZ}",
+                product=product_version(),
+                engine=version("dbos"),
+                database=kinds[0],
+                jobs_database=kinds[1],
+                revision=migrate.revision(database),
+                rows=rows,
+                files={str(p.relative_to(part)): manifest.digest(p) for p in sorted(part.rglob("*")) if p.is_file()},
+                blobs=copied.count,
+                blob_bytes=copied.bytes,
+                missing=tuple(copied.missing),
+            )
+        finally:
+            database.close()
+        manifest.write(part, made)
+        part.rename(path)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    return path, made
+
+
+def prune(folder: Path, keep: int) -> list[Path]:
+    """Remove all but the newest backups of a folder; what was removed. The shared store stays."""
+    made = sorted(p for p in folder.glob("[0-9]*T[0-9]*Z") if (p / manifest.NAME).is_file())
+    old = made[:-keep]
+    for path in old:
+        shutil.rmtree(path)
+    return old
+
+
+def kind_of(url: str) -> str:
+    """Kind of the database at a URL: sqlite or postgresql."""
+    return "sqlite" if url.startswith("sqlite") else "postgresql"
+
+
+def _databases(settings: Settings, part: Path) -> tuple[str, str]:
+    """Copy both databases; their kinds."""
+    own, jobs = settings.database, settings.jobs_database
+    kinds = kind_of(own), kind_of(jobs)
+    for url, kind, name in ((own, kinds[0], OWN), (jobs, kinds[1], JOBS)):
+        if kind == "sqlite":
+            source = sqlite_file(url)
+            if source is not None and source.exists():
+                sqlite.copy(source, part / f"{name}.db")
+                sqlite.as_one_file(part / f"{name}.db")
+        elif not (name == JOBS and url == own):
+            with postgres.snapshot(url) as connection:
+                if name == OWN:
+                    _dump(connection, OWN_SCHEMA, [t.name for t in Base.metadata.sorted_tables], part / OWN)
+                if url == jobs:  # the same snapshot, where both are in one database
+                    _dump(connection, JOBS_SCHEMA, postgres.tables(connection, JOBS_SCHEMA), part / JOBS)
+    there = (part / JOBS).exists() or (part / f"{JOBS}.db").exists()
+    return kinds[0], kinds[1] if there else ""
+
+
+def _dump(connection: Any, schema: str, names: list[str], folder: Path) -> None:
+    if names:
+        manifest.sidecar(folder.with_suffix(f".{COLUMNS}"), postgres.dump(connection, schema, names, folder))
+
+
+def _rows(database: Database, part: Path) -> tuple[dict[str, int], set[str]]:
+    """Rows by table, and the files of the store that they name."""
+    copy = part / f"{OWN}.db"
+    source = Database(f"sqlite:///{copy}") if copy.exists() else database
+    rows: dict[str, int] = {}
+    named: set[str] = set()
+    try:
+        with source.read() as session:
+            for table in Base.metadata.sorted_tables:
+                rows[table.name] = session.scalar(select(func.count()).select_from(table)) or 0
+                for column in table.columns:
+                    if column.name.endswith("_sha256") and table.name != "idempotency":
+                        named |= {value for value in session.scalars(select(column)) if value}
+    finally:
+        if source is not database:
+            source.close()
+            sqlite.as_one_file(copy)
+    return rows, named
+
+
+def _store(blobs: Blobs, target: Path, named: set[str]) -> _Copied:
+    """Copy what the backups' common store has not yet, each file checked against its name."""
+    copied = _Copied()
+    there = set(blobs.names())
+    for name in sorted(there | named):
+        try:
+            size = fetched(blobs, name, target / name[:2] / name)
+        except (NotFoundError, StorageError):
+            copied.missing.append(name)
+            continue
+        copied.count += 1
+        copied.bytes += size
+    return copied
+
+
+def fetched(blobs: Blobs, name: str, to: Path) -> int:
+    """Bytes of a file of the store, once it lies at ``to`` and is what its name says.
+
+    Raises
+    ------
+    NotFoundError, StorageError
+        The store has it not, or not whole.
+    """
+    if not to.exists():
+        to.parent.mkdir(parents=True, exist_ok=True)
+        temporary = to.with_suffix(".part")
+        seen = sha256()
+        with temporary.open("wb") as out:
+            for chunk in blobs.chunks(name):
+                seen.update(chunk)
+                out.write(chunk)
+        if seen.hexdigest() != name:
+            temporary.unlink()
+            raise StorageError(f"the file {name} of the store is damaged")
+        temporary.rename(to)
+    return to.stat().st_size

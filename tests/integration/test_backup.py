@@ -1,0 +1,234 @@
+"""A service comes back from its backup as it was, on SQLite and on PostgreSQL, and no rotor moves because of it."""
+
+import json
+import os
+import sqlite3
+import threading
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+from sqlalchemy import create_engine, select, text
+
+from service.access import keys as rules
+from service.backup import manifest
+from service.backup.create import create, kind_of, prune
+from service.backup.restore import WHY, restore
+from service.config import Settings
+from service.errors import ConflictError, DocumentError, StorageError
+from service.storage import jobs, migrate, workers
+from service.storage import keys as key_rows
+from service.storage.blobs import Blobs
+from service.storage.database import Database, now
+from service.storage.tables import AuditRow, Base, JobRow, Rig, WorkerRow
+from tests.support import command
+from tests.support.service_state import lived_in
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)])
+def settings(request, tmp_path):
+    """Makes settings of a service that is new."""
+    with ExitStack() as stack:
+
+        def make(name: str, kind: str = request.param) -> Settings:
+            url = ""
+            if kind == "postgresql":
+                from tests.support.postgres import empty_database
+
+                url = stack.enter_context(empty_database())
+            return Settings(home=tmp_path / name, database_url=url)
+
+        make.kind = request.param
+        yield make
+
+
+def engine_states(settings: Settings) -> list[str]:
+    url, table = settings.jobs_database, "workflow_status"
+    if kind_of(url) == "postgresql":
+        url, table = url.replace("postgresql:", "postgresql+psycopg:"), "dbos.workflow_status"
+    engine = create_engine(url)
+    with engine.connect() as connection:
+        found = sorted(connection.execute(text(f"SELECT status FROM {table}")).scalars())
+    engine.dispose()
+    return found
+
+
+def everything(settings: Settings) -> dict[str, list[tuple]]:
+    """All rows of our own tables."""
+    database = Database(settings.database)
+    with database.read() as session:
+        found = {t.name: sorted(map(repr, session.execute(select(t)))) for t in Base.metadata.sorted_tables}
+    database.close()
+    return found
+
+
+def test_a_service_comes_back_as_it_was(settings, tmp_path):
+    old, new = settings("old"), settings("new")
+    made = lived_in(old)
+    before = everything(old)
+    path, written = create(old, tmp_path / "backups")
+    assert written.database == settings.kind
+    assert (written.rows["rigs"], written.blobs, written.missing) == (1, 1, ())
+
+    restore(new, path)
+    after = everything(new)
+    for table in set(before) - {"jobs", "audit", "workers"}:
+        assert after[table] == before[table], table
+    assert before["journal_parts"]
+    assert Blobs(new.store).read(made["sha256"]) == b"an experiment" * 1000
+
+    database = Database(new.database)
+    with database.read() as session:
+        states = {name: session.get(JobRow, made[name]).state for name in ("done", "queued", "running")}
+        assert states == {"done": "done", "queued": "cancelled", "running": "cancelled"}
+        assert session.get(JobRow, made["queued"]).error_detail == WHY
+        assert session.scalars(select(AuditRow).where(AuditRow.action == "service.restored")).one()
+        row = key_rows.find(session, rules.id_of(made["key"]))
+        assert rules.verify(made["key"], key_rows.record(row), now()).name == "laptop"
+    database.close()
+    assert engine_states(new) == ["CANCELLED", "CANCELLED"]
+
+
+def test_jobs_go_on_only_when_asked_for(settings, tmp_path):
+    old, new = settings("old"), settings("new")
+    made = lived_in(old)
+    path, _ = create(old, tmp_path / "backups")
+    restore(new, path, resume_jobs=True)
+    database = Database(new.database)
+    with database.read() as session:
+        assert session.get(JobRow, made["queued"]).state == "queued"
+    database.close()
+    assert engine_states(new) == ["ENQUEUED", "ENQUEUED"]
+
+
+def test_what_is_there_is_not_given_up_unasked(settings, tmp_path):
+    old, other = settings("old"), settings("other")
+    lived_in(old)
+    kept = lived_in(other)
+    path, _ = create(old, tmp_path / "backups")
+    with pytest.raises(ConflictError, match="--replace"):
+        restore(other, path)
+    assert kept["rig"] in str(everything(other)["rigs"])
+    restore(other, path, replace=True)
+    assert kept["rig"] not in str(everything(other)["rigs"])
+
+
+def test_a_service_that_works_is_not_replaced(settings, tmp_path):
+    old, other = settings("old"), settings("other")
+    lived_in(old)
+    path, _ = create(old, tmp_path / "backups")
+    database = Database(other.database)
+    migrate.upgrade(database)
+    with database.write() as session:
+        workers.sign_on(session, "w1", "wrk_1")
+        session.flush()
+        session.get(WorkerRow, "w1").process = os.getppid()
+    database.close()
+    with pytest.raises(ConflictError, match="w1"):
+        restore(other, path, replace=True)
+
+
+def test_a_damaged_backup_changes_nothing(settings, tmp_path):
+    old, new = settings("old"), settings("new")
+    lived_in(old)
+    path, written = create(old, tmp_path / "backups")
+    victim = path / max(written.files, key=lambda name: (path / name).stat().st_size)
+    raw = bytearray(victim.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    victim.write_bytes(raw)
+    with pytest.raises(StorageError, match="damaged"):
+        restore(new, path)
+    victim.unlink()
+    with pytest.raises(StorageError, match="missing"):
+        restore(new, path)
+
+
+@pytest.mark.pg
+def test_from_one_machine_to_postgresql(tmp_path):
+    from tests.support.postgres import empty_database
+
+    old = Settings(home=tmp_path / "old")
+    made = lived_in(old)
+    before = everything(old)
+    path, _ = create(old, tmp_path / "backups")
+    with empty_database() as url:
+        new = Settings(home=tmp_path / "new", database_url=url)
+        restore(new, path)
+        after = everything(new)
+        for table in set(before) - {"jobs", "audit", "workers"}:
+            assert after[table] == before[table], table
+        assert engine_states(new) == []
+        back = Settings(home=tmp_path / "back")
+        pg_backup, _ = create(new, tmp_path / "backups2")
+        with pytest.raises(StorageError, match="PostgreSQL"):
+            restore(back, pg_backup)
+        assert Blobs(new.store).has(made["sha256"])
+
+
+def test_a_backup_is_made_while_the_service_writes(tmp_path):
+    settings = Settings(home=tmp_path / "home")
+    lived_in(settings)
+    database = Database(settings.database)
+    ended = threading.Event()
+    written = []
+
+    def write() -> None:
+        while not ended.is_set():
+            with database.write() as session:
+                jobs.submit(session, "experiment", session.scalars(select(Rig.id)).one(), 1, "laptop")
+            written.append(1)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        paths = [create(settings, tmp_path / f"backups{k}")[0] for k in range(3)]
+    finally:
+        ended.set()
+        writer.join()
+        database.close()
+    assert len(written) > 3
+    counts = [manifest.read(path).rows["jobs"] for path in paths]
+    assert counts == sorted(counts)
+    with closing(sqlite3.connect(paths[-1] / "ambit.db")) as copy:
+        assert copy.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+def test_a_file_that_the_store_lost_is_named_and_the_rest_is_kept(tmp_path):
+    settings = Settings(home=tmp_path / "home")
+    made = lived_in(settings)
+    Path(settings.store, made["sha256"][:2], made["sha256"]).write_bytes(b"rotten")
+    path, written = create(settings, tmp_path / "backups")
+    assert written.missing == (made["sha256"],)
+    restore(Settings(home=tmp_path / "new"), path)
+
+
+def test_an_unfinished_backup_is_no_backup(tmp_path):
+    (tmp_path / "20260101T000000Z").mkdir()
+    with pytest.raises(DocumentError, match=r"manifest\.json"):
+        restore(Settings(home=tmp_path / "new"), tmp_path / "20260101T000000Z")
+
+
+def test_old_backups_are_removed_and_share_their_files(tmp_path):
+    settings = Settings(home=tmp_path / "home")
+    lived_in(settings)
+    path, _ = create(settings, tmp_path / "backups")
+    for year in (2001, 2002):
+        path.rename(older := tmp_path / "backups" / f"{year}0101T000000Z")
+        path, _ = create(settings, tmp_path / "backups")
+    assert len(list((tmp_path / "backups" / "store").glob("??/*"))) == 1
+    assert [p.name[:4] for p in prune(tmp_path / "backups", 2)] == ["2001"]
+    assert older.exists()
+
+
+def test_the_commands(tmp_path, monkeypatch):
+    monkeypatch.setitem(command.ENVIRONMENT, "AMBIT_HOME", str(tmp_path / "home"))
+    upgraded = json.loads(command.ambit("db", "upgrade", "--json").stdout)
+    assert upgraded == {"before": "", "after": migrate.head()}
+    lived_in(Settings(home=tmp_path / "home"))
+    made = command.ambit("db", "backup", "--out", tmp_path / "backups", "--keep", 3)
+    assert made.returncode == 0, made.stderr
+    monkeypatch.setitem(command.ENVIRONMENT, "AMBIT_HOME", str(tmp_path / "new"))
+    restored = command.ambit("db", "restore", made.stdout.strip())
+    assert restored.stdout.startswith("restored the state of")
+    assert "--replace" in command.refusal("db", "restore", made.stdout.strip())
+    assert everything(Settings(home=tmp_path / "new"))["rigs"] == everything(Settings(home=tmp_path / "home"))["rigs"]
