@@ -1,0 +1,92 @@
+"""``ambit export``: models and measured responses in the formats of other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(no_args_is_help=True, help="Models and measured responses in the formats of other tools.")
+
+
+@app.command()
+def model(
+    result: Annotated[Path, typer.Argument(help="result.json of a commissioning.")],
+    out: Annotated[Path, typer.Argument(help="File to write; its ending says the format: .mat, .json or .csv.")],
+    plane: Annotated[str, typer.Option(help="Plane, x or y.")] = "x",
+    part: Annotated[
+        str, typer.Option(help="plant (coil currents to displacements), amplifiers, or whole (both in series).")
+    ] = "plant",
+) -> None:
+    """Write a state space with names and units: A, B, C, D in continuous time."""
+    from service.exports import files, linear
+    from service.exports.errors import ExportError
+    from service.output import read_document, ready_folder
+
+    if part not in linear.PARTS:
+        raise ExportError(f"no part {part!r} can be exported; give one of {', '.join(linear.PARTS)}")
+    found = linear.of_result(read_document(result, "amb-commissioning-result"), plane, part)
+    ready_folder(out.parent)
+    print(files.write_linear(out, found))
+
+
+@app.command()
+def responses(
+    experiment: Annotated[Path, typer.Argument(help="Experiment file, HDF5 or MATLAB.")],
+    out: Annotated[Path, typer.Argument(help="File to write: .uff (UFF-58, all planes), .mat, .json or .csv.")],
+    path: Annotated[str, typer.Option(help="u->y, u->i, i->y, r->u or r->y.")] = "u->y",
+    sweep: Annotated[str, typer.Option(help="Sweep by its comment; the main one without it.")] = "",
+    plane: Annotated[str, typer.Option(help="Only this plane, x or y.")] = "",
+) -> None:
+    """Write measured frequency responses with their standard deviations, names and units."""
+    from service.experiment import file
+    from service.exports import files
+    from service.exports import responses as measured
+    from service.exports.errors import ExportError
+    from service.output import ready_folder
+
+    if path not in measured.PATHS:
+        raise ExportError(f"no response {path!r} can be exported; give one of {', '.join(measured.PATHS)}")
+    found = measured.of_experiment(file.read(experiment), path, sweep)
+    if plane and plane not in found:
+        raise ExportError(f"the sweep excites no plane {plane!r}; it excites {', '.join(found)}")
+    ready_folder(out.parent)
+    chosen = [found[plane]] if plane else list(found.values())
+    for written in files.write_responses(out, chosen):
+        print(written)
+
+
+@app.command()
+def show(file: Annotated[Path, typer.Argument(help="File that export wrote.")]) -> None:
+    """Read an export back and tell what it holds."""
+    from service.exports import files
+    from service.exports.errors import ExportError
+
+    problems = []
+    for reader in (_model_words, _response_words):
+        try:
+            print("\n".join(reader(file)))
+            return
+        except ExportError as error:
+            problems.append(str(error))
+    # the reader that got further says more
+    raise ExportError(problems[-1] if file.suffix.lower() not in files.LINEAR_ENDINGS else problems[0])
+
+
+def _model_words(file: Path) -> list[str]:
+    from service.exports import files
+
+    m = files.read_linear(file)
+    signals = zip((*m.inputs, *m.outputs), (*m.input_units, *m.output_units), strict=True)
+    return [f"{m.name}: {len(m.states)} states", *(f"{name} [{unit}]" for name, unit in signals)]
+
+
+def _response_words(file: Path) -> list[str]:
+    from service.exports import files
+
+    return [
+        f"{r.name}: {len(r.frequency_hz)} frequencies from {r.frequency_hz[0]:.4g} to {r.frequency_hz[-1]:.4g} Hz, "
+        f"{', '.join(r.outputs)} per {', '.join(r.inputs)}"
+        for r in files.read_responses(file)
+    ]
