@@ -175,8 +175,8 @@ def tag(job: JobRow) -> str:
     return f"{job.id}.{job.changes}"
 
 
-def check(session: Session, wanted: JobWanted) -> int:
-    """Version of the rig that a job is for.
+def check(session: Session, wanted: JobWanted, options: dict[str, Any]) -> int:
+    """Version of the rig that a job is for; the options get what is chosen now and stays.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def check(session: Session, wanted: JobWanted) -> int:
         if not version.controller_url:
             raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one before it can be measured")
         if wanted.kind == "health":
-            results.baseline(session, rig)
+            options["baseline"] = results.baseline(session, rig).id
     else:
         if wanted.experiment is None:
             raise UnprocessableError(f"a job of kind {wanted.kind} works on an experiment; give the field experiment")
@@ -210,7 +210,7 @@ def submit_job(
     made: list[JobRow] = []
 
     def make(session: Session) -> Answer:
-        version = check(session, wanted)
+        version = check(session, wanted, options)
         job = jobs.submit(
             session, wanted.kind, wanted.rig, version, who.name, wanted.experiment, options, wanted.priority
         )

@@ -48,7 +48,7 @@ class HealthOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    budget_s: float = Field(60.0, ge=5.0, le=3600.0)
+    budget_s: float = Field(90.0, ge=20.0, le=3600.0)
 
 
 class NoOptions(BaseModel):

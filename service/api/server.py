@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 
 import uvicorn
@@ -68,6 +69,9 @@ class Server(uvicorn.Server):
         ConfigurationError
             The address is taken or not of this machine.
         """
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # uvicorn sends itself the signal again when it has ended: by then there is nothing left to end
+            signal.signal(number, lambda *_: None)
         try:
             super().run(sockets)
         except SystemExit as error:

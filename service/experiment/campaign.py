@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from drivers.controller import Capabilities, Controller, PointResult, State, Tone, TripCause
-from drivers.errors import BusError, CancelledError, ControllerError, TripError
+from drivers.errors import BusError, CancelledError, ControllerError, LeaseError, TripError
 from service.experiment import file, journal, phases
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
@@ -108,7 +108,7 @@ def run_campaign(
         )
 
     try:
-        with _stopped_by(controller, cancelled), controller.lease(holder):
+        with controller.lease(holder), _stopped_by(controller, cancelled):
             _make_ready(controller)
             measure = _Patient(controller, cancelled or (lambda: False))
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
@@ -117,8 +117,9 @@ def run_campaign(
         _put_aside(out_dir / EXPERIMENT)
         file.write(out_dir / EXPERIMENT, result)
     except BaseException as error:
-        with suppress(Exception):  # the first error is the one to tell
-            controller.stop()
+        if not isinstance(error, LeaseError):  # what another host excites is not ours to stop
+            with suppress(Exception):  # the first error is the one to tell
+                controller.stop()
         kept = _keep(out_dir / EXPERIMENT, assembled)
         log.close()
         if isinstance(error, KeyboardInterrupt | CancelledError):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,8 @@ from service.experiment import file
 from service.output import json_text, write_text
 from sim import datasheet
 
-RESULT, REPORT, PLOTS, GAP, GAP_REPORT = "result.json", "report.html", "plots.json", "gap.json", "gap.html"
+RESULT, REPORT, PLOTS, GAP = "result.json", "report.html", "plots.json", "gap.json"
+GAP_REPORT, HEALTH_REPORT = "gap.html", "health.html"
 
 
 def identification(experiment: str, rig: str, out: str, name: str) -> dict[str, Any]:
@@ -53,6 +56,30 @@ def gap(experiment: str, rig: str, out: str, processes: int) -> dict[str, Any]:
     }
 
 
+def health_plan(baseline: str, rig: str, budget_s: float) -> dict[str, Any]:
+    """Profile of a short experiment, as JSON."""
+    from service import checkup
+    from service.health.compare import Baseline
+    from service.output import read_document
+
+    document = read_document(Path(baseline), "amb-commissioning-result")
+    plan = checkup.plan_for(Baseline(document), datasheet.read(Path(rig)), budget_s)
+    return asdict(plan.profile)
+
+
+def health_compare(baseline: str, rig: str, experiment: str, out: str, history: str, at: str) -> dict[str, Any]:
+    """Compare a short experiment with a baseline; health.html is in ``out``; the document."""
+    from service import checkup
+    from service.health.compare import Baseline
+    from service.output import read_document
+
+    then = Baseline(read_document(Path(baseline), "amb-commissioning-result"))
+    measured = file.read(Path(experiment))
+    when = datetime.fromisoformat(at)
+    done = checkup.compare_into(then, datasheet.read(Path(rig)), measured, Path(out), Path(history), at=when)
+    return done.document
+
+
 def model_summary(document: dict[str, Any]) -> dict[str, Any]:
     """Stiffness, modes, fits and margins of a result.json, plane by plane."""
     return {
@@ -77,4 +104,9 @@ def _plane(plane: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-BY_NAME: dict[str, Callable[..., dict[str, Any]]] = {"identification": identification, "gap": gap}
+BY_NAME: dict[str, Callable[..., dict[str, Any]]] = {
+    "identification": identification,
+    "gap": gap,
+    "health_plan": health_plan,
+    "health_compare": health_compare,
+}

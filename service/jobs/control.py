@@ -38,6 +38,8 @@ class Control:
         self._pending: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._over = threading.Event()
+        self._made: dict[str, str] = {}
+        self._point = 0
         self.cancel_requested = False
         self.superseded = False
         self._thread = threading.Thread(target=self._watch, name=f"control-{job_id}", daemon=True)
@@ -65,6 +67,20 @@ class Control:
         """Progress, written soon: columns of the job's row."""
         with self._lock:
             self._pending |= values
+            self._point = values.get("point", self._point)
+
+    def measured(self) -> int:
+        """Points that were reported so far."""
+        return self._point
+
+    def made(self, **ids: str) -> None:
+        """Note what the job has made, whatever comes of it."""
+        self._made |= ids
+
+    @property
+    def result(self) -> dict[str, str]:
+        """What the job has made so far."""
+        return dict(self._made)
 
     def begin_journal(self, shipped: int) -> None:
         """The journal's file is in place, and so much of it is in the database."""

@@ -21,7 +21,8 @@ APPLICATION = "ambit"
 VERSION = "jobs-1"
 """Of the workflows' steps, not of the product: a job that began before an upgrade goes on after it. Changes only when
 the order of the steps does."""
-RIGS, CPU = "rigs", "cpu"
+RIGS, CPU, NOTICES = "rigs", "cpu", "notices"
+NOTICE = "ambit.notice"
 RIGS_POLL_S, CPU_POLL_S = 0.1, 0.1
 
 
@@ -100,6 +101,18 @@ class Dispatcher:
         if job.kind in ON_RIG:
             options["queue_partition_key"] = job.rig_id
         self._connected().enqueue(options, job.id, job.run)  # type: ignore[arg-type]
+
+    def notify(self, delivery_id: str) -> None:
+        """Hand over a message to a webhook; a second time changes nothing."""
+        self._connected().enqueue(
+            {
+                "workflow_name": NOTICE,
+                "queue_name": NOTICES,
+                "workflow_id": delivery_id,
+                "app_version": VERSION,
+            },
+            delivery_id,
+        )
 
     def check(self) -> None:
         """Raise when the engine's database does not answer."""

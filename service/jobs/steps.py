@@ -57,15 +57,15 @@ def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id:
         try:
             found = outcome(jobs.DONE, work(worker, job, control))
         except StoppedError:
-            found = outcome(jobs.CANCELLED, {})
+            found = outcome(jobs.CANCELLED, control.result)
         except JobError as error:
-            found = outcome(jobs.FAILED, {}, error.title, str(error))
+            found = outcome(jobs.FAILED, control.result, error.title, str(error))
         except AmbError as error:
-            found = outcome(jobs.FAILED, {}, _title(error), str(error))
+            found = outcome(jobs.FAILED, control.result, _title(error), str(error))
         except Exception as error:
             log.exception("job %s met a defect", job_id)
-            title = "defect of the service"
-            found = outcome(jobs.FAILED, {}, title, f"{type(error).__name__}: {error}; report it with the worker's log")
+            detail = f"{type(error).__name__}: {error}; report it with the worker's log"
+            found = outcome(jobs.FAILED, control.result, "defect of the service", detail)
     if found["state"] != jobs.DONE and (control.stopping or control.superseded):
         park(job_id)
     return found

@@ -16,10 +16,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.config import Settings
 from service.errors import ConflictError
-from service.jobs import steps, submission
+from service.jobs import steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
-from service.jobs.engine import CPU, CPU_POLL_S, RIGS, RIGS_POLL_S, Dispatcher, engine_config
+from service.jobs.engine import CPU, CPU_POLL_S, NOTICES, RIGS, RIGS_POLL_S, Dispatcher, engine_config
 from service.storage import idempotency, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database
@@ -73,6 +73,7 @@ class Worker:
         DBOS.launch()
         DBOS.register_queue(RIGS, partition_concurrency=1, polling_interval_sec=RIGS_POLL_S)
         DBOS.register_queue(CPU, worker_concurrency=self.settings.cpu_jobs, polling_interval_sec=CPU_POLL_S)
+        DBOS.register_queue(NOTICES, polling_interval_sec=1.0)
         self.context.calculator.warm()
         log.info("worker %s is ready", self.settings.worker)
 
@@ -94,6 +95,7 @@ class Worker:
         chores: list[tuple[float, Callable[[], None]]] = [
             (BEAT_S, self._beat),
             (1.0, self._hand_over),
+            (1.0, self._keep_schedules),
             (min(5.0, self.settings.worker_timeout_s / 3), self._take_over),
             (3600.0, self._tidy),
         ]
@@ -120,6 +122,9 @@ class Worker:
 
     def _hand_over(self) -> None:
         submission.hand_over_all(self.context.database, self.context.dispatcher)
+
+    def _keep_schedules(self) -> None:
+        timetable.keep(self.context.database)
 
     def _take_over(self) -> None:
         """Give the jobs of workers that are silent back to the queue."""

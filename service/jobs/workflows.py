@@ -10,26 +10,29 @@ from typing import Any
 
 from dbos import DBOS
 
-from service.jobs import derived, steps
+from service.jobs import campaigns, checks, derived, notices, steps
 from service.jobs.context import Context
 from service.jobs.control import Control
-from service.jobs.engine import workflow_name
+from service.jobs.engine import NOTICE, workflow_name
 from service.jobs.steps import Outcome, outcome
+from service.storage import jobs
 from service.storage.tables import JobRow
 
 Work = Callable[[Context, JobRow, Control], dict[str, Any]]
 
 
-def _step(name: str, work: Work, job_id: str, run: int) -> Outcome:
-    return DBOS.run_step({"name": name}, steps.guarded, work, job_id, run)
-
-
-def _end(job_id: str, run: int, found: Outcome) -> None:
-    DBOS.run_step({"name": "finish"}, steps.finish, job_id, run, found)
-
-
 def _workflow(kind: str) -> Callable[[Callable[[str, int], None]], Callable[[str, int], None]]:
     return DBOS.workflow(name=workflow_name(kind), max_recovery_attempts=None)
+
+
+@_workflow("experiment")
+def experiment(job_id: str, run: int) -> None:
+    """Measure a rig, then identify it unless that is not wanted."""
+    found = _step("measure", _measure, job_id, run)
+    if found["state"] == jobs.DONE:
+        made = found["result"]["experiment"]
+        found = _and(found, _step("identify", lambda w, j, c: _identify_measured(w, j, c, made), job_id, run))
+    _end(job_id, run, found)
 
 
 @_workflow("identification")
@@ -44,14 +47,51 @@ def gap(job_id: str, run: int) -> None:
     _end(job_id, run, _step("diagnose", _diagnose_given, job_id, run))
 
 
+@_workflow("health")
+def health(job_id: str, run: int) -> None:
+    """A short experiment, compared with the rig's baseline; whoever wants to know is told."""
+    found = _step("measure", checks.measure, job_id, run)
+    if found["state"] == jobs.DONE:
+        made = found["result"]["experiment"]
+        found = _and(found, _step("compare", lambda w, j, c: checks.compare(w, j, c, made), job_id, run))
+    _end(job_id, run, found)
+    if found["state"] == jobs.DONE:
+        DBOS.run_step({"name": "notify"}, notices.begin, found["result"]["health"])
+
+
+@DBOS.workflow(name=NOTICE, max_recovery_attempts=None)
+def notice(delivery_id: str) -> None:
+    """Tell a webhook, again and again until it listens or it is too late."""
+    while (wait_s := DBOS.run_step({"name": "send"}, notices.attempt, delivery_id)) is not None:
+        DBOS.sleep(wait_s)
+
+
+def _step(name: str, work: Work, job_id: str, run: int) -> Outcome:
+    return DBOS.run_step({"name": name}, steps.guarded, work, job_id, run)
+
+
+def _end(job_id: str, run: int, found: Outcome) -> None:
+    DBOS.run_step({"name": "finish"}, steps.finish, job_id, run, found)
+
+
+def _and(first: Outcome, second: Outcome) -> Outcome:
+    """Outcome of two steps: the results of both, the state of the second."""
+    return outcome(second["state"], first["result"] | second["result"], second["title"], second["detail"])
+
+
+def _measure(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
+    return campaigns.measure(worker, job, control, campaigns.profile_of(job.options), "commissioning")
+
+
+def _identify_measured(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:
+    if not job.options.get("identify", True):
+        return {}
+    return derived.identify(worker, job, control, experiment_id)
+
+
 def _identify_given(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
     return derived.identify(worker, job, control, job.experiment_id or "")
 
 
 def _diagnose_given(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
     return derived.diagnose(worker, job, control, job.experiment_id or "")
-
-
-def _and(first: Outcome, second: Outcome) -> Outcome:
-    """Outcome of two steps: the results of both, the state of the second."""
-    return outcome(second["state"], first["result"] | second["result"], second["title"], second["detail"])

@@ -161,6 +161,7 @@ class HealthRow(Base):
     schedule_id: Mapped[str | None] = mapped_column(ID, index=True)
     job_id: Mapped[str | None] = mapped_column(ID, index=True)
     document: Mapped[Document]
+    report_sha256: Mapped[str] = mapped_column(String(64))
     alarm: Mapped[bool] = mapped_column(Boolean, index=True)
     created_at: Mapped[datetime]
 

@@ -299,6 +299,7 @@ def upgrade() -> None:
         sa.Column("schedule_id", sa.String(length=40), nullable=True),
         sa.Column("job_id", sa.String(length=40), nullable=True),
         sa.Column("document", DOCUMENT, nullable=False),
+        sa.Column("report_sha256", sa.String(length=64), nullable=False),
         sa.Column("alarm", sa.Boolean(), nullable=False),
         sa.Column("created_at", sa.DateTime(timezone=True), nullable=False),
         sa.ForeignKeyConstraint(

@@ -1,0 +1,209 @@
+"""The step that moves a rotor: a campaign on the rig's controller, resumed from its journal."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.errors import BusError, CancelledError, LeaseError, RestartError
+from service import bootstrap
+from service.errors import JobError, StoppedError
+from service.experiment.campaign import EXPERIMENT, JOURNAL, run_campaign
+from service.experiment.plan import Profile
+from service.experiment.progress import Progress
+from service.jobs.context import Context
+from service.jobs.control import Control
+from service.jobs.rotor import AuditedController
+from service.jobs.steps import datasheet_file
+from service.storage import jobs, results
+from service.storage.database import now
+from service.storage.ids import derived_id
+from service.storage.tables import ExperimentRow, JobRow
+from service.uploads.child import summary
+from sim import datasheet
+
+if TYPE_CHECKING:
+    from drivers.controller import Controller
+    from service.experiment.data import Experiment
+    from sim.datasheet import Datasheet
+
+LEASE_POLL_S = 0.5
+RECONNECT_S = 1.0
+MEDIA_TYPE = "application/x-hdf5"
+
+
+def profile_of(options: dict[str, Any]) -> Profile:
+    """The plan that a job's options ask for."""
+    wanted = options.get("profile", "standard")
+    if wanted == "quick":
+        return bootstrap.quick_profile()
+    return Profile() if wanted == "standard" else Profile(**wanted)
+
+
+def measure(worker: Context, job: JobRow, control: Control, profile: Profile, purpose: str) -> dict[str, Any]:
+    """Run a campaign to its end and keep its experiment; ``{"experiment": id}``.
+
+    What was measured is kept when the job is cancelled or fails, too.
+
+    Raises
+    ------
+    StoppedError
+        Cancelled, superseded, or the worker ends.
+    JobError
+        The controller does not answer for longer than the patience, or was stopped by hand.
+    AmbError
+        The rig or the plan does not allow it.
+    """
+    version, path = datasheet_file(worker, job)
+    sheet = datasheet.read(path)
+    folder = worker.folder(job.id)
+    _restore_journal(worker, job, folder / JOURNAL, control)
+    run = _Campaign(worker, job, control, sheet, version.controller_url, profile, folder)
+    try:
+        experiment = run.to_the_end()
+    except BaseException:
+        if not (control.stopping or control.superseded):
+            _keep_partial(worker, job, control, folder, purpose)
+        raise
+    kept = _kept(worker, job, folder / EXPERIMENT, experiment, purpose, complete=True)
+    control.made(experiment=kept)
+    return {"experiment": kept}
+
+
+@dataclass
+class _Campaign:
+    worker: Context
+    job: JobRow
+    control: Control
+    sheet: Datasheet
+    url: str
+    profile: Profile
+    folder: Path
+    percent: float = 0.0
+    answered: float = 0.0
+    """When the controller last answered, monotonic."""
+
+    def to_the_end(self) -> Experiment:
+        """Run the campaign, again and again while the controller is away or held by another host."""
+        self.answered = time.monotonic()
+        while True:
+            self._raise_if_stopped()
+            try:
+                controller = bootstrap.connect(self.url)
+            except BusError as error:
+                self._away(error)
+                continue
+            try:
+                return self._run(AuditedController(controller, self.worker, self.job, self.control.stopped))
+            except LeaseError as error:
+                self.answered = time.monotonic()
+                self._wait_for_lease(controller, error)
+            except RestartError as error:
+                self._away(error)
+            except BusError as error:
+                self._away(error)
+            except CancelledError:
+                self._raise_if_stopped()
+                title = "stopped at the rig"
+                raise JobError(
+                    title, "the excitation was stopped by hand or by another host; see to the rig, then try again"
+                ) from None
+            finally:
+                with suppress(Exception):
+                    controller.close()
+
+    def _run(self, controller: AuditedController) -> Experiment:
+        self.control.report(phase="connected")
+        return run_campaign(
+            controller,
+            self.sheet,
+            self.folder,
+            self._progress,
+            self.control.stopped,
+            resume=True,
+            profile=self.profile,
+            holder=f"ambit {self.job.id}",
+        )
+
+    def _progress(self, p: Progress) -> None:
+        self.answered = time.monotonic()
+        self.percent = max(self.percent, min(99.0, 100.0 * p.done / max(p.total, 1)))
+        self.control.report(
+            percent=self.percent, point=p.done, points=p.total, phase=p.phase, time_left_s=p.seconds_left or None
+        )
+
+    def _wait_for_lease(self, controller: Controller, error: LeaseError) -> None:
+        """Until the rig is free; another host's excitation is not ours to stop."""
+        while True:
+            left = f" for another {error.seconds_left:.0f} s" if error.seconds_left else ""
+            self.control.report(phase=f"waiting for the rig, which {error.holder or 'another host'} holds{left}")
+            time.sleep(LEASE_POLL_S)
+            self._raise_if_stopped()
+            try:
+                status = controller.status()
+            except BusError:
+                return
+            if not status.lease_holder:
+                return
+            error = LeaseError(status.lease_holder, status.lease_seconds_left)
+
+    def _away(self, error: Exception) -> None:
+        silent = time.monotonic() - self.answered
+        patience = self.worker.settings.controller_patience_s
+        if silent > patience:
+            raise JobError(
+                "controller does not answer", f"{error}; waited {silent:.0f} s: see to the controller, then try again"
+            ) from error
+        self.control.report(phase=f"waiting for the controller: {error}"[:500])
+        deadline = time.monotonic() + RECONNECT_S
+        while time.monotonic() < deadline:
+            self._raise_if_stopped()
+            time.sleep(0.1)
+
+    def _raise_if_stopped(self) -> None:
+        if self.control.stopped():
+            raise StoppedError("the job was stopped; the excitation is off")
+
+
+def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control) -> None:
+    """The longer one of this machine's journal and the database's: what was begun elsewhere goes on here."""
+    kept = worker.database.surely(lambda session: jobs.journal(session, job.id), control.stopped)
+    local = path.read_bytes() if path.exists() else b""
+    if len(kept) > len(local):
+        path.write_bytes(kept)
+    control.begin_journal(len(kept) if local[: len(kept)] == kept or len(kept) > len(local) else 0)
+
+
+def _keep_partial(worker: Context, job: JobRow, control: Control, folder: Path, purpose: str) -> None:
+    from service.experiment import file
+    from service.experiment.errors import ExperimentError
+
+    path = folder / EXPERIMENT
+    if not path.exists() or control.measured() == 0:
+        return
+    with suppress(ExperimentError):  # the reason why the job ended is the one to tell
+        control.made(experiment=_kept(worker, job, path, file.read(path), purpose, complete=False))
+
+
+def _kept(worker: Context, job: JobRow, path: Path, experiment: Experiment, purpose: str, complete: bool) -> str:
+    row = ExperimentRow(
+        id=derived_id("exp", job.id),
+        rig_id=job.rig_id,
+        rig_version=job.rig_version,
+        job_id=job.id,
+        source="measured",
+        purpose=purpose,
+        complete=complete,
+        file_sha256=worker.blobs.put_file(path),
+        file_bytes=path.stat().st_size,
+        media_type=MEDIA_TYPE,
+        file_name=EXPERIMENT,
+        summary=summary("HDF5", experiment),
+        created_at=now(),
+        created_by=job.submitted_by,
+    )
+    worker.database.surely(lambda session: results.keep(session, row))
+    return row.id

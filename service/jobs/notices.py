@@ -1,0 +1,93 @@
+"""Telling webhooks of a health check: what to tell is kept first, then sent until it is heard or too late."""
+
+from __future__ import annotations
+
+import random
+import time
+
+import httpx
+from sqlalchemy.orm import Session
+
+from service.health import webhook
+from service.jobs.context import context
+from service.storage import results
+from service.storage.database import now
+from service.storage.ids import derived_id
+from service.storage.tables import HealthRow, ScheduleRow, WebhookRow
+
+TIMEOUT_S = 10.0
+PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
+
+
+def begin(health_id: str) -> None:
+    """Tell the webhook of a check's schedule, if it has one and wants to know."""
+    worker = context()
+    delivery_id = derived_id("whd", health_id)
+
+    def prepare(session: Session) -> bool:
+        check = results.get(session, HealthRow, health_id)
+        schedule = None if check.schedule_id is None else session.get(ScheduleRow, check.schedule_id)
+        if schedule is None or not schedule.webhook_url or (schedule.webhook_on == "alarm" and not check.alarm):
+            return False
+        if session.get(WebhookRow, delivery_id) is None:
+            at = now()
+            session.add(
+                WebhookRow(
+                    id=delivery_id,
+                    schedule_id=schedule.id,
+                    health_id=health_id,
+                    url=schedule.webhook_url,
+                    state=PENDING,
+                    created_at=at,
+                    updated_at=at,
+                )
+            )
+        return True
+
+    if worker.database.surely(prepare):
+        worker.dispatcher.notify(delivery_id)
+
+
+def attempt(delivery_id: str) -> float | None:
+    """Send once; seconds until the next attempt, or None when there shall be none."""
+    worker = context()
+    with worker.database.read() as session:
+        delivery = session.get(WebhookRow, delivery_id)
+        if delivery is None or delivery.state != PENDING:
+            return None
+        check = results.get(session, HealthRow, delivery.health_id)
+        schedule = session.get(ScheduleRow, delivery.schedule_id)
+    secret = "" if schedule is None else schedule.webhook_secret
+    address = f"/api/v1/health-checks/{check.id}"
+    body = webhook.payload(check.id, check.rig_id, check.document, check.created_at, address)
+    message = webhook.signed(body, secret, delivery.id, time.time())
+    status, detail, asked = _post(delivery.url, message)
+    wait_s: float | None = None
+    if status is not None and 200 <= status < 300:
+        state = DELIVERED
+    else:
+        at = time.time()
+        again = webhook.retry_at(delivery.attempts + 1, at, asked, random.uniform(-1, 1))
+        state = FAILED if again is None or not webhook.worth_retrying(status) else PENDING
+        wait_s = None if state == FAILED or again is None else max(again - at, 0.0)
+
+    def note(session: Session) -> None:
+        row = session.get(WebhookRow, delivery_id)
+        assert row is not None
+        row.attempts += 1
+        row.state, row.status_code, row.detail, row.updated_at = state, status, detail, now()
+
+    worker.database.surely(note)
+    return wait_s
+
+
+def _post(url: str, message: webhook.Message) -> tuple[int | None, str, float | None]:
+    """Status, what went wrong, and how long the receiver asks to be left alone."""
+    try:
+        answer = httpx.post(
+            url, content=message.body, headers=message.headers, timeout=TIMEOUT_S, follow_redirects=False
+        )
+    except httpx.HTTPError as error:
+        return None, f"{type(error).__name__}: {error}"[:500], None
+    after = answer.headers.get("retry-after", "")
+    return answer.status_code, "" if answer.is_success else answer.text[:500], float(after) if after.isdigit() else None

@@ -1,0 +1,87 @@
+"""A controller whose lease is in the audit log: no rotor moves before it is written down for whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from sqlalchemy.orm import Session
+
+from drivers.controller import Capabilities, Controller, PointResult, Status, Tone
+from service.access.audit import Action, AuditEvent
+from service.jobs.context import Context
+from service.storage import audit
+from service.storage.tables import JobRow
+
+
+class AuditedController:
+    """A controller of a job.
+
+    Parameters
+    ----------
+    controller
+        Does everything.
+    stopped
+        Whether the job shall end: then a database that is away is not waited for.
+    """
+
+    def __init__(self, controller: Controller, worker: Context, job: JobRow, stopped: Callable[[], bool]) -> None:
+        self._controller = controller
+        self._worker = worker
+        self._job = job
+        self._stopped = stopped
+        self._tones = 0
+
+    def capabilities(self) -> Capabilities:
+        """What the controller is and allows."""
+        return self._controller.capabilities()
+
+    def status(self) -> Status:
+        """Snapshot of state, trip, excitation, lease."""
+        return self._controller.status()
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
+        """Hold the rig exclusively; both ends are in the audit log."""
+        how = "done"
+        leased = False
+        try:
+            with self._controller.lease(holder, seconds):
+                self._record(Action.rotor_excited, holder=holder)
+                leased = True
+                yield
+        except BaseException as error:
+            how = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise
+        finally:
+            if leased:
+                self._record(Action.rotor_released, how=how, tones=self._tones)
+
+    def measure(self, tone: Tone) -> PointResult:
+        """Excite with one tone, wait, measure, and ramp back to zero."""
+        self._tones += 1
+        return self._controller.measure(tone)
+
+    def stop(self) -> None:
+        """Ramp the excitation to zero."""
+        self._controller.stop()
+
+    def acknowledge(self) -> None:
+        """Clear a latched trip."""
+        self._controller.acknowledge()
+
+    def close(self) -> None:
+        """Stop, and give up the link."""
+        self._controller.close()
+
+    def _record(self, action: Action, **detail: str | int) -> None:
+        job = self._job
+        name = self._worker.settings.worker
+        event = AuditEvent(
+            action, f"worker:{name}"[:40], job.submitted_by, job.id, job.rig_id, {"worker": name, **detail}
+        )
+
+        def write(session: Session) -> None:
+            audit.record(session, event)
+
+        self._worker.database.surely(write, self._stopped)
