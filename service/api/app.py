@@ -13,7 +13,22 @@ from fastapi.openapi.utils import get_openapi
 
 from service import tracing
 from service.access.rate import Rate
-from service.api import access, events, experiments, gaps, jobs, live, log, models, operations, problems, rigs
+from service.api import (
+    access,
+    events,
+    experiments,
+    exports,
+    gaps,
+    health,
+    jobs,
+    live,
+    log,
+    models,
+    operations,
+    problems,
+    rigs,
+    schedules,
+)
 from service.api.middleware import Around
 from service.api.state import Services
 from service.bootstrap import product_version
@@ -72,7 +87,7 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def _routers() -> list[APIRouter]:
-    found = [rigs, live, jobs, events, experiments, models, gaps, log]
+    found = [rigs, live, jobs, events, experiments, models, exports, gaps, health, schedules, log]
     return [module.router for module in found]
 
 

@@ -1,0 +1,104 @@
+"""Models and frequency responses as files of other tools."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Response
+
+from service.api import etags
+from service.api.problems import documented
+from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
+from service.api.state import Api, Services
+from service.experiment import file
+from service.exports import files, linear, responses
+from service.exports.errors import ExportError
+from service.storage import results
+from service.storage.tables import ExperimentRow, ModelRow
+
+router = APIRouter(prefix="/api/v1", tags=["exports"])
+
+TYPES = {
+    "json": "application/json",
+    "csv": "text/csv; charset=utf-8",
+    "mat": "application/x-matlab-data",
+    "uff": "application/octet-stream",
+}
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+def _documented(*formats: str) -> dict[int | str, dict[str, Any]]:
+    content = {TYPES[f].partition(";")[0]: ({} if f == "json" else _BINARY) for f in formats}
+    return documented(404) | {
+        200: {"description": "The file", "content": content},
+        304: {"description": "Not changed"},
+    }
+
+
+Plane = Annotated[Literal["x", "y"], Query(description="Plane of the rig.")]
+
+
+@router.get(
+    "/models/{model_id}/export/state-space", response_class=Response, responses=_documented("json", "csv", "mat")
+)
+def export_state_space(
+    model_id: ModelId,
+    who: Viewer,
+    api: Api,
+    plane: Plane = "x",
+    part: Annotated[
+        Literal["plant", "amplifiers", "whole"],
+        Query(description="Coil current to displacement, control to coil current, or one after the other."),
+    ] = "plant",
+    format: Annotated[Literal["json", "csv", "mat"], Query(description="Format of the file.")] = "mat",
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """A plane's state space, continuous time, with the names and units of its signals."""
+    with api.database.read() as session:
+        row = results.get(session, ModelRow, model_id)
+    model = linear.of_result(json.loads(api.blobs.read(row.result_sha256)), plane, part)
+    name = f"{plane}-{part}.{format}"
+    with tempfile.TemporaryDirectory(dir=_scratch(api)) as folder:
+        content = files.write_linear(Path(folder) / name, model).read_bytes()
+    tag = f"{row.result_sha256[:24]}.{name}"
+    return etags.content_response(content, TYPES[format], tag, if_none_match, filename=name)
+
+
+@router.get(
+    "/experiments/{experiment_id}/export/responses",
+    response_class=Response,
+    responses=_documented("json", "csv", "mat", "uff"),
+)
+def export_responses(
+    experiment_id: ExperimentId,
+    who: Viewer,
+    api: Api,
+    plane: Plane = "x",
+    path: Annotated[
+        Literal["u->y", "i->y", "u->i", "r->u", "r->y"], Query(description="From which signal to which.")
+    ] = "u->y",
+    format: Annotated[Literal["json", "csv", "mat", "uff"], Query(description="Format; uff is UFF-58.")] = "uff",
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """A plane's measured frequency response with its standard deviation."""
+    with api.database.read() as session:
+        row = results.get(session, ExperimentRow, experiment_id)
+    name = f"{plane}-{path.replace('->', '-to-')}.{format}"
+    with tempfile.TemporaryDirectory(dir=_scratch(api)) as folder:
+        measured = file.read(api.blobs.fetch(row.file_sha256, Path(folder) / "experiment.h5"))
+        found = responses.of_experiment(measured, path)
+        if plane not in found:
+            raise ExportError(f"plane {plane} is not excited in this experiment; it has {', '.join(found)}")
+        content = files.write_responses(Path(folder) / name, [found[plane]])[0].read_bytes()
+    tag = f"{sha256(content).hexdigest()[:24]}.{name}".replace(">", "")
+    return etags.content_response(content, TYPES[format], tag, if_none_match, filename=name)
+
+
+def _scratch(api: Services) -> Path:
+    folder = api.settings.work / "exports"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

@@ -1,0 +1,143 @@
+"""Health checks and their trend: what drifted against the commissioning."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from pydantic import ConfigDict
+from sqlalchemy import select
+
+from service.api import etags, examples
+from service.api.problems import documented
+from service.api.shapes import After, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
+from service.api.state import Api
+from service.health import trend as trends
+from service.storage import results, rigs
+from service.storage.tables import HealthRow
+
+router = APIRouter(prefix="/api/v1", tags=["health"])
+NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed"}}
+TREND = 1000
+"""Checks that a trend looks back over."""
+
+
+class HealthShape(Shape):
+    """A health check."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": examples.HEALTH,
+                    "rig": examples.RIG,
+                    "rig_version": 2,
+                    "experiment": examples.EXPERIMENT,
+                    "baseline_model": examples.MODEL,
+                    "schedule": examples.SCHEDULE,
+                    "job": examples.JOB,
+                    "alarm": False,
+                    "zone": "A",
+                    "drifted": [],
+                    "sentence": "compressor 3: nothing drifted; sensitivity peak 2.01, zone A of ISO 14839-3",
+                    "created_at": examples.TIME,
+                }
+            ]
+        }
+    )
+
+    id: str
+    rig: str
+    rig_version: int
+    experiment: str
+    baseline_model: str
+    schedule: str | None
+    job: str | None
+    alarm: bool
+    zone: str
+    drifted: list[str]
+    sentence: str
+    created_at: Time
+
+
+class HealthDocument(HealthShape):
+    """A health check with its whole document."""
+
+    document: dict[str, Any]
+    """amb-health-check: every figure now and then, with both uncertainties."""
+
+
+class TrendShape(Shape):
+    """Every monitored figure of a rig over its checks."""
+
+    rig: str
+    checks: list[str]
+    """Ids, oldest first."""
+    series: dict[str, Any]
+
+
+def _values(row: HealthRow) -> dict[str, Any]:
+    return {
+        "id": row.id,
+        "rig": row.rig_id,
+        "rig_version": row.rig_version,
+        "experiment": row.experiment_id,
+        "baseline_model": row.model_id,
+        "schedule": row.schedule_id,
+        "job": row.job_id,
+        "alarm": row.alarm,
+        "zone": row.document["zone"],
+        "drifted": row.document["drifted"],
+        "sentence": row.document["sentence"],
+        "created_at": row.created_at,
+    }
+
+
+@router.get("/health-checks", response_model=Listed[HealthShape], responses=documented())
+def list_health_checks(
+    who: Viewer,
+    api: Api,
+    rig: OfRig = None,
+    alarm: Annotated[bool | None, Query(description="Only alarms, or only others.")] = None,
+    after: After = None,
+    limit: Limit = 100,
+) -> Listed[HealthShape]:
+    """All health checks, newest first."""
+    with api.database.read() as session:
+        page = results.listed(session, HealthRow, rig, after, limit, alarm=alarm)
+    return Listed(items=[HealthShape(**_values(row)) for row in page.items], next=page.next)
+
+
+@router.get("/health-checks/{health_id}", response_model=HealthDocument, responses=documented(404) | NOT_CHANGED)
+def get_health_check(health_id: HealthId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """A health check: which figure drifted, by how much, and how sure that is."""
+    with api.database.read() as session:
+        row = results.get(session, HealthRow, health_id)
+    return etags.document(HealthDocument(**_values(row), document=row.document), if_none_match)
+
+
+@router.get(
+    "/health-checks/{health_id}/report.html",
+    response_class=Response,
+    responses=documented(404)
+    | NOT_CHANGED
+    | {200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
+)
+def get_health_report(health_id: HealthId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """The report of a check with its trend plots, one page that needs nothing else."""
+    with api.database.read() as session:
+        row = results.get(session, HealthRow, health_id)
+    content = api.blobs.read(row.report_sha256)
+    return etags.content_response(content, "text/html; charset=utf-8", row.report_sha256, if_none_match)
+
+
+@router.get("/rigs/{rig_id}/trend", response_model=TrendShape, responses=documented(404))
+def health_trend(rig_id: RigId, who: Viewer, api: Api) -> TrendShape:
+    """How a rig's figures went over its checks, and whether one of them moves steadily."""
+    with api.database.read() as session:
+        rigs.get(session, rig_id)
+        query = select(HealthRow).where(HealthRow.rig_id == rig_id).order_by(HealthRow.id.desc()).limit(TREND)
+        rows = list(session.scalars(query))[::-1]
+    history = [trends.Checked(row.created_at, row.document, row.id) for row in rows]
+    series = {name: found.document() for name, found in trends.trend(history).items()} if history else {}
+    return TrendShape(rig=rig_id, checks=[row.id for row in rows], series=series)

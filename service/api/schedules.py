@@ -1,0 +1,305 @@
+"""Schedules: when a rig's health is checked, who is told, and which checks were missed."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import ConfigDict, Field
+from sqlalchemy.orm import Session
+
+from service.access.audit import Action
+from service.api import etags, examples
+from service.api.auditing import audit
+from service.api.once import Answer, once
+from service.api.options import checked_options
+from service.api.problems import documented
+from service.api.shapes import (
+    After,
+    IdempotencyKey,
+    IfMatch,
+    IfNoneMatch,
+    Limit,
+    Listed,
+    OfRig,
+    Operator,
+    ScheduleId,
+    Shape,
+    Time,
+    Viewer,
+    Wanted,
+)
+from service.api.state import Api
+from service.errors import ConflictError
+from service.health import schedule as cron
+from service.health import webhook
+from service.storage import rigs, schedules
+from service.storage.database import now
+from service.storage.ids import new_id
+from service.storage.tables import ScheduleRow
+
+router = APIRouter(prefix="/api/v1/schedules", tags=["schedules"])
+
+
+class WebhookWanted(Wanted):
+    """Who is told of a check."""
+
+    url: str = Field(max_length=1000, description="http or https; messages follow Standard Webhooks 1.0.0.")
+    secret: str | None = Field(
+        None,
+        max_length=200,
+        description="whsec_ and base64. Without it a new one is made, and shown in this answer only.",
+    )
+    on: Literal["alarm", "always"] = "alarm"
+
+
+class ScheduleWanted(Wanted):
+    """A schedule as it is given."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "rig": examples.RIG,
+                    "cron": "30 6 * * *",
+                    "timezone": "Europe/Zurich",
+                    "options": {"budget_s": 90},
+                    "webhook": {"url": "https://plant.example/hooks/amb", "on": "alarm"},
+                }
+            ]
+        }
+    )
+
+    rig: str = Field(max_length=40, description="Id of the rig; it stays.")
+    cron: str = Field(max_length=100, description="Minute, hour, day, month, weekday.")
+    timezone: str = Field("UTC", max_length=60, description="In which the expression is read.")
+    options: dict[str, Any] = Field(default_factory=dict, description="Options of the health jobs: budget_s.")
+    enabled: bool = True
+    webhook: WebhookWanted | None = None
+
+
+class WebhookShape(Shape):
+    """Who is told of a check."""
+
+    url: str
+    on: str
+    secret: str | None = None
+    """Only in the answer that made it."""
+
+
+class ScheduleShape(Shape):
+    """A schedule."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": examples.SCHEDULE,
+                    "rig": examples.RIG,
+                    "cron": "30 6 * * *",
+                    "timezone": "Europe/Zurich",
+                    "options": {"budget_s": 90},
+                    "enabled": True,
+                    "webhook": {"url": "https://plant.example/hooks/amb", "on": "alarm", "secret": None},
+                    "next_at": examples.TIME,
+                    "created_at": examples.TIME,
+                    "updated_at": examples.TIME,
+                    "created_by": "lab bench",
+                }
+            ]
+        }
+    )
+
+    id: str
+    rig: str
+    cron: str
+    timezone: str
+    options: dict[str, Any]
+    enabled: bool
+    webhook: WebhookShape | None
+    next_at: Time | None
+    created_at: Time
+    updated_at: Time
+    created_by: str
+
+
+class RunShape(Shape):
+    """One time at which a check was due."""
+
+    due_at: Time
+    state: str
+    """submitted, missed (the service was down) or refused (the rig could not be checked)."""
+    detail: str
+    job: str | None
+    recorded_at: Time
+
+
+class DeliveryShape(Shape):
+    """A message to a webhook, and what became of it."""
+
+    id: str
+    health: str
+    url: str
+    state: str
+    """pending, delivered or failed."""
+    attempts: int
+    status_code: int | None
+    detail: str
+    created_at: Time
+    updated_at: Time
+
+
+def shape(row: ScheduleRow, secret: str | None = None) -> ScheduleShape:
+    """A schedule as it is sent."""
+    hook = WebhookShape(url=row.webhook_url, on=row.webhook_on, secret=secret) if row.webhook_url else None
+    return ScheduleShape(
+        id=row.id,
+        rig=row.rig_id,
+        cron=row.cron,
+        timezone=row.timezone,
+        options=row.options,
+        enabled=row.enabled,
+        webhook=hook,
+        next_at=row.next_at if row.enabled else None,
+        created_at=row.created_at,
+        updated_at=row.updated_at,
+        created_by=row.created_by,
+    )
+
+
+def tag(row: ScheduleRow) -> str:
+    """ETag of a schedule; that it ran is no change of it."""
+    return f"{row.id}.{int(row.updated_at.timestamp() * 1e6):x}"
+
+
+def _apply(row: ScheduleRow, wanted: ScheduleWanted) -> str | None:
+    """Write what is wanted into a row; the secret that was made for it, if any.
+
+    Raises
+    ------
+    ScheduleError, WebhookError
+        It cannot be kept.
+    """
+    row.cron, row.timezone = cron.checked(wanted.cron, wanted.timezone), wanted.timezone
+    row.options = checked_options("health", wanted.options)
+    row.enabled = wanted.enabled
+    row.updated_at = now()
+    row.next_at = cron.next_run(row.cron, row.updated_at, row.timezone)
+    made: str | None = None
+    if wanted.webhook is None:
+        row.webhook_url = row.webhook_secret = ""
+        return None
+    if wanted.webhook.secret is not None:
+        webhook.signed({}, wanted.webhook.secret, "check", 0.0)  # a secret that cannot sign is refused now
+        row.webhook_secret = wanted.webhook.secret
+    elif not row.webhook_secret:
+        row.webhook_secret = made = webhook.new_secret()
+    row.webhook_url, row.webhook_on = webhook.checked_url(wanted.webhook.url), wanted.webhook.on
+    return made
+
+
+@router.post("", status_code=201, response_model=ScheduleShape, responses=documented(404, 409, 413, 415))
+def create_schedule(
+    request: Request, wanted: ScheduleWanted, who: Operator, api: Api, idempotency_key: IdempotencyKey = None
+) -> Response:
+    """Have a rig's health checked by the clock."""
+
+    def make(session: Session) -> Answer:
+        rig = rigs.active(session, wanted.rig)
+        row = ScheduleRow(id=new_id("sch"), rig_id=rig.id, created_at=now(), created_by=who.name, webhook_secret="")
+        secret = _apply(row, wanted)
+        session.add(row)
+        session.flush()
+        audit(session, request, who, Action.schedule_created, row.id, rig=rig.id, cron=row.cron)
+        return Answer(201, f"/api/v1/schedules/{row.id}", shape(row, secret).model_dump(mode="json"))
+
+    answer, replayed = once(api.database, who, request, idempotency_key, wanted.model_dump_json(), make)
+    return answer.response(replayed)
+
+
+@router.get("", response_model=Listed[ScheduleShape], responses=documented())
+def list_schedules(
+    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100
+) -> Listed[ScheduleShape]:
+    """All schedules, newest first."""
+    with api.database.read() as session:
+        page = schedules.listed(session, rig, after, limit)
+    return Listed(items=[shape(row) for row in page.items], next=page.next)
+
+
+@router.get(
+    "/{schedule_id}", response_model=ScheduleShape, responses=documented(404) | {304: {"description": "Not changed"}}
+)
+def get_schedule(schedule_id: ScheduleId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+    """A schedule."""
+    with api.database.read() as session:
+        row = schedules.get(session, schedule_id)
+    return etags.document(shape(row), if_none_match, tag(row))
+
+
+@router.put("/{schedule_id}", response_model=ScheduleShape, responses=documented(404, 409, 412, 413, 415, 428))
+def change_schedule(
+    request: Request,
+    schedule_id: ScheduleId,
+    wanted: ScheduleWanted,
+    who: Operator,
+    api: Api,
+    if_match: IfMatch = None,
+) -> Response:
+    """Change a schedule; the webhook's secret stays when none is given."""
+    with api.database.write() as session:
+        row = schedules.get(session, schedule_id, for_update=True)
+        etags.require_match(if_match, tag(row))
+        if wanted.rig != row.rig_id:
+            raise ConflictError(f"the schedule is for the rig {row.rig_id}, and stays so; make another one")
+        secret = _apply(row, wanted)
+        audit(session, request, who, Action.schedule_changed, row.id, rig=row.rig_id, cron=row.cron)
+    return etags.document(shape(row, secret), None, tag(row))
+
+
+@router.delete("/{schedule_id}", status_code=204, response_class=Response, responses=documented(404))
+def remove_schedule(request: Request, schedule_id: ScheduleId, who: Operator, api: Api) -> Response:
+    """Remove a schedule; its checks stay."""
+    with api.database.write() as session:
+        row = schedules.get(session, schedule_id, for_update=True)
+        row.deleted_at = now()
+        row.next_at = None
+        audit(session, request, who, Action.schedule_removed, row.id, rig=row.rig_id)
+    return Response(status_code=204)
+
+
+Count = Annotated[int, Query(ge=1, le=1000, description="How many at most.")]
+
+
+@router.get("/{schedule_id}/runs", response_model=list[RunShape], responses=documented(404))
+def list_runs(schedule_id: ScheduleId, who: Viewer, api: Api, limit: Count = 100) -> list[RunShape]:
+    """The times at which checks were due, newest first; also those that were missed."""
+    with api.database.read() as session:
+        schedules.get(session, schedule_id)
+        found = schedules.runs(session, schedule_id, limit)
+    return [
+        RunShape(due_at=r.due_at, state=r.state, detail=r.detail, job=r.job_id, recorded_at=r.recorded_at)
+        for r in found
+    ]
+
+
+@router.get("/{schedule_id}/deliveries", response_model=list[DeliveryShape], responses=documented(404))
+def list_deliveries(schedule_id: ScheduleId, who: Viewer, api: Api, limit: Count = 100) -> list[DeliveryShape]:
+    """What the schedule's webhook was told, newest first."""
+    with api.database.read() as session:
+        schedules.get(session, schedule_id)
+        found = schedules.deliveries(session, schedule_id, limit)
+    return [
+        DeliveryShape(
+            id=d.id,
+            health=d.health_id,
+            url=d.url,
+            state=d.state,
+            attempts=d.attempts,
+            status_code=d.status_code,
+            detail=d.detail,
+            created_at=d.created_at,
+            updated_at=d.updated_at,
+        )
+        for d in found
+    ]
