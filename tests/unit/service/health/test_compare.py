@@ -1,0 +1,123 @@
+"""A check on the rig in time: what changed is named, what did not change is left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.errors import DocumentError
+from service.experiment.data import Experiment
+from service.health.compare import Baseline, compare
+from service.health.sequential import Policy
+from service.identification.margins import zone_table
+from sim.errors import AmbError
+from sim.reference import reference_rig
+from tests.support.commissioned import SHEET, check, result, with_magnets, with_mode
+
+
+@pytest.fixture(scope="module")
+def unchanged() -> Experiment:
+    return check(reference_rig())
+
+
+def checked(experiment: Experiment, **options):
+    return compare(Baseline(result()), experiment, SHEET, **options)
+
+
+def test_a_rig_that_did_not_change_raises_no_alarm(unchanged):
+    found = checked(unchanged)
+    assert not found.alarm
+    assert found.drifted == ()
+    significance = np.array([c.significance for c in found.changes])
+    # calibrated: as large as standard normal numbers are, neither all small nor any huge
+    assert 0.4 < np.sqrt(np.mean(significance**2)) < 1.6
+    assert np.abs(significance).max() < 4.0
+    assert all(0.7 < p.rms_over_sigma < 1.3 for p in found.planes)
+
+
+def test_a_check_takes_a_tenth_of_a_commissioning(unchanged):
+    assert float(unchanged.attributes["rig_seconds"]) < 100.0
+
+
+def test_five_percent_less_ki_are_an_alarm_that_names_ki():
+    found = checked(check(with_magnets(ki=0.95)))
+    assert found.alarm
+    assert set(found.drifted) == {"x.kiA", "x.kiB", "y.kiA", "y.kiB"}
+    for c in found.changes:
+        if c.monitored.name.startswith("ki"):
+            assert c.change_percent == pytest.approx(-5.0, abs=4 * c.std_percent)
+    assert "force-current factor" in found.sentence()
+
+
+def test_one_magnet_of_one_bearing_is_told_from_the_others():
+    found = checked(check(with_magnets(ks=1.03, axes=[3])))
+    assert found.drifted == ("y.ksB",)
+
+
+def test_damping_that_doubles_is_named():
+    found = checked(check(with_mode(0, damping=2.0)))
+    assert set(found.drifted) == {"x.zeta1", "y.zeta1"}
+    by_id = {c.monitored.id: c for c in found.changes}
+    assert by_id["x.zeta1"].change_percent == pytest.approx(100.0, abs=3.0)
+
+
+def test_a_mode_that_moved_by_many_of_its_widths_is_found():
+    found = checked(check(with_mode(1, frequency=1.01)))
+    assert set(found.drifted) == {"x.wn2", "y.wn2"}
+    by_id = {c.monitored.id: c for c in found.changes}
+    assert by_id["y.wn2"].change_percent == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_no_parameter_explains_is_said(unchanged):
+    main = unchanged.main
+    # one channel of one axis answers 3 % less at every other frequency, as no magnet, mode or amplifier does
+    odd = np.searchsorted(np.unique(main.frequency_hz), main.frequency_hz) % 2 == 1
+    y = main.Y.copy()
+    y[odd, :, :, 0] *= 0.97
+    broken = replace(unchanged, sweeps=(replace(main, Y=y), *unchanged.sweeps[1:]))
+    found = checked(broken)
+    assert "x.unexplained" in found.drifted
+    assert "y.unexplained" not in found.drifted
+
+
+def test_the_document_has_what_the_service_shows(unchanged):
+    document = checked(unchanged, tests_made=7).document()
+    assert (document["format"], document["version"], document["rig"]) == ("amb-health-check", 1, SHEET.name)
+    assert document["alarm"] is False
+    assert document["drifted"] == []
+    ki = document["parameters"]["x.kiA"]
+    assert ki["now"]["value"] == pytest.approx(181.0, rel=0.01)
+    assert ki["baseline"]["std"] < ki["now"]["std"]
+    assert {"change_percent", "significance", "p_value", "threshold"} <= ki.keys()
+    assert document["tests_made"] == 7
+    assert document["zone"] in "ABCD"
+    assert set(document["sensitivity_peak"]) == set(SHEET.axes)
+    low, high = document["sensitivity_peak"]["xA"]["interval_95"]
+    assert low < 4.2308 < high  # the true peak of the sampled loop, sim.twin
+
+
+def test_the_table_of_zones_is_the_users(unchanged):
+    assert checked(unchanged).zone == "D"
+    assert checked(unchanged, zones=zone_table("fine=20,bad")).zone == "fine"
+
+
+def test_fewer_false_alarms_ask_for_larger_changes(unchanged):
+    strict, loose = (checked(unchanged, policy=Policy(p)).changes[0].threshold for p in (0.001, 1.0))
+    assert strict > loose > 3.5
+
+
+def test_what_cannot_be_compared_is_refused_in_one_line(unchanged):
+    with pytest.raises(DocumentError, match=r"result\.json"):
+        Baseline({"format": "amb-gap-report", "version": 1})
+    with pytest.raises(AmbError, match="axes"):
+        checked(replace(unchanged, axes=("xA", "xB")))
+    old = {**result(), "planes": {p: {**d, "parameters": None} for p, d in result()["planes"].items()}}
+    with pytest.raises(AmbError, match="identify"):
+        compare(Baseline(old), unchanged, SHEET)
+    with pytest.raises(AmbError, match="incomplete"):
+        compare(Baseline({**result(), "planes": {"x": {"parameters": {}}}}), unchanged, SHEET)
+    few = unchanged.main.select(unchanged.main.frequency_hz > 900)
+    with pytest.raises(AmbError, match="at least"):
+        checked(replace(unchanged, sweeps=(few,)))
+    with pytest.raises(AmbError, match="no excited tone"):
+        checked(replace(unchanged, sweeps=tuple(s for s in unchanged.sweeps if s.kind == "noise")))

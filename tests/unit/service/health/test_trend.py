@@ -1,0 +1,88 @@
+"""A slow drift shows in the slope before any single check is an alarm."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from service.health.trend import Checked, trend
+from service.report.health import health_page
+
+START = datetime(2026, 1, 1, 6, tzinfo=UTC)
+
+
+def history(percent_per_day: float, days: int, offset: float = 0.0, std: float = 0.05, seed: int = 1) -> list[Checked]:
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(days):
+        change = offset + percent_per_day * k + std * rng.normal()
+        total = float(np.hypot(std, 0.05))
+        figure = {
+            "plane": "x",
+            "name": "kiA",
+            "unit": "N/A",
+            "now": {"value": 180 * (1 + change / 100), "std": 1.8 * std},
+            "baseline": {"value": 180.0, "std": 1.8 * 0.05},
+            "change_percent": change,
+            "change_std_percent": total,
+            "significance": change / total,
+            "threshold": 4.5,
+            "drifted": abs(change) > 4.5 * total,
+        }
+        document = {
+            "rig": "r",
+            "alarm": False,
+            "drifted": [],
+            "sentence": "r: nothing drifted",
+            "parameters": {"x.kiA": figure},
+            "sensitivity_peak": {},
+            "zone": "A",
+            "residuals": {"x": {"rms_over_sigma": 1.0, "unexplained": False}},
+            "tests_made": k,
+            "false_alarms_per_year": 0.2,
+            "rig_seconds": 80.0,
+            "frequencies_hz": [10.0],
+            "checked_at": (START + timedelta(days=k)).isoformat(),
+        }
+        found.append(Checked(START + timedelta(days=k), document))
+    return found
+
+
+def test_a_slow_drift_is_found_before_any_check_is_an_alarm():
+    checks = history(0.006, 40)
+    assert not any(c.document["parameters"]["x.kiA"]["drifted"] for c in checks)
+    series = trend(checks)["x.kiA"]
+    assert series.drifting
+    assert series.slope_percent_per_year == pytest.approx(0.006 * 365.25, abs=3 * series.slope_std)
+
+
+def test_an_error_of_the_baseline_is_no_slope():
+    series = trend(history(0.0, 40, offset=0.15))["x.kiA"]
+    assert not series.drifting
+    assert abs(series.significance) < 3
+
+
+def test_slopes_of_rigs_that_do_not_drift_are_calibrated():
+    found = [trend(history(0.0, 20, seed=k))["x.kiA"].significance for k in range(60)]
+    assert 0.6 < np.std(found) < 1.25
+
+
+def test_few_checks_have_no_slope():
+    series = trend(history(0.0, 3))["x.kiA"]
+    assert series.slope_percent_per_year is None
+    assert not series.drifting
+    assert series.document()["slope_significance"] is None
+
+
+def test_checks_are_put_in_order():
+    checks = history(0.01, 30)
+    assert trend(checks[::-1])["x.kiA"].at == trend(checks)["x.kiA"].at
+
+
+def test_the_page_warns_of_a_steady_change():
+    checks = history(0.006, 40)
+    page = health_page(checks[-1].document, checks)
+    assert "x.kiA changes steadily" in page
+    assert 'id="trend-magnets"' in page
+    first = health_page(checks[0].document, checks[:1])
+    assert "first check" in first
