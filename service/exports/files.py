@@ -70,7 +70,7 @@ def write_responses(path: Path, found: list[Responses]) -> list[Path]:
     """
     ending = path.suffix.lower()
     if ending in (".uff", ".unv"):
-        return [_write_universal(path, found)]
+        return [_write_bytes(path, universal.content(found))]
     if ending not in RESPONSE_ENDINGS:
         raise ExportError(
             f"a response cannot be written as {path.name}; its ending must be one of {_words(RESPONSE_ENDINGS)}"
@@ -128,25 +128,6 @@ def _loaded(path: Path) -> dict[str, Any]:
     except Exception as error:  # scipy raises whatever a broken file leads it to
         raise ExportError(f"cannot read {path}: it is no MATLAB file that scipy can read ({error})") from error
     return found
-
-
-def _write_universal(path: Path, found: list[Responses]) -> Path:
-    import pyuff
-
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp.uff")
-    try:
-        temporary.unlink(missing_ok=True)
-        sets = [d for r in found for d in universal.datasets(r)]
-        with contextlib.redirect_stdout(io.StringIO()):
-            # mode "overwrite" loses the first header of a binary file in pyuff 2.5
-            pyuff.UFF(str(temporary)).write_sets([dict(d) for d in sets], mode="add")
-        temporary.write_bytes(universal.with_sizes(temporary.read_bytes(), sets))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-    return path
 
 
 def _universal_sets(path: Path) -> list[dict[str, Any]]:

@@ -96,7 +96,7 @@ def responses_csv(r: Responses) -> str:
     columns = [r.frequency_hz]
     for a, (out, out_unit) in enumerate(zip(r.outputs, r.output_units, strict=True)):
         for b, (source, source_unit) in enumerate(zip(r.inputs, r.input_units, strict=True)):
-            name = f"{out}/{source} [{out_unit}/{source_unit}]"
+            name = f"{out} per {source} [{out_unit} per {source_unit}]"
             heads += [f"re {name}", f"im {name}"]
             columns += [r.value[:, a, b].real, r.value[:, a, b].imag]
             if r.std is not None:
@@ -148,12 +148,12 @@ def responses_from_csv(text: str) -> Responses:
 
 
 def _entry(head: str) -> tuple[str, str, str, str]:
-    """Output, input and their units of a heading ``out/in [unit/unit]``."""
+    """Output, input and their units of a heading ``out per in [unit per unit]``."""
     names, _, units = head.partition(" [")
-    out, _, source = names.partition("/")
-    out_unit, _, source_unit = units.removesuffix("]").partition("/")
+    out, _, source = names.partition(" per ")
+    out_unit, _, source_unit = units.removesuffix("]").partition(" per ")
     if not (out and source and units):
-        raise ValueError(f"column {head!r} is not named out/in [unit/unit]")
+        raise ValueError(f"column {head!r} is not named out per in [unit per unit]")
     return out, source, out_unit, source_unit
 
 

@@ -8,14 +8,14 @@ function, type 0, of the same nodes.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from service.exports.errors import ExportError
-from service.exports.responses import Responses
+from service.exports.responses import Complex, Real, Responses
 
 FRF, GENERAL = 4, 0
 NODES = {"A": 1, "B": 2}
@@ -23,44 +23,67 @@ DIRECTIONS = {"x": 1, "y": 2}
 STD = "standard deviation of the response"
 
 
-def datasets(r: Responses) -> list[dict[str, Any]]:
-    """Datasets for pyuff."""
+def content(found: Iterable[Responses]) -> bytes:
+    """A universal file of these responses.
+
+    Written here and read by pyuff: pyuff 2.5's own writer loses the first header of a binary file, counts a third of
+    its bytes in the header, and leaves files open.
+    """
+    return b"".join(_datasets(r) for r in found)
+
+
+def _datasets(r: Responses) -> bytes:
     out = []
     for a, (target, unit) in enumerate(zip(r.outputs, r.output_units, strict=True)):
         for b, (source, per) in enumerate(zip(r.inputs, r.input_units, strict=True)):
-            common = _common(r, target, unit, source, per)
-            out.append(common | {"func_type": FRF, "id2": "frequency response", "data": r.value[:, a, b]})
+            named = _Names(r.name, target, unit, source, per)
+            out.append(_dataset(named, FRF, "frequency response", r.frequency_hz, r.value[:, a, b]))
             if r.std is not None:
-                out.append(common | {"func_type": GENERAL, "id2": STD, "data": r.std[:, a, b]})
-    return out
+                out.append(_dataset(named, GENERAL, STD, r.frequency_hz, r.std[:, a, b]))
+    return b"".join(out)
 
 
-def _common(r: Responses, target: str, unit: str, source: str, per: str) -> dict[str, Any]:
-    rsp_node, rsp_dir = _place(target)
-    ref_node, ref_dir = _place(source)
-    return {
-        "type": 58,
-        "binary": 1,
-        "id1": r.name[:80],
-        "id3": f"{target} [{unit}] per {source} [{per}]"[:80],
-        "rsp_ent_name": target[:10],
-        "rsp_node": rsp_node,
-        "rsp_dir": rsp_dir,
-        "ref_ent_name": source[:10],
-        "ref_node": ref_node,
-        "ref_dir": ref_dir,
-        "x": r.frequency_hz,
-        "abscissa_spacing": 0,
-        "abscissa_spec_data_type": 18,  # frequency
-        "abscissa_axis_lab": "frequency",
-        "abscissa_axis_units_lab": "Hz",
-        "ordinate_spec_data_type": 8 if unit == "m" else 0,  # displacement
-        "ordinate_axis_lab": target[:20],
-        "ordinate_axis_units_lab": unit,
-        "orddenom_spec_data_type": 0,
-        "orddenom_axis_lab": source[:20],
-        "orddenom_axis_units_lab": per,
-    }
+@dataclass(frozen=True)
+class _Names:
+    response: str
+    output: str
+    output_unit: str
+    input: str
+    input_unit: str
+
+
+def _dataset(named: _Names, kind: int, what: str, x: Real, y: Real | Complex) -> bytes:
+    """One dataset 58b, little-endian IEEE doubles: pairs (x, y) or triples (x, re y, im y), x unevenly spaced."""
+    is_complex = np.iscomplexobj(y)
+    columns = [x, y.real, y.imag] if is_complex else [x, y]
+    data = np.stack(columns, axis=1).astype("<f8").tobytes()
+    rsp_node, rsp_dir = _place(named.output)
+    ref_node, ref_dir = _place(named.input)
+    displacement = 8 if named.output_unit == "m" else 0
+    lines = [
+        f"{-1:6d}",
+        # little-endian, IEEE 754, lines of the header, bytes after it
+        f"{58:6d}b{1:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
+        named.response,
+        what,
+        f"{named.output} [{named.output_unit}] per {named.input} [{named.input_unit}]",
+        "NONE",
+        "NONE",
+        f"{kind:5d}{0:10d}{0:5d}{0:10d} {named.output[:10]:>10s}{rsp_node:10d}{rsp_dir:4d} "
+        f"{named.input[:10]:>10s}{ref_node:10d}{ref_dir:4d}",
+        f"{6 if is_complex else 4:10d}{len(x):10d}{0:10d}{0.0:13.5e}{0.0:13.5e}{0.0:13.5e}",
+        _axis(18, "frequency", "Hz"),
+        _axis(displacement, named.output, named.output_unit),
+        _axis(0, named.input, named.input_unit),
+        _axis(0, "NONE", "NONE"),
+    ]
+    head = "".join(f"{line[:80]:<80s}\n" if 2 <= k < 7 else f"{line}\n" for k, line in enumerate(lines))
+    return head.encode("ascii", "replace") + data + b"\n    -1\n"
+
+
+def _axis(kind: int, label: str, unit: str) -> str:
+    """Record of an axis: specific data type (18 frequency, 8 displacement, 0 other), exponents of units, labels."""
+    return f"{kind:10d}{0:5d}{0:5d}{0:5d} {label[:20]:<20s} {unit[:20]:<20s}"
 
 
 def _place(signal: str) -> tuple[int, int]:
@@ -69,22 +92,6 @@ def _place(signal: str) -> tuple[int, int]:
     if len(axis) == 2 and axis[0] in DIRECTIONS and axis[1] in NODES:
         return NODES[axis[1]], DIRECTIONS[axis[0]]
     return 0, 0
-
-
-def with_sizes(content: bytes, sets: list[dict[str, Any]]) -> bytes:
-    """A file of these datasets with the true number of bytes in each header.
-
-    pyuff 2.5 counts a value's bytes but not its frequency's, nor its imaginary part's; readers that trust the header
-    would stop early.
-    """
-    sizes = iter(8 * len(d["x"]) * (3 if np.iscomplexobj(d["data"]) else 2) for d in sets)
-    return re.sub(
-        rb"(    -1\r?\n    58b.{24})(.{12})",
-        lambda m: m.group(1) + b"%12d" % next(sizes),
-        content,
-        count=len(sets),
-        flags=re.DOTALL,
-    )
 
 
 def from_datasets(found: Iterable[Mapping[str, Any]]) -> list[Responses]:

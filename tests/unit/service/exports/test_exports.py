@@ -1,0 +1,161 @@
+"""Exports as other programs read them: scipy, pyuff, python-control, csv; and files that are no exports."""
+
+import csv
+import json
+
+import control
+import numpy as np
+import pytest
+import pyuff
+from scipy.io import loadmat
+
+from service.exports import files, linear, responses
+from service.exports.control import from_control, to_control
+from service.exports.errors import ExportError
+from service.identification.saved import saved_planes
+from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from sim.reference import reference_rig
+from tests.support.commissioned import AXES, LAW, SHEET, result
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return linear.of_result(result(), "x")
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    f = np.concatenate([np.geomspace(10.0, 480.0, 12), [492.1234567, 492.1334567, 900.0]])
+    return synthetic_experiment(synthetic_sweep(models, AXES, LAW, f, 0.05, seed=1), axes=AXES, rig="reference")
+
+
+def test_python_control_has_the_response_of_the_identified_plant(plant):
+    system = to_control(plant)
+    assert isinstance(system, control.StateSpace)
+    assert system.input_labels == ["i_xA", "i_xB"]
+    assert system.output_labels == ["y_xA", "y_xB"]
+    omega = 2 * np.pi * np.array([11.0, 130.0, 492.0, 800.0])
+    theirs = np.moveaxis(system(1j * omega), -1, 0)
+    ours = saved_planes(result(), SHEET)["x"].model.plant_response(omega)
+    np.testing.assert_allclose(theirs, ours, rtol=1e-8)
+    assert np.sum(system.poles().real > 0) == 2  # both rigid modes fall to the magnets
+
+
+def test_whole_is_amplifiers_and_plant_in_series(plant):
+    whole = to_control(linear.of_result(result(), "x", "whole"))
+    amplifiers = to_control(linear.of_result(result(), "x", "amplifiers"))
+    s = 2j * np.pi * 300.0
+    np.testing.assert_allclose(whole(s), to_control(plant)(s) @ amplifiers(s), rtol=1e-9)
+    assert whole.params["units"] == {"inputs": ["A", "A"], "outputs": ["m", "m"]}
+
+
+def test_scipy_reads_the_matlab_file(plant, tmp_path):
+    found = loadmat(files.write_linear(tmp_path / "x.mat", plant))
+    np.testing.assert_array_equal(found["A"], plant.A)
+    np.testing.assert_array_equal(found["D"], np.zeros((2, 2)))
+    assert [str(c[0][0]) for c in found["inputs"]] == ["i_xA", "i_xB"]
+    assert [str(c[0][0]) for c in found["output_units"]] == ["m", "m"]
+    assert found["sample_time_s"].item() == 0.0
+
+
+def test_a_spreadsheet_reads_the_table(plant, tmp_path):
+    with files.write_linear(tmp_path / "x.csv", plant).open(newline="") as file:
+        lines = list(csv.DictReader(file.readlines()[2:]))
+    b = [line for line in lines if line["matrix"] == "B"]
+    assert len(b) == plant.B.size
+    assert float(b[1]["value"]) == plant.B[0, 1]
+    assert (b[1]["column_name"], b[1]["column_unit"]) == ("i_xB", "A")
+
+
+def test_pyuff_reads_dataset_58_with_nodes_units_and_every_digit_of_frequency(experiment, tmp_path):
+    found = responses.of_experiment(experiment)
+    (path,) = files.write_responses(tmp_path / "frf.uff", list(found.values()))
+    file = pyuff.UFF(str(path))
+    assert list(file.get_set_types()) == [58] * 16  # two planes, 2 x 2 entries, each with its deviation
+    sets = [file.read_sets(k) for k in range(16)]
+    frfs = [d for d in sets if d["func_type"] == 4]
+    second = frfs[1]  # yA per uB of plane x
+    np.testing.assert_array_equal(second["x"], found["x"].frequency_hz)
+    np.testing.assert_array_equal(second["data"], found["x"].value[:, 0, 1])
+    assert (second["rsp_node"], second["rsp_dir"], second["ref_node"], second["ref_dir"]) == (1, 1, 2, 1)
+    assert second["ordinate_axis_units_lab"].strip() == "m"
+    assert second["orddenom_axis_units_lab"].strip() == "A"
+    assert {d["rsp_dir"] for d in frfs} == {1, 2}
+
+
+def test_headers_of_a_universal_file_say_how_many_bytes_follow(experiment, tmp_path):
+    found = responses.of_experiment(experiment)
+    (path,) = files.write_responses(tmp_path / "frf.uff", list(found.values()))
+    content = path.read_bytes()
+    head = content.index(b"    58b")
+    size = int(content[head + 31 : head + 43])
+    start = head
+    for _ in range(12):  # the header has eleven lines beside its own
+        start = content.index(b"\n", start) + 1
+    assert content[start + size :].lstrip(b"\r\n").startswith(b"    -1")
+    assert size == 24 * len(found["x"].frequency_hz)
+
+
+def test_measured_responses_have_matlabs_order_of_dimensions(experiment, tmp_path):
+    r = responses.of_experiment(experiment, "r->u")["y"]
+    (path,) = files.write_responses(tmp_path / "s.mat", [r])
+    found = loadmat(path)
+    assert found["response"].shape == (2, 2, len(r.frequency_hz))
+    np.testing.assert_array_equal(found["response"][1, 0], r.value[:, 1, 0])
+    assert r.inputs == ("r_yA", "r_yB")
+
+
+def test_several_planes_in_a_format_of_one_are_several_files(experiment, tmp_path):
+    written = files.write_responses(tmp_path / "frf.json", list(responses.of_experiment(experiment).values()))
+    assert [p.name for p in written] == ["frf-1.json", "frf-2.json"]
+    assert json.loads(written[1].read_text())["outputs"] == ["y_yA", "y_yB"]
+
+
+@pytest.mark.parametrize("name", ["x.mat", "x.csv", "x.json", "x.uff", "x.txt"])
+def test_what_is_no_export_is_refused_in_one_line(name, tmp_path):
+    path = tmp_path / name
+    for content in (b"", b"no export\n", b"name,x\r\ncomment,y\r\nmatrix\r\n", b'{"format": "x"}', b"[1]"):
+        path.write_bytes(content)
+        with pytest.raises(ExportError) as error:
+            files.read_responses(path)
+        assert "\n" not in str(error.value)
+        if path.suffix != ".uff":
+            with pytest.raises(ExportError):
+                files.read_linear(path)
+    path.unlink()
+    with pytest.raises(ExportError):
+        files.read_responses(path)
+
+
+def test_files_that_lack_a_part_are_refused(plant, tmp_path):
+    text = files.write_linear(tmp_path / "x.csv", plant).read_text().splitlines(keepends=True)
+    (tmp_path / "x.csv").write_text("".join(text[:-1]))
+    with pytest.raises(ExportError, match="lacks entries of D"):
+        files.read_linear(tmp_path / "x.csv")
+    document = linear.document(plant)
+    document["A"][0][0] = float("nan")
+    with pytest.raises(ExportError, match="not finite"):
+        linear.from_document(document)
+    del document["B"]
+    with pytest.raises(ExportError, match="not whole"):
+        linear.from_document(document)
+
+
+def test_what_cannot_be_exported_is_refused(plant, experiment, tmp_path):
+    with pytest.raises(ExportError, match="no plane 'z'"):
+        linear.of_result(result(), "z")
+    with pytest.raises(ExportError, match="no sweep 'other'"):
+        responses.of_experiment(experiment, sweep="other")
+    with pytest.raises(ExportError, match="ending"):
+        files.write_linear(tmp_path / "x.xls", plant)
+    with pytest.raises(ExportError, match="discrete"):
+        from_control(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 1e-4))
+    with pytest.raises(ExportError, match="r->i"):
+        responses.of_experiment(experiment, "r->i")
+
+
+def test_a_system_made_elsewhere_comes_in_without_units():
+    found = from_control(control.ss([[-2.0]], [[1.0]], [[1.0]], [[0.0]]))
+    assert found.input_units == ("1",)
+    assert found.A.tolist() == [[-2.0]]
