@@ -185,7 +185,13 @@ class ModbusLink:
 
 
 def _set_kernel_timeout(connection: socket.socket, seconds: float) -> None:
-    """Time-outs by the kernel: Python's own would ask `poll` before every call, at a third of the speed."""
+    """Time-outs by the kernel: Python's own would ask `poll` before every call, at a third of the speed.
+
+    Not in TLS: a time-out of the kernel is nothing to OpenSSL, which would ask again for ever.
+    """
+    if isinstance(connection, ssl.SSLSocket):
+        connection.settimeout(seconds)
+        return
     connection.settimeout(None)
     interval = struct.pack("ll", int(seconds), round(seconds % 1 * 1e6))
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)

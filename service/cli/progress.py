@@ -47,13 +47,14 @@ def line(p: Progress) -> str:
 
 
 def _log() -> Callable[[Progress], None]:
-    shown_at, shown_phase = time.monotonic(), ""
+    shown_at, shown = time.monotonic(), ""
 
     def show(p: Progress) -> None:
-        nonlocal shown_at, shown_phase
+        nonlocal shown_at, shown
         now = time.monotonic()
-        if now - shown_at >= LOG_EVERY_S or (p.done == p.total and shown_phase != "done"):
-            shown_at, shown_phase = now, "done" if p.done == p.total else p.phase
+        part = "done" if p.done == p.total else p.phase
+        if now - shown_at >= LOG_EVERY_S or part != shown:
+            shown_at, shown = now, part
             say(line(p))
 
     return show

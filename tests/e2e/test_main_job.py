@@ -54,6 +54,14 @@ def test_the_result_file_is_what_was_printed(demo):
         assert Path(path).exists()
 
 
+def test_in_process_it_gives_the_same(demo, tmp_path):
+    """The demo talks to a device process. Same seed: the plan takes the same way, each figure is the same."""
+    _, document, _ = demo
+    done = ambit("demo", "--quick", "--seed", 3, "--out", tmp_path, "--json", "--in-process")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["planes"] == document["planes"]
+
+
 def test_progress_tells_points_rate_and_time_left(demo):
     _, _, said = demo
     assert "points/s" in said

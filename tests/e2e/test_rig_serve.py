@@ -5,6 +5,8 @@ import signal
 
 import pytest
 
+from drivers.errors import BusError
+from drivers.modbus.driver import tcp_links
 from drivers.url import connect
 from tests.support.command import Running, refusal
 
@@ -25,6 +27,31 @@ def test_a_served_rig_can_be_measured(protocol):
         assert device.wait() == 0
     finally:
         device.end()
+
+
+def test_a_silent_host_is_given_a_fifth_of_a_second():
+    device = Running("rig", "serve")
+    try:
+        identity = tcp_links("127.0.0.1", int(device.first_line().partition("?")[0].rpartition(":")[2])).link()
+        assert identity.read("identity")["watchdog_s"] == 0.2
+        identity.close()
+    finally:
+        device.end()
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "modbus-rtu", "canopen"])
+def test_faults_on_purpose(protocol):
+    """Everything that a host says is lost, so that nobody connects."""
+    device = Running("rig", "serve", "--protocol", protocol, "--faults", "drop=1.0", "--fault-seed", 3)
+    try:
+        with pytest.raises(BusError):
+            connect(device.first_line())
+    finally:
+        device.end()
+
+
+def test_a_fault_that_does_not_exist():
+    assert "there is no fault 'gremlins'; known are drop, delay" in refusal("rig", "serve", "--faults", "gremlins=0.1")
 
 
 def test_a_withheld_effect_is_told_by_its_hash_alone(tmp_path):

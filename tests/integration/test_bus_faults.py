@@ -19,10 +19,11 @@ from drivers.device.front import DeviceFront
 from drivers.device.hub import CanHub
 from drivers.device.machine import RigDevice
 from drivers.device.modbus import RtuServer, TcpServer
+from drivers.device.serve import ModbusOptions, serve_modbus_tls
 from drivers.errors import BusError, ControllerError, LeaseError, TripError
 from drivers.url import connect
 from sim.reference import reference_rig
-from tests.support.processes import device as device_process
+from tests.support.certificates import make_authority
 
 POINTS = 60
 
@@ -184,12 +185,17 @@ def test_unknown_fault_is_refused() -> None:
     assert set(FaultPlan.parse("all=0.01", 1).rates) == set(KINDS)
 
 
-@pytest.mark.parametrize("protocol", ["modbus", "canopen"])
-def test_device_process_spoils_its_bus_when_it_is_told_to(protocol: str, tmp_path: Path) -> None:
-    """From the command line: every frame a host sends first is lost, so that nobody connects."""
-    process, _ = device_process(tmp_path, "--protocol", protocol, "--faults", "drop=1.0")
+def test_faults_in_tls_are_survived(tmp_path: Path) -> None:
+    """The spoiler sits inside the encryption, where there are frames."""
+    device, made, tones = Witness(seed=7), make_authority(tmp_path), some_tones(20, seed=8)
+    options = ModbusOptions(
+        port=0, certificate=made.server.certificate, key=made.server.key, faults="all=0.003", fault_seed=3
+    )
+    served = serve_modbus_tls(device, options)
+    controller = connect_patiently(f"{served.url}&ca={made.ca}")
     try:
-        with pytest.raises(BusError):
-            connect(process.said)
+        results, _ = run_points(controller, tones)
     finally:
-        process.end()
+        controller.close()
+        served.close()
+    check(device, tones, results)
