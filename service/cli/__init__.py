@@ -9,7 +9,7 @@ import sys
 
 import typer
 
-from service.cli import commission, controller, db, effects, export, gap, health, keys, rig, serve
+from service.cli import client, commission, controller, db, effects, export, gap, health, keys, rig, serve
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -32,6 +32,10 @@ app.add_typer(keys.app, name="keys")
 app.add_typer(db.app, name="db")
 app.command()(serve.serve)
 app.command()(serve.worker)
+app.command()(client.submit)
+app.command()(client.watch)
+app.command()(client.cancel)
+app.command()(client.fetch)
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2
 INTERRUPTED = 130

@@ -12,16 +12,16 @@ import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 
-from service.experiment import file
-from service.experiment.data import Experiment, Sweep
-from service.experiment.errors import ExperimentFileError
 from service.uploads import hdf5, matlab5
 from service.uploads.errors import UploadContentError, UploadError, UploadSizeError, UploadTypeError
 from service.uploads.limits import MIB, Limits
+
+if TYPE_CHECKING:
+    from service.experiment.data import Experiment, Sweep
 
 TEXT = 200
 """Characters of a text of the file that a summary repeats."""
@@ -63,8 +63,8 @@ def look(path: Path, limits: Limits) -> tuple[str, int]:
             f"the file has {size / MIB:,.1f} MiB; at most {limits.file_bytes / MIB:,.0f} MiB are read"
         )
     with path.open("rb") as stream:
-        head = stream.read(len(file.MATLAB_5))
-    if head == file.MATLAB_5:
+        head = stream.read(len(matlab5.SIGNATURE))
+    if head == matlab5.SIGNATURE:
         return "MATLAB 5", matlab5.decoded_bytes(path, limits)
     if not h5py.is_hdf5(path):
         raise UploadTypeError(
@@ -72,7 +72,7 @@ def look(path: Path, limits: Limits) -> tuple[str, int]:
         )
     try:
         with h5py.File(path, "r") as opened:
-            return ("MATLAB 7.3" if head == file.MATLAB_73 else "HDF5"), hdf5.decoded_bytes(opened, limits)
+            return ("MATLAB 7.3" if head == matlab5.SIGNATURE_73 else "HDF5"), hdf5.decoded_bytes(opened, limits)
     except UploadError:
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, RecursionError) as error:
@@ -91,6 +91,10 @@ def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
     """
     kind, decoded = look(path, limits)
     cpu_seconds(limits.read_seconds(decoded))
+    # only now what reads: most hostile files are refused by their structure, in half the time
+    from service.experiment import file
+    from service.experiment.errors import ExperimentFileError
+
     try:
         experiment = file.read(path)
         file.write(out, experiment)

@@ -19,7 +19,7 @@ class Limits:
     """Address space of the reading process beyond what its libraries take."""
     check_cpu_s: float = 0.8
     """Processor time to look at the structure, before anything is read."""
-    read_cpu_s: float = 0.8
+    read_cpu_s: float = 1.0
     """Processor time to read a small file."""
     decoded_bytes_per_s: float = 40 * MIB
     """A larger file gets a second more for each of these; records are read at 140 MiB/s on a common laptop."""

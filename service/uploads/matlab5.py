@@ -12,10 +12,14 @@ from pathlib import Path
 from service.uploads.errors import UploadContentError, UploadSizeError
 from service.uploads.limits import MIB, Limits
 
+SIGNATURE = b"MATLAB 5.0 MAT-file"
+SIGNATURE_73 = b"MATLAB 7.3 MAT-file"
+"""The beginning of a newer file, which is HDF5 behind its header."""
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15
-BEGINNING = 64
-"""Unpacked bytes that hold the first tag."""
+BEGINNING = 4096
+"""Packed bytes that surely hold the first tag, after the code table of the packing."""
+TAG = 8
 
 
 def decoded_bytes(path: Path, limits: Limits) -> int:
@@ -64,8 +68,8 @@ def decoded_bytes(path: Path, limits: Limits) -> int:
 def _unpacked(packed: bytes, order: str, count: int, size: int, limits: Limits) -> int:
     """What a compressed variable says it unpacks to; a lie costs the reader its limits of memory and time."""
     try:
-        begin = zlib.decompressobj().decompress(packed, BEGINNING)
-        claimed = int(struct.unpack(f"{order}II", begin[:8])[1])
+        begin = zlib.decompressobj().decompress(packed, TAG)
+        claimed = int(struct.unpack(f"{order}II", begin)[1])
     except (zlib.error, struct.error) as error:
         raise UploadContentError(
             f"variable {count} of the MATLAB file cannot be unpacked ({error}); copy it again"

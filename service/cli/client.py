@@ -1,0 +1,243 @@
+"""``ambit submit``, ``watch``, ``cancel``, ``fetch``: the service's jobs from a terminal, on service.client."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.console import print_json, say, stderr
+
+if TYPE_CHECKING:
+    from service.client import Client, Job, Rig
+
+Url = Annotated[
+    str | None, typer.Option(help="Address of the service.", envvar="AMBIT_URL", show_default="http://127.0.0.1:8311")
+]
+Key = Annotated[str | None, typer.Option(help="API key.", envvar="AMBIT_KEY", show_envvar=True)]
+Ca = Annotated[Path | None, typer.Option(help="Authority of the service's certificate, PEM.", envvar="AMBIT_CA")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+LOG_EVERY_S = 5.0
+STILL = "the job goes on; stop it with: ambit cancel {}"
+
+
+class Kind(StrEnum):
+    """Kinds of jobs."""
+
+    experiment = "experiment"
+    identification = "identification"
+    gap = "gap"
+    health = "health"
+
+
+def submit(
+    kind: Annotated[Kind, typer.Argument(help="What shall be done; experiment and health move the rotor.")],
+    rig: Annotated[str, typer.Option(help="Name or id of the rig, or rig.toml: then it is made known or brought up.")],
+    controller: Annotated[str | None, typer.Option(help="Where the controller is; with rig.toml.")] = None,
+    experiment: Annotated[
+        str | None, typer.Option(help="Id of an experiment, or a file that is uploaded: identification, gap.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="experiment: coarse, a third of the time.")] = False,
+    option: Annotated[list[str] | None, typer.Option(help="Option of the job, name=value; may be repeated.")] = None,
+    priority: Annotated[int, typer.Option(help="1 first, 9 last.", min=1, max=9)] = 5,
+    follow: Annotated[bool, typer.Option("--watch", help="Watch it until it has ended.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Watch it, then fetch its files into this folder.")] = None,
+    url: Url = None,
+    key: Key = None,
+    ca: Ca = None,
+    as_json: Json = False,
+) -> None:
+    """Submit a job to the service; prints its id."""
+    options = _options(option or [], quick, kind)
+    with _client(url, key, ca) as ambit:
+        known = _rig(ambit, rig, controller)
+        experiment_id = experiment
+        if experiment is not None and not experiment.startswith("exp_"):
+            experiment_id = ambit.experiments.upload(known.id, Path(experiment)).id
+        job = ambit.jobs.submit(kind.value, known.id, experiment_id, options, priority)
+        if not (follow or out):
+            _print(job, as_json)
+            return
+        say(f"{job.id} on {known.name}")
+        _finish(ambit, job, out, as_json)
+
+
+def watch(
+    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    out: Annotated[Path | None, typer.Option(help="Fetch its files into this folder when it is done.")] = None,
+    url: Url = None,
+    key: Key = None,
+    ca: Ca = None,
+    as_json: Json = False,
+) -> None:
+    """Watch a job until it has ended; Ctrl-C ends the watching, not the job."""
+    with _client(url, key, ca) as ambit:
+        _finish(ambit, ambit.jobs.get(job), out, as_json)
+
+
+def cancel(
+    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    url: Url = None,
+    key: Key = None,
+    ca: Ca = None,
+    as_json: Json = False,
+) -> None:
+    """Cancel a job: an excitation ends within a second, what was measured is kept."""
+    with _client(url, key, ca) as ambit:
+        _print(ambit.jobs.cancel(job), as_json)
+
+
+def fetch(
+    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    out: Annotated[Path, typer.Option(help="Folder of the files.")],
+    url: Url = None,
+    key: Key = None,
+    ca: Ca = None,
+    as_json: Json = False,
+) -> None:
+    """Fetch all files that a job made: experiment, datasheet, result, report, diagnosis."""
+    with _client(url, key, ca) as ambit:
+        _files(ambit.save(ambit.jobs.get(job), out), as_json)
+
+
+def _client(url: str | None, key: str | None, ca: Path | None) -> Client:
+    from service.client import Client
+
+    return Client(url, key, ca)
+
+
+def _options(given: Iterable[str], quick: bool, kind: Kind) -> dict[str, Any]:
+    options: dict[str, Any] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise typer.BadParameter(f"{text!r} is no name=value", param_hint="--option")
+        try:
+            options[name] = json.loads(value)
+        except ValueError:
+            options[name] = value
+    if quick:
+        if kind is not Kind.experiment:
+            raise typer.BadParameter("is for an experiment", param_hint="--quick")
+        options["profile"] = "quick"
+    return options
+
+
+def _rig(ambit: Client, given: str, controller: str | None) -> Rig:
+    """The rig that is meant; a datasheet makes it known, or gives it a new version where something differs."""
+    from service.client import MissingError
+    from sim.datasheet import read
+
+    path = Path(given)
+    if path.suffix != ".toml":
+        if controller is not None:
+            raise typer.BadParameter("goes with --rig rig.toml", param_hint="--controller")
+        return ambit.rigs.named(given)
+    name, text = read(path).name, path.read_text(encoding="utf-8")
+    try:
+        rig = ambit.rigs.named(name)
+    except MissingError:
+        return ambit.rigs.create(text, controller or "")
+    wanted = rig.controller_url if controller is None else controller
+    if (rig.datasheet, rig.controller_url) == (text, wanted):
+        return rig
+    return ambit.rigs.change(rig, text, wanted)
+
+
+def _finish(ambit: Client, job: Job, out: Path | None, as_json: bool) -> None:
+    """Watch a job to its end, fetch what it made, and fail where it failed."""
+    from service.client.jobs import must_be_done
+
+    try:
+        ended = _watched(ambit, job)
+    except KeyboardInterrupt:
+        say(STILL.format(job.id))
+        raise
+    if out is not None and ended.result:
+        files = ambit.save(ended, out)
+        if not as_json:
+            _files(files, as_json=False)
+    if as_json:
+        print_json(ended.model_dump(mode="json"))
+    must_be_done(ended)
+    if not as_json:
+        for kind, made in ended.result.items():
+            print(f"{kind}: {made}")
+        if "model" in ended.result:
+            report = f"/models/{ended.result['model']}/report.html"
+            print(f"report: {ambit.address(report)}")
+
+
+def _watched(ambit: Client, job: Job) -> Job:
+    """The job at its end; a bar on a terminal, a line now and then in a log."""
+    show = _bar if sys.stderr.isatty() else _log
+    return show(ambit, job)
+
+
+def _log(ambit: Client, job: Job) -> Job:
+    shown_at, state, seen = 0.0, "", job
+    for seen in ambit.jobs.watch(job.id):
+        if seen.state != state or time.monotonic() - shown_at > LOG_EVERY_S:
+            shown_at, state = time.monotonic(), seen.state
+            say(_line(seen))
+    return seen
+
+
+def _bar(ambit: Client, job: Job) -> Job:
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    columns = (
+        TextColumn("{task.description:<13}"),
+        BarColumn(bar_width=None),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[points]}"),
+        TextColumn("{task.fields[left]}"),
+    )
+    with Progress(*columns, console=stderr(), transient=True, expand=True) as bar:
+        task = bar.add_task(job.state, total=100.0, points="", left="")
+        seen = job
+        for seen in ambit.jobs.watch(job.id):
+            p = seen.progress
+            bar.update(
+                task,
+                description=p.phase if seen.state == "running" and p.phase else seen.state,
+                completed=p.percent,
+                points=f"{p.point} of {p.points}" if p.points else "",
+                left=_left(seen),
+            )
+    return seen
+
+
+def _line(job: Job) -> str:
+    p = job.progress
+    points = f", point {p.point} of {p.points}" if p.points else ""
+    left = _left(job)
+    return f"{job.state} {p.phase}".rstrip() + f": {p.percent:.0f} %{points}" + (f", {left}" if left else "")
+
+
+def _left(job: Job) -> str:
+    from service.report.format import duration
+
+    left = job.progress.time_left_s
+    return f"{duration(left)} left" if left is not None and job.state == "running" else ""
+
+
+def _print(job: Job, as_json: bool) -> None:
+    if as_json:
+        print_json(job.model_dump(mode="json"))
+    else:
+        print(job.id)
+
+
+def _files(files: dict[str, Path], as_json: bool) -> None:
+    if as_json:
+        print_json({"files": {name: str(path) for name, path in files.items()}})
+        return
+    for name, path in files.items():
+        print(f"{name}: {path}")

@@ -1,0 +1,125 @@
+"""What the service sends, typed. Fields that a newer service adds are kept and do no harm."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Generic, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+T = TypeVar("T")
+Kind = Literal["experiment", "identification", "gap", "health"]
+ENDED = ("done", "failed", "cancelled")
+
+
+class _Sent(BaseModel):
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class Page(_Sent, Generic[T]):
+    """A page of a list, newest first."""
+
+    items: list[T]
+    next: str | None = None
+
+
+class Rig(_Sent):
+    """A rig: its datasheet and where its controller is."""
+
+    id: str
+    name: str
+    version: int
+    datasheet: str = ""
+    """rig.toml."""
+    controller_url: str = ""
+    retired_at: datetime | None = None
+
+
+class Progress(_Sent):
+    """How far a job is."""
+
+    percent: float = 0.0
+    point: int = 0
+    points: int = 0
+    phase: str = ""
+    time_left_s: float | None = None
+
+
+class Failure(_Sent):
+    """Why a job failed."""
+
+    title: str = ""
+    detail: str = ""
+
+
+class Job(_Sent):
+    """A job."""
+
+    id: str
+    kind: str
+    rig: str
+    rig_version: int = 0
+    state: str
+    priority: int = 5
+    submitted_by: str = ""
+    experiment: str | None = None
+    options: dict[str, Any] = Field(default_factory=dict)
+    created_at: datetime | None = None
+    started_at: datetime | None = None
+    ended_at: datetime | None = None
+    worker: str = ""
+    progress: Progress = Progress()
+    result: dict[str, str] = Field(default_factory=dict)
+    """Ids by kind: experiment, model, gap, health."""
+    error: Failure | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is done, failed or cancelled."""
+        return self.state in ENDED
+
+
+class Event(_Sent):
+    """One event of a job that is watched."""
+
+    kind: str
+    """progress or state."""
+    id: str
+    job: Job
+
+
+class Experiment(_Sent):
+    """An experiment: the file is fetched by itself."""
+
+    id: str
+    rig: str
+    job: str | None = None
+    source: str = ""
+    complete: bool = True
+    file_name: str = ""
+    file_bytes: int = 0
+    file_sha256: str = ""
+    summary: dict[str, Any] = Field(default_factory=dict)
+
+
+class Model(_Sent):
+    """A model in short; the whole of it is in result.json."""
+
+    id: str
+    rig: str
+    rig_version: int = 0
+    experiment: str = ""
+    job: str | None = None
+    summary: dict[str, Any] = Field(default_factory=dict)
+    created_at: datetime | None = None
+
+
+class Gap(_Sent):
+    """A diagnosis of the gap in short; the whole of it is in gap.json."""
+
+    id: str
+    rig: str
+    experiment: str = ""
+    job: str | None = None
+    summary: dict[str, Any] = Field(default_factory=dict)
+    created_at: datetime | None = None

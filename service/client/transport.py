@@ -1,0 +1,169 @@
+"""Requests: one place for the key, for errors, and for trying again what may be sent twice."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+from uuid import uuid4
+
+import httpx
+
+from service.client.errors import UnreachableError, of_response
+from service.client.shapes import Page
+from service.errors import OutputError
+
+T = TypeVar("T")
+PREFIX = "/api/v1"
+BUSY = (429, 502, 503, 504)
+PAUSE_S = 0.2
+LONGEST_PAUSE_S = 5.0
+
+
+class Transport:
+    """A connection to one service.
+
+    Parameters
+    ----------
+    url
+        Of the service, without ``/api/v1``.
+    key
+        ``ambit_...``; none for a service on this machine that has none.
+    ca
+        Certificate of the authority, PEM, where the system does not know it.
+    timeout_s
+        For an answer to begin.
+    patience_s
+        How long a service that is away or busy is asked again.
+    """
+
+    def __init__(self, url: str, key: str | None, ca: Path | str | None, timeout_s: float, patience_s: float) -> None:
+        headers = {"Accept": "application/json", "User-Agent": "ambit-client"}
+        if key:
+            headers["Authorization"] = f"Bearer {key}"
+        self.url = url.rstrip("/")
+        self.patience_s = patience_s
+        try:
+            verify: Any = _authority(ca) if ca else True
+            self._http = httpx.Client(base_url=self.url, headers=headers, timeout=timeout_s, verify=verify)
+        except (httpx.InvalidURL, ValueError, OSError) as error:
+            raise UnreachableError(
+                f"cannot use {url!r}: {error}; give http://host:port with --url or AMBIT_URL"
+            ) from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._http.close()
+
+    def get(self, path: str, **query: Any) -> Any:
+        """JSON of a resource."""
+        return self.send("GET", path, params=_given(query)).json()
+
+    def content(self, path: str) -> bytes:
+        """A resource as it is."""
+        return self.send("GET", path, headers={"Accept": "*/*"}).content
+
+    def post(self, path: str, body: Any = None, **query: Any) -> Any:
+        """JSON of what a request made; sent again under the same Idempotency-Key when the answer was lost."""
+        headers = {"Idempotency-Key": str(uuid4())}
+        return self.send("POST", path, json=body, params=_given(query), headers=headers).json()
+
+    def pages(self, path: str, shape: Callable[[Any], T], **query: Any) -> Iterator[T]:
+        """Every item of a list, page by page."""
+        after = None
+        while True:
+            page = Page[Any].model_validate(self.get(path, after=after, **query))
+            yield from (shape(item) for item in page.items)
+            if (after := page.next) is None:
+                return
+
+    def send(self, method: str, path: str, **how: Any) -> httpx.Response:
+        """A response that is no error.
+
+        Raises
+        ------
+        UnreachableError
+            Nothing answers within the patience.
+        ApiError
+            The service refuses.
+        """
+        deadline = time.monotonic() + self.patience_s
+        pause = PAUSE_S
+        while True:
+            wait = pause
+            try:
+                response = self._http.request(method, PREFIX + path, **how)
+            except (httpx.TransportError, httpx.InvalidURL) as error:
+                hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.InvalidURL)
+                if hopeless or time.monotonic() + wait > deadline:
+                    raise self._unreachable(error) from error
+            else:
+                if response.is_success or response.status_code == 304:
+                    return response
+                told = _retry_after(response)
+                if response.status_code not in BUSY or time.monotonic() + (told or wait) > deadline:
+                    raise of_response(response)
+                wait = told or wait
+            time.sleep(wait)
+            pause = min(2 * pause, LONGEST_PAUSE_S)
+
+    def save(self, path: str, to: Path) -> Path:
+        """A resource as a file, which appears whole or not at all."""
+        temporary = to.with_name(f".{to.name}.part")
+        try:
+            to.parent.mkdir(parents=True, exist_ok=True)
+            with self.stream(path) as response, temporary.open("wb") as file:
+                for chunk in response.iter_bytes():
+                    file.write(chunk)
+            temporary.replace(to)
+        except OSError as error:
+            raise OutputError(f"cannot write {to}: {error.strerror or error}; choose another folder") from error
+        finally:
+            temporary.unlink(missing_ok=True)
+        return to
+
+    @contextmanager
+    def stream(
+        self, path: str, headers: Mapping[str, str] | None = None, read_timeout_s: float | None = None
+    ) -> Iterator[httpx.Response]:
+        """A response whose body comes bit by bit; not tried again.
+
+        Raises
+        ------
+        UnreachableError, ApiError
+            As `send`, also while the body is read.
+        """
+        timeout = httpx.Timeout(self._http.timeout.connect, read=read_timeout_s or self._http.timeout.read)
+        try:
+            with self._http.stream(
+                "GET", PREFIX + path, headers={"Accept": "*/*"} | dict(headers or {}), timeout=timeout
+            ) as response:
+                if not response.is_success:
+                    response.read()
+                    raise of_response(response)
+                yield response
+        except (httpx.TransportError, httpx.InvalidURL) as error:
+            raise self._unreachable(error) from error
+
+    def _unreachable(self, error: Exception) -> UnreachableError:
+        return UnreachableError(
+            f"the service at {self.url} does not answer ({str(error) or type(error).__name__}); "
+            "is it running? give its address with --url or AMBIT_URL"
+        )
+
+
+def _given(query: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in query.items() if value is not None}
+
+
+def _retry_after(response: httpx.Response) -> float | None:
+    told = response.headers.get("retry-after", "")
+    return float(told) if told.isdigit() else None
+
+
+def _authority(ca: Path | str) -> Any:
+    import ssl
+
+    return ssl.create_default_context(cafile=str(ca))

@@ -1,0 +1,212 @@
+"""The client against the real application: typed answers, errors that say what to do, a watch that goes on."""
+
+import threading
+import time
+
+import pytest
+from sqlalchemy import update
+
+from service.access.keys import Scope
+from service.client import (
+    Client,
+    ConflictingError,
+    JobEndedError,
+    KeyRefusedError,
+    MissingError,
+    RefusedError,
+    UnreachableError,
+)
+from service.config import Settings
+from service.storage import jobs as job_rows
+from service.storage.database import now
+from service.storage.tables import JobRow
+from sim.datasheet import to_toml
+from sim.reference import reference_datasheet
+from tests.support.serving import serving
+from tests.support.uploads import HOSTILE, good, good_matlab
+
+SHEET = to_toml(reference_datasheet())
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    with serving(Settings(home=tmp_path_factory.mktemp("home"), port=0)) as service:
+        service.operator = service.key(Scope.operator)
+        yield service
+
+
+@pytest.fixture
+def ambit(service):
+    with Client(service.url, service.operator, patience_s=5) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def rig(service):
+    with Client(service.url, service.operator) as client:
+        return client.rigs.create(SHEET, "simulated://", name="bench")
+
+
+@pytest.fixture
+def sent(ambit, rig, tmp_path):
+    return ambit.experiments.upload(rig.id, good(tmp_path / "a b.h5"))
+
+
+def change(service, job_id: str, **values) -> None:
+    """What a worker would write."""
+    with service.services.database.write() as session:
+        session.execute(update(JobRow).where(JobRow.id == job_id).values(changes=JobRow.changes + 1, **values))
+
+
+def test_rigs(ambit, rig):
+    assert ambit.rigs.get(rig.id).datasheet == SHEET
+    assert ambit.rigs.named("bench").id == rig.id
+    assert rig.id in [r.id for r in ambit.rigs.list()]
+    changed = ambit.rigs.change(ambit.rigs.get(rig.id), SHEET, "simulated://?seed=2")
+    assert changed.version == rig.version + 1
+    assert ambit.rigs.get(rig.id, version=rig.version).controller_url == "simulated://"
+    with pytest.raises(ConflictingError, match="read it again"):
+        ambit.rigs.change(rig, SHEET, "")
+    with pytest.raises(ConflictingError):
+        ambit.rigs.create(SHEET, name="bench")
+
+
+def test_errors_say_what_to_do(ambit):
+    with pytest.raises(MissingError) as missing:
+        ambit.jobs.get("job_0")
+    assert missing.value.status == 404
+    assert missing.value.request_id
+    with pytest.raises(RefusedError, match="datasheet"):
+        ambit.rigs.create("[rig]")
+    with pytest.raises(MissingError, match="no rig 'nobody'"):
+        ambit.rigs.named("nobody")
+
+
+def test_keys(service, rig):
+    with Client(service.url, "ambit_00000000_" + "0" * 48) as nobody, pytest.raises(KeyRefusedError, match="not known"):
+        nobody.rigs.get(rig.id)
+    with Client(service.url, service.key(Scope.viewer)) as viewer:
+        assert viewer.rigs.get(rig.id)
+        with pytest.raises(KeyRefusedError, match="operator"):
+            viewer.jobs.submit("experiment", rig.id)
+
+
+def test_uploads(ambit, rig, sent, tmp_path):
+    assert (sent.file_name, sent.summary["sweeps"][0]["points"]) == ("a b.h5", 8)
+    back = ambit.experiments.save(sent.id, tmp_path / "back" / "x.h5")
+    assert len(back.read_bytes()) == sent.file_bytes
+    assert not list(back.parent.glob(".*"))
+    assert ambit.experiments.upload(rig.id, good_matlab(tmp_path / "m.mat")).summary["file_format"] == "MATLAB 5"
+    assert sent.id in [e.id for e in ambit.experiments.list(rig.id)]
+
+
+@pytest.mark.parametrize("name", ["1e9 elements", "external link", "zip", "NaN", "half", "mat, cells 20,000 deep"])
+def test_a_hostile_upload_is_refused_over_http_too(service, ambit, rig, tmp_path, name):
+    make, status, said = HOSTILE[name]
+    with pytest.raises(RefusedError) as refused:
+        ambit.experiments.upload(rig.id, make(tmp_path / "bad.h5"))
+    assert refused.value.status == status
+    assert said in refused.value.detail
+    assert ambit.rigs.get(rig.id)
+
+
+def test_a_file_larger_than_the_limit(tmp_path, rig):
+    small = Settings(home=tmp_path / "small", port=0, max_upload_bytes=5000)
+    with serving(small) as service, Client(service.url) as client:
+        known = client.rigs.create(SHEET)
+        with pytest.raises(RefusedError) as refused:
+            client.experiments.upload(known.id, good(tmp_path / "a.h5"))
+        assert refused.value.status == 413
+
+
+def test_a_job_is_watched_to_its_end(service, ambit, rig, sent):
+    job = ambit.jobs.submit("identification", rig.id, sent.id, priority=3)
+    assert (job.state, job.priority, job.ended) == ("queued", 3, False)
+
+    def work() -> None:
+        time.sleep(0.3)
+        change(service, job.id, state=job_rows.RUNNING, started_at=now(), phase="main", points=10)
+        for point in (5, 10):
+            time.sleep(0.3)
+            change(service, job.id, point=point, percent=10.0 * point, time_left_s=1.0)
+        time.sleep(0.3)
+        change(service, job.id, state=job_rows.DONE, ended_at=now(), result={"model": "mod_1"})
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    seen = list(ambit.jobs.events(job.id))
+    worker.join()
+    assert [e.job.state for e in seen if e.kind == "state"] == ["queued", "running", "done"]
+    assert [e.job.progress.percent for e in seen] == sorted(e.job.progress.percent for e in seen)
+    assert seen[-1].job.result == {"model": "mod_1"}
+    assert ambit.jobs.wait(job.id).state == "done"
+
+
+def test_a_job_that_failed_says_why(service, ambit, rig, sent):
+    job = ambit.jobs.submit("identification", rig.id, sent.id)
+    change(service, job.id, state=job_rows.FAILED, error_title="No rotor", error_detail="it is gone")
+    with pytest.raises(JobEndedError, match="No rotor: it is gone") as ended:
+        ambit.jobs.wait(job.id)
+    assert ended.value.job.id == job.id
+    assert ambit.jobs.retry(job.id).state == "queued"
+    assert ambit.jobs.cancel(job.id).state == "cancelled"
+    assert job.id in [j.id for j in ambit.jobs.list(state="cancelled", rig=rig.id)]
+
+
+def test_a_wait_that_is_too_long_ends(service, ambit, rig, sent):
+    job = ambit.jobs.submit("identification", rig.id, sent.id)
+    ticking = threading.Event()
+
+    def tick() -> None:
+        while not ticking.wait(0.1):
+            change(service, job.id, phase="busy")
+
+    ticker = threading.Thread(target=tick)
+    ticker.start()
+    with pytest.raises(TimeoutError, match="goes on"):
+        ambit.jobs.wait(job.id, timeout_s=0.5)
+    ticking.set()
+    ticker.join()
+
+
+def test_lists_go_over_pages(ambit, rig, sent):
+    made = {ambit.jobs.submit("identification", rig.id, sent.id).id for _ in range(3)}
+    paged = list(ambit._transport.pages("/jobs", lambda job: job["id"], limit=2))
+    assert made <= set(paged)
+    assert len(paged) == len(set(paged))
+
+
+def test_a_service_that_is_away():
+    with Client("http://127.0.0.1:1", patience_s=0.3) as nobody:
+        with pytest.raises(UnreachableError, match="AMBIT_URL"):
+            list(nobody.rigs.list())
+        with pytest.raises(UnreachableError):
+            list(nobody.jobs.watch("job_0"))
+
+
+@pytest.mark.parametrize("url", ["rotor", "ftp://127.0.0.1", "http://127.0.0.1:x", "http://["])
+def test_an_address_that_is_none(url):
+    with pytest.raises(UnreachableError, match="--url"), Client(url, patience_s=60) as nobody:
+        nobody.jobs.get("job_0")
+
+
+def test_a_watch_survives_a_restart_of_the_service(tmp_path):
+    settings = Settings(home=tmp_path / "home", port=0)
+    with serving(settings) as first, Client(first.url) as client:
+        rig = client.rigs.create(SHEET)
+        experiment = client.experiments.upload(rig.id, good(tmp_path / "a.h5"))
+        job = client.jobs.submit("identification", rig.id, experiment.id)
+        port = int(first.url.rpartition(":")[2])
+    seen = []
+    with Client(f"http://127.0.0.1:{port}", patience_s=20) as client:
+        watcher = threading.Thread(target=lambda: seen.extend(client.jobs.watch(job.id)))
+        watcher.start()
+        for state in (job_rows.RUNNING, job_rows.DONE):
+            with serving(settings.model_copy(update={"port": port})) as again:
+                change(again, job.id, state=state)
+                deadline = time.monotonic() + 20
+                while not any(j.state == state for j in seen):
+                    assert time.monotonic() < deadline, [j.state for j in seen]
+                    time.sleep(0.02)
+        watcher.join(20)
+    assert [j.state for j in seen] == ["running", "done"]
