@@ -25,6 +25,7 @@ from service.api import (
     log,
     models,
     operations,
+    page,
     problems,
     rigs,
     schedules,
@@ -72,7 +73,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.lines = live.Lines()
     app.state.metrics = operations.Metrics(services)
     problems.install(app)
-    for router in (*_routers(), operations.router):
+    for router in (*_routers(), operations.router, page.router):
         app.include_router(router)
     app.add_middleware(
         Around,

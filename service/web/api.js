@@ -1,0 +1,119 @@
+// The API with the key of this tab; problems (RFC 9457) become errors with their detail.
+
+const ROOT = "api/v1";
+const KEY = "ambit-key";
+
+export class Problem extends Error {
+  constructor(status, body) {
+    super((body && (body.detail || body.title)) || "the service answered " + status);
+    this.status = status;
+  }
+}
+
+export function key() {
+  return sessionStorage.getItem(KEY);
+}
+
+export function useKey(text) {
+  if (text) sessionStorage.setItem(KEY, text);
+  else sessionStorage.removeItem(KEY);
+}
+
+function headers(more) {
+  return key() ? { ...more, Authorization: "Bearer " + key() } : { ...more };
+}
+
+async function answer(path, options) {
+  const response = await fetch(path, options);
+  if (response.ok) return response;
+  let body = null;
+  try { body = await response.json(); } catch { /* not ours: the status says enough */ }
+  throw new Problem(response.status, body);
+}
+
+export async function get(path, signal) {
+  return (await answer(ROOT + path, { headers: headers(), signal })).json();
+}
+
+export async function post(path, body) {
+  const more = body === undefined ? {} : { "Content-Type": "application/json", "Idempotency-Key": crypto.randomUUID() };
+  const response = await answer(ROOT + path, {
+    method: "POST",
+    headers: headers(more),
+    body: body === undefined ? undefined : JSON.stringify(body),
+  });
+  return response.status === 204 ? null : response.json();
+}
+
+export async function version() {
+  return (await answer("readyz", {}).catch(() => null))?.json();
+}
+
+// A document for a person: a link where the browser may fetch it, a download where a key has to be shown.
+export function documentLink(path, text, name) {
+  const link = document.createElement("a");
+  link.textContent = text;
+  link.href = ROOT + path;
+  if (!key()) {
+    link.target = "_blank";
+    link.rel = "noopener";
+    return link;
+  }
+  link.addEventListener("click", async (event) => {
+    event.preventDefault();
+    const response = await answer(ROOT + path, { headers: headers() });
+    const address = URL.createObjectURL(await response.blob());
+    const file = Object.assign(document.createElement("a"), { href: address, download: name });
+    file.click();
+    setTimeout(() => URL.revokeObjectURL(address), 10000);
+  });
+  return link;
+}
+
+// Server-sent events by fetch, which can show a key; comes back after a break, with the last id.
+export async function events(path, heard, signal) {
+  let last = null;
+  let pause = 500;
+  while (!signal.aborted) {
+    try {
+      const more = last === null ? {} : { "Last-Event-ID": last };
+      const response = await answer(ROOT + path, { headers: headers({ Accept: "text/event-stream", ...more }), signal });
+      pause = 500;
+      for await (const event of parsed(response.body)) {
+        if (event.id !== null) last = event.id;
+        const data = JSON.parse(event.data);
+        heard(data, event.type);
+        if (["done", "failed", "cancelled"].includes(data.state)) return;
+      }
+    } catch (error) {
+      if (signal.aborted || (error instanceof Problem && error.status < 500 && error.status !== 429)) return;
+    }
+    await new Promise((go) => setTimeout(go, pause));
+    pause = Math.min(2 * pause, 10000);
+  }
+}
+
+async function* parsed(body) {
+  const reader = body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    text += value.replaceAll("\r\n", "\n");
+    let end;
+    while ((end = text.indexOf("\n\n")) >= 0) {
+      const event = { type: "message", data: "", id: null };
+      for (const line of text.slice(0, end).split("\n")) {
+        const colon = line.indexOf(":");
+        if (colon <= 0) continue;
+        const field = line.slice(0, colon);
+        const content = line.slice(colon + 1).replace(/^ /, "");
+        if (field === "data") event.data += (event.data ? "\n" : "") + content;
+        else if (field === "event") event.type = content;
+        else if (field === "id") event.id = content;
+      }
+      text = text.slice(end + 2);
+      if (event.data) yield event;
+    }
+  }
+}

@@ -1,0 +1,66 @@
+// Elements from text only: nothing that the service says is ever read as HTML.
+
+export function h(tag, attributes, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "class") element.className = value;
+    else if (name === "width") element.style.width = value;
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  for (const child of children.flat(3)) {
+    if (child === null || child === undefined) continue;
+    element.append(child instanceof Node ? child : document.createTextNode(String(child)));
+  }
+  return element;
+}
+
+export function table(heads, rows, numbers = []) {
+  const kind = (k) => (numbers.includes(k) ? { class: "n" } : {});
+  return h("div", { class: "scroll" }, h("table", {},
+    h("thead", {}, h("tr", {}, heads.map((text, k) => h("th", kind(k), text)))),
+    h("tbody", {}, rows.map((cells) => h("tr", {}, cells.map((cell, k) => h("td", kind(k), cell)))))));
+}
+
+export function state(text) {
+  return h("span", { class: "state " + text }, text);
+}
+
+export function section(title, ...children) {
+  return h("section", {}, h("h2", {}, title), children);
+}
+
+export function nothing(text) {
+  return h("p", { class: "empty" }, text);
+}
+
+export function when(iso) {
+  if (!iso) return "–";
+  const date = new Date(iso);
+  return h("time", { datetime: iso, title: iso }, date.toLocaleString([], { dateStyle: "short", timeStyle: "short" }));
+}
+
+export function duration(seconds) {
+  if (seconds === null || seconds === undefined) return "";
+  const s = Math.round(seconds);
+  if (s < 60) return s + " s";
+  if (s < 3600) return Math.floor(s / 60) + " min " + String(s % 60).padStart(2, "0") + " s";
+  return Math.floor(s / 3600) + " h " + String(Math.floor((s % 3600) / 60)).padStart(2, "0") + " min";
+}
+
+// A value with as many digits as its standard deviation allows.
+export function figures(value, std) {
+  if (value === null || value === undefined) return "–";
+  if (!(std > 0)) return number(value);
+  const digits = 1 - Math.floor(Math.log10(std));
+  if (digits <= 0) {
+    const step = 10 ** -digits;
+    return (Math.round(value / step) * step).toFixed(0) + " ± " + (Math.round(std / step) * step).toFixed(0);
+  }
+  return value.toFixed(Math.min(digits, 12)) + " ± " + std.toFixed(Math.min(digits, 12));
+}
+
+export function number(value, digits = 5) {
+  return value === null || value === undefined ? "–" : String(Number(value.toPrecision(digits)));
+}

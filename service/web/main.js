@@ -1,0 +1,100 @@
+// The page: a view by the address's hash, fetched anew when it changes, stopped when it is left.
+
+import { get, key, Problem, useKey, version } from "./api.js";
+import { h, nothing, section, state, table, when } from "./dom.js";
+import { rig } from "./rig.js";
+import * as tables from "./tables.js";
+
+const view = document.getElementById("view");
+const problem = document.getElementById("problem");
+const form = document.getElementById("key");
+let current = null;
+
+class Context {
+  constructor() {
+    this.controller = new AbortController();
+    this.signal = this.controller.signal;
+    this.timers = [];
+    this.later = [];
+  }
+
+  every(ms, what) {
+    this.timers.push(setInterval(() => { if (!document.hidden) what(); }, ms));
+  }
+
+  then(what) {
+    this.later.push(what);
+  }
+
+  refresh = () => { if (!this.signal.aborted) show(); };
+
+  doing = (what) => what().then(() => told(null), told);
+
+  end() {
+    this.controller.abort();
+    this.timers.forEach(clearInterval);
+  }
+}
+
+function told(error) {
+  if (error && error.name === "AbortError") return;
+  problem.hidden = !error;
+  problem.textContent = error ? error.message : "";
+  if (error instanceof Problem && error.status === 401) form.hidden = false;
+}
+
+async function overview(context) {
+  const [rigs, jobs, checks] = await Promise.all([
+    get("/rigs?limit=200", context.signal), get("/jobs?limit=15", context.signal), get("/health-checks?limit=200", context.signal),
+  ]);
+  const names = new Map(rigs.items.map((r) => [r.id, r.name]));
+  const latest = new Map();
+  for (const check of checks.items) if (!latest.has(check.rig)) latest.set(check.rig, check);
+  const rows = rigs.items.map((r) => {
+    const check = latest.get(r.id);
+    const health = check ? h("span", {}, check.alarm ? state("alarm") : "", check.alarm ? " " : "", check.alarm ? check.drifted.join(", ") : "zone ", check.alarm ? "" : state(check.zone), " ", when(check.created_at)) : "not checked";
+    return [h("a", { href: "#/rig/" + r.id }, r.name), r.axes.join(" "), r.controller_url || "no controller", health];
+  });
+  return [
+    section("Rigs", rigs.items.length ? table(["rig", "axes", "controller", "health"], rows) : nothing("No rigs yet: POST /api/v1/rigs with a datasheet.")),
+    section("Jobs", tables.jobs(jobs.items, names, context)),
+  ];
+}
+
+async function route(context) {
+  const [kind, id] = location.hash.replace(/^#\/?/, "").split("/");
+  if (kind === "rig" && id) return rig(id, context);
+  if (kind === "job" && id) {
+    const found = await get("/jobs/" + id, context.signal);
+    const owner = await get("/rigs/" + found.rig, context.signal);
+    return tables.job(found, new Map([[owner.id, owner.name]]), context);
+  }
+  return overview(context);
+}
+
+async function show() {
+  if (current) current.end();
+  const context = (current = new Context());
+  try {
+    const parts = await route(context);
+    if (context.signal.aborted) return;
+    view.replaceChildren(...parts.filter((p) => p !== ""));
+    context.later.forEach((what) => what());
+    told(null);
+    form.hidden = true;
+    document.documentElement.setAttribute("data-shown", location.hash || "#/");
+  } catch (error) {
+    told(error);
+  }
+}
+
+form.addEventListener("submit", (event) => {
+  event.preventDefault();
+  useKey(document.getElementById("key-text").value.trim());
+  document.getElementById("key-text").value = "";
+  show();
+});
+window.addEventListener("hashchange", show);
+version().then((found) => { document.getElementById("version").textContent = found ? "ambit " + found.version : ""; });
+if (key()) form.hidden = true;
+show();

@@ -1,0 +1,142 @@
+// One rig: what it does now, what it is, where its twin falls short, how it ages.
+
+import { documentLink, get, post } from "./api.js";
+import { figures, h, nothing, number, section, state, table, when } from "./dom.js";
+import * as plots from "./plots.js";
+import * as tables from "./tables.js";
+
+export async function rig(id, context) {
+  const signal = context.signal;
+  const of = "?rig=" + encodeURIComponent(id);
+  const [found, jobs, models, gaps, checks, trend, schedules] = await Promise.all([
+    get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&limit=1", signal),
+    get("/gaps" + of + "&limit=1", signal), get("/health-checks" + of + "&limit=1", signal),
+    get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
+  ]);
+  const names = new Map([[id, found.name]]);
+  return [
+    h("h2", {}, found.name, " ", h("span", { class: "small" }, "version " + found.version + (found.retired_at ? ", retired" : ""))),
+    found.note ? h("p", {}, found.note) : "",
+    live(found, context),
+    actions(found, context),
+    section("Jobs", tables.jobs(jobs.items, names, context)),
+    section("Model", ...(await model(models.items[0], context))),
+    section("Gap between rig and twin", ...(await gap(gaps.items[0], context))),
+    section("Health", ...health(checks.items[0], trend, context)),
+    section("Schedules", ...(await schedule(schedules.items, context))),
+  ];
+}
+
+function live(found, context) {
+  const place = h("div", { id: "live" });
+  if (!found.controller_url) return nothing("This rig has no controller: experiments are uploaded.");
+  const show = async () => {
+    const now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => ({ reachable: false, detail: error.message }));
+    if (context.signal.aborted) return;
+    if (!now.reachable) {
+      place.replaceChildren(h("p", { class: "note" }, "The controller does not answer: " + now.detail));
+      return;
+    }
+    const um = now.displacement_m.map((y) => (1e6 * y).toFixed(2)).join("  ");
+    const amps = now.current_a.map((i) => i.toFixed(3)).join("  ");
+    place.replaceChildren(table(["state", "moved by", "excitation, A", "displacements, µm", "currents, A", "speed, rad/s"], [[
+      state(now.state === "tripped" ? "tripped" : now.state), now.lease_holder || "nobody", number(now.excitation_a, 3), um, amps, number(now.speed_rad_s, 4),
+    ]], [2, 3, 4, 5]), now.trip_message ? h("p", { class: "note" }, now.trip_message) : "");
+  };
+  show();
+  context.every(2000, show);
+  return place;
+}
+
+function actions(found, context) {
+  if (!found.controller_url || found.retired_at) return "";
+  const submit = (kind, options) => () => context.doing(async () => {
+    const job = await post("/jobs", { kind, rig: found.id, options });
+    location.hash = "#/job/" + job.id;
+  });
+  return h("p", { class: "row" },
+    h("button", { onclick: submit("experiment", {}) }, "Commission"),
+    h("button", { onclick: submit("health", {}) }, "Check health"),
+    h("button", { class: "danger", onclick: () => context.doing(() => post("/rigs/" + found.id + "/stop")) }, "Stop the excitation"));
+}
+
+async function model(found, context) {
+  if (!found) return [nothing("No model yet: commission the rig, or upload an experiment and identify it.")];
+  const response = await get("/models/" + found.id + "/frequency-response", context.signal);
+  const rows = [];
+  for (const [plane, p] of Object.entries(found.summary.planes)) {
+    for (const [name, e] of Object.entries(p.stiffness)) rows.push([plane, name + ", " + e.unit, figures(e.value, e.std), number(e.nominal)]);
+    p.modes.forEach((m, k) => {
+      const w = m.natural_frequency_rad_s, z = m.damping_ratio;
+      rows.push([plane, "wn" + (k + 1) + ", rad/s", figures(w.value, w.std), ""], [plane, "zeta" + (k + 1), figures(z.value, z.std), ""]);
+    });
+    const peaks = Object.values(p.sensitivity_peak || {}).map((v) => v.toFixed(2)).join(" / ");
+    rows.push([plane, "sensitivity peak A / B, zone", h("span", {}, peaks + ", ", state(p.iso_14839_3_zone)), ""]);
+  }
+  const place = h("div", { class: "plot bode", id: "bode" });
+  const entries = Object.entries(response).flatMap(([plane, p]) => p.axes.flatMap((out, a) => p.axes.map((source, b) => [plane, a, b, "y " + out + " / u " + source])));
+  const choice = h("select", { id: "entry" }, entries.map((e, k) => h("option", { value: k }, e[3])));
+  const show = () => {
+    const [plane, a, b] = entries[choice.value || 0];
+    plots.bode(place, response[plane], a, b);
+  };
+  choice.addEventListener("change", show);
+  context.then(show);
+  const path = "/models/" + found.id;
+  return [
+    h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html"), " · ",
+      documentLink(path + "/result.json", "result.json", "result.json")),
+    table(["plane", "figure", "identified", "datasheet"], rows, [2, 3]),
+    h("p", { class: "row" }, h("label", { for: "entry" }, "Response"), choice), place,
+  ];
+}
+
+async function gap(found, context) {
+  if (!found) return [nothing("Not diagnosed yet: submit a gap job for an experiment.")];
+  const document = await get("/gaps/" + found.id + "/gap.json", context.signal);
+  const verdict = document.verdict;
+  const place = h("div", { class: "plot gap", id: "gap" });
+  if (document.candidates.length) context.then(() => plots.candidates(place, document.candidates));
+  const closure = found.summary.closure;
+  const tone = { no_gap: "", effect: "warn", effects: "warn", none_of_these: "bad" }[verdict.kind];
+  return [
+    h("p", { class: "lead " + tone }, verdict.sentence || verdict.kind),
+    h("p", { class: "about" }, "Diagnosed ", when(found.created_at), " · ", documentLink("/gaps/" + found.id + "/report.html", "report", "gap.html")),
+    table(["gap before", "noise floor", "closed by what was found"], [[
+      number(100 * found.summary.gap_before, 3) + " %", number(100 * found.summary.noise_floor, 3) + " %",
+      closure === null || closure === undefined ? "–" : (100 * closure).toFixed(0) + " %",
+    ]], [0, 1, 2]),
+    document.candidates.length ? place : "",
+  ];
+}
+
+function health(found, trend, context) {
+  if (!found) return [nothing("Not checked yet.")];
+  const places = h("div", { class: "plots", id: "trend" });
+  const steady = Object.entries(trend.series).filter(([, s]) => s.drifting).map(([name]) => name);
+  context.then(() => {
+    for (const [name, series] of Object.entries(trend.series)) {
+      const place = h("div", { class: "plot" });
+      places.append(place);
+      plots.trend(place, name, series);
+    }
+  });
+  return [
+    h("p", { class: "lead " + (found.alarm ? "bad" : "CD".includes(found.zone) ? "warn" : "") }, found.sentence),
+    h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + " checks · ",
+      documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html")),
+    steady.length ? h("p", { class: "note" }, "Changes steadily: " + steady.join(", ")) : "",
+    places,
+  ];
+}
+
+async function schedule(found, context) {
+  if (!found.length) return [nothing("No schedule: this rig is checked when somebody asks.")];
+  const runs = await Promise.all(found.map((s) => get("/schedules/" + s.id + "/runs?limit=30", context.signal)));
+  const rows = found.map((s, k) => {
+    const missed = runs[k].filter((r) => r.state === "missed");
+    const last = missed.length ? h("span", {}, state("missed"), " " + missed.length + ", last ", when(missed[0].due_at)) : "none of the last " + runs[k].length;
+    return [s.cron + " " + s.timezone, s.enabled ? when(s.next_at) : "off", last, s.webhook ? s.webhook.url : ""];
+  });
+  return [table(["schedule", "next", "missed", "webhook"], rows)];
+}

@@ -1,0 +1,89 @@
+// Tables of jobs, alive: each running one is watched by its events.
+
+import { documentLink, events, post } from "./api.js";
+import { duration, h, nothing, state, table, when } from "./dom.js";
+
+const WATCHED = 3; // a browser opens six connections to a server; the page itself needs some
+const ACTIVE = ["queued", "running"];
+
+export function jobs(list, names, context) {
+  if (!list.length) return nothing("No jobs yet.");
+  const heads = ["job", "rig", "state", "progress", "submitted", "by", ""];
+  const rows = list.map((job) => cells(job, names, context));
+  const made = table(heads, rows);
+  const lines = made.querySelectorAll("tbody tr");
+  const active = list.map((job, k) => [job, lines[k]]).filter(([job]) => ACTIVE.includes(job.state));
+  for (const [job, line] of active.slice(-WATCHED)) {
+    events("/jobs/" + job.id + "/events", (now) => {
+      line.replaceChildren(...cells(now, names, context).map((cell) => h("td", {}, cell)));
+      if (!ACTIVE.includes(now.state)) context.refresh();
+    }, context.signal);
+  }
+  if (active.length > WATCHED) context.every(3000, context.refresh);
+  return made;
+}
+
+function cells(job, names, context) {
+  return [
+    h("a", { href: "#/job/" + job.id, title: job.id }, job.kind),
+    h("a", { href: "#/rig/" + job.rig }, names.get(job.rig) || job.rig),
+    state(job.state),
+    progress(job),
+    when(job.created_at),
+    job.submitted_by,
+    ACTIVE.includes(job.state) ? cancel(job, context) : "",
+  ];
+}
+
+export function progress(job) {
+  if (job.state === "failed") return h("span", { title: job.error && job.error.detail }, job.error ? job.error.title : "");
+  if (job.state !== "running") return "";
+  const p = job.progress;
+  const left = p.time_left_s ? ", " + duration(p.time_left_s) + " left" : "";
+  const points = p.points ? p.point + " of " + p.points + " points" : p.phase;
+  return h("span", {}, h("span", { class: "bar" }, h("i", { width: p.percent + "%" })), p.percent.toFixed(0) + " %, " + points + left);
+}
+
+function cancel(job, context) {
+  const button = h("button", { class: "danger", disabled: job.cancel_requested }, job.cancel_requested ? "stopping" : "Cancel");
+  button.addEventListener("click", () => context.doing(async () => {
+    button.disabled = true;
+    await post("/jobs/" + job.id + "/cancel");
+  }));
+  return button;
+}
+
+export async function job(found, names, context) {
+  const place = h("div", {});
+  const show = (now) => place.replaceChildren(
+    h("p", { class: "lead " + { failed: "bad", cancelled: "warn" }[now.state] }, state(now.state), " ", progress(now)),
+    now.error ? h("p", { class: "note" }, now.error.detail) : "",
+    table(["", ""], [
+      ["kind", now.kind],
+      ["rig", h("a", { href: "#/rig/" + now.rig }, names.get(now.rig) || now.rig)],
+      ["phase", now.progress.phase || "–"],
+      ["submitted", h("span", {}, when(now.created_at), " by " + now.submitted_by)],
+      ["started", when(now.started_at)],
+      ["ended", when(now.ended_at)],
+      ["result", results(now)],
+    ]),
+    ACTIVE.includes(now.state) ? h("p", { class: "row" }, cancel(now, context)) : "",
+  );
+  show(found);
+  if (ACTIVE.includes(found.state)) events("/jobs/" + found.id + "/events", show, context.signal);
+  return [h("h2", {}, "Job ", h("span", { class: "small" }, found.id)), place];
+}
+
+function results(now) {
+  const paths = {
+    experiment: (id) => ["/experiments/" + id + "/experiment.h5", "experiment.h5"],
+    model: (id) => ["/models/" + id + "/report.html", "report.html"],
+    gap: (id) => ["/gaps/" + id + "/report.html", "gap.html"],
+    health: (id) => ["/health-checks/" + id + "/report.html", "health.html"],
+  };
+  const links = Object.entries(now.result || {}).filter(([kind]) => paths[kind]).map(([kind, id]) => {
+    const [path, name] = paths[kind](id);
+    return [documentLink(path, kind, name), " "];
+  });
+  return links.length ? h("span", {}, links) : "–";
+}
