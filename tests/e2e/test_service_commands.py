@@ -1,0 +1,110 @@
+"""submit, watch, cancel and fetch against ``ambit serve`` and a rig on Modbus, as at an engineer's terminal."""
+
+import json
+import os
+import pty
+import select
+import subprocess
+import time
+
+import pytest
+
+from tests.support import command
+from tests.support.service import QUICK, SLOW, reference_sheet, rig_device, service
+
+PROFILE = f"profile={json.dumps(QUICK)}"
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    rig = rig_device(tmp_path_factory.mktemp("rig"))
+    with service(tmp_path_factory.mktemp("home"), "sqlite", requests_per_s=10_000) as found:
+        found.rig = rig
+        yield found
+    rig.device.end()
+
+
+@pytest.fixture
+def ambit(running, monkeypatch):
+    monkeypatch.setitem(command.ENVIRONMENT, "AMBIT_URL", running.api.said)
+    return command.ambit
+
+
+@pytest.fixture(scope="module")
+def sheet(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sheet") / "rig.toml"
+    path.write_text(reference_sheet())
+    return path
+
+
+def on_a_terminal(*arguments: object) -> tuple[int, str]:
+    """Exit status, and all that a terminal was sent."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*command.AMBIT, *map(str, arguments)], stdin=theirs, stdout=theirs, stderr=theirs, env=command.ENVIRONMENT
+    )
+    os.close(theirs)
+    shown = b""
+    deadline = time.monotonic() + 90
+    while time.monotonic() < deadline:
+        if select.select([ours], [], [], 0.2)[0]:
+            try:
+                part = os.read(ours, 65536)
+            except OSError:
+                break
+            if not part:
+                break
+            shown += part
+        elif process.poll() is not None:
+            break
+    os.close(ours)
+    return process.wait(20), shown.decode()
+
+
+def test_measured_identified_and_fetched_by_one_command(ambit, running, sheet, tmp_path):
+    done = ambit(
+        *("submit", "experiment", "--rig", sheet, "--controller", running.rig.url),
+        *("--option", PROFILE, "--out", tmp_path / "out"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"experiment.h5", "rig.toml", "result.json", "report.html"}
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["format"] == "amb-commissioning-result"
+    lines = done.stdout.splitlines()
+    assert lines[-1].startswith(f"report: {running.api.said}/api/v1/models/mod_")
+    assert "done" in done.stderr
+
+    # the same file, uploaded: identified again on the rig that is known by now, its bar on a terminal
+    said = ambit("submit", "identification", "--rig", "reference", "--experiment", tmp_path / "out" / "experiment.h5")
+    job = said.stdout.strip()
+    assert job.startswith("job_")
+    status, shown = on_a_terminal("watch", job, "--out", tmp_path / "again")
+    assert status == 0, shown
+    assert "━" in shown
+    assert "model: mod_" in shown
+    assert (tmp_path / "again" / "result.json").exists()
+    fetched = json.loads(ambit("fetch", job, "--out", tmp_path / "third", "--json").stdout)
+    assert set(fetched["files"]) == {"datasheet", "experiment", "result", "report"}
+
+
+def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
+    slow = f"profile={json.dumps(SLOW)}"
+    job = ambit(
+        "submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--option", slow
+    ).stdout.strip()
+    running.wait(job, lambda j: j["progress"]["point"] > 5)
+    assert ambit("cancel", job).stdout.strip() == job
+    watched = ambit("watch", job)
+    assert watched.returncode == 1
+    assert watched.stderr.splitlines()[-1] == f"ambit: the job {job} was cancelled"
+    assert running.rig.status().excitation_a == 0
+
+
+def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):
+    assert "no rig 'nobody'" in command.refusal("submit", "experiment", "--rig", "nobody")
+    assert "name=value" in command.refusal("submit", "gap", "--rig", "x", "--option", "a", status=2)
+    assert "there is no job" in command.refusal("watch", "job_0")
+    (tmp_path / "x.h5").write_bytes(b"PK")
+    assert "neither an HDF5 nor a MATLAB" in command.refusal(
+        *("submit", "gap", "--rig", sheet, "--controller", running.rig.url, "--experiment", tmp_path / "x.h5")
+    )
+    assert "controller_url" in command.refusal("submit", "health", "--rig", sheet, "--controller", "")
