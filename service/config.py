@@ -50,6 +50,8 @@ class Settings(BaseModel):
     """Identifications and diagnoses that one worker calculates at a time."""
     worker_timeout_s: float = Field(30.0, gt=1.0)
     """A worker that was silent for so long has lost its jobs to the others."""
+    lease_s: float = Field(10.0, ge=1.0, le=60.0)
+    """Time for which a controller stays leased to a job whose worker went silent."""
     controller_patience_s: float = Field(60.0, ge=0.0)
     """How long a job waits for a controller that does not answer before it fails."""
 

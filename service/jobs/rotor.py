@@ -41,12 +41,12 @@ class AuditedController:
         return self._controller.status()
 
     @contextmanager
-    def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
-        """Hold the rig exclusively; both ends are in the audit log."""
+    def lease(self, holder: str, seconds: float | None = None) -> Iterator[None]:
+        """Hold the rig exclusively, for the seconds of the settings; both ends are in the audit log."""
         how = "done"
         leased = False
         try:
-            with self._controller.lease(holder, seconds):
+            with self._controller.lease(holder, seconds or self._worker.settings.lease_s):
                 self._record(Action.rotor_excited, holder=holder)
                 leased = True
                 yield

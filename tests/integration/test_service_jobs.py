@@ -1,0 +1,162 @@
+"""Jobs as a user relies on them: real API, real worker, real device over Modbus, killed for real."""
+
+import shutil
+import time
+
+import pytest
+
+from service.experiment import file
+from service.experiment.campaign import recover
+from tests.support.processes import wait_for
+from tests.support.service import QUICK, SLOW, Running, reference_sheet, rig_device, service
+
+DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
+on_sqlite = pytest.mark.parametrize("running", ["sqlite"], indirect=True)
+"""For what no database can change."""
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    device = rig_device(tmp_path_factory.mktemp("rig"))
+    yield device
+    device.device.end()
+
+
+@pytest.fixture(scope="module", params=DATABASES)
+def running(request, tmp_path_factory):
+    home = tmp_path_factory.mktemp(f"service-{request.param}")
+    with service(home, request.param, "--no-worker", worker_timeout_s=3, lease_s=2, requests_per_s=10000) as found:
+        found.worker("w1")
+        yield found
+
+
+@pytest.fixture
+def rig_id(running, rig):
+    return running.add_rig(reference_sheet(), rig.url, name=f"rig {time.time_ns()}")
+
+
+@on_sqlite
+def test_a_rig_is_measured_and_identified_by_one_request(running, rig, rig_id):
+    job = running.done(running.submit("experiment", rig_id, options={"profile": QUICK}))
+    assert job["progress"]["percent"] == 100.0
+    experiment = running.get(f"/experiments/{job['result']['experiment']}")
+    assert experiment["complete"]
+    assert experiment["source"] == "measured"
+    model = running.get(f"/models/{job['result']['model']}/result.json")
+    assert model["format"] == "amb-commissioning-result"
+    for plane in model["planes"].values():
+        for name, truth in (("kiA", 190.0), ("kiB", 190.0)):
+            assert abs(plane["stiffness"][name]["value"] / truth - 1) < 0.1
+    actions = [line["action"] for line in running.get("/audit", params={"rig": rig_id})["items"]]
+    assert actions == ["rotor.released", "rotor.excited", "job.submitted", "rig.created"]
+    assert rig.status().excitation_a == 0
+
+
+@on_sqlite
+def test_a_cancelled_job_stops_the_rotor_within_a_second(running, tmp_path):
+    slow = rig_device(tmp_path, "slow", "--real-time")
+    try:
+        rig_id = running.add_rig(reference_sheet(), slow.url, name=f"slow {time.time_ns()}")
+        job_id = running.submit("experiment", rig_id, options={"profile": SLOW})
+        wait_for(lambda: slow.status().excitation_a > 0, "excitation", 30)
+        asked = time.monotonic()
+        running.post(f"/jobs/{job_id}/cancel")
+        assert running.wait(job_id)["state"] == "cancelled"
+        events = slow.events()
+        assert max(e["monotonic_s"] for e in events if e["text"].startswith("excitation")) - asked < 1.0
+        assert events[-1]["text"] in ("stop", "lease released", "excitation off")
+        assert slow.status().excitation_a == 0
+    finally:
+        slow.device.end()
+
+
+@on_sqlite
+def test_a_cancelled_job_keeps_what_was_measured_and_goes_on_with_it(running, rig, rig_id):
+    job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
+    running.wait(job_id, lambda j: j["progress"]["phase"] == "main" and j["progress"]["point"] > 60)
+    running.post(f"/jobs/{job_id}/cancel")
+    job = running.wait(job_id)
+    assert job["state"] == "cancelled"
+    kept = running.get(f"/experiments/{job['result']['experiment']}")
+    assert not kept["complete"]
+    before = experiment_of(running, job)
+    running.post(f"/jobs/{job_id}/retry")
+    again = running.done(job_id)
+    assert again["run"] == 2
+    assert again["result"]["experiment"] == job["result"]["experiment"]
+    assert running.get(f"/experiments/{job['result']['experiment']}")["complete"]
+    assert_goes_on_from(before, experiment_of(running, again))
+
+
+def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, rig, rig_id):
+    job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
+    running.wait(job_id, lambda j: j["progress"]["point"] > 60)
+    running.workers["w1"].kill()
+    before = recover(running.home / "work" / job_id)
+    running.workers["w1"].start()
+    assert_goes_on_from(before, experiment_of(running, running.done(job_id)))
+    assert rig.status().excitation_a == 0
+
+
+def test_a_silent_workers_job_is_taken_over_elsewhere_with_the_points_it_had(running, rig, rig_id, tmp_path):
+    job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
+    running.wait(job_id, lambda j: j["progress"]["point"] > 60)
+    running.workers["w1"].kill()
+    shutil.copytree(running.home / "work" / job_id, tmp_path / "before")
+    elsewhere = {**running.environment, "AMBIT_STORE_URL": str(running.home / "store")}
+    if "AMBIT_DATABASE_URL" not in elsewhere:
+        home = f"sqlite:///{running.home}"
+        elsewhere |= {"AMBIT_DATABASE_URL": f"{home}/ambit.db", "AMBIT_JOBS_DATABASE_URL": f"{home}/jobs.db"}
+    w2 = Running(tmp_path / "w2.log", "worker", "--name", "w2", "--home", tmp_path / "w2", environment=elsewhere)
+    try:
+        job = running.done(job_id, s=90)
+    finally:
+        w2.end()
+        running.workers["w1"].start()
+    assert job["worker"] == "w2"
+    before, after = recover(tmp_path / "before"), experiment_of(running, job)
+    assert_goes_on_from(before, after, lost=15)  # what was measured in the last half second was not yet told
+
+
+def test_two_jobs_on_one_rig_never_overlap(running, rig, rig_id):
+    same_rig = running.add_rig(reference_sheet(), rig.url, name=f"alias {time.time_ns()}")  # only the lease can tell
+    other = running.worker("w3")
+    wait_for(lambda: not rig.status().lease_holder, "the lease of the killed worker to lapse")
+    seen = len(rig.events())
+    try:
+        options = {"profile": QUICK, "identify": False}
+        submitted = [running.submit("experiment", r, options=options) for r in (rig_id, same_rig, rig_id, same_rig)]
+        for job_id in submitted:
+            running.done(job_id, s=120)
+    finally:
+        other.end()
+        del running.workers["w3"]
+    holder = ""
+    for event in rig.events()[seen:]:
+        if event["text"].startswith("leased to"):
+            assert holder == ""
+            holder = event["text"]
+        elif event["text"] == "lease released":
+            holder = ""
+    assert sum(e["text"].startswith("leased to") for e in rig.events()[seen:]) == 4
+
+
+def experiment_of(running, job):
+    answer = running.client.get(f"/api/v1/experiments/{job['result']['experiment']}/file")
+    assert answer.status_code == 200
+    path = running.home / f"{job['id']}.h5"
+    path.write_bytes(answer.content)
+    return file.read(path)
+
+
+def assert_goes_on_from(before, after, lost=0):
+    """Every point that was measured is in the end what it was; none is there twice."""
+    missing = 0
+    for old in before.sweeps:
+        if old.kind == "noise" or old.comment == "preliminary":
+            continue
+        found = [y.tobytes() for y in after.named(old.comment).Y]
+        assert len(found) == len(set(found))
+        missing += sum(y.tobytes() not in found for y in old.Y)
+    assert sum(s.n_points for s in before.sweeps) > 60
+    assert missing <= lost
