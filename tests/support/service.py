@@ -117,7 +117,12 @@ class Service:
     def __post_init__(self) -> None:
         self.home.mkdir(parents=True, exist_ok=True)
         self.api = Running(
-            self.home / "api.log", "serve", "--home", self.home, "--port", 0, *self.flags, environment=self.environment
+            self.home / "api.log",
+            "serve",
+            "--home",
+            self.home,
+            *(self.flags if "--port" in self.flags else ("--port", 0, *self.flags)),
+            environment=self.environment,
         )
         self.client = httpx.Client(base_url=self.api.said, timeout=30)
 
