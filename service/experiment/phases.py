@@ -34,6 +34,9 @@ NOISE_S = 3.0
 """Zero-excitation record: twenty independent looks at the noise with 4 Hz resolution."""
 PERIODIC_S = 0.5
 PEAK_ROUNDS = 6
+CLOSELY = 1e-4
+"""Relative distance within which a frequency of the profile is met: a tenth of a mode's width at a damping ratio of
+0.0005."""
 TRIPS = 7
 """A point whose amplitude was halved that often and still trips is given up."""
 
@@ -171,13 +174,15 @@ class Phases:
                 self._frequency("main", "main", f, tolerance, shown="peaks")
 
     def _given_frequencies(self) -> None:
-        """The profile's own frequencies, each met to a fifth of the way to its neighbour."""
+        """The profile's own frequencies, met closely: one may have been chosen for its place on a narrow peak."""
         given = plan.main_grid(self.profile, self.limits, self.aims["main"], ())
         self._expect(len(given), self.profile.points)
+        waits = dict(zip(self.profile.frequencies_hz, self.profile.settle_s, strict=False))
         for f in given:
             others = given[given != f]
             nearest = float(np.min(np.abs(others - f))) if len(others) else np.inf
-            self._frequency("main", "main", float(f), tolerance_hz=0.2 * nearest)
+            tolerance = min(0.2 * nearest, CLOSELY * float(f))
+            self._frequency("main", "main", float(f), tolerance, least_settle_s=waits.get(float(f), 0.0))
 
     def _missing_at_peaks(self) -> list[tuple[float, float]]:
         """Frequencies that peaks of the plant still need, each with how closely it must be met."""
@@ -221,13 +226,22 @@ class Phases:
             self._frequency("amplifier", "amplifier", float(f))
 
     def _frequency(
-        self, sweep: str, aim_name: str, frequency_hz: float, tolerance_hz: float = np.inf, shown: str = ""
+        self,
+        sweep: str,
+        aim_name: str,
+        frequency_hz: float,
+        tolerance_hz: float = np.inf,
+        shown: str = "",
+        least_settle_s: float = 0.0,
     ) -> None:
         """All axes at one frequency."""
         aim = self.aims[aim_name]
         for request in plan.tones(self.knowledge, frequency_hz, aim, self.profile, self.limits, tolerance_hz):
             if sweep == "validation":
                 request = plan.other_amplitude(request, self.knowledge, self.aims, self.profile, self.limits)
+            least = math.ceil(least_settle_s * self.limits.sample_rate_hz)
+            if request.settle_samples < least:
+                request = replace(request, settle_samples=plan.longest_settling(request, self.limits, least_settle_s))
             point = self._point(sweep, request, aim)
             self.done.setdefault(sweep, []).append(point)
             self._report(

@@ -59,6 +59,8 @@ class Profile:
     """Attempts at one point: longer settling, other amplitudes."""
     frequencies_hz: tuple[float, ...] = ()
     """Frequencies of the main sweep in place of ``points`` log-spaced ones; peaks are then not searched."""
+    settle_s: tuple[float, ...] = ()
+    """Settling time to begin with at each of ``frequencies_hz``, where a model tells it; () for none."""
 
 
 @dataclass(frozen=True)

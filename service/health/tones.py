@@ -41,10 +41,11 @@ RAMP_S = 0.08
 SETTLING = 7.0
 """Time constants of the closed loop that a tone waits: to a thousandth."""
 WOKEN_HZ = 10.0
-REPEATED = 1.5
-"""Attempts at a tone, on average: settling is found by trying."""
-AMNESIA = 1e4
-"""Covariance of the baseline by which a check may be guided, times this: a hundred standard deviations."""
+REPEATED = 1.75
+"""Attempts at a tone, on average: amplitudes and settling are corrected by trying."""
+DRIFT, MODE_DRIFT, DAMPING_DRIFT = 0.3, 0.02, 2.0
+"""Relative changes that may have come since the commissioning, one sigma: of any parameter, of a mode's frequency, of
+its damping. No baseline guides a check more closely than that."""
 SCENARIOS = ((0.0, 1.0), (4e-3, 1.0), (-4e-3, 1.0), (0.0, 2.0), (0.0, 0.5))
 """Relative shift of every mode's frequency, and factor on its damping."""
 
@@ -100,8 +101,8 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
         raise AmbError(
             f"a health check of {budget_s:g} s holds only {len(chosen)} tones; allow at least {least * 1.3:.0f} s"
         )
-    chosen = _exchanged(designs, seconds, chosen)
-    frequencies = np.sort(candidates[chosen])
+    chosen = sorted(_exchanged(designs, seconds, chosen))
+    frequencies = candidates[chosen]
     total = first + float(seconds[chosen].sum())
     profile = Profile(
         accuracy=ACCURACY,
@@ -114,8 +115,8 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
         blocks=BLOCKS,
         rig_seconds=BLOCK_S * BLOCKS * 2 * 4 * (len(frequencies) + COARSE_POINTS / 2),
         peak_points=0,
-        tries=4,
         frequencies_hz=tuple(float(f) for f in frequencies),
+        settle_s=tuple(float(s) for s in settling[chosen]),
     )
     std = {k: v for d in designs for k, v in d.std_percent(chosen).items()}
     return ShortPlan(profile, std, total)
@@ -147,7 +148,7 @@ class _Design:
         self.models = [_moved(saved, shift, damping) for shift, damping in SCENARIOS]
         self.gradients = [_gradient(self, m) for m in self.models]
         rows = split_rows(saved.model, Split(log_ratios(saved.model)))[1][:, saved.free]
-        self.prior = np.linalg.inv(AMNESIA * saved.covariance_from_data) + rows.T @ rows
+        self.prior = np.diag(1 / _drift(saved.model)[saved.free] ** 2) + rows.T @ rows
         self.information = np.zeros((len(self.models), 0, 0, 0))
 
     def prepare(self, frequencies_hz: Real) -> None:
@@ -209,6 +210,18 @@ class _Design:
         g = self.gradients[0]
         std = np.sqrt(np.einsum("ka,ab,kb->k", g, cov, g))
         return {name: 100 * float(s) for name, s in zip(self.figures.ids, std, strict=True)}
+
+
+def _drift(model: PlaneModel) -> Real:
+    """How far every parameter may be from where it was, (size,)."""
+    size = DRIFT * np.abs(model.theta)
+    size[model.layout.delay] = model.known.sample_time_s
+    for k in range(model.layout.n_modes):
+        at = model.layout.mode(k).start
+        size[at], size[at + 1] = MODE_DRIFT * model.theta[at], DAMPING_DRIFT * abs(model.theta[at + 1])
+        for shape in (slice(at + 2, at + 4), slice(at + 4, at + 6)):
+            size[shape] = DRIFT * np.linalg.norm(model.theta[shape])
+    return np.maximum(size, 1e-12)
 
 
 def _moved(saved: SavedPlane, shift: float, damping: float) -> PlaneModel:
