@@ -22,6 +22,16 @@ router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"])
 
 POLL_S = 0.2
 PING_S = 15
+_EVENT = {
+    "type": "object",
+    "description": "One event; comments between them are signs of life.",
+    "properties": {
+        "event": {"enum": ["progress", "state"]},
+        "id": {"type": "string", "description": "Of the change; send it back as Last-Event-ID to go on."},
+        "data": {"type": "string", "description": "The job, JSON."},
+    },
+    "required": ["event", "id", "data"],
+}
 _EXAMPLE = (
     'event: progress\nid: 17\ndata: {"id": "job_01k9...", "state": "running", "progress": {"percent": 42.0, '
     '"point": 126, "points": 300, "phase": "main", "time_left_s": 180.0}}\n\n'
@@ -36,7 +46,7 @@ _EXAMPLE = (
     | {
         200: {
             "description": "Events `progress` and `state`, the data of both the job as JSON; ends with the job.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}, "example": _EXAMPLE}},
+            "content": {"text/event-stream": {"schema": _EVENT, "example": _EXAMPLE}},
         }
     },
 )

@@ -238,7 +238,7 @@ class Client:
         if "gap" in job.result:
             files |= self.gaps.save(job.result["gap"], folder)
         if "health" in job.result:
-            document = self._transport.get(f"/health-checks/{job.result['health']}")
+            document = self._transport.get(f"/health-checks/{job.result['health']}")["document"]
             files["health"] = write_text(folder / "health.json", json_text(document))
         return files
 
