@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-from drivers.errors import ControllerError
+from service.api.problems import UnprocessableError
 from service.config import Settings
 
 SCHEMES = ("modbus", "modbuss", "modbus+rtu", "canopen", "simulated")
@@ -20,7 +20,7 @@ def checked_url(url: str, settings: Settings) -> str:
 
     Raises
     ------
-    ControllerError
+    UnprocessableError
         An unknown scheme, or a file that is not one of the service's.
     """
     if not url:
@@ -30,15 +30,15 @@ def checked_url(url: str, settings: Settings) -> str:
         _ = parts.port
         query = parse_qs(parts.query, keep_blank_values=True)
     except ValueError as error:
-        raise ControllerError(f"the controller's URL cannot be read: {error}") from error
+        raise UnprocessableError(f"the controller's URL cannot be read: {error}") from error
     if parts.scheme not in SCHEMES:
-        raise ControllerError(f"a controller's URL begins with one of {', '.join(f'{s}://' for s in SCHEMES)}")
+        raise UnprocessableError(f"a controller's URL begins with one of {', '.join(f'{s}://' for s in SCHEMES)}")
     if parts.scheme in ("modbus", "modbuss") and not parts.hostname:
-        raise ControllerError(f"{url!r} names no host; write {parts.scheme}://host:port")
+        raise UnprocessableError(f"{url!r} names no host; write {parts.scheme}://host:port")
     folder = (settings.home.absolute() / FOLDER).resolve()
     for name, values in query.items():
         if name in REFUSED:
-            raise ControllerError(f"the option {name} is for the command line; leave it out")
+            raise UnprocessableError(f"the option {name} is for the command line; leave it out")
         if name in FILES and any(not Path(value).resolve().is_relative_to(folder) for value in values):
-            raise ControllerError(f"the option {name} must name a file in {folder}; have it put there")
+            raise UnprocessableError(f"the option {name} must name a file in {folder}; have it put there")
     return url

@@ -6,12 +6,12 @@ import logging
 import re
 import secrets
 import time
-from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import logs
 from service.api.operations import Metrics
+from service.api.problems import MEDIA_TYPE, Problem
 
 log = logging.getLogger(__name__)
 _ID = re.compile(rb"[\w.:-]{1,64}")
@@ -52,11 +52,14 @@ class Around:
         request_id = given.decode() if _ID.fullmatch(given) else secrets.token_hex(8)
         scope.setdefault("state", {})["request_id"] = request_id
         limit = self._max_upload if _UPLOAD.fullmatch(scope["path"]) else self._max_body
+        body = _Body(receive, limit)
         began = time.perf_counter()
         status = 500
 
         async def sending(message: Message) -> None:
             nonlocal status
+            if body.exceeded and status == 500:
+                return  # whatever was made of half a body: the answer is below
             if message["type"] == "http.response.start":
                 status = message["status"]
                 message["headers"] = [*message["headers"], (b"x-request-id", request_id.encode()), *_HEADERS]
@@ -67,7 +70,10 @@ class Around:
                 if _too_large(headers, limit):
                     await _refuse(sending, limit, request_id)
                 else:
-                    await self._app(scope, _limited(receive, limit), sending)
+                    await self._app(scope, body.receive, sending)
+                    if body.exceeded and status == 500:
+                        body.exceeded = False
+                        await _refuse(sending, limit, request_id)
             finally:
                 self._count(scope, status, time.perf_counter() - began)
 
@@ -84,27 +90,29 @@ def _too_large(headers: dict[bytes, bytes], limit: int) -> bool:
     return length.isdigit() and int(length) > limit
 
 
-def _limited(receive: Receive, limit: int) -> Receive:
-    """Receives no more than the limit of a body without a length: what comes after is as if the caller had gone."""
-    size = 0
+class _Body:
+    """Receives no more than the limit of a body that does not tell its length."""
 
-    async def limited() -> Message:
-        nonlocal size
-        message: dict[str, Any] = dict(await receive())
+    def __init__(self, receive: Receive, limit: int) -> None:
+        self._receive = receive
+        self._limit = limit
+        self._size = 0
+        self.exceeded = False
+
+    async def receive(self) -> Message:
+        """The next part; what comes after the limit is as if the caller had gone."""
+        if self.exceeded:
+            return {"type": "http.disconnect"}
+        message = await self._receive()
         if message["type"] == "http.request":
-            size += len(message.get("body", b""))
-            if size > limit:
-                from service.api.problems import TooLargeError
-
-                raise TooLargeError(f"the body is larger than {limit:,} bytes")
+            self._size += len(message.get("body", b""))
+            if self._size > self._limit:
+                self.exceeded = True
+                return {"type": "http.disconnect"}
         return message
-
-    return limited
 
 
 async def _refuse(send: Send, limit: int, request_id: str) -> None:
-    from service.api.problems import MEDIA_TYPE, Problem
-
     body = Problem(
         title="Content Too Large",
         status=413,

@@ -76,6 +76,6 @@ def checked_options(kind: str, options: dict[str, Any]) -> dict[str, Any]:
     try:
         return _BY_KIND[kind].model_validate(options).model_dump(mode="json", exclude_unset=True)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(["options", *(str(part) for part in first["loc"])])
-        raise UnprocessableError(f"{where}: {first['msg']}") from error
+        deepest = max(error.errors(), key=lambda e: len(e["loc"]))  # of alternatives, the one that was meant
+        names = [str(part) for part in deepest["loc"] if "[" not in str(part) and part != "ProfileOptions"]
+        raise UnprocessableError(f"{'.'.join(['options', *names])}: {deepest['msg']}") from error

@@ -147,7 +147,7 @@ def _checked(wanted: RigWanted, services: Services) -> str:
 
     Raises
     ------
-    DatasheetError, ControllerError
+    DatasheetError, UnprocessableError
         It cannot.
     """
     sheet = datasheet.parse(wanted.datasheet, "datasheet")

@@ -1,0 +1,331 @@
+"""The API as its callers rely on it: idempotency, ETags, pages, problems, schedules; a real socket, no worker."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+
+import httpx
+import pytest
+from sqlalchemy import select
+
+from service.config import Settings
+from service.jobs import timetable
+from service.storage import jobs as rows
+from service.storage.database import now
+from service.storage.tables import ExperimentRow, HealthRow, JobRow, ModelRow, ScheduleRow
+from tests.support.service import reference_sheet
+from tests.support.serving import serving
+
+SHEET = reference_sheet()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    with serving(Settings(home=tmp_path_factory.mktemp("home"), port=0, requests_per_s=10_000)) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def api(service):
+    with httpx.Client(base_url=f"{service.url}/api/v1", timeout=30) as client:
+        yield client
+
+
+@pytest.fixture
+def rig(api, request):
+    body = {"datasheet": SHEET, "controller_url": "modbus://127.0.0.1:9", "name": request.node.name[:200]}
+    return api.post("/rigs", json=body).json()["id"]
+
+
+@pytest.fixture
+def experiment(service, rig):
+    """Of this rig; its file does not matter here."""
+    with service.services.database.write() as session:
+        row = ExperimentRow(
+            id=rig.replace("rig_", "exp_"), rig_id=rig, rig_version=1, source="measured", purpose="commissioning",
+            complete=True, file_sha256="0" * 64, file_bytes=1, media_type="application/x-hdf5", file_name="e.h5",
+            summary={}, created_at=now(), created_by="test",
+        )  # fmt: skip
+        session.add(row)
+        session.flush()
+        session.add(
+            ModelRow(
+                id=rig.replace("rig_", "mod_"), rig_id=rig, rig_version=1, experiment_id=row.id,
+                result_sha256="0" * 64, report_sha256="0" * 64, plots_sha256="0" * 64,
+                summary={"planes": {"x": {"stiffness": {"kiA": {"value": 181.0}}, "modes": []}}},
+                created_at=now(), created_by="test",
+            )
+        )  # fmt: skip
+    return row.id
+
+
+def is_problem(answer, status, *words):
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    body = answer.json()
+    assert body["status"] == status
+    assert body["request_id"] == answer.headers["x-request-id"]
+    for word in words:
+        assert word in body["detail"]
+
+
+# ---- doing things once
+
+
+def test_the_same_request_under_a_key_is_done_once(api, service, rig, experiment):
+    body = {"kind": "identification", "rig": rig, "experiment": experiment}
+    headers = {"Idempotency-Key": f"once {rig}"}
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda _: api.post("/jobs", json=body, headers=headers), range(8)))
+    assert {a.status_code for a in answers} == {202}
+    assert len({a.json()["id"] for a in answers}) == 1
+    assert len({a.headers["location"] for a in answers}) == 1
+    assert sum("idempotent-replayed" not in a.headers for a in answers) == 1
+    with service.services.database.read() as session:
+        assert len(list(session.scalars(select(JobRow).where(JobRow.rig_id == rig)))) == 1
+    is_problem(api.post("/jobs", json={**body, "priority": 1}, headers=headers), 422, "another request")
+
+
+def test_a_refused_request_may_be_sent_again_under_its_key(api, rig):
+    headers = {"Idempotency-Key": f"refused {rig}"}
+    body = {"kind": "health", "rig": rig}
+    is_problem(api.post("/jobs", json=body, headers=headers), 404, "commission it first")
+    is_problem(api.post("/jobs", json=body, headers=headers), 404)
+
+
+# ---- versions and ETags
+
+
+def test_only_who_has_read_the_newest_version_changes_a_rig(api, rig):
+    read = api.get(f"/rigs/{rig}")
+    assert api.get(f"/rigs/{rig}", headers={"If-None-Match": read.headers["etag"]}).status_code == 304
+    body = {"datasheet": SHEET, "controller_url": "modbus://127.0.0.1:10", "note": "moved"}
+    is_problem(api.put(f"/rigs/{rig}", json=body), 428, read.headers["etag"])
+    changed = api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]})
+    assert (changed.status_code, changed.json()["version"]) == (200, 2)
+    is_problem(api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]}), 412)
+    assert [v["version"] for v in api.get(f"/rigs/{rig}/versions").json()] == [2, 1]
+    assert api.get(f"/rigs/{rig}", params={"version": 1}).json()["controller_url"] == "modbus://127.0.0.1:9"
+    is_problem(api.get(f"/rigs/{rig}", params={"version": 7}), 404, "1 to 2")
+
+
+def test_a_job_keeps_the_version_that_it_was_submitted_for(api, rig):
+    job = api.post("/jobs", json={"kind": "experiment", "rig": rig}).json()
+    tag = api.get(f"/rigs/{rig}").headers["etag"]
+    api.put(f"/rigs/{rig}", json={"datasheet": SHEET, "note": "later"}, headers={"If-Match": tag})
+    assert api.get(f"/jobs/{job['id']}").json()["rig_version"] == 1
+
+
+def test_a_retired_rig_takes_no_jobs_and_keeps_its_history(api, rig):
+    assert api.delete(f"/rigs/{rig}").status_code == 204
+    is_problem(api.post("/jobs", json={"kind": "experiment", "rig": rig}), 409, "retired")
+    assert api.get(f"/rigs/{rig}").json()["retired_at"] is not None
+    assert rig not in [r["id"] for r in api.get("/rigs", params={"limit": 1000}).json()["items"]]
+
+
+# ---- what is refused
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "word"),
+    [
+        ({"kind": "identification"}, 422, "give the field experiment"),
+        ({"kind": "experiment", "experiment": "exp_1"}, 422, "leave the field experiment out"),
+        ({"kind": "experiment", "options": {"profile": {"points": 0}}}, 422, "points"),
+        ({"kind": "experiment", "options": {"speed": 1}}, 422, "speed"),
+        ({"kind": "gap", "experiment": "exp_1"}, 404, "exp_1"),
+        ({"kind": "magic"}, 422, "kind"),
+        ({"kind": "experiment", "priority": 0}, 422, "priority"),
+    ],
+)
+def test_a_job_that_cannot_be_done_is_refused_at_once(api, rig, body, status, word):
+    is_problem(api.post("/jobs", json={"rig": rig, **body}), status, word)
+
+
+@pytest.mark.parametrize(
+    ("url", "word"),
+    [
+        ("ftp://host", "begins with one of"),
+        ("replay:///etc/passwd", "begins with one of"),
+        ("modbus://host:1?transcript=/tmp/x", "transcript"),
+        ("modbuss://host:1?ca=/etc/ssl/key.pem", "controllers"),
+        ("simulated://?rig=/etc/passwd", "controllers"),
+        ("modbus://", "names no host"),
+    ],
+)
+def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
+    is_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
+
+
+def test_requests_that_are_no_requests(api):
+    is_problem(api.get("/nothing"), 404, "/openapi.json")
+    is_problem(api.patch("/jobs"), 405)
+    is_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422)
+    is_problem(api.post("/rigs", content=b"x" * 2_000_000), 413, "1,000,000")
+    is_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
+    is_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")
+
+
+# ---- lists
+
+
+def test_lists_are_pages_and_filters_hold(api, rig, experiment):
+    made = [
+        api.post("/jobs", json={"kind": "gap", "rig": rig, "experiment": experiment}).json()["id"] for _ in range(5)
+    ]
+    api.post(f"/jobs/{made[0]}/cancel")
+    seen, after = [], None
+    while True:
+        page = api.get("/jobs", params={"rig": rig, "limit": 2, **({"after": after} if after else {})}).json()
+        seen += [job["id"] for job in page["items"]]
+        if (after := page["next"]) is None:
+            break
+    assert sorted(seen) == sorted(made)
+    assert seen == sorted(seen, reverse=True)
+    cancelled = api.get("/jobs", params={"rig": rig, "state": "cancelled"}).json()["items"]
+    assert [job["id"] for job in cancelled] == made[:1]
+    assert api.post(f"/jobs/{made[0]}/retry").json()["run"] == 2
+
+
+def test_histories_are_of_the_rig(api, rig, experiment):
+    found = api.get(f"/rigs/{rig}/stiffness").json()["items"]
+    assert [entry["planes"]["x"]["kiA"]["value"] for entry in found] == [181.0]
+    assert api.get(f"/rigs/{rig}/trend").json() == {"rig": rig, "checks": [], "series": {}}
+
+
+# ---- schedules
+
+
+def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, experiment):
+    body = {"rig": rig, "cron": "0 6 * * *", "webhook": {"url": "https://plant.example/hook"}}
+    made = api.post("/schedules", json=body).json()
+    assert made["webhook"]["secret"].startswith("whsec_")
+    read = api.get(f"/schedules/{made['id']}")
+    assert read.json()["webhook"]["secret"] is None  # shown once
+    database = service.services.database
+    with database.write() as session:
+        row = session.get(ScheduleRow, made["id"])
+        first = row.next_at = row.next_at - timedelta(days=3)
+    assert timetable.keep(database, first + timedelta(days=2, minutes=1)) == 1
+    assert timetable.keep(database, first + timedelta(days=2, minutes=2)) == 0  # another worker, or again
+    runs = api.get(f"/schedules/{made['id']}/runs").json()
+    assert [run["state"] for run in runs] == ["submitted", "missed", "missed"]
+    job = api.get(f"/jobs/{runs[0]['job']}").json()
+    assert (job["kind"], job["schedule"]) == ("health", made["id"])
+    assert timetable.keep(database, first + timedelta(days=3, hours=1)) == 0  # too late to begin
+    assert api.get(f"/schedules/{made['id']}/runs").json()[0]["state"] == "missed"
+    changed = {**body, "cron": "0 7 * * *"}
+    is_problem(api.put(f"/schedules/{made['id']}", json=changed), 428)
+    answer = api.put(f"/schedules/{made['id']}", json=changed, headers={"If-Match": read.headers["etag"]})
+    assert (answer.status_code, answer.json()["webhook"]["secret"]) == (200, None)
+    assert api.delete(f"/schedules/{made['id']}").status_code == 204
+    is_problem(api.get(f"/schedules/{made['id']}"), 404)
+
+
+def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
+    made = api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *"}).json()
+    with service.services.database.read() as session:
+        due = session.get(ScheduleRow, made["id"]).next_at
+    assert timetable.keep(service.services.database, due + timedelta(seconds=1)) == 0
+    (run,) = api.get(f"/schedules/{made['id']}/runs").json()
+    assert run["state"] == "refused"
+    assert "commission it first" in run["detail"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"cron": "every day"},
+        {"cron": "* * * * *"},
+        {"timezone": "Mars/Olympus"},
+        {"webhook": {"url": "file:///etc/passwd"}},
+        {"webhook": {"url": "https://h", "secret": "weak"}},
+        {"options": {"budget_s": 1}},
+    ],
+)
+def test_a_schedule_that_cannot_be_kept_is_refused(api, rig, wrong):
+    is_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422)
+
+
+# ---- live, baseline, audit, operations
+
+
+def test_a_controller_that_does_not_answer_is_told_as_such(api, rig):
+    status = api.get(f"/rigs/{rig}/status").json()
+    assert status["reachable"] is False
+    assert status["detail"]
+    is_problem(api.post(f"/rigs/{rig}/stop"), 503)
+
+
+def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
+    model = rig.replace("rig_", "mod_")
+    assert api.put(f"/rigs/{rig}/baseline", json={"model": model}).json()["baseline_model"] == model
+    job = api.post("/jobs", json={"kind": "health", "rig": rig}).json()
+    assert job["options"]["baseline"] == model
+    other = api.post("/rigs", json={"datasheet": SHEET, "name": f"other {rig}"}).json()["id"]
+    is_problem(api.put(f"/rigs/{other}/baseline", json={"model": model}), 409, "another rig")
+
+
+def test_the_audit_log_tells_who_did_what(api, rig):
+    job = api.post("/jobs", json={"kind": "experiment", "rig": rig}, headers={"x-request-id": "from-me"}).json()
+    api.post(f"/jobs/{job['id']}/cancel")
+    lines = api.get("/audit", params={"rig": rig}).json()["items"]
+    assert [line["action"] for line in lines] == ["job.cancelled", "job.submitted", "rig.created"]
+    assert lines[1]["request_id"] == "from-me"
+    assert all(line["who"] == "local" for line in lines)
+
+
+def test_operations(service):
+    with httpx.Client(base_url=service.url) as client:
+        assert client.get("/healthz").json() == {"alive": True}
+        ready = client.get("/readyz").json()
+        assert ready["ready"] is True
+        assert "jobs wait" in ready["workers"]
+        text = client.get("/metrics").text
+    assert 'ambit_jobs{state="queued"}' in text
+    assert 'ambit_requests_total{method="GET",route="/healthz",status="200"}' in text
+
+
+def test_a_watcher_is_told_every_change_until_the_end(api, service, rig):
+    job = api.post("/jobs", json={"kind": "experiment", "rig": rig}).json()["id"]
+    events = []
+    with api.stream("GET", f"/jobs/{job}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        kind = ""
+        for line in stream.iter_lines():
+            if line.startswith("event: "):
+                kind = line[7:]
+            elif line.startswith("data: "):
+                events.append((kind, json.loads(line[6:])))
+                with service.services.database.write() as session:
+                    step = len(events)
+                    if step == 1:
+                        attempt = rows.claim(session, job, 1, "w1").attempt
+                    elif step == 2:
+                        rows.note(session, job, attempt, percent=50.0, point=3, points=6)
+                    elif step == 3:
+                        rows.finish(session, job, 1, "failed", {}, "bus error", "no answer")
+    assert [(kind, e["state"]) for kind, e in events] == [
+        ("state", "queued"),
+        ("state", "running"),
+        ("progress", "running"),
+        ("state", "failed"),
+    ]
+    assert events[2][1]["progress"]["percent"] == 50.0
+    assert events[3][1]["error"] == {"title": "bus error", "detail": "no answer"}
+
+
+def test_alarms_are_found(api, service, rig, experiment):
+    document = {"alarm": True, "zone": "B", "drifted": ["x.kiA"], "sentence": "kiA drifted", "parameters": {}}
+    with service.services.database.write() as session:
+        session.add(
+            HealthRow(
+                id=rig.replace("rig_", "hc_"), rig_id=rig, rig_version=1, experiment_id=experiment,
+                model_id=rig.replace("rig_", "mod_"), document=document, report_sha256="0" * 64, alarm=True,
+                created_at=now(),
+            )
+        )  # fmt: skip
+    (found,) = api.get("/health-checks", params={"rig": rig, "alarm": True}).json()["items"]
+    assert (found["zone"], found["drifted"]) == ("B", ["x.kiA"])
+    assert api.get("/health-checks", params={"rig": rig, "alarm": False}).json()["items"] == []
+    assert api.get(f"/health-checks/{found['id']}").json()["document"] == document

@@ -1,0 +1,117 @@
+"""Rows of jobs: who may write, what a cancel, a retry and a takeover do, on both databases."""
+
+import pytest
+
+from service.errors import ConflictError, NotFoundError
+from service.storage import jobs, rigs
+from tests.support.databases import BOTH, migrated
+from tests.support.service import reference_sheet
+
+
+@pytest.fixture(scope="module", params=BOTH)
+def database(request, tmp_path_factory):
+    with migrated(request.param, tmp_path_factory.mktemp(request.param)) as found:
+        with found.write() as session:
+            found.rig = rigs.create(session, "bench", reference_sheet(), "", "", "me").id
+        yield found
+
+
+@pytest.fixture
+def job(database):
+    with database.write() as session:
+        return jobs.submit(session, "experiment", database.rig, 1, "me").id
+
+
+def now(database, job_id):
+    with database.read() as session:
+        return jobs.get(session, job_id)
+
+
+def test_only_the_last_worker_that_began_may_write(database, job):
+    with database.write() as session:
+        first = jobs.claim(session, job, 1, "w1").attempt
+    with database.write() as session:
+        second = jobs.claim(session, job, 1, "w2").attempt
+    with database.write() as session:
+        assert jobs.note(session, job, first, percent=10.0)[0] is False
+        assert jobs.add_journal(session, job, first, 0, b"old") is False
+    with database.write() as session:
+        assert jobs.note(session, job, second, percent=20.0) == (True, False)
+    assert now(database, job).percent == 20.0
+    assert now(database, job).worker == "w2"
+
+
+def test_a_queued_job_is_cancelled_at_once_and_no_worker_begins_with_it(database, job):
+    with database.write() as session:
+        assert jobs.cancel(session, job).state == "cancelled"
+    with database.write() as session:
+        assert jobs.claim(session, job, 1, "w1") is None
+
+
+def test_a_running_job_is_asked_to_end(database, job):
+    with database.write() as session:
+        attempt = jobs.claim(session, job, 1, "w1").attempt
+    with database.write() as session:
+        assert jobs.cancel(session, job).state == "running"
+    with database.read() as session:
+        assert jobs.note(session, job, attempt) == (True, True)
+    with database.write() as session:
+        jobs.finish(session, job, 1, "cancelled", {"experiment": "exp_1"})
+    with database.write() as session, pytest.raises(ConflictError, match="only what failed"):
+        jobs.retry(session, jobs.submit(session, "gap", database.rig, 1, "me").id)
+    with database.write() as session:
+        again = jobs.retry(session, job)
+        assert (again.state, again.run, again.cancel_requested) == ("queued", 2, False)
+    with database.write() as session:
+        jobs.finish(session, job, 1, "done", {})  # a late word of the first run
+        assert jobs.claim(session, job, 1, "w1") is None  # and a late begin
+        assert jobs.claim(session, job, 2, "w1").attempt == attempt + 1
+
+
+def test_what_has_ended_stays_ended(database, job):
+    with database.write() as session:
+        jobs.claim(session, job, 1, "w1")
+        jobs.finish(session, job, 1, "failed", {}, "bus error", "no answer")
+        jobs.finish(session, job, 1, "done", {})
+    found = now(database, job)
+    assert (found.state, found.error_title, found.error_detail) == ("failed", "bus error", "no answer")
+    with database.write() as session, pytest.raises(ConflictError, match="failed already"):
+        jobs.cancel(session, job)
+    with database.write() as session, pytest.raises(NotFoundError):
+        jobs.cancel(session, "job_0")
+
+
+def test_a_journal_is_whole_up_to_its_first_gap(database, job):
+    with database.write() as session:
+        attempt = jobs.claim(session, job, 1, "w1").attempt
+        for offset, part in ((0, b"abc"), (3, b"def"), (3, b"dEF"), (9, b"later")):
+            assert jobs.add_journal(session, job, attempt, offset, part)
+            session.flush()
+    with database.read() as session:
+        assert jobs.journal(session, job) == b"abcdEF"
+    with database.write() as session:
+        jobs.drop_journal(session, job)
+        assert jobs.journal(session, job) == b""
+
+
+def test_pages_go_on_after_the_last_item_however_much_is_added(database):
+    with database.write() as session:
+        rig = rigs.create(session, "pages", reference_sheet(), "", "", "me").id
+        made = [jobs.submit(session, "gap", rig, 1, "me").id for _ in range(5)]
+    made.sort(reverse=True)
+    with database.write() as session:
+        first = jobs.listed(session, rig_id=rig, limit=2)
+        jobs.submit(session, "gap", rig, 1, "me")
+        second = jobs.listed(session, rig_id=rig, after=first.next, limit=2)
+        last = jobs.listed(session, rig_id=rig, after=second.next, limit=2)
+    assert [job.id for page in (first, second, last) for job in page.items] == made
+    assert last.next is None
+    with database.read() as session:
+        assert jobs.counts(session)["queued"] >= 6
+
+
+def test_jobs_that_the_engine_was_not_told_of_are_found(database, job):
+    with database.write() as session:
+        assert job in [found.id for found in jobs.undispatched(session)]
+        jobs.dispatched(session, job, 1)
+        assert job not in [found.id for found in jobs.undispatched(session)]

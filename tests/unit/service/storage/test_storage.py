@@ -1,0 +1,139 @@
+"""Tables, files, workers' names and rigs' versions."""
+
+import hashlib
+import threading
+from datetime import timedelta
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import text, update
+from sqlalchemy.exc import OperationalError
+
+from service.errors import ConflictError, NotFoundError, StorageError
+from service.storage import migrate, rigs, workers
+from service.storage.blobs import Blobs
+from service.storage.database import Database, now
+from service.storage.ids import new_id
+from service.storage.tables import Base, WorkerRow
+from tests.support.databases import BOTH, migrated
+
+
+@pytest.fixture(params=BOTH)
+def database(request, tmp_path):
+    with migrated(request.param, tmp_path) as found:
+        yield found
+
+
+def test_migrations_make_the_tables_that_the_program_knows(database):
+    with database.engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, Base.metadata) == []
+    assert migrate.revision(database) == migrate.head()
+
+
+def test_a_newer_schema_is_refused(database):
+    with database.write() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(StorageError, match="9999"):
+        migrate.upgrade(database)
+
+
+def test_several_processes_may_migrate_at_once(tmp_path):
+    url = f"sqlite:///{tmp_path / 'ambit.db'}"
+    failed = []
+
+    def upgrade():
+        database = Database(url)
+        try:
+            migrate.upgrade(database)
+        except Exception as error:
+            failed.append(error)
+        finally:
+            database.close()
+
+    threads = [threading.Thread(target=upgrade) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+
+
+def test_a_change_is_tried_again_while_the_database_is_away(database):
+    tries = []
+
+    def change(session):
+        tries.append(1)
+        if len(tries) < 3:
+            raise OperationalError("UPDATE", {}, Exception("server closed the connection"))
+        return "done"
+
+    assert database.surely(change) == "done"
+    with pytest.raises(OperationalError):
+        database.surely(lambda session: (_ for _ in ()).throw(OperationalError("", {}, Exception())), lambda: True)
+
+
+def test_a_rig_keeps_its_versions(database):
+    with database.write() as session:
+        rig = rigs.create(session, "bench", "sheet 1", "modbus://a:1", "", "me")
+        rigs.change(session, rig, "sheet 2", "modbus://a:1", "new magnets", "you")
+        rigs.change(session, rig, "sheet 2", "modbus://a:1", "new magnets", "you")  # nothing new
+        assert [(v.version, v.datasheet, v.created_by) for v in rigs.versions(session, rig)] == [
+            (2, "sheet 2", "you"),
+            (1, "sheet 1", "me"),
+        ]
+        with pytest.raises(ConflictError, match="bench"):
+            rigs.create(session, "bench", "", "", "", "me")
+        with pytest.raises(NotFoundError, match="1 to 2"):
+            rigs.version(session, rig, 3)
+
+
+def test_a_workers_name_is_held_while_it_lives(database, monkeypatch):
+    with database.write() as session:
+        workers.sign_on(session, "w1", "wrk_1")
+        session.execute(update(WorkerRow).values(machine="another"))
+    with database.write() as session, pytest.raises(ConflictError, match="another"):
+        workers.sign_on(session, "w1", "wrk_2")
+    with database.write() as session:
+        assert workers.beat(session, "w1", "wrk_1")
+        session.execute(update(WorkerRow).values(beat_at=now() - timedelta(seconds=60)))
+        assert workers.silent(session, 30) == ["w1"]
+        workers.sign_on(session, "w1", "wrk_2")
+        assert not workers.beat(session, "w1", "wrk_1")  # the first one finds out
+        assert workers.silent(session, 30) == []
+
+
+def test_a_dead_process_of_this_machine_holds_no_name(database):
+    with database.write() as session:
+        workers.sign_on(session, "w1", "wrk_1")
+        session.execute(update(WorkerRow).values(process=2**22 - 1))
+        workers.sign_on(session, "w1", "wrk_2")
+
+
+def test_files_are_named_by_their_content(tmp_path):
+    blobs = Blobs(str(tmp_path / "store"))
+    content = b"x" * 3_000_000
+    sha256 = blobs.put(content)
+    assert sha256 == hashlib.sha256(content).hexdigest()
+    (tmp_path / "file").write_bytes(content)
+    assert blobs.put_file(tmp_path / "file") == sha256
+    assert blobs.read(sha256) == content == b"".join(blobs.chunks(sha256))
+    assert blobs.size(sha256) == len(content)
+    assert blobs.fetch(sha256, tmp_path / "a" / "copy").read_bytes() == content
+    assert not list((tmp_path / "store" / "incoming").iterdir())
+    with pytest.raises(NotFoundError, match="backup"):
+        blobs.read("0" * 64)
+
+
+def test_any_fsspec_url_will_do():
+    blobs = Blobs("memory://ambit-test")
+    assert blobs.read(blobs.put(b"content")) == b"content"
+    with pytest.raises(StorageError, match="nonsense"):
+        Blobs("nonsense://x")
+
+
+def test_ids_sort_by_time():
+    made = [new_id("job") for _ in range(50)]
+    assert sorted(made, key=lambda i: i[:14]) == made
+    assert len(set(made)) == 50
