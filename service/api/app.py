@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -95,8 +96,9 @@ def _routers() -> list[APIRouter]:
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     to_thread.current_default_thread_limiter().total_tokens = THREADS
-    yield
     services: Services = app.state.services
+    threading.Thread(target=services.dispatcher.warm, name="warm", daemon=True).start()
+    yield
     app.state.lines.close()
     services.dispatcher.close()
     services.database.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import socket
 
@@ -72,6 +73,9 @@ class Server(uvicorn.Server):
         for number in (signal.SIGINT, signal.SIGTERM):
             # uvicorn sends itself the signal again when it has ended: by then there is nothing left to end
             signal.signal(number, lambda *_: None)
+        gc.collect()
+        gc.freeze()  # what lives as long as the process need not be looked at again and again
+        gc.set_threshold(20_000, 20, 50)
         try:
             super().run(sockets)
         except SystemExit as error:

@@ -23,8 +23,8 @@ class Services:
     dispatcher: Dispatcher
 
 
-def services(request: Request) -> Services:
-    """Services of the application that a request came to."""
+async def services(request: Request) -> Services:
+    """Services of the application that a request came to; nothing waits here, so that it needs no thread."""
     found: Services = request.app.state.services
     return found
 

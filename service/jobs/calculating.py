@@ -17,7 +17,7 @@ from typing import Any
 from service.jobs import calculations
 from sim.errors import AmbError
 
-_NICE = 5
+_NICE = 10
 """Rigs and requests come first."""
 _PR_SET_PDEATHSIG = 1
 

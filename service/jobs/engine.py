@@ -7,6 +7,7 @@ a worker again. What a workflow is given is the id of the row, and the number of
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from service.config import Settings
@@ -82,6 +83,11 @@ class Dispatcher:
                     retry_connection_errors=False,
                 )
             return self._client
+
+    def warm(self) -> None:
+        """Load the engine's client, so that the first job need not wait for it; what fails is told later."""
+        with suppress(Exception):
+            self._connected().check_connection()
 
     def dispatch(self, job: JobRow) -> None:
         """Hand over a job's run; a second time changes nothing.
