@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from drivers.canopen.map import LOCKIN_INDEX, RAW_INDEX, RECORD_INDEX, WHOLE_INDEX, sub_objects
+from drivers.canopen import map as canopen
+from drivers.canopen.map import LOCKIN_INDEX, RAW_INDEX, RECORD_INDEX, WHOLE_INDEX
 from drivers.modbus.map import DEFAULT_MAP, LOCKIN_ADDRESS, RAW_ADDRESS
 from drivers.objects import GROUPS, PROTOCOL_VERSION, Group, Object, Refusal, Type
 
@@ -17,11 +18,13 @@ A host reads a group as one snapshot and writes a group as one command. A comman
 written. The object `crc` is the CRC-32 (zlib) over the group's other objects, big-endian, in order; a command with a
 wrong CRC is refused, an answer with a wrong one is asked for again.
 
-- **Modbus**: holding registers (functions 3, 6, 16), big-endian words; addresses count from 0. A rig's own map is a
-  TOML file (`drivers/modbus/map.py`) that moves, rescales or leaves out objects.
+- **Modbus**: holding registers (functions 3, 6, 16), big-endian words; addresses count from 0.
 - **CANopen**: a record for each group at 0x{RECORD_INDEX:04X} + k, and the whole group as one DOMAIN, little-endian,
   at 0x{WHOLE_INDEX:04X} + k; the EDS file is `amb.eds`. Heartbeat and stop are RPDO 1 and 2 (`beat`, `stop`), progress
   is TPDO 1, a trip sends an EMCY.
+- **A rig's own map** is a TOML file that moves, retypes, rescales or leaves out objects, for the option `map=` of a
+  controller's URL and `--map` of `ambit rig serve`. `drivers/modbus/map.py` and `drivers/canopen/map.py` have examples;
+  a map that cannot work is refused when it is read.
 
 ## A measurement
 
@@ -65,7 +68,7 @@ def page() -> str:
 
 
 def _group(group: Group) -> str:
-    subs = {s.obj.name: s.subindex for s in reversed(sub_objects(group))}
+    subs = {s.obj.name: s.subindex for s in reversed(canopen.DEFAULT_MAP.of(group.name))}
     rows = "".join(
         f"| `{e.obj.name}` | {e.address} | {subs[e.obj.name]} | {_type(e.obj)} | {_scale(e.obj)} | {_limits(e.obj)} | "
         f"{e.obj.description} |\n"

@@ -55,11 +55,13 @@ def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:
 
 
 def _canopen(url: SplitResult, query: Query) -> LinkFactory:
+    from drivers.canopen import map as canopen_map
     from drivers.canopen.driver import CanopenLinks
 
     if "node" not in query:
         raise ControllerError(f"{url.geturl()!r} names no node; write canopen://socketcan/can0?node=5")
-    return CanopenLinks(url.netloc + url.path, _whole(query, "node", 0), _whole(query, "bitrate", 1_000_000))
+    objects = canopen_map.read_map(Path(query["map"])) if "map" in query else canopen_map.DEFAULT_MAP
+    return CanopenLinks(url.netloc + url.path, _whole(query, "node", 0), _whole(query, "bitrate", 1_000_000), objects)
 
 
 def _replay(url: SplitResult, query: Query) -> LinkFactory:
@@ -70,7 +72,7 @@ _BUSES: dict[str, tuple[Callable[[SplitResult, Query], LinkFactory], frozenset[s
     "modbus": (_modbus, frozenset({"unit", "map"})),
     "modbuss": (_modbus_tls, frozenset({"unit", "map", "ca", "cert", "key"})),
     "modbus+rtu": (_modbus_rtu, frozenset({"unit", "map", "baud"})),
-    "canopen": (_canopen, frozenset({"node", "bitrate"})),
+    "canopen": (_canopen, frozenset({"node", "bitrate", "map"})),
     "replay": (_replay, frozenset()),
 }
 _IN_PROCESS = {"simulated": frozenset({"rig", "seed"})}
@@ -92,8 +94,8 @@ def connect(url: str, rig: Rig | None = None) -> Controller:
     ``replay:///path/session.jsonl``                             a recorded session
     ============================================================ ==============================================
 
-    Modbus takes ``map=map.toml``, a rig's own registers; every bus takes ``transcript=session.jsonl``, which
-    records the session.
+    Modbus and CANopen take ``map=map.toml``, a rig's own registers or objects; every bus takes
+    ``transcript=session.jsonl``, which records the session.
 
     Raises
     ------

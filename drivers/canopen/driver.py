@@ -14,12 +14,14 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
 
 from drivers.canopen.bus import open_network
-from drivers.canopen.codec import BEAT_COB, PROGRESS_COB, STOP_COB, Progress, beat_bytes, progress_of, stop_bytes
-from drivers.canopen.map import LOCKIN_INDEX, RAW_INDEX, WHOLE_INDEX, object_dictionary
+from drivers.canopen.codec import Progress, beat_bytes, progress_of, stop_bytes
+from drivers.canopen.dictionary import object_dictionary
+from drivers.canopen.map import DEFAULT_MAP, WHOLE_INDEX, ObjectMap
+from drivers.canopen.upload import UploadingSdoClient
 from drivers.errors import BusError
 from drivers.link import Link, RefusedError
-from drivers.objects import BY_NAME, Outcome, Refusal
-from drivers.packing import Order, Value, Values, pack, unpack
+from drivers.objects import BY_NAME, Outcome, Refusal, Type
+from drivers.packing import Order, Value, Values, decode, encode, pack, unpack, with_crc
 
 T = TypeVar("T")
 SDO_TIMEOUT_S = 0.3
@@ -39,9 +41,12 @@ class CanopenLinks:
     ----------
     address
         As in `drivers.canopen.bus`.
+    objects
+        Where the node's objects are.
     """
 
-    def __init__(self, address: str, node_id: int, bitrate: int = 1_000_000) -> None:
+    def __init__(self, address: str, node_id: int, bitrate: int = 1_000_000, objects: ObjectMap = DEFAULT_MAP) -> None:
+        self.objects = objects
         self.description = f"canopen://{address}?node={node_id}"
         self.node_id = node_id
         self._address, self._bitrate = address, bitrate
@@ -60,10 +65,12 @@ class CanopenLinks:
         with self._lock:
             if self._network is None:
                 network = open_network(self._address, self._bitrate)
-                node = canopen.RemoteNode(self.node_id, object_dictionary(self.node_id))
-                network.add_node(node)
+                node = canopen.RemoteNode(self.node_id, object_dictionary(self.node_id, self.objects))
+                node.sdo = UploadingSdoClient(self.node_id, node.object_dictionary)
                 node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
-                network.subscribe(PROGRESS_COB + self.node_id, self._on_progress)
+                node.sdo_channels = [node.sdo]
+                network.add_node(node)
+                network.subscribe(self.objects.progress_cob_id + self.node_id, self._on_progress)
                 self._network, self._node = network, node
             return self._node
 
@@ -107,27 +114,57 @@ class _SdoLink:
 
     def __init__(self, links: CanopenLinks) -> None:
         self._links = links
+        self._objects = links.objects
         self._failures = 0
 
     def read(self, group: str) -> dict[str, Value]:
         of = BY_NAME[group]
+        if group not in self._objects.whole:
+            return self._read_pieces(group)
         index = WHOLE_INDEX + of.index
         if of.size >= BLOCK_BYTES:
             return unpack(of, self._block(index, of.size), self.order)
-        return unpack(of, self._transfer(lambda sdo: bytes(sdo.upload(index, 0))), self.order)
+        return unpack(of, self._upload(index, 0), self.order)
 
     def write(self, group: str, values: Values) -> None:
         of = BY_NAME[group]
         if group == "tone":
             self._links.changed.clear()
-        raw = pack(of, values, self.order)
-        self._transfer(lambda sdo: sdo.download(WHOLE_INDEX + of.index, 0, raw))
+        if group not in self._objects.whole:
+            self._write_pieces(group, with_crc(of, values))
+            return
+        self._download(WHOLE_INDEX + of.index, 0, pack(of, values, self.order))
+
+    def _read_pieces(self, group: str) -> dict[str, Value]:
+        """A group of a rig's own map, object by object."""
+        values: dict[str, Value] = {}
+        for obj, subs in self._objects.pieces(group):
+            raw = b"".join(self._upload(s.index, s.subindex) for s in subs)
+            if obj.type is Type.TEXT:
+                raw = raw[: obj.size].ljust(obj.size, b"\0")  # a vendor's text may be as long as it likes
+            if len(raw) != obj.size:
+                raise BusError(f"{group}.{obj.name} has {len(raw)} bytes instead of {obj.size}")
+            values[obj.name] = decode(obj, raw, self.order)
+        return values
+
+    def _write_pieces(self, group: str, sealed: Values) -> None:
+        """The same for a command; it acts when its last object is written."""
+        for obj, subs in self._objects.pieces(group):
+            raw = encode(obj, sealed[obj.name], self.order)
+            for k, sub in enumerate(subs):
+                self._download(sub.index, sub.subindex, raw[k * sub.size : (k + 1) * sub.size])
+
+    def _upload(self, index: int, subindex: int) -> bytes:
+        return self._transfer(lambda sdo: bytes(sdo.upload(index, subindex)))
+
+    def _download(self, index: int, subindex: int, raw: bytes) -> None:
+        self._transfer(lambda sdo: sdo.download(index, subindex, raw))
 
     def lockin_payload(self, size: int) -> bytes:
-        return self._block(LOCKIN_INDEX, size)
+        return self._block(self._objects.lockin_index, size)
 
     def raw_record(self, result: int, size: int) -> bytes:
-        return self._block(RAW_INDEX, size)
+        return self._block(self._objects.raw_index, size)
 
     def wait_for_change(self, seconds: float) -> int | None:
         if not self._links.changed.wait(max(seconds, PROGRESS_TIMEOUT_S)):
@@ -140,11 +177,7 @@ class _SdoLink:
         self._links.close()
 
     def _block(self, index: int, size: int) -> bytes:
-        def upload(sdo: Any) -> bytes:
-            with sdo.open(index, 0, "rb", buffering=0, block_transfer=True) as stream:
-                return bytes(stream.readall())
-
-        raw = self._transfer(upload)
+        raw = self._transfer(lambda sdo: bytes(sdo.block_upload(index, 0)))
         if len(raw) != size:
             raise BusError(f"an SDO block transfer gave {len(raw)} bytes instead of {size}")
         return raw
@@ -156,8 +189,7 @@ class _SdoLink:
             if aborted.code in _REFUSALS:
                 raise RefusedError(_REFUSALS[aborted.code], f"SDO abort 0x{aborted.code:08X}") from aborted
             raise BusError(f"the SDO transfer was aborted: {aborted}") from aborted
-        except (SdoCommunicationError, SdoError, struct.error, AttributeError) as error:
-            # struct.error: a frame was cut short; AttributeError: how canopen 2.4's block upload meets a time-out
+        except (SdoCommunicationError, SdoError, struct.error) as error:  # struct.error: a frame was cut short
             self._failed()
             raise BusError(f"the SDO transfer failed: {error}") from error
         except (can.CanError, OSError, RuntimeError, ValueError, IndexError) as error:
@@ -186,12 +218,12 @@ class _PdoLink:
     def write(self, group: str, values: Values) -> None:
         token = int(values["token"])  # type: ignore[arg-type]
         if group == "beat":
-            self._links.send(BEAT_COB, beat_bytes(token, int(values["count"])))  # type: ignore[arg-type]
+            self._links.send(self._links.objects.beat_cob_id, beat_bytes(token, int(values["count"])))  # type: ignore[arg-type]
         elif group == "stop":
             for copy in range(STOP_COPIES):
                 if copy:
                     time.sleep(0.002)
-                self._links.send(STOP_COB, stop_bytes(token))
+                self._links.send(self._links.objects.stop_cob_id, stop_bytes(token))
         else:
             raise BusError(f"{group} is not a process data object")
 

@@ -1,4 +1,4 @@
-"""Where each object lives in the CANopen object dictionary, and the EDS file.
+"""Where each object lives in the CANopen object dictionary: the default map, and a rig's own from TOML.
 
 =============  ===========================================================================================
 0x2000 + k     record of group k: sub-index 1 and on, one object each, for any CANopen tool
@@ -7,38 +7,48 @@
 0x2201         raw record of the last result, DOMAIN
 RPDO 1         heartbeat: token, count          COB-ID 0x200 + node
 RPDO 2         stop: token                      COB-ID 0x300 + node
-TPDO 1         command, state, outcome          COB-ID 0x180 + node, when a tone begins and ends
+TPDO 1         state, command, outcome          COB-ID 0x180 + node, when a tone begins and ends
 EMCY           on a trip                        COB-ID 0x080 + node
 =============  ===========================================================================================
 
 Stop and heartbeat are never SDOs: the upload of a raw record holds the SDO channel for seconds.
+
+A rig's own map overrides places, types and scales, and says which objects it does not have. A group with an override,
+and every group of a rig without the DOMAINs, is read and written object by object::
+
+    whole_groups = false             # it has no DOMAINs of groups
+    lockin_index = 0x5200
+    beat_cob_id = 0x400              # plus the node's number
+    [objects."status.excitation_a"]
+    index = 0x3010
+    subindex = 2
+    type = "U16"
+    per_unit = 1000                  # counts per ampere
+    [objects."status.lease_holder"]
+    absent = true
 """
 
 from __future__ import annotations
 
-import io
-import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
-from canopen import ObjectDictionary
-from canopen.objectdictionary import ODRecord, ODVariable, datatypes
-from canopen.objectdictionary.eds import export_eds
+from pydantic import BaseModel, ConfigDict, Field
 
-from drivers.objects import GROUPS, PROTOCOL_VERSION, Group, Object, Type
+from drivers.canopen.codec import BEAT_COB, PROGRESS_COB, STOP_COB
+from drivers.errors import MapError
+from drivers.objects import BY_NAME, GROUPS, Group, Object, Type
+from drivers.own_map import Override, own_objects, parsed, read_text
 
 RECORD_INDEX = 0x2000
 WHOLE_INDEX = 0x2100
 LOCKIN_INDEX = 0x2200
 RAW_INDEX = 0x2201
-
-_TYPES = {
-    Type.U16: datatypes.UNSIGNED16,
-    Type.U32: datatypes.UNSIGNED32,
-    Type.I32: datatypes.INTEGER32,
-    Type.F32: datatypes.REAL32,
-    Type.F64: datatypes.REAL64,
-    Type.TEXT: datatypes.VISIBLE_STRING,
-}
+FIRST_INDEX, LAST_INDEX, LAST_SUBINDEX = 0x2000, 0x9FFF, 0xFE
+PROGRESS_OBJECTS = ("state", "command", "outcome")
+"""Of the group status, in the order of TPDO 1."""
 
 
 @dataclass(frozen=True)
@@ -57,108 +67,151 @@ class SubObject:
         """Name in the EDS."""
         return self.obj.name if self.element is None else f"{self.obj.name}_{self.element}"
 
-
-def sub_objects(group: Group) -> tuple[SubObject, ...]:
-    """Sub-indices of a group's record, in order."""
-    found: list[SubObject] = []
-    for obj in group.objects:
-        elements = [None] if obj.type is Type.TEXT or obj.count == 1 else list(range(obj.count))
-        for element in elements:
-            found.append(SubObject(RECORD_INDEX + group.index, len(found) + 1, group, obj, element))
-    return tuple(found)
+    @property
+    def size(self) -> int:
+        """Bytes on the wire."""
+        return self.obj.size if self.element is None else self.obj.size // self.obj.count
 
 
-def object_dictionary(node_id: int = 1) -> ObjectDictionary:
-    """Object dictionary of a controller, with limits, factors and units."""
-    od = ObjectDictionary()  # type: ignore[no-untyped-call]
-    od.node_id = node_id
-    od.device_information.vendor_name = "AMB commissioning"
-    od.device_information.product_name = f"Magnetic bearing controller, protocol {PROTOCOL_VERSION}"
-    od.device_information.allowed_baudrates = {125e3, 250e3, 500e3, 1000e3}
-    od.device_information.nr_of_RXPDO = 2  # type: ignore[assignment]
-    od.device_information.nr_of_TXPDO = 1  # type: ignore[assignment]
-    od.add_object(_variable("Device type", 0x1000, 0, datatypes.UNSIGNED32, "ro", default=0))
-    od.add_object(_variable("Error register", 0x1001, 0, datatypes.UNSIGNED8, "ro", default=0))
-    od.add_object(_variable("Producer heartbeat time", 0x1017, 0, datatypes.UNSIGNED16, "rw", default=0))
-    od.add_object(_record("Identity object", 0x1018, [("Vendor-ID", datatypes.UNSIGNED32, 0)]))
-    for number, (cob_id, mapped) in enumerate(((0x200, _mapping("beat", 2)), (0x300, _mapping("stop", 1)))):
-        _add_pdo(od, "RPDO", 0x1400 + number, 0x1600 + number, cob_id + node_id, mapped)
-    status = [0x2001_0000 | (s.subindex << 8) | 8 * s.obj.size for s in sub_objects(GROUPS[1]) if s.name in _TPDO]
-    _add_pdo(od, "TPDO", 0x1800, 0x1A00, 0x180 + node_id, status)
-    for group in GROUPS:
-        od.add_object(_group_record(group))
-        od.add_object(_variable(f"{group.name} whole", WHOLE_INDEX + group.index, 0, datatypes.DOMAIN, group.access))
-    od.add_object(_variable("lock-in payload", LOCKIN_INDEX, 0, datatypes.DOMAIN, "ro"))
-    od.add_object(_variable("raw record", RAW_INDEX, 0, datatypes.DOMAIN, "ro"))
-    return od
+@dataclass(frozen=True)
+class ObjectMap:
+    """All objects of a controller in its object dictionary, and the identifiers of its process data."""
+
+    subs: tuple[SubObject, ...]
+    whole: frozenset[str] = frozenset(BY_NAME)
+    """Groups that are carried whole, by a DOMAIN each."""
+    lockin_index: int = LOCKIN_INDEX
+    raw_index: int = RAW_INDEX
+    beat_cob_id: int = BEAT_COB
+    stop_cob_id: int = STOP_COB
+    progress_cob_id: int = PROGRESS_COB
+    """COB-IDs, to which the node's number is added."""
+
+    def of(self, group: str) -> tuple[SubObject, ...]:
+        """Sub-indices of one group, in the order of its objects."""
+        return tuple(s for s in self.subs if s.group.name == group)
+
+    def pieces(self, group: str) -> list[tuple[Object, list[SubObject]]]:
+        """Objects of one group, in order, each with its sub-indices."""
+        found: dict[str, tuple[Object, list[SubObject]]] = {}
+        for sub in self.of(group):
+            found.setdefault(sub.obj.name, (sub.obj, []))[1].append(sub)
+        return list(found.values())
 
 
-def eds(node_id: int = 1) -> str:
-    """EDS file of a controller; the same text whenever it is made."""
-    text = io.StringIO()
-    info = {
-        "FileName": "amb.eds", "FileVersion": PROTOCOL_VERSION, "FileRevision": 0, "EdsVersion": "4.0",
-        "Description": "Magnetic bearing controller", "CreationDate": "01-01-2026", "CreationTime": "12:00AM",
-        "CreatedBy": "ambit", "ModificationDate": "01-01-2026", "ModificationTime": "12:00AM",
-    }  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # canopen asks for the time in a deprecated way
-        export_eds(object_dictionary(node_id), text, info)  # type: ignore[no-untyped-call]
-    return text.getvalue()
+def _sub_objects(group: Group, obj: Object, index: int, subindex: int) -> list[SubObject]:
+    if obj.type is Type.TEXT or obj.count == 1:
+        return [SubObject(index, subindex, group, obj, None)]
+    return [SubObject(index, subindex + k, group, obj, k) for k in range(obj.count)]
 
 
-_TPDO = ("command", "state", "outcome")
+def _default_subs(groups: Iterable[Group]) -> tuple[SubObject, ...]:
+    subs: list[SubObject] = []
+    for group in groups:
+        subindex = 1
+        for obj in group.objects:
+            subs += _sub_objects(group, obj, RECORD_INDEX + group.index, subindex)
+            subindex = subs[-1].subindex + 1
+    return tuple(subs)
 
 
-def _mapping(group: str, count: int) -> list[int]:
-    of = next(g for g in GROUPS if g.name == group)
-    return [(s.index << 16) | (s.subindex << 8) | 8 * s.obj.size for s in sub_objects(of)[:count]]
+DEFAULT_MAP = ObjectMap(_default_subs(GROUPS))
+
+_Index = Annotated[int, Field(ge=FIRST_INDEX, le=LAST_INDEX, strict=True)]
+_CobId = Annotated[int, Field(ge=0x180, le=0x500, strict=True)]
 
 
-def _variable(
-    name: str, index: int, subindex: int, data_type: int, access: str, default: int | None = None
-) -> ODVariable:
-    variable = ODVariable(name, index, subindex)
-    variable.data_type = data_type
-    variable.access_type = access
-    variable.default = default
-    return variable
+class _Override(Override):
+    index: _Index | None = None
+    subindex: Annotated[int, Field(ge=0, le=LAST_SUBINDEX, strict=True)] | None = None
 
 
-def _record(name: str, index: int, members: list[tuple[str, int, int]]) -> ODRecord:
-    record = ODRecord(name, index)
-    record.add_member(_variable("Highest sub-index", index, 0, datatypes.UNSIGNED8, "const", default=len(members)))
-    for k, (member, data_type, default) in enumerate(members, 1):
-        record.add_member(_variable(member, index, k, data_type, "ro", default))
-    return record
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    whole_groups: bool = True
+    lockin_index: _Index = LOCKIN_INDEX
+    raw_index: _Index = RAW_INDEX
+    beat_cob_id: _CobId = BEAT_COB
+    stop_cob_id: _CobId = STOP_COB
+    progress_cob_id: _CobId = PROGRESS_COB
+    objects: dict[str, _Override] = {}
 
 
-def _add_pdo(od: ObjectDictionary, kind: str, communication: int, mapping: int, cob_id: int, mapped: list[int]) -> None:
-    number = (communication & 0xFF) + 1
-    od.add_object(
-        _record(
-            f"{kind} {number} communication",
-            communication,
-            [("COB-ID", datatypes.UNSIGNED32, cob_id), ("Transmission type", datatypes.UNSIGNED8, 255)],
-        )
+def read_map(path: Path) -> ObjectMap:
+    """A rig's own map from a TOML file; errors name the file."""
+    return parse_map(read_text(path), str(path))
+
+
+def parse_map(text: str, source: str = "map.toml") -> ObjectMap:
+    """A rig's own map from TOML text.
+
+    Raises
+    ------
+    MapError
+        One line that names the file, the object and what is wrong with it.
+    """
+    file = parsed(text, source, _File)
+    _check_process_data(file, source)
+    places = {f"{s.group.name}.{s.obj.name}": s for s in reversed(DEFAULT_MAP.subs)}
+    subs: list[SubObject] = []
+    for name, obj in own_objects(file.objects, source).items():
+        default, own = places[name], file.objects.get(name, _Override())
+        index = default.index if own.index is None else own.index
+        subindex = default.subindex if own.subindex is None else own.subindex
+        placed = _sub_objects(default.group, obj, index, subindex)
+        if placed[-1].subindex > LAST_SUBINDEX:
+            raise MapError(f"{source}: {name} does not fit behind sub-index {subindex}")
+        subs += placed
+    overridden = {name.split(".")[0] for name in file.objects}
+    whole = frozenset(g.name for g in GROUPS if file.whole_groups and g.name not in overridden)
+    found = ObjectMap(
+        tuple(subs),
+        whole,
+        file.lockin_index,
+        file.raw_index,
+        file.beat_cob_id,
+        file.stop_cob_id,
+        file.progress_cob_id,
     )
-    members = [(f"Object {k}", datatypes.UNSIGNED32, entry) for k, entry in enumerate(mapped, 1)]
-    od.add_object(_record(f"{kind} {number} mapping", mapping, members))
+    _check_places(found, source)
+    _check_pieces(found, source)
+    return found
 
 
-def _group_record(group: Group) -> ODRecord:
-    record = ODRecord(group.name, RECORD_INDEX + group.index)
-    subs = sub_objects(group)
-    record.add_member(_variable("Highest sub-index", record.index, 0, datatypes.UNSIGNED8, "const", default=len(subs)))
-    for sub in subs:
-        obj = sub.obj
-        variable = _variable(sub.name, sub.index, sub.subindex, _TYPES[obj.type], group.access)
-        variable.description = obj.description
-        variable.unit = obj.unit
-        variable.factor = 1 / obj.per_unit
-        if obj.type in (Type.U16, Type.U32, Type.I32):
-            variable.min = None if obj.low is None else round(obj.low * obj.per_unit)
-            variable.max = None if obj.high is None else round(obj.high * obj.per_unit)
-        variable.pdo_mappable = obj.size <= 8
-        record.add_member(variable)
-    return record
+def _check_process_data(file: _File, source: str) -> None:
+    """What travels as process data has the layout of `drivers.canopen.codec`."""
+    identifiers = (file.beat_cob_id, file.stop_cob_id, file.progress_cob_id)
+    if any(abs(one - two) < 0x80 for k, one in enumerate(identifiers) for two in identifiers[:k]):
+        raise MapError(f"{source}: beat_cob_id, stop_cob_id and progress_cob_id must be at least 0x80 apart")
+    fixed = {f"status.{name}" for name in PROGRESS_OBJECTS}
+    for name, override in file.objects.items():
+        if (name.startswith(("beat.", "stop.")) or name in fixed) and (override.retyped or override.absent):
+            raise MapError(f"{source}: {name} is process data, too: it cannot be absent or of another type or scale")
+
+
+def _check_places(objects: ObjectMap, source: str) -> None:
+    """No two objects in one place; sub-index 0 belongs to a record, unless its object stands alone."""
+    taken = {(WHOLE_INDEX + BY_NAME[g].index, 0): f"{g} whole" for g in objects.whole}
+    for index, what in ((objects.lockin_index, "the lock-in payload"), (objects.raw_index, "the raw record")):
+        if (index, 0) in taken:
+            raise MapError(f"{source}: {what} at 0x{index:04X} overlaps {taken[index, 0]}")
+        taken[index, 0] = what
+    alone = {index: what for (index, _), what in taken.items()}
+    records: dict[int, str] = {}
+    for sub in objects.subs:
+        name, place = f"{sub.group.name}.{sub.name}", f"0x{sub.index:04X} sub-index {sub.subindex}"
+        other = taken.get((sub.index, sub.subindex)) or alone.get(sub.index)
+        if other is None and sub.subindex == 0:
+            other = records.get(sub.index)
+        if other is not None:
+            raise MapError(f"{source}: {name} at {place} overlaps {other}")
+        taken[sub.index, sub.subindex] = name
+        (alone if sub.subindex == 0 else records)[sub.index] = name
+
+
+def _check_pieces(objects: ObjectMap, source: str) -> None:
+    """What is read object by object comes from several moments, which no CRC covers."""
+    for group in GROUPS:
+        has_crc = any(s.obj.name == "crc" for s in objects.of(group.name))
+        if group.access == "ro" and has_crc and group.name not in objects.whole:
+            raise MapError(f"{source}: {group.name}.crc must be absent, for {group.name} is not in one piece")

@@ -24,33 +24,26 @@ from canopen.sdo.server import SdoServer
 
 from drivers.canopen.bus import open_network
 from drivers.canopen.codec import (
-    BEAT_COB,
     EMCY_COB,
-    PROGRESS_COB,
-    STOP_COB,
     Progress,
     beat_of,
     emergency_bytes,
     progress_bytes,
     stop_of,
 )
-from drivers.canopen.map import (
-    LOCKIN_INDEX,
-    RAW_INDEX,
-    RECORD_INDEX,
-    WHOLE_INDEX,
-    SubObject,
-    object_dictionary,
-    sub_objects,
-)
+from drivers.canopen.dictionary import object_dictionary
+from drivers.canopen.map import DEFAULT_MAP, WHOLE_INDEX, ObjectMap, SubObject
 from drivers.controller import TripCause
 from drivers.device.front import DeviceFront
-from drivers.errors import BusError
+from drivers.errors import BusError, ControllerError
 from drivers.link import RefusedError
-from drivers.objects import GROUPS, Refusal
+from drivers.objects import GROUPS, Group, Refusal
 from drivers.packing import Value, decode, encode, unpack, with_crc
 
 ABORT_NO_DATA = 0x08000024
+LOOK_S = 0.1
+"""How often the node looks whether its bus is still there."""
+LONGEST_PAUSE_S = 2.0
 _NMT_STOP = (0x02, 0x80, 0x81, 0x82)
 """Stop, enter pre-operational, reset node, reset communication: none of them leaves the excitation on."""
 
@@ -110,6 +103,8 @@ class CanopenNode:
         The device; byte order little.
     address
         As in `drivers.canopen.bus`.
+    objects
+        Where its objects are.
 
     Raises
     ------
@@ -117,63 +112,99 @@ class CanopenNode:
         The bus cannot be opened.
     """
 
-    def __init__(self, front: DeviceFront, address: str, node_id: int, bitrate: int = 1_000_000) -> None:
+    def __init__(
+        self,
+        front: DeviceFront,
+        address: str,
+        node_id: int,
+        bitrate: int = 1_000_000,
+        objects: ObjectMap = DEFAULT_MAP,
+    ) -> None:
         self._front = front
-        self._subs = {(s.index, s.subindex): s for group in GROUPS for s in sub_objects(group)}
+        self._address, self._node_id, self._bitrate, self._objects = address, node_id, bitrate, objects
+        self._subs = {(s.index, s.subindex): s for s in objects.subs}
+        self._last = {g.name: objects.of(g.name)[-1] for g in GROUPS}
         self._staged: dict[str, dict[str, Any]] = {}
         self._trip = TripCause.NONE
-        self._node_id = node_id
-        self._network = open_network(address, bitrate)
-        self._node = canopen.LocalNode(node_id, object_dictionary(node_id))
-        self._node.sdo = BlockSdoServer(0x600 + node_id, 0x580 + node_id, self._node)
-        self._node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
-        self._node.add_write_callback(self._write)  # type: ignore[no-untyped-call]
-        self._network.add_node(self._node)
-        self._network.subscribe(BEAT_COB + node_id, self._on_beat)
-        self._network.subscribe(STOP_COB + node_id, self._on_stop)
-        self._network.subscribe(0, self._on_nmt)
         self._closing = threading.Event()
+        self._network = self._joined()
         front.on_change(self._tell)
-        with suppress(Exception):
-            self._node.nmt.send_command(0)  # boot-up message
+        self._keeper = threading.Thread(target=self._keep_joined, name="canopen-node", daemon=True)
+        self._keeper.start()
 
     def close(self) -> None:
         """Leave the bus; safe twice."""
         if not self._closing.is_set():
             self._closing.set()
-            self._network.disconnect()
+            self._keeper.join(timeout=5.0)
+            _leave(self._network)
+
+    # ---- the bus
+
+    def _joined(self) -> canopen.Network:
+        """The bus, with this node on it."""
+        network = open_network(self._address, self._bitrate)
+        node = canopen.LocalNode(self._node_id, object_dictionary(self._node_id, self._objects))
+        node.sdo = BlockSdoServer(0x600 + self._node_id, 0x580 + self._node_id, node)
+        node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
+        node.add_write_callback(self._write)  # type: ignore[no-untyped-call]
+        network.add_node(node)
+        network.subscribe(self._objects.beat_cob_id + self._node_id, self._on_beat)
+        network.subscribe(self._objects.stop_cob_id + self._node_id, self._on_stop)
+        network.subscribe(0, self._on_nmt)
+        with suppress(Exception):
+            node.nmt.send_command(0)  # boot-up message
+        return network
+
+    def _keep_joined(self) -> None:
+        """Join again when the bus has failed: a hub or an interface may go away and come back.
+
+        Meanwhile no heartbeat comes, and the watchdog sees to the excitation.
+        """
+        while not self._closing.wait(LOOK_S):
+            notifier = self._network.notifier
+            if notifier is None or notifier.exception is None:
+                continue
+            _leave(self._network)
+            pause = LOOK_S
+            while not self._closing.wait(pause):
+                try:
+                    self._network = self._joined()
+                    break
+                except ControllerError:
+                    pause = min(2 * pause, LONGEST_PAUSE_S)
 
     # ---- SDO
 
     def _read(self, index: int, subindex: int, od: object) -> bytes | None:
         try:
-            if index == LOCKIN_INDEX:
+            if index == self._objects.lockin_index:
                 return self._front.lockin_payload()
-            if index == RAW_INDEX:
+            if index == self._objects.raw_index:
                 return self._front.raw_record()
             if (index, subindex) in self._subs:
                 return self._read_one(self._subs[index, subindex])
-            if WHOLE_INDEX <= index < WHOLE_INDEX + len(GROUPS):
-                group = GROUPS[index - WHOLE_INDEX]
+            if (group := self._whole(index)) is not None:
                 values = self._front.read(group.name)
                 return b"".join(encode(o, values[o.name], "little") for o in group.objects)
         except RefusedError as refused:
             raise SdoAbortedError(refused.refusal.canopen) from refused
         return None
 
+    def _whole(self, index: int) -> Group | None:
+        """The group that the DOMAIN at this index carries."""
+        k = index - WHOLE_INDEX
+        return GROUPS[k] if 0 <= k < len(GROUPS) and GROUPS[k].name in self._objects.whole else None
+
     def _read_one(self, sub: SubObject) -> bytes:
         raw = encode(sub.obj, self._front.read(sub.group.name)[sub.obj.name], "little")
-        if sub.element is None:
-            return raw
-        size = sub.obj.size // sub.obj.count
-        return raw[sub.element * size : (sub.element + 1) * size]
+        return raw if sub.element is None else raw[sub.element * sub.size : (sub.element + 1) * sub.size]
 
     def _write(self, index: int, subindex: int, od: object, data: bytes) -> None:
         try:
-            if WHOLE_INDEX <= index < WHOLE_INDEX + len(GROUPS):
-                group = GROUPS[index - WHOLE_INDEX]
+            if (group := self._whole(index)) is not None:
                 self._front.write(group.name, unpack(group, bytes(data), "little"))
-            elif RECORD_INDEX <= index < RECORD_INDEX + len(GROUPS):
+            elif (index, subindex) in self._subs:
                 self._write_one(self._subs[index, subindex], bytes(data))
         except RefusedError as refused:
             raise SdoAbortedError(refused.refusal.canopen) from refused
@@ -184,9 +215,9 @@ class CanopenNode:
         """Objects one by one; the group acts when its last one is written."""
         staged = self._staged.setdefault(sub.group.name, {})
         staged[sub.obj.name] = decode(sub.obj, data.ljust(sub.obj.size, b"\0"), "little")
-        if sub.obj is sub.group.objects[-1]:
+        if sub == self._last[sub.group.name]:
             del self._staged[sub.group.name]
-            if len(staged) != len(sub.group.objects):
+            if len(staged) != len(self._objects.pieces(sub.group.name)):
                 raise RefusedError(Refusal.LIMIT, f"{sub.group.name} is incomplete")
             self._front.write(sub.group.name, staged)
 
@@ -219,4 +250,9 @@ class CanopenNode:
             if trip is not self._trip:
                 self._network.send_message(EMCY_COB + self._node_id, emergency_bytes(trip))
                 self._trip = trip
-            self._network.send_message(PROGRESS_COB + self._node_id, progress_bytes(progress))
+            self._network.send_message(self._objects.progress_cob_id + self._node_id, progress_bytes(progress))
+
+
+def _leave(network: canopen.Network) -> None:
+    with suppress(Exception):  # what made it fail is raised once more
+        network.disconnect()

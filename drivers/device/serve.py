@@ -184,11 +184,13 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
 
 def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
     """The device as a CANopen node, on a bus that exists or on a hub of its own."""
+    from drivers.canopen import map as canopen_map
     from drivers.device.canopen import CanopenNode
     from drivers.device.hub import CanHub
 
     if not 1 <= options.node <= 127:
         raise ControllerError(f"a CANopen node has a number from 1 to 127, not {options.node}")
+    objects = canopen_map.DEFAULT_MAP if options.map is None else canopen_map.read_map(options.map)
     hub = None
     address = options.bus
     if address and options.faults:
@@ -200,7 +202,7 @@ def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
         hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None, spoil)
         address = f"socketcand/{hub.host}:{hub.port}/can0"
     try:
-        node = CanopenNode(DeviceFront(device, "little"), address, options.node, options.bitrate)
+        node = CanopenNode(DeviceFront(device, "little"), address, options.node, options.bitrate, objects)
     except ControllerError:
         if hub is not None:
             hub.close()

@@ -14,16 +14,16 @@ A rig's own map overrides addresses, types and scales, and says which objects it
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import MapError
-from drivers.objects import GROUPS, Group, Object, Type
+from drivers.objects import GROUPS, Group, Object
+from drivers.own_map import Override, own_objects, parsed, read_text
 from drivers.packing import Order
 
 GROUP_STRIDE = 0x100
@@ -89,12 +89,8 @@ def _default_entries(groups: tuple[Group, ...]) -> tuple[Entry, ...]:
 DEFAULT_MAP = RegisterMap(_default_entries(GROUPS))
 
 
-class _Override(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+class _Override(Override):
     address: Annotated[int, Field(ge=0, le=0xFFFF, strict=True)] | None = None
-    type: str | None = None
-    per_unit: Annotated[int, Field(gt=0, strict=True)] | None = None
-    absent: bool = False
 
 
 class _File(BaseModel):
@@ -107,11 +103,7 @@ class _File(BaseModel):
 
 def read_map(path: Path) -> RegisterMap:
     """A rig's own map from a TOML file; errors name the file."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"cannot read the map {path}: {error}") from error
-    return parse_map(text, str(path))
+    return parse_map(read_text(path), str(path))
 
 
 def parse_map(text: str, source: str = "map.toml") -> RegisterMap:
@@ -122,55 +114,19 @@ def parse_map(text: str, source: str = "map.toml") -> RegisterMap:
     MapError
         One line that names the file, the object and what is wrong with it.
     """
-    try:
-        file = _File.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise MapError(f"{source} is not valid TOML: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise MapError(f"{source}: {'.'.join(str(p) for p in first['loc'])}: {first['msg']}") from error
-    known = {f"{e.group}.{e.obj.name}" for e in DEFAULT_MAP.entries}
-    if unknown := sorted(set(file.objects) - known):
-        raise MapError(f"{source}: there is no object {unknown[0]!r}; the reference page lists them")
-    changed = _changed_groups(file)
+    file = parsed(text, source, _File)
+    places = {f"{e.group}.{e.obj.name}": e for e in DEFAULT_MAP.entries}
     entries = []
-    for entry in DEFAULT_MAP.entries:
-        name = f"{entry.group}.{entry.obj.name}"
-        override = file.objects.get(name, _Override())
-        if override.absent:
-            if entry.obj.required:
-                raise MapError(f"{source}: {name} cannot be absent: the driver needs it")
-            continue
-        if entry.obj.name == "crc" and entry.group in changed:
-            raise MapError(
-                f"{source}: {name} must be absent, for {changed[entry.group]} is not as the CRC takes it to be"
-            )
-        entries.append(_placed(entry, override, source))
+    for name, obj in own_objects(file.objects, source).items():
+        own = file.objects[name].address if name in file.objects else None
+        entry = replace(places[name], obj=obj, address=places[name].address if own is None else own)
+        if entry.end > 0x10000:
+            raise MapError(f"{source}: {name} does not fit behind address {entry.address}")
+        entries.append(entry)
     _check_overlaps(entries, source)
-    return RegisterMap(tuple(entries), file.word_order, file.lockin_address, file.raw_address)
-
-
-def _changed_groups(file: _File) -> dict[str, str]:
-    """Groups whose content differs from the default, and one object that does."""
-    return {
-        name.split(".")[0]: name
-        for name, o in file.objects.items()
-        if (o.absent and not name.endswith(".crc")) or o.type is not None or o.per_unit is not None
-    }
-
-
-def _placed(entry: Entry, override: _Override, source: str) -> Entry:
-    obj = entry.obj
-    if override.type is not None:
-        if override.type not in Type.__members__ or (Type[override.type] is Type.TEXT) != (obj.type is Type.TEXT):
-            raise MapError(f"{source}: {entry.group}.{obj.name} cannot have the type {override.type!r}")
-        obj = replace(obj, type=Type[override.type])
-    if override.per_unit is not None:
-        obj = replace(obj, per_unit=override.per_unit)
-    address = entry.address if override.address is None else override.address
-    if address + obj.size // 2 > 0x10000:
-        raise MapError(f"{source}: {entry.group}.{obj.name} does not fit behind address {address}")
-    return replace(entry, address=address, obj=obj)
+    registers = RegisterMap(tuple(entries), file.word_order, file.lockin_address, file.raw_address)
+    _check_pieces(registers, source)
+    return registers
 
 
 def _check_overlaps(entries: list[Entry], source: str) -> None:
@@ -181,3 +137,11 @@ def _check_overlaps(entries: list[Entry], source: str) -> None:
                 f"{source}: {two.group}.{two.obj.name} at {two.address} overlaps {one.group}.{one.obj.name}, "
                 f"which ends at {one.end - 1}"
             )
+
+
+def _check_pieces(registers: RegisterMap, source: str) -> None:
+    """What is read in several requests comes from several moments, which no CRC covers."""
+    for group in GROUPS:
+        has_crc = any(e.obj.name == "crc" for e in registers.of(group.name))
+        if group.access == "ro" and has_crc and len(registers.spans(group.name, MAX_READ)) > 1:
+            raise MapError(f"{source}: {group.name}.crc must be absent, for {group.name} is not in one piece")

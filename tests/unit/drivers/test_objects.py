@@ -7,7 +7,8 @@ import pytest
 from canopen import ObjectDictionary
 from canopen.objectdictionary import import_od
 
-from drivers.canopen.map import eds, object_dictionary, sub_objects
+from drivers.canopen.dictionary import eds, object_dictionary
+from drivers.canopen.map import DEFAULT_MAP
 from drivers.objects import BY_NAME, GROUPS, Type
 from drivers.reference import page
 
@@ -36,7 +37,7 @@ def test_eds_is_the_one_that_is_generated() -> None:
 def test_eds_keeps_names_types_limits_factors_and_units(group) -> None:
     record = _imported()[0x2000 + group.index]
     own = object_dictionary(5)[0x2000 + group.index]
-    for sub in sub_objects(group):
+    for sub in DEFAULT_MAP.of(group.name):
         variable = record[sub.subindex]
         assert variable.name == sub.name
         assert variable.data_type == own[sub.subindex].data_type

@@ -1,0 +1,184 @@
+"""SDO block upload (CiA 301, 7.2.4.3.13 and on) that answers from the receiving thread.
+
+Between two blocks a line is idle until the host has answered. The library's client gets every frame through a queue in
+another thread; here the thread that receives a block's last frame answers it.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+import threading
+from collections.abc import Callable
+
+from canopen import ObjectDictionary
+from canopen.sdo.client import SdoClient
+from canopen.sdo.constants import (
+    ABORT_CRC_ERROR,
+    ABORT_TIMED_OUT,
+    BLOCK_TRANSFER_RESPONSE,
+    CRC_SUPPORTED,
+    END_BLOCK_TRANSFER,
+    INITIATE_BLOCK_TRANSFER,
+    NO_MORE_BLOCKS,
+    REQUEST_BLOCK_UPLOAD,
+    RESPONSE_ABORTED,
+    RESPONSE_BLOCK_UPLOAD,
+    START_BLOCK_UPLOAD,
+)
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+BLOCK_SEGMENTS = 127
+SEGMENT_BYTES = 7
+REMINDERS = 3
+"""How often in a row a silent server is reminded."""
+_COMMAND = 0xE0
+
+
+class BlockUpload:
+    """One upload, from the start of its first block on. Pure but for ``send``.
+
+    Parameters
+    ----------
+    send
+        Sends a request of eight bytes.
+    """
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._lock = threading.Lock()
+        self._segments: list[bytes] = []
+        self._next = 1
+        self._answer = bytes([REQUEST_BLOCK_UPLOAD | START_BLOCK_UPLOAD]) + bytes(7)
+        self._all_here = False
+        self.over = threading.Event()
+        self.failure: Exception | None = None
+        self.data = b""
+        """What was uploaded, once it is over without failure."""
+
+    @property
+    def received(self) -> int:
+        """Segments that are here."""
+        return len(self._segments)
+
+    def start(self) -> None:
+        """Ask for the first block."""
+        self._send(self._answer)
+
+    def take(self, frame: bytes) -> None:
+        """A frame of the server."""
+        with self._lock:
+            if self.over.is_set() or len(frame) != 8:
+                return  # what was cut short counts as lost
+            try:
+                if frame[0] == RESPONSE_ABORTED:
+                    raise SdoAbortedError(int.from_bytes(frame[4:8], "little"))
+                if self._all_here:
+                    self._take_end(frame)
+                else:
+                    self._take_segment(frame)
+            except Exception as error:
+                self._fail(error)
+
+    def remind(self) -> None:
+        """Answer again: the server is silent, so that the answer, or the end of a block, was lost."""
+        with self._lock:
+            if self.over.is_set():
+                return
+            try:
+                if self._next > 1 and not self._all_here:
+                    self._acknowledge()
+                else:
+                    self._send(self._answer)
+            except Exception as error:
+                self._fail(error)
+
+    def _take_segment(self, frame: bytes) -> None:
+        number, last = frame[0] & 0x7F, bool(frame[0] & NO_MORE_BLOCKS)
+        if number == self._next:
+            self._segments.append(frame[1:])
+            self._next += 1
+            self._all_here = last
+            if last or number == BLOCK_SEGMENTS:
+                self._acknowledge()
+        elif (last or number == BLOCK_SEGMENTS) and self._next > 1:
+            self._acknowledge()  # the server goes on behind what is here
+
+    def _acknowledge(self) -> None:
+        received, self._next = self._next - 1, 1
+        head = bytes([REQUEST_BLOCK_UPLOAD | BLOCK_TRANSFER_RESPONSE, received, BLOCK_SEGMENTS])
+        self._answer = head + bytes(5)
+        self._send(self._answer)
+
+    def _take_end(self, frame: bytes) -> None:
+        if frame[0] & (_COMMAND | 0x03) != RESPONSE_BLOCK_UPLOAD | END_BLOCK_TRANSFER:
+            return
+        unused, (crc,) = (frame[0] >> 2) & 0x07, struct.unpack_from("<H", frame, 1)
+        data = b"".join(self._segments)
+        data = data[: len(data) - unused]
+        if binascii.crc_hqx(data, 0) != crc:
+            self._send(_abort(ABORT_CRC_ERROR))
+            raise SdoCommunicationError("the CRC of the block upload is wrong")
+        self._send(bytes([REQUEST_BLOCK_UPLOAD | END_BLOCK_TRANSFER]) + bytes(7))
+        self.data = data
+        self.over.set()
+
+    def _fail(self, error: Exception) -> None:
+        self.failure = error
+        self.over.set()
+
+
+class UploadingSdoClient(SdoClient):
+    """The library's SDO client with a block upload of our own."""
+
+    def __init__(self, node_id: int, objects: ObjectDictionary) -> None:
+        super().__init__(0x600 + node_id, 0x580 + node_id, objects)  # type: ignore[no-untyped-call]
+        self._upload: BlockUpload | None = None
+
+    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """A frame of the server, from the receiving thread."""
+        upload = self._upload
+        if upload is None:
+            super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
+        else:
+            upload.take(bytes(data))
+
+    def block_upload(self, index: int, subindex: int) -> bytes:
+        """Content of an object.
+
+        Raises
+        ------
+        SdoAbortedError
+            The server refused.
+        SdoCommunicationError
+            The server fell silent, or the CRC is wrong.
+        """
+        command = REQUEST_BLOCK_UPLOAD | INITIATE_BLOCK_TRANSFER | CRC_SUPPORTED
+        request = struct.pack("<BHBBBxx", command, index, subindex, BLOCK_SEGMENTS, 0)
+        answer = self.request_response(request)  # type: ignore[no-untyped-call]
+        if len(answer) != 8 or answer[0] & _COMMAND != RESPONSE_BLOCK_UPLOAD or answer[1:4] != request[1:4]:
+            raise SdoCommunicationError("the answer belongs to another transfer")
+        upload = self._upload = BlockUpload(self.send_request)
+        try:
+            upload.start()
+            self._wait(upload)
+        finally:
+            self._upload = None
+        return upload.data
+
+    def _wait(self, upload: BlockUpload) -> None:
+        silent, received = 0, 0
+        while not upload.over.wait(self.RESPONSE_TIMEOUT):
+            silent = silent + 1 if upload.received == received else 0
+            received = upload.received
+            if silent > REMINDERS:
+                self.send_request(_abort(ABORT_TIMED_OUT))  # type: ignore[no-untyped-call]
+                raise SdoCommunicationError("the server fell silent in a block upload")
+            if silent:
+                upload.remind()
+        if upload.failure is not None:
+            raise upload.failure
+
+
+def _abort(code: int) -> bytes:
+    return bytes([0x80, 0, 0, 0]) + code.to_bytes(4, "little")

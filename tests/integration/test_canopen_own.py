@@ -1,0 +1,132 @@
+"""What only CANopen has: a vendor's own object dictionary, and a hub that goes away and comes back."""
+
+import time
+from pathlib import Path
+
+import canopen
+import numpy as np
+import pytest
+
+from drivers.canopen.bus import open_network
+from drivers.canopen.dictionary import eds
+from drivers.canopen.map import read_map
+from drivers.controller import State, Tone
+from drivers.device.hub import CanHub
+from drivers.device.machine import RigDevice
+from drivers.device.serve import CanOptions, serve_canopen
+from drivers.errors import BusError, LimitError
+from drivers.url import connect
+from sim.reference import reference_rig
+
+TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
+VENDOR = """
+whole_groups = false
+lockin_index = 0x5200
+raw_index = 0x5201
+beat_cob_id = 0x400
+stop_cob_id = 0x480
+progress_cob_id = 0x280
+[objects."identity.crc"]
+absent = true
+[objects."identity.identity"]
+absent = true
+[objects."identity.max_amplitude_a"]
+index = 0x3000
+subindex = 0
+type = "U16"
+per_unit = 1000
+[objects."status.crc"]
+absent = true
+[objects."status.lease_holder"]
+absent = true
+[objects."status.displacement_m"]
+index = 0x3001
+subindex = 1
+per_unit = 10000000
+[objects."trip.crc"]
+absent = true
+[objects."result.crc"]
+absent = true
+[objects."tone.crc"]
+absent = true
+[objects."tone.amplitude_a"]
+index = 0x3002
+subindex = 7
+type = "U16"
+per_unit = 10000
+"""
+
+
+@pytest.fixture
+def vendor_map(tmp_path: Path) -> Path:
+    path = tmp_path / "vendor.toml"
+    path.write_text(VENDOR)
+    return path
+
+
+def test_vendors_objects_work_like_our_own(vendor_map: Path) -> None:
+    served = serve_canopen(RigDevice(reference_rig(), 3), CanOptions(map=vendor_map))
+    controller = connect(f"{served.url}&map={vendor_map}")
+    try:
+        assert controller.capabilities().max_amplitude_a == 6.0
+        with controller.lease("host"):
+            point = controller.measure(TONE)
+            raw = controller.measure(Tone(axis=0, amplitude_a=0.02, periods=1, samples=500, blocks=1, raw=True))
+            with pytest.raises(LimitError):
+                controller.measure(Tone(axis=0, amplitude_a=7.0, periods=1, samples=500))
+        np.testing.assert_allclose(point.R[:, 1, 1], 0.1)
+        assert np.abs(point.Y[:, 1, 1]).min() > 1e-7
+        assert raw.records is not None
+        assert raw.records["y"].shape == (500, 4)
+        assert controller.status().state is State.DONE
+    finally:
+        controller.close()
+        served.close()
+
+
+def test_wrong_map_finds_no_controller(vendor_map: Path) -> None:
+    served = serve_canopen(RigDevice(reference_rig()), CanOptions(map=vendor_map))
+    try:
+        with pytest.raises(BusError, match="canopen://"):
+            connect(served.url)
+    finally:
+        served.close()
+
+
+def test_vendors_eds_is_all_that_another_tool_needs(vendor_map: Path, tmp_path: Path) -> None:
+    """canopen alone, with the EDS file and without our driver."""
+    file = tmp_path / "vendor.eds"
+    file.write_text(eds(5, read_map(vendor_map)))
+    served = serve_canopen(RigDevice(reference_rig()), CanOptions(map=vendor_map))
+    network = open_network(served.url.removeprefix("canopen://").partition("?")[0])
+    try:
+        time.sleep(0.1)  # the hub lets nobody hear what passes while an interface is being opened
+        node = canopen.RemoteNode(5, str(file))
+        network.add_node(node)
+        assert node.sdo["max_amplitude_a"].phys == pytest.approx(6.0)
+        assert node.sdo["status"]["state"].raw == State.LEVITATED
+        with pytest.raises(canopen.SdoAbortedError, match="0x08000022"):  # not the lease's holder
+            node.sdo["acknowledge"]["token"].raw = 7
+            node.sdo["acknowledge"]["crc"].raw = 0xBF204ABF
+    finally:
+        network.disconnect()
+        served.close()
+
+
+def test_hub_that_comes_back_is_used_again_by_device_and_host() -> None:
+    hub = CanHub()
+    address, port = f"socketcand/127.0.0.1:{hub.port}/can0", hub.port
+    served = serve_canopen(RigDevice(reference_rig(), 2), CanOptions(bus=address))
+    controller = connect(served.url)
+    try:
+        with controller.lease("host"):
+            assert controller.measure(TONE).sequence == 1
+            for sequence in (2, 3):
+                hub.close()
+                time.sleep(0.3)
+                hub = CanHub(port=port)
+                assert controller.measure(TONE).sequence == sequence
+    finally:
+        controller.close()
+        served.close()
+        hub.close()
