@@ -1,0 +1,135 @@
+"""Webhooks: a real receiver checks the signature; what it does not take is sent again, and then given up."""
+
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
+
+import pytest
+
+from service.health.webhook import Message, new_secret, verify
+from service.jobs import context as contexts
+from service.jobs import notices
+from service.storage import rigs
+from service.storage.database import now
+from service.storage.tables import ExperimentRow, HealthRow, ModelRow, ScheduleRow, WebhookRow
+from tests.support.databases import migrated
+from tests.support.service import reference_sheet
+
+
+class Receiver(HTTPServer):
+    """Keeps what it is told, and answers as it was told to."""
+
+    def __init__(self):
+        self.messages, self.answers = [], []
+        super().__init__(("127.0.0.1", 0), Handler)
+
+
+class Handler(BaseHTTPRequestHandler):
+    def do_POST(self):
+        body = self.rfile.read(int(self.headers["content-length"]))
+        self.server.messages.append(Message(body, dict(self.headers)))
+        self.send_response(self.server.answers.pop(0) if self.server.answers else 204)
+        self.send_header("content-length", "0")
+        self.end_headers()
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def receiver():
+    server = Receiver()
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture
+def told(tmp_path, monkeypatch):
+    """Deliveries that were handed to the engine."""
+    with migrated("sqlite", tmp_path) as database:
+        handed = []
+        dispatcher = SimpleNamespace(notify=handed.append)
+        monkeypatch.setattr(contexts, "_context", SimpleNamespace(database=database, dispatcher=dispatcher))
+        yield SimpleNamespace(database=database, handed=handed)
+
+
+def check(database, url, alarm, secret="", on="alarm"):
+    document = {"rig": "bench", "alarm": alarm, "zone": "A", "drifted": [], "sentence": "as it was", "parameters": {}}
+    common = {"rig_version": 1, "created_at": now()}
+    with database.write() as session:
+        rig = rigs.create(session, f"bench {url} {alarm} {on}", reference_sheet(), "", "", "me").id
+        session.add(
+            ScheduleRow(
+                id="sch_1", rig_id=rig, cron="0 6 * * *", options={}, enabled=True, webhook_url=url,
+                webhook_secret=secret, webhook_on=on, created_at=now(), updated_at=now(), created_by="me",
+            )
+        )  # fmt: skip
+        session.add(
+            ExperimentRow(
+                id="exp_1", rig_id=rig, source="measured", complete=True, file_sha256="", file_bytes=0,
+                media_type="", file_name="", summary={}, created_by="me", **common,
+            )
+        )  # fmt: skip
+        session.flush()
+        session.add(
+            ModelRow(
+                id="mod_1", rig_id=rig, experiment_id="exp_1", result_sha256="", report_sha256="", plots_sha256="",
+                summary={}, created_by="me", **common,
+            )
+        )  # fmt: skip
+        session.flush()
+        session.add(
+            HealthRow(
+                id="hc_1", rig_id=rig, experiment_id="exp_1", model_id="mod_1", schedule_id="sch_1", alarm=alarm,
+                document=document, report_sha256="", **common,
+            )
+        )  # fmt: skip
+    return "hc_1"
+
+
+def delivery(told):
+    with told.database.read() as session:
+        return session.get(WebhookRow, "whd_1")
+
+
+def test_an_alarm_is_signed_and_heard(told, receiver):
+    secret = new_secret()
+    health = check(told.database, f"http://127.0.0.1:{receiver.server_port}/hook", True, secret)
+    notices.begin(health)
+    notices.begin(health)  # a step that is repeated
+    assert told.handed == ["whd_1", "whd_1"]
+    assert notices.attempt("whd_1") is None
+    assert notices.attempt("whd_1") is None
+    (message,) = receiver.messages  # once
+    verify(message, secret, now().timestamp())
+    assert b'"type":"health.alarm"' in message.body
+    assert (delivery(told).state, delivery(told).attempts, delivery(told).status_code) == ("delivered", 1, 204)
+
+
+def test_what_is_not_taken_is_sent_again_and_at_last_given_up(told, receiver):
+    receiver.answers = [503, 500, 410]
+    health = check(told.database, f"http://127.0.0.1:{receiver.server_port}/hook", True, new_secret())
+    notices.begin(health)
+    waits = [notices.attempt("whd_1") for _ in range(3)]
+    assert 4 < waits[0] < 6
+    assert 250 < waits[1] < 350
+    assert waits[2] is None  # 410: never again
+    assert (delivery(told).state, delivery(told).attempts) == ("failed", 3)
+
+
+def test_a_receiver_that_is_away_is_tried_again(told, receiver):
+    health = check(told.database, "http://127.0.0.1:9/hook", True, new_secret())
+    notices.begin(health)
+    assert notices.attempt("whd_1") > 4
+    assert (delivery(told).state, delivery(told).status_code) == ("pending", None)
+
+
+@pytest.mark.parametrize(("alarm", "on", "heard"), [(False, "alarm", 0), (False, "always", 1), (True, "alarm", 1)])
+def test_only_who_wants_to_know_is_told(told, receiver, alarm, on, heard):
+    health = check(told.database, f"http://127.0.0.1:{receiver.server_port}/", alarm, new_secret(), on)
+    notices.begin(health)
+    assert len(told.handed) == heard
