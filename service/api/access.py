@@ -62,7 +62,7 @@ class Gate:
             Too many requests by this key, or too many wrong keys from this address.
         """
         try:
-            who = self._local(address, request) if key is None else self._holder(key)
+            who = self._local(address, request) if key is None else self._holder(key, address or "")
         except UnauthorisedError:
             self._failures.take(f"wrong {address}")
             raise
@@ -76,15 +76,15 @@ class Gate:
         must_be_this_machine(address, {} if request is None else request.headers)
         return LOCAL
 
-    def _holder(self, key: str) -> Identity:
+    def _holder(self, key: str, address: str) -> Identity:
         key_id = keys.id_of(key)
         with self._database.read() as session:
             row = rows.find(session, key_id) if key_id else None
         who = keys.verify(key, None if row is None else rows.record(row), now())
-        self._note(who.key_id)
+        self._note(who.key_id, address)
         return who
 
-    def _note(self, key_id: str) -> None:
+    def _note(self, key_id: str, address: str) -> None:
         """Note the use of a key now and then; a database that is busy with better things is left alone."""
         at = time.monotonic()
         if at - self._noted.get(key_id, -NOTED_EVERY_S) < NOTED_EVERY_S:
@@ -92,7 +92,7 @@ class Gate:
         self._noted[key_id] = at
         try:
             with self._database.write() as session:
-                rows.used(session, key_id, now())
+                rows.used(session, key_id, now(), address)
         except SQLAlchemyError:
             self._noted.pop(key_id, None)
 

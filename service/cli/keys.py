@@ -77,11 +77,11 @@ def list_keys(config: Config = None, as_json: Json = False) -> None:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in ("id", "name", "scope", "state", "created", "expires", "last used"):
+    for head in ("id", "name", "scope", "state", "created", "expires", "last used", "from"):
         table.add_column(head)
     for d in found:
         times = (d[k] or "" for k in ("created", "expires", "used"))
-        table.add_row(d["id"], d["name"], d["scope"], d["state"], *times)
+        table.add_row(d["id"], d["name"], d["scope"], d["state"], *times, d["used_from"])
     stdout().print(table)
 
 
@@ -113,6 +113,7 @@ def _document(row: KeyRow) -> dict[str, Any]:
         "created": _time(row.created_at),
         "expires": _time(row.expires_at),
         "used": _time(row.used_at),
+        "used_from": row.used_from,
         "revoked": _time(row.revoked_at),
     }
 

@@ -35,6 +35,7 @@ def row(of: KeyRecord, created_by: str) -> KeyRow:
         expires_at=of.expires,
         revoked_at=of.revoked,
         used_at=None,
+        used_from="",
     )
 
 
@@ -75,7 +76,8 @@ def revoke(session: Session, key_id: str) -> KeyRow:
     return row
 
 
-def used(session: Session, key_id: str, at: datetime) -> None:
-    """Note the use of a key, to the minute."""
-    stale = KeyRow.used_at.is_(None) | (KeyRow.used_at < at - _USED_EVERY)
-    session.execute(update(KeyRow).where(KeyRow.id == key_id, stale).values(used_at=at))
+def used(session: Session, key_id: str, at: datetime, address: str = "") -> None:
+    """Note the use of a key, to the minute, and where it came from."""
+    stale = KeyRow.used_at.is_(None) | (KeyRow.used_at < at - _USED_EVERY) | (KeyRow.used_from != address)
+    values = {"used_at": at, "used_from": address[:60]}
+    session.execute(update(KeyRow).where(KeyRow.id == key_id, stale).values(**values))

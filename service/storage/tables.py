@@ -304,6 +304,8 @@ class KeyRow(Base):
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
     used_at: Mapped[datetime | None]
+    used_from: Mapped[str] = mapped_column(String(60), default="", server_default="")
+    """Address of the last use: a key that is used from elsewhere is a key that was lost."""
 
 
 class AuditRow(Base):

@@ -113,4 +113,6 @@ def test_the_last_use_of_a_key_is_kept(client, database):
     key_id, header = made(database, Scope.viewer)
     client.get("/view", headers=header)
     with database.read() as session:
-        assert abs(rows.find(session, key_id).used_at - now()) < timedelta(minutes=1)
+        row = rows.find(session, key_id)
+        assert abs(row.used_at - now()) < timedelta(minutes=1)
+        assert row.used_from == "127.0.0.1"
