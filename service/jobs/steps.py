@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from service import logs, tracing
 from service.errors import JobError, StoppedError
 from service.jobs.context import Context, context
 from service.jobs.control import Control
@@ -53,7 +54,12 @@ def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id:
         return outcome(jobs.CANCELLED, {})
     if job.cancel_requested:
         return outcome(jobs.CANCELLED, {})
-    with Control(worker, job_id, job.attempt, worker.folder(job_id) / "experiment.journal") as control:
+    with (
+        logs.bound(job=job_id, rig=job.rig_id),
+        tracing.span(f"job.{job.kind}", job=job_id, rig=job.rig_id, attempt=job.attempt),
+        Control(worker, job_id, job.attempt, worker.folder(job_id) / "experiment.journal") as control,
+    ):
+        log.info("a step of the %s begins, attempt %d", job.kind, job.attempt)
         try:
             found = outcome(jobs.DONE, work(worker, job, control))
         except StoppedError:
@@ -66,6 +72,7 @@ def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id:
             log.exception("job %s met a defect", job_id)
             detail = f"{type(error).__name__}: {error}; report it with the worker's log"
             found = outcome(jobs.FAILED, control.result, "defect of the service", detail)
+        log.info("the step ends: %s", " ".join([found["state"], found["title"], found["detail"]]).strip())
     if found["state"] != jobs.DONE and (control.stopping or control.superseded):
         park(job_id)
     return found

@@ -69,9 +69,13 @@ def test_measured_identified_and_fetched_by_one_command(ambit, running, sheet, t
     assert done.returncode == 0, done.stderr
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"experiment.h5", "rig.toml", "result.json", "report.html"}
     assert json.loads((tmp_path / "out" / "result.json").read_text())["format"] == "amb-commissioning-result"
-    lines = done.stdout.splitlines()
-    assert lines[-1].startswith(f"report: {running.api.said}/api/v1/models/mod_")
+    assert done.stdout.splitlines()[-1].startswith(f"report: {running.api.said}/api/v1/models/mod_")
     assert "done" in done.stderr
+
+    # the log of the worker tells of it under its ids
+    lines = [json.loads(line) for line in running.logs().splitlines() if line.startswith("{")]
+    ids = {(line["job"], line["rig"]) for line in lines if "job" in line}
+    assert any(job.startswith("job_") and rig.startswith("rig_") for job, rig in ids)
 
     # the same file, uploaded: identified again on the rig that is known by now, its bar on a terminal
     said = ambit("submit", "identification", "--rig", "reference", "--experiment", tmp_path / "out" / "experiment.h5")

@@ -1,6 +1,8 @@
 """Traces come by flag, say what was done and how it ended, and tell no secret; without the flag nothing happens."""
 
 import sys
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
@@ -81,3 +83,30 @@ def test_without_the_libraries_the_flag_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "opentelemetry.sdk.trace", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'amb-commissioning\[otel\]'"):
         tracing.configure("http://127.0.0.1:4318", "ambit", "1")
+
+
+def test_spans_reach_a_collector():
+    pytest.importorskip("opentelemetry.exporter.otlp.proto.http", reason="the OTLP exporter is not installed")
+    arrived: list[tuple[str, bytes]] = []
+
+    class Collector(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            arrived.append((self.path, self.rfile.read(int(self.headers["content-length"]))))
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Collector) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        tracing.configure(f"http://127.0.0.1:{server.server_port}/", "ambit-worker", "1")
+        with tracing.span("job.experiment", job="job_1"):
+            pass
+        tracing.shutdown()
+        server.shutdown()
+        thread.join()
+    assert arrived[0][0] == "/v1/traces"
+    assert b"job.experiment" in arrived[0][1]
+    assert b"ambit-worker" in arrived[0][1]
