@@ -19,7 +19,6 @@ from drivers.errors import ControllerError
 
 GREETING_S = 0.02
 """After ``rawmode``, no frame for this long: python-can takes its answer for a single message."""
-MAX_BURST = 256
 _PR_SET_TIMERSLACK = 29
 
 
@@ -83,10 +82,8 @@ class CanHub:
         self._closing = threading.Event()
         self._free_at = 0.0
         self._waiting: list[_Waiting] = []
-        self._held: list[float] = []
         self._number = 0
         self._came = threading.Condition()
-        self._line = threading.Lock()
         self.bits = 0
         """Bits that the line has carried."""
         self.frames = 0
@@ -97,9 +94,7 @@ class CanHub:
         self._listener.settimeout(0.1)
         self.port: int = self._listener.getsockname()[1]
         self.host = host
-        self._threads = [
-            threading.Thread(target=f, name="can-hub", daemon=True) for f in (self._accept, self._carry_late)
-        ]
+        self._threads = [threading.Thread(target=f, name="can-hub", daemon=True) for f in (self._accept, self._line)]
         for thread in self._threads:
             thread.start()
 
@@ -135,7 +130,6 @@ class CanHub:
             threading.Thread(target=self._listen, args=(client,), name="can-node", daemon=True).start()
 
     def _listen(self, client: _Client) -> None:
-        _sharpen_sleep()
         buffer = b""
         with suppress(OSError):
             client.connection.sendall(b"< hi >")
@@ -162,58 +156,34 @@ class CanHub:
                 for delay, passed in [(0.0, frame)] if self._spoil is None else self._spoil(frame):
                     self._number += 1
                     heapq.heappush(self._waiting, _Waiting(now + delay, self._number, passed, sender))
-                    if delay:
-                        heapq.heappush(self._held, now + delay)
-                        self._came.notify()
-        self._carry()
+            self._came.notify()
 
-    # ---- the line: one frame after another, carried by whoever finds it free
+    # ---- the line: one frame after another
 
-    def _carry(self) -> None:
-        """Carry what waits, unless another thread is doing it: then that one carries this, too."""
-        while self._is_due() and self._line.acquire(blocking=False):
-            try:
-                while burst := self._burst():
-                    ahead = self._free_at - time.monotonic()
-                    if self._bitrate is not None and ahead > 0:
-                        time.sleep(ahead)
-                    self._broadcast(burst)
-            finally:
-                self._line.release()
-
-    def _carry_late(self) -> None:
-        """Carry the frames that are held back, when their time has come."""
+    def _line(self) -> None:
         _sharpen_sleep()
         while not self._closing.is_set():
             with self._came:
-                pause = self._held[0] - time.monotonic() if self._held else 0.1
+                pause = self._waiting[0].due - time.monotonic() if self._waiting else 0.1
                 if pause > 0:
-                    self._came.wait(min(pause, 0.1))
+                    self._came.wait(pause)
                     continue
-                heapq.heappop(self._held)
-            self._carry()
-
-    def _is_due(self) -> bool:
-        with self._came:
-            return bool(self._waiting) and self._waiting[0].due <= time.monotonic()
-
-    def _burst(self) -> list[_Waiting]:
-        """The next frame, and what its sender has ready behind it, as long as that is under a millisecond of the line.
-
-        Empty when nothing is due.
-        """
-        burst: list[_Waiting] = []
-        with self._came:
-            now = time.monotonic()
-            while (
-                self._waiting
-                and self._waiting[0].due <= now
-                and len(burst) < MAX_BURST
-                and (not burst or (self._waiting[0].sender is burst[0].sender and self._free_at - now < 0.001))
-            ):
-                burst.append(heapq.heappop(self._waiting))
-                self._clock(burst[-1])
-        return burst
+                burst = [heapq.heappop(self._waiting)]
+                self._clock(burst[0])
+                # what one sender has ready goes out together, as long as that is not over a millisecond of the line
+                while (
+                    self._waiting
+                    and self._waiting[0].sender is burst[0].sender
+                    and self._waiting[0].due <= time.monotonic()
+                    and self._free_at - time.monotonic() < 0.001
+                    and len(burst) < 256
+                ):
+                    burst.append(heapq.heappop(self._waiting))
+                    self._clock(burst[-1])
+            ahead = self._free_at - time.monotonic()
+            if self._bitrate is not None and ahead > 0:
+                time.sleep(ahead)
+            self._broadcast(burst)
 
     def _clock(self, waiting: _Waiting) -> None:
         self.bits += waiting.frame.bits
