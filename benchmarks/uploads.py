@@ -1,4 +1,4 @@
-"""Hostile uploads: status, seconds from the call to the refusal, and the memory that the largest child took.
+"""Hostile uploads to ``ambit serve``: status and seconds of the answer, and the memory that service and readers took.
 
 ``python benchmarks/uploads.py``
 """
@@ -13,28 +13,52 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from service.uploads import UploadError, parse
-from tests.support.uploads import HOSTILE, good
+import httpx
+
+from tests.support.service import Service, reference_sheet, service
+from tests.support.uploads import HOSTILE, good, good_matlab
+
+ROW = "{:32} {:>11,d}  {:>6}  {:5.2f}   {}"
 
 
 def main() -> None:
-    slowest = 0.0
-    print("file                                 bytes  status     s   reason")
-    for name, (make, _, _) in {"a good file": (good, 0, ""), **HOSTILE}.items():
-        with tempfile.TemporaryDirectory() as folder:
-            path = make(Path(folder) / "received")
+    files = {
+        "a good file": (good, 201, ""),
+        "a good MATLAB file": (good_matlab, 201, ""),
+        **HOSTILE,
+    }
+    slowest, wrong = 0.0, []
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        service(Path(folder) / "home", "sqlite", "--no-worker") as running,
+        httpx.Client(base_url=running.api.said, timeout=60) as client,
+    ):
+        rig = running.add_rig(reference_sheet())
+        before = high_water_mib(running)
+        print(f"{'file':32} {'bytes':>11}  {'status':>6}  {'s':>5}   answer")
+        for name, (make, expected, _) in files.items():
+            content = make(Path(folder) / "received").read_bytes()
             began = time.perf_counter()
-            try:
-                parse(path, "sent.h5", Path(folder) / "understood.h5")
-                status, reason = 0, "read"
-            except UploadError as error:
-                status, reason = error.status, str(error)
+            answer = client.post(
+                f"/api/v1/rigs/{rig}/experiments", content=content, headers={"content-type": "application/x-hdf5"}
+            )
             seconds = time.perf_counter() - began
             slowest = max(slowest, seconds)
-            print(f"{name:30} {path.stat().st_size:11,d}  {status or 'ok':>6}  {seconds:.2f}   {reason[:120]}")
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"slowest {slowest:.2f} s; the largest child took {peak:.0f} MiB, this process {own:.0f} MiB")
+            if answer.status_code != (expected or 201):
+                wrong.append(name)
+            told = answer.json().get("detail") or "read"
+            print(ROW.format(name, len(content), answer.status_code, seconds, told[:110]))
+        alive = client.get("/healthz").status_code
+        after = high_water_mib(running)
+    readers = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"slowest {slowest:.2f} s; wrong: {', '.join(wrong) or 'none'}; /healthz afterwards: {alive}")
+    print(f"memory: service {before:.0f} MiB before, {after:.0f} MiB at most; largest process of all {readers:.0f} MiB")
+
+
+def high_water_mib(running: Service) -> float:
+    """Most memory that the API's process ever had."""
+    status = Path(f"/proc/{running.api.process.pid}/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ def confine(limits: Limits) -> None:
 
 
 def cpu_seconds(seconds: float) -> None:
-    """Let SIGPROF end this process after so much more processor time."""
+    """Let SIGPROF end this process after so much more processor time; 0 for never."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
@@ -90,11 +90,12 @@ def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
         The file is refused.
     """
     kind, decoded = look(path, limits)
-    cpu_seconds(limits.read_seconds(decoded))
+    cpu_seconds(0)
     # only now what reads: most hostile files are refused by their structure, in half the time
     from service.experiment import file
     from service.experiment.errors import ExperimentFileError
 
+    cpu_seconds(limits.read_seconds(decoded))
     try:
         experiment = file.read(path)
         file.write(out, experiment)

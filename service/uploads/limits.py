@@ -19,9 +19,9 @@ class Limits:
     """Address space of the reading process beyond what its libraries take."""
     check_cpu_s: float = 0.8
     """Processor time to look at the structure, before anything is read."""
-    read_cpu_s: float = 1.0
+    read_cpu_s: float = 0.6
     """Processor time to read a small file."""
-    decoded_bytes_per_s: float = 40 * MIB
+    decoded_bytes_per_s: float = 60 * MIB
     """A larger file gets a second more for each of these; records are read at 140 MiB/s on a common laptop."""
     wall_s: float = 20.0
     """As above, on the wall clock of a busy machine."""
