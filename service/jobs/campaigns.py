@@ -57,6 +57,9 @@ def measure(worker: Context, job: JobRow, control: Control, profile: Profile, pu
     AmbError
         The rig or the plan does not allow it.
     """
+    if (whole := _measured_before(worker, job)) is not None:
+        control.made(experiment=whole)
+        return {"experiment": whole}
     version, path = datasheet_file(worker, job)
     sheet = datasheet.read(path)
     folder = worker.folder(job.id)
@@ -166,6 +169,13 @@ class _Campaign:
     def _raise_if_stopped(self) -> None:
         if self.control.stopped():
             raise StoppedError("the job was stopped; the excitation is off")
+
+
+def _measured_before(worker: Context, job: JobRow) -> str | None:
+    """The whole experiment of an earlier run, of which only what came after failed."""
+    with worker.database.read() as session:
+        row = session.get(ExperimentRow, derived_id("exp", job.id))
+    return row.id if row is not None and row.complete else None
 
 
 def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control) -> None:

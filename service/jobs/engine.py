@@ -24,7 +24,7 @@ VERSION = "jobs-1"
 the order of the steps does."""
 RIGS, CPU, NOTICES = "rigs", "cpu", "notices"
 NOTICE = "ambit.notice"
-RIGS_POLL_S, CPU_POLL_S = 0.1, 0.1
+RIGS_POLL_S, CPU_POLL_S = 0.2, 0.2
 
 
 def workflow_id(job_id: str, run: int) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import timedelta
 from importlib import import_module
 from types import FrameType
 
@@ -20,17 +22,20 @@ from service.jobs import steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
 from service.jobs.engine import CPU, CPU_POLL_S, NOTICES, RIGS, RIGS_POLL_S, Dispatcher, engine_config
-from service.storage import idempotency, workers
+from service.storage import idempotency, jobs, workers
 from service.storage.blobs import Blobs
-from service.storage.database import Database
+from service.storage.database import Database, now
 from service.storage.ids import new_id
 from service.storage.migrate import upgrade
+from service.storage.tables import JobRow
 
 log = logging.getLogger(__name__)
 
 BEAT_S = 1.0
 GRACE_S = 10.0
 """Time that rigs have to stop when the worker ends."""
+KEPT = timedelta(days=30)
+"""So long a job that failed or was cancelled can go on where it stopped."""
 _NAME_PATIENCE_S = workers.ALIVE_S + 1.0
 
 
@@ -138,8 +143,14 @@ class Worker:
                 log.warning("taking over %s of a silent worker", handle.workflow_id)
 
     def _tidy(self) -> None:
+        """Forget answers that nobody asks for again, and the work of jobs that nobody will try again."""
         with self.context.database.write() as session:
             idempotency.forget_old(session)
+            for folder in self.settings.work.glob("job_*"):
+                job = session.get(JobRow, folder.name)
+                if job is None or (job.ended_at is not None and now() - job.ended_at > KEPT):
+                    jobs.drop_journal(session, folder.name)
+                    shutil.rmtree(folder, ignore_errors=True)
 
     def _end(self) -> None:
         """Leave: rigs are stopped by their steps, which see `stopping`; then nothing is excited any more."""

@@ -18,6 +18,15 @@ from service.errors import StorageError
 
 T = TypeVar("T")
 
+_POSTGRESQL = {
+    "connect_timeout": 5,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 15_000,
+    "application_name": "ambit",
+}
+"""A server that vanished is noticed within seconds: a job that is cancelled meanwhile must hear of it."""
 _PAUSE_S = 0.2
 _LONGEST_PAUSE_S = 5.0
 
@@ -74,7 +83,7 @@ class Database:
             use_wal(path)
         if url.startswith("postgresql:"):
             url = "postgresql+psycopg:" + url.removeprefix("postgresql:")
-        arguments: dict[str, Any] = {"timeout": 30, "check_same_thread": False} if self.is_sqlite else {}
+        arguments: dict[str, Any] = {"timeout": 30, "check_same_thread": False} if self.is_sqlite else _POSTGRESQL
         self.engine: Engine = create_engine(
             url,
             pool_size=pool_size,

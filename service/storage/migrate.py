@@ -9,6 +9,7 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, text
+from sqlalchemy.exc import OperationalError
 
 from service.errors import StorageError
 from service.storage.database import Database
@@ -41,8 +42,16 @@ def upgrade(database: Database, to: str = "head") -> str:
     Raises
     ------
     StorageError
-        The tables are of a newer version of the product.
+        The tables are of a newer version of the product, or the database does not answer.
     """
+    try:
+        return _upgraded(database, to)
+    except OperationalError as error:
+        reason = " ".join(str(error.orig).split())
+        raise StorageError(f"the database does not answer: {reason}; start it, or correct database_url") from error
+
+
+def _upgraded(database: Database, to: str) -> str:
     known = {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
     with database.engine.connect() as connection:
         immediate = connection.execution_options(immediate=True)
