@@ -22,7 +22,7 @@ from canopen.sdo.constants import (
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
-from drivers.canopen.bus import open_network
+from drivers.canopen.bus import open_network, send_all
 from drivers.canopen.codec import (
     EMCY_COB,
     Progress,
@@ -80,13 +80,12 @@ class BlockSdoServer(SdoServer):
                 self._send_block()
 
     def _send_block(self) -> None:
-        for number in range(1, self._block_size + 1):
-            at = self._position + 7 * (number - 1)
-            last = at + 7 >= len(self._data)
-            segment = bytes(self._data[at : at + 7]).ljust(7, b"\0")
-            self.send_response(bytes([number | (NO_MORE_BLOCKS if last else 0)]) + segment)  # type: ignore[no-untyped-call]
-            if last:
-                return
+        at, end = self._position, min(self._position + 7 * self._block_size, len(self._data))
+        segments = []
+        for number, start in enumerate(range(at, end, 7), 1):
+            last = NO_MORE_BLOCKS if start + 7 >= len(self._data) else 0
+            segments.append(bytes([number | last]) + bytes(self._data[start : start + 7]).ljust(7, b"\0"))
+        send_all(self.network, self.tx_cobid, segments)
 
     def _send_end(self) -> None:
         unused = -len(self._data) % 7

@@ -23,7 +23,9 @@ class Line:
             object_dictionary=object_dictionary(5), get_data=lambda index, subindex, check_readable: content
         )
         self._server = BlockSdoServer(0x605, 0x585, node)
-        self._server.send_response = lambda frame: self._frames.extend(self._spoil(bytes(frame)))
+        self._server.network = SimpleNamespace(
+            bus=None, send_message=lambda cob_id, frame: self._frames.extend(self._spoil(bytes(frame)))
+        )
         self._spoil = lambda frame: [frame]
         self._frames: list[bytes] = []
         self._requests: list[bytes] = []
