@@ -107,6 +107,8 @@ def _dataset(node: h5py.Dataset, path: str, tally: _Tally, limits: Limits) -> No
                 f"{path} is packed with filter {number}; only gzip, lzf, shuffle and fletcher32 are read"
             )
     _element_type(node, path, tally, limits)
+    if path.endswith("/frequency_hz") and (node.size or 0) > limits.points:
+        raise UploadSizeError(f"{path} has {node.size:,} points; at most {limits.points:,} of a sweep are read")
     size = int(np.prod([int(n) for n in node.shape or ()], dtype=object)) * max(1, node.id.get_type().get_size())
     tally.decoded_bytes += size
     if tally.decoded_bytes > limits.decoded_bytes:

@@ -29,6 +29,8 @@ class Limits:
     """Groups, datasets, attributes, references, each."""
     depth: int = 8
     """Groups in groups; the contract needs 2, MATLAB 3."""
+    points: int = 20_000
+    """Of one sweep; a long campaign has 2,000."""
     attribute_bytes: int = MIB
     """One attribute."""
     ratio: float = 300.0

@@ -20,7 +20,7 @@ from service.uploads import (
     parse,
 )
 from service.uploads.limits import MIB
-from tests.support.uploads import HOSTILE, good, good_matlab
+from tests.support.uploads import HOSTILE, good, good_matlab, very_many_points
 
 
 def refused(path: Path, tmp_path: Path, limits: Limits | None = None) -> UploadError:
@@ -102,6 +102,14 @@ def test_memory_is_bounded(tmp_path):
     refusal = refused(path, tmp_path, Limits(memory_bytes=50 * MIB))
     assert isinstance(refusal, UploadSizeError | UploadContentError)
     assert "memory" in str(refusal) or "allocate" in str(refusal)
+
+
+def test_processor_time_is_bounded(tmp_path):
+    """60,000 short records, which take seconds to demodulate, where their number is no objection."""
+    began = time.monotonic()
+    refusal = refused(very_many_points(tmp_path / "received"), tmp_path, Limits(points=10**6))
+    assert "takes longer than a file of its size may take" in str(refusal)
+    assert time.monotonic() - began < 60
 
 
 def test_a_child_that_hangs_is_ended(tmp_path, monkeypatch):
