@@ -13,6 +13,8 @@ from tests.support.service import QUICK, SLOW, Running, reference_sheet, rig_dev
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
 on_sqlite = pytest.mark.parametrize("running", ["sqlite"], indirect=True)
 """For what no database can change."""
+on_postgresql = pytest.mark.parametrize("running", [DATABASES[1]], indirect=True)
+"""For what takes several machines."""
 
 
 @pytest.fixture(scope="module")
@@ -98,15 +100,13 @@ def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, r
     assert rig.status().excitation_a == 0
 
 
+@on_postgresql
 def test_a_silent_workers_job_is_taken_over_elsewhere_with_the_points_it_had(running, rig, rig_id, tmp_path):
     job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
     running.wait(job_id, lambda j: j["progress"]["point"] > 60)
     running.workers["w1"].kill()
     shutil.copytree(running.home / "work" / job_id, tmp_path / "before")
     elsewhere = {**running.environment, "AMBIT_STORE_URL": str(running.home / "store")}
-    if "AMBIT_DATABASE_URL" not in elsewhere:
-        home = f"sqlite:///{running.home}"
-        elsewhere |= {"AMBIT_DATABASE_URL": f"{home}/ambit.db", "AMBIT_JOBS_DATABASE_URL": f"{home}/jobs.db"}
     w2 = Running(tmp_path / "w2.log", "worker", "--name", "w2", "--home", tmp_path / "w2", environment=elsewhere)
     try:
         job = running.done(job_id, s=90)
@@ -125,7 +125,7 @@ def test_two_jobs_on_one_rig_never_overlap(running, rig, rig_id):
     seen = len(rig.events())
     try:
         options = {"profile": QUICK, "identify": False}
-        submitted = [running.submit("experiment", r, options=options) for r in (rig_id, same_rig, rig_id, same_rig)]
+        submitted = [running.submit("experiment", r, options=options) for r in (rig_id, same_rig, rig_id)]
         for job_id in submitted:
             running.done(job_id, s=120)
     finally:
@@ -138,7 +138,7 @@ def test_two_jobs_on_one_rig_never_overlap(running, rig, rig_id):
             holder = event["text"]
         elif event["text"] == "lease released":
             holder = ""
-    assert sum(e["text"].startswith("leased to") for e in rig.events()[seen:]) == 4
+    assert sum(e["text"].startswith("leased to") for e in rig.events()[seen:]) == 3
 
 
 def experiment_of(running, job):

@@ -19,16 +19,16 @@ from tests.support.processes import ENVIRONMENT, ROOT, read_events
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
 QUICK = {
     "accuracy": 0.01,
-    "points": 16,
+    "points": 12,
     "validation_points": 4,
-    "amplifier_points": 6,
+    "amplifier_points": 5,
     "coarse_points": 8,
     "blocks": 4,
     "rig_seconds": 30,
     "peak_points": 2,
 }
 """A plan that a simulated rig does in a few seconds."""
-SLOW = {**QUICK, "points": 60, "rig_seconds": 100}
+SLOW = {**QUICK, "points": 45, "rig_seconds": 80}
 """A plan that leaves time to interrupt it."""
 ENDED = ("done", "failed", "cancelled")
 
