@@ -19,6 +19,7 @@ from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
 from service.experiment.plan import Limits, Profile, Request
 from service.experiment.points import Point, experiment
+from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback
 from service.experiment.recorder import Recorder, Trip
 from sim.datasheet import Datasheet, to_toml
@@ -27,7 +28,6 @@ T = TypeVar("T")
 
 EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
-PREVIOUS = "previous"
 WATCH_S = 0.1
 BUS_TRIES = 6
 """With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
@@ -114,7 +114,7 @@ def run_campaign(
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
             phases.run(recorder, limits, profile, capabilities.raw_records, meter, done)
         result = assembled()
-        _put_aside(out_dir / EXPERIMENT)
+        make_way(out_dir / EXPERIMENT, result)
         file.write(out_dir / EXPERIMENT, result)
     except BaseException as error:
         if not isinstance(error, LeaseError):  # what another host excites is not ours to stop
@@ -213,7 +213,7 @@ def prepare_folder(out_dir: Path, resume: bool) -> None:
             f"cannot write to {out_dir}: {error.strerror or error}; nothing has moved: choose another folder"
         ) from error
     if not resume:
-        _put_aside(out_dir / JOURNAL)
+        put_aside(out_dir / JOURNAL)
 
 
 def fingerprint(capabilities: Capabilities, datasheet: Datasheet, limits: Limits, profile: Profile) -> journal.Entry:
@@ -307,17 +307,8 @@ def _keep(path: Path, assembled: Callable[[], Experiment]) -> int:
     """Write what there is of an unfinished campaign; the number of points kept. Never hides the first error."""
     partial = assembled()
     count = sum(s.n_points for s in partial.sweeps)
-    if any(s.kind != "noise" for s in partial.sweeps):
-        with suppress(ExperimentFileError):
+    if any(s.kind != "noise" for s in partial.sweeps) and not holds_all(path, partial):
+        with suppress(ExperimentFileError, OSError):
+            make_way(path, partial)
             file.write(path, partial)
     return count
-
-
-def _put_aside(path: Path) -> None:
-    """Rename a file that would be lost, to a name that is free."""
-    if not path.exists():
-        return
-    k = 1
-    while (target := path.with_name(f"{path.stem}.{PREVIOUS}-{k}{path.suffix}")).exists():
-        k += 1
-    path.rename(target)

@@ -1,0 +1,112 @@
+"""A campaign that is interrupted, cancelled or cut off from its rig: the rig is quiet, the points are kept."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from drivers.errors import BusError, CancelledError
+from service.experiment.campaign import recover
+from service.experiment.file import read
+from sim.reference import reference_rig
+from tests.support.campaigns import Faulty, campaign, interrupted_at, plant, same
+
+
+@pytest.mark.parametrize("n", [1, 3, 40, 120])
+def test_a_keyboard_interrupt_stops_the_rig_keeps_the_points_and_can_be_resumed(tmp_path, whole, n):
+    rig = Faulty(interrupted_at(n, KeyboardInterrupt()))
+    with pytest.raises(CancelledError, match="run it again"):
+        campaign(rig, tmp_path)
+    assert rig.stops
+    assert rig.status().excitation_a == 0
+    assert rig.status().lease_holder == ""
+    kept = recover(tmp_path)
+    if n >= 40:
+        same(read(tmp_path / "experiment.h5"), kept)
+        assert kept.named("preliminary").n_points > 0
+    resumed = Faulty(lambda k: None)
+    # the same noise as in the uninterrupted run: play to the device what was already measured
+    experiment = campaign(resumed, tmp_path)
+    assert [s.comment for s in experiment.sweeps] == [s.comment for s in whole[1].sweeps]
+    for old, new in zip(kept.sweeps, (experiment.named(s.comment) for s in kept.sweeps), strict=True):
+        for f, axis, y in zip(old.frequency_hz, old.axis, old.Y, strict=True):
+            match = (new.frequency_hz == f) & (new.axis == axis)
+            assert match.sum() == 1
+            np.testing.assert_array_equal(new.Y[match][0], y)
+    assert not (tmp_path / "experiment.journal").exists()
+    plant(experiment.main)
+
+
+def test_a_resumed_campaign_measures_only_what_is_missing(tmp_path):
+    first = Faulty(interrupted_at(100, KeyboardInterrupt()))
+    with pytest.raises(CancelledError):
+        campaign(first, tmp_path)
+    second = Faulty(lambda k: None)
+    reports = []
+    campaign(second, tmp_path, progress=reports.append)
+    third = Faulty(lambda k: None)
+    campaign(third, tmp_path / "anew")
+    assert abs(second.n + 99 - third.n) < 25  # other noise, other repetitions
+    rates = [r.points_per_s for r in reports]
+    assert rates[0] == 0  # what an earlier run measured says nothing of the rate
+
+
+def test_cancelling_from_elsewhere_ends_within_a_tone(tmp_path):
+    flag = threading.Event()
+    reports = []
+
+    def progress(report):
+        reports.append(report)
+        if report.done == 30:
+            flag.set()
+
+    with pytest.raises(CancelledError, match="points are kept"):
+        campaign(reference_rig(), tmp_path, progress=progress, cancelled=flag.is_set)
+    assert len(reports) <= 31
+    assert sum(s.n_points for s in recover(tmp_path).sweeps if s.kind != "noise") >= 20
+
+
+def test_cancelling_stops_a_tone_that_is_being_played(tmp_path):
+    class Slow(Faulty):
+        """Measurements that would take for ever, but for a stop."""
+
+        stopped = threading.Event()
+
+        def measure(self, tone):
+            self.n += 1
+            if self.n < 5:
+                return self.inner.measure(tone)
+            assert self.stopped.wait(30)
+            raise CancelledError("stopped; the excitation is off")
+
+        def stop(self):
+            super().stop()
+            self.stopped.set()
+
+    rig = Slow(None)
+    with pytest.raises(CancelledError):
+        campaign(rig, tmp_path, cancelled=lambda: rig.n >= 5)
+    assert rig.stops >= 1
+
+
+def test_a_bus_that_fails_now_and_then_costs_nothing(tmp_path, whole):
+    def fault(k):
+        if k % 40 == 7:
+            raise BusError("no answer within 0.3 s")
+
+    same(campaign(Faulty(fault), tmp_path), whole[1])
+
+
+def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_path, monkeypatch):
+    monkeypatch.setattr("service.experiment.campaign.FIRST_PAUSE_S", 0.001)
+
+    def fault(k):
+        if k >= 60:
+            raise BusError("no answer within 0.3 s")
+
+    rig = Faulty(fault)
+    with pytest.raises(BusError, match="no answer"):
+        campaign(rig, tmp_path)
+    assert rig.n == 65
+    assert rig.stops
+    assert read(tmp_path / "experiment.h5").main.n_points > 4
