@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import random
 import shutil
-import socket
 import sqlite3
 import statistics
 import sys
@@ -32,19 +31,12 @@ from service.experiment import file
 from service.experiment.campaign import recover
 from service.experiment.data import Experiment
 from sim.errors import AmbError
-from tests.support.service import QUICK, Rig, Running, Service, reference_sheet, service
+from tests.support.service import QUICK, Rig, Running, Service, free_port, reference_sheet, service
 
 PLAN = {**QUICK, "points": 40, "rig_seconds": 60}
 LEASE_S = 2
 LOCKED_S = 2.0
 ENDED = ("done", "failed", "cancelled")
-
-
-def free_port() -> int:
-    """A port that is free now."""
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 def device(folder: Path, k: int) -> Rig:

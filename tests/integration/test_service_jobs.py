@@ -8,7 +8,7 @@ import pytest
 from service.experiment import file
 from service.experiment.campaign import recover
 from tests.support.processes import wait_for
-from tests.support.service import QUICK, SLOW, Running, reference_sheet, rig_device, service
+from tests.support.service import QUICK, SLOW, Running, free_port, reference_sheet, rig_device, service
 
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
 on_sqlite = pytest.mark.parametrize("running", ["sqlite"], indirect=True)
@@ -160,3 +160,16 @@ def assert_goes_on_from(before, after, lost=0):
         missing += sum(y.tobytes() not in found for y in old.Y)
     assert sum(s.n_points for s in before.sweeps) > 60
     assert missing <= lost
+
+
+def test_ambit_serve_alone_goes_on_after_kill_9(tmp_path, rig):
+    with service(tmp_path / "home", "sqlite", "--port", str(free_port()), lease_s=2) as found:
+        rig_id = found.add_rig(reference_sheet(), rig.url)
+        job_id = found.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
+        found.wait(job_id, lambda j: j["progress"]["point"] > 60)
+        found.api.kill()
+        wait_for(lambda: not rig.status().lease_holder, "the rig to be given back by the orphaned worker", 15)
+        assert rig.status().excitation_a == 0
+        before = recover(found.home / "work" / job_id)
+        found.api.start()
+        assert_goes_on_from(before, experiment_of(found, found.done(job_id)))

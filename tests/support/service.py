@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -212,6 +213,13 @@ def rig_device(folder: Path, name: str = "rig", *options: str) -> Rig:
     arguments = ("rig", "serve", "--protocol", "modbus", "--events", events, *options)
     device = Running(folder / f"{name}.device.log", *arguments)
     return Rig(device, device.said, events)
+
+
+def free_port() -> int:
+    """A port that is free now."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
 
 
 def reference_sheet() -> str:
