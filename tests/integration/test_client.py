@@ -186,7 +186,7 @@ def test_a_service_that_is_away():
 
 @pytest.mark.parametrize("url", ["rotor", "ftp://127.0.0.1", "http://127.0.0.1:x", "http://["])
 def test_an_address_that_is_none(url):
-    with pytest.raises(UnreachableError, match="--url"), Client(url, patience_s=60) as nobody:
+    with pytest.raises(UnreachableError, match="--url"), Client(url, patience_s=0.2) as nobody:
         nobody.jobs.get("job_0")
 
 

@@ -21,3 +21,5 @@ def before_call(context, case, kwargs):
         for name in ("rig", "experiment", "model"):
             if isinstance(case.body.get(name), str) and len(case.body) > 1:
                 case.body[name] = IDS[f"{name}_id"]
+        if case.body.get("controller_url"):  # a rig that is not there would be waited for
+            case.body["controller_url"] = "simulated://"
