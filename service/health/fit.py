@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.experiment.data import Experiment
+from service.health.noise import check_weights
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points
 from service.identification.refine import Data, Refined, refine, residuals, weights_of
@@ -17,6 +18,8 @@ from service.identification.zoh import Real
 from sim.errors import AmbError
 
 FEWEST_TONES = 6
+ROUNDS = 2
+"""Fits, each weighted by the noise under the one before."""
 FORGIVING = 0.05
 """Relative model error that the search for moved modes allows for."""
 SHIFTS = np.linspace(-0.02, 0.02, 81)
@@ -56,7 +59,10 @@ def plane_now(saved: SavedPlane, experiment: Experiment) -> PlaneNow:
     free = saved.free
     start = _moved_modes(saved, data)
     near = refine(start, data, free, relative=FORGIVING, split=split)
-    refined = refine(near.model, data, free, split=split)
+    refined = near
+    for _ in range(ROUNDS):
+        weights = check_weights(refined.model, points, experiment)
+        refined = refine(refined.model, data, free, split=split, weights=weights)
     n = len(split.log_ratios)
     held = Posterior(split.log_ratios, np.zeros((n, n))) if n else None
     u = uncertainty_of(refined, held)

@@ -19,8 +19,8 @@ function layout(more) {
   };
 }
 
-function draw(place, data, form) {
-  Plotly.newPlot(place, data, form, CONFIG).then(() => place.setAttribute("data-drawn", "yes"));
+function draw(place, data, form, config = CONFIG) {
+  Plotly.newPlot(place, data, form, config).then(() => place.setAttribute("data-drawn", "yes"));
 }
 
 const LOG_HZ = { type: "log", tickvals: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000] };
@@ -69,10 +69,10 @@ export function trend(place, name, series) {
     x: series.at, y: series.change_percent, mode: "markers", marker,
     error_y: { type: "data", array: wide, thickness: 1, width: 0, color: "#9aa5b1" },
   }], layout({
-    title: { text: name, font: { size: 12 }, x: 0.02, y: 0.97 }, margin: { l: 46, r: 8, t: 24, b: 34 }, showlegend: false,
-    xaxis: axis({ type: "date", nticks: 3 }), yaxis: axis({ nticks: 5, ticksuffix: " %" }),
+    title: { text: name, font: { size: 12 }, x: 0.02, y: 0.97 }, margin: { l: 58, r: 10, t: 24, b: 40 }, showlegend: false,
+    xaxis: axis({ type: "date", nticks: 3 }), yaxis: axis({ nticks: 5, ticksuffix: " %", exponentformat: "none" }),
     shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 0, y1: 0, line: { color: "#9aa5b1", width: 1, dash: "dot" } }],
-  }));
+  }), { responsive: true, displayModeBar: false });
 }
 
 // Explanations of a gap by their probability.

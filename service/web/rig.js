@@ -40,7 +40,7 @@ function live(found, context) {
     const um = now.displacement_m.map((y) => (1e6 * y).toFixed(2)).join("  ");
     const amps = now.current_a.map((i) => i.toFixed(3)).join("  ");
     place.replaceChildren(table(["state", "moved by", "excitation, A", "displacements, µm", "currents, A", "speed, rad/s"], [[
-      state(now.state === "tripped" ? "tripped" : now.state), now.lease_holder || "nobody", number(now.excitation_a, 3), um, amps, number(now.speed_rad_s, 4),
+      state(now.state === "done" ? "levitated" : now.state), now.lease_holder || "nobody", number(now.excitation_a, 3), um, amps, number(now.speed_rad_s, 4),
     ]], [2, 3, 4, 5]), now.trip_message ? h("p", { class: "note" }, now.trip_message) : "");
   };
   show();
@@ -63,15 +63,22 @@ function actions(found, context) {
 async function model(found, context) {
   if (!found) return [nothing("No model yet: commission the rig, or upload an experiment and identify it.")];
   const response = await get("/models/" + found.id + "/frequency-response", context.signal);
-  const rows = [];
-  for (const [plane, p] of Object.entries(found.summary.planes)) {
-    for (const [name, e] of Object.entries(p.stiffness)) rows.push([plane, name + ", " + e.unit, figures(e.value, e.std), number(e.nominal)]);
+  const planes = Object.keys(found.summary.planes);
+  const rows = new Map();
+  const put = (name, plane, value, nominal = "") => {
+    if (!rows.has(name)) rows.set(name, [name, ...planes.map(() => "–"), nominal]);
+    rows.get(name)[1 + planes.indexOf(plane)] = value;
+  };
+  for (const plane of planes) {
+    const p = found.summary.planes[plane];
+    for (const [name, e] of Object.entries(p.stiffness)) put(name + ", " + e.unit, plane, figures(e.value, e.std), number(e.nominal, 7));
     p.modes.forEach((m, k) => {
       const w = m.natural_frequency_rad_s, z = m.damping_ratio;
-      rows.push([plane, "wn" + (k + 1) + ", rad/s", figures(w.value, w.std), ""], [plane, "zeta" + (k + 1), figures(z.value, z.std), ""]);
+      put("wn" + (k + 1) + ", rad/s", plane, figures(w.value, w.std));
+      put("zeta" + (k + 1), plane, figures(z.value, z.std));
     });
     const peaks = Object.values(p.sensitivity_peak || {}).map((v) => v.toFixed(2)).join(" / ");
-    rows.push([plane, "sensitivity peak A / B, zone", h("span", {}, peaks + ", ", state(p.iso_14839_3_zone)), ""]);
+    put("sensitivity peak A / B, zone", plane, h("span", {}, peaks + ", ", state(p.iso_14839_3_zone)));
   }
   const place = h("div", { class: "plot bode", id: "bode" });
   const entries = Object.entries(response).flatMap(([plane, p]) => p.axes.flatMap((out, a) => p.axes.map((source, b) => [plane, a, b, "y " + out + " / u " + source])));
@@ -86,7 +93,7 @@ async function model(found, context) {
   return [
     h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html"), " · ",
       documentLink(path + "/result.json", "result.json", "result.json")),
-    table(["plane", "figure", "identified", "datasheet"], rows, [2, 3]),
+    table(["figure", ...planes.map((p) => "plane " + p), "datasheet"], [...rows.values()], [...planes.keys()].map((k) => k + 1).concat(planes.length + 1)),
     h("p", { class: "row" }, h("label", { for: "entry" }, "Response"), choice), place,
   ];
 }

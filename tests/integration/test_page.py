@@ -1,0 +1,243 @@
+"""The page at the root: its files, and what a person sees in a browser of a service with a history."""
+
+import gzip
+import json
+import time
+from datetime import timedelta
+
+import httpx
+import numpy as np
+import pytest
+
+from service import web
+from service.config import Settings
+from service.health.compare import Baseline, compare
+from service.identification.fit import identify
+from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from service.jobs.calculations import model_summary
+from service.report.curves import curves
+from service.storage import jobs, rigs
+from service.storage.database import now
+from service.storage.ids import new_id
+from service.storage.tables import ExperimentRow, GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
+from sim.datasheet import to_toml
+from sim.reference import reference_rig
+from tests.support.browser import BROWSER
+from tests.support.commissioned import AXES, LAW, SHEET, plan, result
+from tests.support.serving import Serving, serving
+from tests.support.tab import tab
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+NAME = 'bench <img src=x onerror="document.title=1">'
+GAP = {
+    "format": "amb-gap-report",
+    "version": 1,
+    "verdict": {"kind": "effect", "effects": ["loop_delay"], "sentence": "The rig has a loop_delay of 35 us."},
+    "candidates": [{"effect": "loop_delay", "probability": 0.97}, {"effect": "sensor_lag", "probability": 0.02}],
+}
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    """A service with one rig, and a rig with everything: model, gap, checks, a schedule, jobs."""
+    with serving(Settings(home=tmp_path_factory.mktemp("page") / "home", port=0)) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def ids(service: Serving) -> dict[str, str]:
+    database, blobs = service.services.database, service.services.blobs
+    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    sweep = synthetic_sweep(models, AXES, LAW, np.geomspace(10, 1000, 40), 0.05, seed=1)
+    commissioned = identify(synthetic_experiment(sweep, axes=AXES), SHEET)
+    common = {"rig_version": 1, "created_at": now(), "job_id": None}
+    with database.write() as session:
+        rig = rigs.create(session, NAME, to_toml(SHEET), "", "a note & <b>more</b>", "local")
+        experiment = ExperimentRow(
+            id=new_id("exp"), rig_id=rig.id, source="uploaded", complete=True, file_sha256="0" * 64, file_bytes=1,
+            media_type="application/x-hdf5", file_name="e.h5", summary={}, created_by="local", **common,
+        )  # fmt: skip
+        session.add(experiment)
+        session.flush()
+        model = ModelRow(
+            id=new_id("mod"), rig_id=rig.id, experiment_id=experiment.id, created_by="local",
+            result_sha256=blobs.put(json.dumps(commissioned.document()).encode()),
+            report_sha256=blobs.put(b"<h1>report</h1>"),
+            plots_sha256=blobs.put(json.dumps(curves(commissioned, SHEET)).encode()),
+            summary=model_summary(commissioned.document()), **common,
+        )  # fmt: skip
+        session.add(model)
+        session.add(
+            GapRow(
+                id=new_id("gap"), rig_id=rig.id, experiment_id=experiment.id, created_by="local",
+                gap_sha256=blobs.put(json.dumps(GAP).encode()), report_sha256=blobs.put(b""),
+                summary={"verdict": "effect", "gap_before": 0.12, "noise_floor": 0.001, "closure": 0.98}, **common,
+            )
+        )  # fmt: skip
+        session.flush()
+        for day, document in enumerate(_checks()):
+            at = now() - timedelta(days=9 - day)
+            time.sleep(0.003)  # lists are by id, and ids by the millisecond
+            session.add(
+                HealthRow(
+                    id=new_id("hc"), rig_id=rig.id, rig_version=1, experiment_id=experiment.id, model_id=model.id,
+                    schedule_id=None, job_id=None, document=document, report_sha256=blobs.put(b""),
+                    alarm=document["alarm"], created_at=at,
+                )
+            )  # fmt: skip
+        schedule = ScheduleRow(
+            id=new_id("sch"), rig_id=rig.id, cron="0 6 * * *", options={}, enabled=True, next_at=now(),
+            created_at=now(), updated_at=now(), created_by="local",
+        )  # fmt: skip
+        session.add(schedule)
+        session.flush()
+        missed = ScheduleRunRow(schedule_id=schedule.id, due_at=now(), state="missed", detail="", recorded_at=now())
+        session.add(missed)
+        running, ended = (jobs.submit(session, "identification", rig.id, 1, "laptop") for _ in range(2))
+        running.state, ended.state = jobs.RUNNING, jobs.FAILED
+        ended.error_title, ended.error_detail = "too few points", "plane x: 3 usable points"
+        return {"rig": rig.id, "running": running.id, "failed": ended.id}
+
+
+def _checks() -> list[dict]:
+    """Documents of ten checks, the last one an alarm."""
+    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    found = []
+    for seed, loss in ((1, 1.0), (2, 0.9)):
+        weak = {p: m.at(np.concatenate([m.theta[:2] * loss, m.theta[2:]])) for p, m in models.items()}
+        f = np.array(plan().profile.frequencies_hz)
+        sweep = synthetic_sweep(weak, AXES, LAW, f, 0.05, seed=seed)
+        found.append(compare(Baseline(result()), synthetic_experiment(sweep, axes=AXES), SHEET).document())
+    assert [document["alarm"] for document in found] == [False, True]
+    return [found[0]] * 9 + [found[1]]
+
+
+# ---- files
+
+
+def test_the_page_and_each_of_its_files_come_with_a_type_a_tag_and_a_policy(service):
+    with httpx.Client(base_url=service.url) as client:
+        page = client.get("/")
+        assert page.status_code == 200
+        assert "script-src 'self'" in page.headers["content-security-policy"]
+        assert "unsafe" not in page.headers["content-security-policy"].split("script-src")[1].split(";")[0]
+        for name in (*web.ASSETS, web.PLOTLY, web.REPORT_STYLE):
+            answer = client.get(f"/web/{name}")
+            assert answer.status_code == 200, name
+            assert answer.headers["content-type"] == web.MEDIA[name[name.rindex(".") :]]
+            again = client.get(f"/web/{name}", headers={"If-None-Match": answer.headers["etag"]})
+            assert again.status_code == 304
+        assert all(f"web/{name}" in page.text for name in ("main.js", "plotly.min.js", "style.css", "report.css"))
+
+
+def test_files_are_compressed_for_whoever_can_read_that(service):
+    with httpx.Client(base_url=service.url) as client:
+        plain = client.get(f"/web/{web.PLOTLY}", headers={"Accept-Encoding": "identity"})
+        packed = client.get(f"/web/{web.PLOTLY}", headers={"Accept-Encoding": "gzip"})
+    assert plain.content == packed.content
+    assert int(packed.headers["content-length"]) < 0.4 * int(plain.headers["content-length"])
+    assert plain.headers["etag"] != packed.headers["etag"]
+    assert gzip.decompress(web.asset(web.PLOTLY).compressed) == plain.content
+
+
+@pytest.mark.parametrize("name", ["__init__.py", "index.html", "nothing.js", "..%2f..%2fpyproject.toml", "%00"])
+def test_nothing_but_its_files_is_served(service, name):
+    answer = httpx.get(f"{service.url}/web/{name}")
+    assert answer.status_code == 404
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+# ---- in a browser
+
+
+@needs_browser
+def test_the_overview_lists_rigs_and_jobs_and_reads_no_name_as_html(service, ids):
+    with tab() as page:
+        page.open(f"{service.url}/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        text = page.text()
+        assert NAME in text
+        assert "alarm" in text
+        assert "x.kiA" in text
+        assert "too few points" in text
+        assert page.run("document.querySelectorAll('img').length") == 0
+        assert page.run("document.title") == "ambit"
+        assert page.complaints == []
+
+
+@needs_browser
+def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{ids['rig']}")
+        page.until("document.querySelectorAll('#trend .plot[data-drawn]').length === 28", 40)
+        page.until("document.querySelector('#bode[data-drawn]') && document.querySelector('#gap[data-drawn]')")
+        text = page.text()
+        for words in ("a note & <b>more</b>", "kiA, N/A", "loop_delay of 35 us", "98 %", "10 checks", "missed"):
+            assert words in text, words
+        assert "force-current factor of bearing" in text
+        assert page.run("document.querySelectorAll('#bode .scatterlayer .trace').length") >= 4
+        page.run("document.getElementById('entry').value = 1")
+        page.run("document.getElementById('entry').dispatchEvent(new Event('change'))")
+        assert page.run("document.getElementById('entry').selectedOptions[0].text") == "y xA / u xB"
+        assert page.complaints == []
+
+
+@needs_browser
+def test_a_job_is_alive_on_the_page_without_reloading(service, ids):
+    def report(**values) -> None:
+        with service.services.database.write() as session:
+            row = session.get(JobRow, ids["running"])
+            for name, value in values.items():
+                setattr(row, name, value)
+            row.changes += 1
+
+    with tab() as page:
+        page.open(f"{service.url}/#/job/{ids['running']}")
+        page.until("document.body.innerText.includes('running')")
+        page.run("window.kept = true")
+        report(percent=42.0, point=126, points=300, phase="main", time_left_s=75.0)
+        page.until("document.body.innerText.includes('42 %, 126 of 300 points, 1 min 15 s left')", 5)
+        assert page.run("document.querySelector('.bar > i').style.width") == "42%"
+        report(state=jobs.DONE, ended_at=now())
+        page.until("document.querySelector('.state.done')", 5)
+        assert page.run("window.kept")
+        assert page.complaints == []
+
+
+@needs_browser
+def test_cancel_on_the_page_asks_the_service(service, ids):
+    with service.services.database.write() as session:
+        job = jobs.submit(session, "gap", ids["rig"], 1, "laptop").id
+    with tab() as page:
+        page.open(f"{service.url}/#/job/{job}")
+        page.until("document.querySelector('button.danger')")
+        page.run("document.querySelector('button.danger').click()")
+        page.until("document.querySelector('.state.cancelled')", 10)
+
+
+@needs_browser
+def test_a_service_with_keys_asks_for_one_and_keeps_it_in_the_tab(tmp_path):
+    with serving(Settings(home=tmp_path / "home", port=0)) as service, tab() as page:
+        with service.services.database.write() as session:
+            rigs.create(session, "bench 7", to_toml(SHEET), "", "", "local")
+        key = service.key()
+        page.open(f"{service.url}/")
+        page.until("!document.getElementById('key').hidden")
+        assert "bench 7" not in page.text()
+        page.run(f"document.getElementById('key-text').value = {json.dumps(key[:-1] + 'x')}")
+        page.run("document.getElementById('key').requestSubmit()")
+        page.until("!document.getElementById('problem').hidden")
+        page.run(f"document.getElementById('key-text').value = {json.dumps(key)}")
+        page.run("document.getElementById('key').requestSubmit()")
+        page.until("document.body.innerText.includes('bench 7')")
+        assert page.run("document.getElementById('key').hidden")
+        assert page.run("localStorage.length + document.cookie.length") == 0
+        assert key not in page.run("document.documentElement.outerHTML")
+
+
+@needs_browser
+def test_what_the_service_refuses_is_said_on_the_page(service):
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{new_id('rig')}")
+        page.until("!document.getElementById('problem').hidden")
+        assert "no" in page.run("document.getElementById('problem').textContent")
