@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +15,7 @@ from pydantic import ConfigDict
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action
+from service.access.keys import Identity
 from service.api import etags, examples
 from service.api.auditing import audit
 from service.api.once import Answer, once
@@ -138,9 +140,11 @@ async def upload_experiment(
     if media_type not in TYPES:
         raise MediaTypeError(f"the body is {media_type or 'of no type'}; send one of {', '.join(TYPES)}")
     with tempfile.TemporaryDirectory(prefix="upload-", dir=_incoming(api)) as folder:
-        received = await _received(request, Path(folder) / f"received{TYPES[media_type]}", api)
+        received, sent = await _received(request, Path(folder) / f"received{TYPES[media_type]}", api)
         name = filename if Path(filename).suffix else filename + TYPES[media_type]
-        answer, replayed = await to_thread.run_sync(_keep, request, rig_id, who, api, received, name, idempotency_key)
+        answer, replayed = await to_thread.run_sync(
+            _keep, request, rig_id, who, api, received, sent, name, idempotency_key
+        )
     return answer.response(replayed)
 
 
@@ -150,19 +154,22 @@ def _incoming(api: Services) -> Path:
     return folder
 
 
-async def _received(request: Request, path: Path, api: Services) -> Path:
+async def _received(request: Request, path: Path, api: Services) -> tuple[Path, str]:
+    """The file, and the SHA-256 of what was sent."""
     size = 0
+    digest = sha256()
     with path.open("wb") as file:
         async for chunk in request.stream():
             size += len(chunk)
             if size > api.settings.max_upload_bytes:
                 raise TooLargeError(f"the file is larger than {api.settings.max_upload_bytes:,} bytes")
+            digest.update(chunk)
             file.write(chunk)
-    return path
+    return path, digest.hexdigest()
 
 
 def _keep(
-    request: Request, rig_id: str, who: Operator, api: Services, received: Path, name: str, key: str | None
+    request: Request, rig_id: str, who: Identity, api: Services, received: Path, sent: str, name: str, key: str | None
 ) -> tuple[Answer, bool]:
     with api.database.read() as session:
         rigs.active(session, rig_id)
@@ -172,14 +179,14 @@ def _keep(
         with api.database.write() as session:
             audit(session, request, who, Action.upload_refused, rig_id, rig=rig_id, reason=str(error)[:500])
         raise
-    sha256 = api.blobs.put_file(parsed.file)
+    kept = api.blobs.put_file(parsed.file)
 
     def make(session: Session) -> Answer:
-        row = _row(session, rig_id, who.name, parsed, sha256, name)
-        audit(session, request, who, Action.experiment_uploaded, row.id, rig=rig_id, sha256=sha256)
+        row = _row(session, rig_id, who.name, parsed, kept, name)
+        audit(session, request, who, Action.experiment_uploaded, row.id, rig=rig_id, sha256=kept)
         return Answer(201, f"/api/v1/experiments/{row.id}", shape(row).model_dump(mode="json"))
 
-    return once(api.database, who, request, key, f"{name}\n{sha256}", make)
+    return once(api.database, who, request, key, f"{name}\n{sent}", make)
 
 
 def _limits(api: Services) -> Limits:
@@ -187,7 +194,7 @@ def _limits(api: Services) -> Limits:
     return Limits(file_bytes=s.max_upload_bytes, memory_bytes=s.upload_memory_bytes, wall_s=s.upload_seconds)
 
 
-def _row(session: Session, rig_id: str, by: str, parsed: Parsed, sha256: str, name: str) -> ExperimentRow:
+def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name: str) -> ExperimentRow:
     row = ExperimentRow(
         id=new_id("exp"),
         rig_id=rig_id,
@@ -195,7 +202,7 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, sha256: str, na
         source="uploaded",
         purpose="commissioning",
         complete=True,
-        file_sha256=sha256,
+        file_sha256=kept,
         file_bytes=parsed.file.stat().st_size,
         media_type=HDF5,
         file_name=Path(name).stem + ".h5",

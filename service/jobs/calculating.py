@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from service.jobs import calculations
@@ -20,6 +21,8 @@ from sim.errors import AmbError
 _NICE = 10
 """Rigs and requests come first."""
 _PR_SET_PDEATHSIG = 1
+FIRST_NEEDED = ("service.identification.fit", "service.report.commissioning", "service.report.curves")
+"""Loaded while the child waits, so that the first identification begins at once."""
 
 
 def main() -> None:
@@ -30,6 +33,8 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what a library prints is no answer
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in FIRST_NEEDED:
+        import_module(name)
     for request in sys.stdin:
         answers.write(json.dumps(_answer(json.loads(request))) + "\n")
         answers.flush()

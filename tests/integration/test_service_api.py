@@ -15,6 +15,7 @@ from service.storage.database import now
 from service.storage.tables import ExperimentRow, HealthRow, JobRow, ModelRow, ScheduleRow
 from tests.support.service import reference_sheet
 from tests.support.serving import serving
+from tests.support.uploads import good
 
 SHEET = reference_sheet()
 
@@ -91,6 +92,17 @@ def test_a_refused_request_may_be_sent_again_under_its_key(api, rig):
     body = {"kind": "health", "rig": rig}
     is_problem(api.post("/jobs", json=body, headers=headers), 404, "commission it first")
     is_problem(api.post("/jobs", json=body, headers=headers), 404)
+
+
+def test_an_upload_that_is_sent_again_is_kept_once(api, rig, tmp_path):
+    content = good(tmp_path / "e.h5").read_bytes()
+    headers = {"content-type": "application/x-hdf5", "Idempotency-Key": f"upload {rig}"}
+    first, second = (api.post(f"/rigs/{rig}/experiments", content=content, headers=headers) for _ in range(2))
+    assert first.status_code == second.status_code == 201, first.text
+    assert first.json() == second.json()
+    other = good(tmp_path / "f.h5", points=9).read_bytes()
+    is_problem(api.post(f"/rigs/{rig}/experiments", content=other, headers=headers), 422, "another request")
+    assert len(api.get("/experiments", params={"rig": rig}).json()["items"]) == 1
 
 
 # ---- versions and ETags
