@@ -120,10 +120,6 @@ class Dispatcher:
             delivery_id,
         )
 
-    def check(self) -> None:
-        """Raise when the engine's database does not answer."""
-        self._connected().check_connection()
-
     def close(self) -> None:
         """Give up the connection."""
         with self._lock:

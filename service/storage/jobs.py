@@ -87,23 +87,6 @@ def counts(session: Session) -> dict[str, int]:
     return dict.fromkeys(STATES, 0) | {row[0]: row[1] for row in found}
 
 
-def ahead(session: Session, job: JobRow) -> int:
-    """How many jobs of the same rig are queued before this one, or run."""
-    before = (JobRow.priority < job.priority) | ((JobRow.priority == job.priority) & (JobRow.id < job.id))
-    waiting = (JobRow.state == QUEUED) & before
-    query = (
-        select(func.count())
-        .select_from(JobRow)
-        .where(
-            JobRow.rig_id == job.rig_id,
-            JobRow.kind.in_(ON_RIG),
-            JobRow.id != job.id,
-            waiting | (JobRow.state == RUNNING),
-        )
-    )
-    return session.scalar(query) or 0
-
-
 def cancel(session: Session, job_id: str) -> JobRow:
     """Cancel a job: a queued one at once, a running one by asking its worker.
 
