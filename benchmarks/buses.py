@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 import time
@@ -21,7 +22,7 @@ from drivers.device.serve import CanOptions, ModbusOptions, RtuOptions, serve_ca
 from drivers.heartbeat import PERIOD_S
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
-from service.bootstrap import quick_profile
+from service import bootstrap
 from service.experiment.campaign import run_campaign
 from service.experiment.data import Experiment
 from service.experiment.plan import Profile
@@ -35,36 +36,75 @@ def _campaign(controller: Controller, profile: Profile | None) -> Experiment:
         return run_campaign(controller, reference_datasheet(), Path(folder), profile=profile)
 
 
+Figures = dict[str, tuple[float, float]]
+"""Value and standard deviation of ki, ks, wn and zeta by name, as result.json has them."""
+
+
+def _commissioned(controller: Controller) -> tuple[Experiment, Figures]:
+    """A quick commissioning, to the files: its experiment, and the figures in its result.json."""
+    with tempfile.TemporaryDirectory() as folder:
+        experiment = bootstrap.measure(
+            controller, reference_datasheet(), Path(folder), profile=bootstrap.quick_profile()
+        )
+        bootstrap.identify_into(experiment, reference_datasheet(), Path(folder))
+        result = json.loads((Path(folder) / bootstrap.RESULT).read_text())
+    figures: Figures = {}
+    for plane, found in result["planes"].items():
+        for name, estimate in found["stiffness"].items():
+            figures[f"{plane} {name}"] = estimate["value"], estimate["std"]
+        for k, mode in enumerate(found["rotor_modes"], 1):
+            for name, key in (("wn", "natural_frequency_rad_s"), ("zeta", "damping_ratio")):
+                figures[f"{plane} {name}{k}"] = mode[key]["value"], mode[key]["std"]
+    return experiment, figures
+
+
 def agreement() -> None:
-    """The same seed and rig, commissioned over every bus and in process."""
-    experiments = {}
-    controller: Controller = SimulatedController(reference_rig(), seed=7)
-    experiments["in process"] = _campaign(controller, quick_profile())
+    """The same seed and rig over every bus and in process: every point, and the figures of result.json."""
+    reference, figures = _commissioned(SimulatedController(reference_rig(), seed=7))
     for name, serve in (
         ("Modbus TCP", lambda d: serve_modbus(d, ModbusOptions(port=0))),
         ("Modbus RTU", lambda d: serve_modbus_rtu(d, RtuOptions())),
         ("CANopen", lambda d: serve_canopen(d, CanOptions())),
     ):
-        served = serve(RigDevice(reference_rig(), 7))
+        device = RigDevice(reference_rig(), 7)
+        served = serve(device)
         controller = connect(served.url)
-        experiments[name] = _campaign(controller, quick_profile())
+        experiment, found = _commissioned(controller)
         controller.close()
         served.close()
-    reference = experiments.pop("in process")
-    for name, experiment in experiments.items():
-        y = i = 0.0
-        points = 0
-        for k, (sweep, other) in enumerate(zip(reference.sweeps, experiment.sweeps, strict=True)):
-            if sweep.Y is None or other.Y is None or sweep.Y.shape != other.Y.shape:
-                print(f"agreement: {name}: sweep {k} differs in shape")
-                continue
-            points += len(sweep.frequency_hz)
-            y = max(y, float(np.max(np.abs(sweep.Y - other.Y))))
-            i = max(i, float(np.max(np.abs(sweep.I - other.I))))
-        print(
-            f"agreement: {name} and in process, {points} points: largest difference {y:.1e} m ({y / NOISE_Y_M:.1e} of "
-            f"the sensor noise), {i:.1e} A ({i / NOISE_I_A:.1e} of the current noise); asked: below 0.1"
-        )
+        cut_short = sum(event.text.startswith("trip HOST") for event in device.events())
+        _compare(name, reference, experiment)
+        _compare_figures(name, figures, found)
+        if cut_short:
+            print(f"agreement: {name}: {cut_short} tones were cut short by the watchdog on this machine, and repeated")
+
+
+def _compare(name: str, reference: Experiment, experiment: Experiment) -> None:
+    y = i = 0.0
+    points = 0
+    for k, (sweep, other) in enumerate(zip(reference.sweeps, experiment.sweeps, strict=True)):
+        if sweep.Y is None or other.Y is None or sweep.Y.shape != other.Y.shape:
+            print(f"agreement: {name}: sweep {k} differs in shape")
+            continue
+        points += len(sweep.frequency_hz)
+        y = max(y, float(np.max(np.abs(sweep.Y - other.Y))))
+        i = max(i, float(np.max(np.abs(sweep.I - other.I))))
+    print(
+        f"agreement: {name} and in process, {points} points: largest difference {y:.1e} m ({y / NOISE_Y_M:.1e} of "
+        f"the sensor noise), {i:.1e} A ({i / NOISE_I_A:.1e} of the current noise); asked: below 0.1"
+    )
+
+
+def _compare_figures(name: str, figures: Figures, found: Figures) -> None:
+    if figures.keys() != found.keys():
+        print(f"agreement: {name}: result.json has other figures: {sorted(figures.keys() ^ found.keys())}")
+        return
+    off = {key: abs(found[key][0] - value) / std for key, (value, std) in figures.items()}
+    worst = max(off, key=off.__getitem__)
+    print(
+        f"agreement: {name} and in process, {len(off)} figures of result.json (ki, ks, wn, zeta): largest difference "
+        f"{off[worst]:.1e} of its standard deviation ({worst}); asked: below 0.1"
+    )
 
 
 def faults(points: int = 10_000) -> None:
