@@ -35,7 +35,7 @@ class Scope(StrEnum):
     operator = "operator"
     """Also move rotors: submit, cancel and retry jobs, upload experiments, keep schedules and datasheets."""
     admin = "admin"
-    """Also keys and the removal of rigs."""
+    """Also retire rigs."""
 
     def includes(self, other: Scope) -> bool:
         """Whether this scope reaches as far as the other."""

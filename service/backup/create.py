@@ -60,6 +60,7 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
     if path.exists():
         raise StorageError(f"{path} exists; wait a second and try again")
     part = ready_folder(folder / f".{path.name}.part")
+    part.chmod(0o700)  # webhooks' secrets are in it
     try:
         database = Database(settings.database)
         try:

@@ -20,7 +20,7 @@ from service.client.errors import (
     RefusedError,
     UnreachableError,
 )
-from service.client.shapes import Event, Experiment, Gap, Job, Model, Page, Progress, Rig
+from service.client.shapes import Event, Experiment, Gap, HealthCheck, Job, Model, Page, Progress, Rig, Run, Schedule
 
 __all__ = [
     "ApiError",
@@ -30,6 +30,7 @@ __all__ = [
     "Event",
     "Experiment",
     "Gap",
+    "HealthCheck",
     "Job",
     "JobEndedError",
     "KeyRefusedError",
@@ -39,5 +40,7 @@ __all__ = [
     "Progress",
     "RefusedError",
     "Rig",
+    "Run",
+    "Schedule",
     "UnreachableError",
 ]

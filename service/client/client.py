@@ -10,6 +10,7 @@ from typing import Any, Self
 from uuid import uuid4
 
 from service.client.errors import ConflictingError, MissingError
+from service.client.health import HealthChecks, Schedules
 from service.client.jobs import Jobs
 from service.client.shapes import Experiment, Gap, Job, Model, Rig
 from service.client.transport import Transport
@@ -204,6 +205,8 @@ class Client:
         self.jobs = Jobs(self._transport)
         self.models = Models(self._transport)
         self.gaps = Gaps(self._transport)
+        self.health = HealthChecks(self._transport)
+        self.schedules = Schedules(self._transport)
 
     @property
     def url(self) -> str:
@@ -217,14 +220,14 @@ class Client:
     def save(self, job: Job, folder: Path) -> dict[str, Path]:
         """Every file that a job made, and the datasheet that it worked with.
 
-        experiment.h5, rig.toml, result.json, report.html, gap.json, gap.html, health.json: those that there are.
+        experiment.h5, rig.toml, result.json, report.html, gap.json, gap.html, health.json, health.html, as there are.
 
         Raises
         ------
         OutputError
             The folder cannot be written.
         """
-        from service.output import json_text, ready_folder, write_text
+        from service.output import ready_folder, write_text
 
         ready_folder(folder)
         files: dict[str, Path] = {}
@@ -238,8 +241,7 @@ class Client:
         if "gap" in job.result:
             files |= self.gaps.save(job.result["gap"], folder)
         if "health" in job.result:
-            document = self._transport.get(f"/health-checks/{job.result['health']}")["document"]
-            files["health"] = write_text(folder / "health.json", json_text(document))
+            files |= self.health.save(job.result["health"], folder)
         return files
 
     def close(self) -> None:

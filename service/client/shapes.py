@@ -123,3 +123,50 @@ class Gap(_Sent):
     job: str | None = None
     summary: dict[str, Any] = Field(default_factory=dict)
     created_at: datetime | None = None
+
+
+class HealthCheck(_Sent):
+    """A health check in short; ``document`` only where one is read by itself."""
+
+    id: str
+    rig: str
+    baseline_model: str = ""
+    schedule: str | None = None
+    job: str | None = None
+    alarm: bool = False
+    zone: str = ""
+    drifted: list[str] = Field(default_factory=list)
+    sentence: str = ""
+    created_at: datetime | None = None
+    document: dict[str, Any] = Field(default_factory=dict)
+
+
+class Webhook(_Sent):
+    """Who is told of a check."""
+
+    url: str
+    on: str = "alarm"
+    secret: str | None = None
+    """Only in the answer that made it."""
+
+
+class Schedule(_Sent):
+    """When a rig's health is checked."""
+
+    id: str
+    rig: str
+    cron: str
+    timezone: str = "UTC"
+    options: dict[str, Any] = Field(default_factory=dict)
+    enabled: bool = True
+    webhook: Webhook | None = None
+    next_at: datetime | None = None
+
+
+class Run(_Sent):
+    """One time at which a check was due: submitted, missed or refused."""
+
+    due_at: datetime
+    state: str
+    detail: str = ""
+    job: str | None = None

@@ -70,6 +70,8 @@ def test_a_service_comes_back_as_it_was(settings, tmp_path):
     assert written.database == settings.kind
     assert (written.rows["rigs"], written.blobs, written.missing) == (1, 1, ())
 
+    assert path.stat().st_mode & 0o077 == 0
+
     restore(new, path)
     after = everything(new)
     for table in set(before) - {"jobs", "audit", "workers"}:

@@ -104,6 +104,37 @@ def filled(service: Serving, key: str, home: Path) -> dict[str, str]:
     }
 
 
+def test_the_client_reads_one_of_everything(described, tmp_path):
+    service, key, ids = described
+    with Client(service.url, key) as client:
+        model = client.models.get(ids["model_id"])
+        assert model.summary["planes"]["x"]["stiffness"]["kiA"]["value"] > 0
+        assert client.models.result(model.id)["format"] == "amb-commissioning-result"
+        assert "x" in client.models.state_space(model.id)
+        assert client.models.frequency_response(model.id)
+        assert [m.id for m in client.models.list(ids["rig_id"])] == [model.id]
+        assert client.gaps.document(ids["gap_id"])["format"] == "amb-gap-report"
+        assert [g.id for g in client.gaps.list()] == [ids["gap_id"]]
+        check = client.health.get(ids["health_id"])
+        assert check.document["format"] == "amb-health-check"
+        assert [c.sentence for c in client.health.list(alarm=check.alarm)] == [check.sentence]
+        assert client.health.trend(ids["rig_id"])["checks"] == [check.id]
+        (missed,) = client.schedules.runs(ids["schedule_id"])
+        assert missed.state == "missed"
+        made = client.schedules.create(ids["rig_id"], "0 6 * * 1", webhook_url="https://plant.example/hook")
+        assert made.webhook.secret.startswith("whsec_")
+        assert client.schedules.get(made.id).webhook.secret is None
+        client.schedules.remove(made.id)
+        assert [s.id for s in client.schedules.list(ids["rig_id"])] == [ids["schedule_id"]]
+        done = client.jobs.get(ids["job_id"])
+        result = {"model": model.id, "gap": ids["gap_id"], "health": ids["health_id"], "experiment": done.experiment}
+        files = client.save(done.model_copy(update={"result": result}), tmp_path / "out")
+        wanted = {"experiment.h5", "rig.toml", "result.json", "report.html", "gap.json", "gap.html"}
+        assert {p.name for p in files.values()} == wanted | {"health.json", "health.html"}
+        assert client.rigs.status(ids["rig_id"])["reachable"]
+        client.rigs.stop(ids["rig_id"])
+
+
 def test_the_api_is_what_its_description_says(described, tmp_path):
     pytest.importorskip("schemathesis", reason="schemathesis is not installed")
     service, key, ids = described
