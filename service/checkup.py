@@ -140,8 +140,10 @@ def _append(path: Path, document: dict[str, Any]) -> None:
 
     text = json.dumps(document, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
     try:
-        broken = path.exists() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
-        with path.open("a", encoding="utf-8") as file:
-            file.write(("\n" if broken else "") + text + "\n")
+        with path.open("ab+") as file:
+            file.seek(0)
+            whole = file.read().rfind(b"\n") + 1  # a last line without an end is what a crash left
+            file.truncate(whole)
+            file.write(text.encode("utf-8") + b"\n")
     except OSError as error:
         raise OutputError(f"cannot add to the history {path}: {error.strerror or error}") from error

@@ -16,7 +16,7 @@ from service.identification.plane_model import PlaneModel
 from service.identification.saved import SavedPlane
 from service.identification.zoh import Real
 
-Kind = Literal["magnet", "mode", "amplifier", "margin"]
+Kind = Literal["magnet", "frequency", "damping", "amplifier", "margin"]
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ def plane_figures(saved: SavedPlane, controller: tuple[Real, Real]) -> PlaneFigu
     ]
     for k in range(len(saved.rotor_modes)):
         where = f"of the rotor's mode {k + 1}, plane {plane}"
-        found.append(Monitored(plane, f"wn{k + 1}", "rad/s", "mode", f"natural frequency {where}"))
-        found.append(Monitored(plane, f"zeta{k + 1}", "1", "mode", f"damping ratio {where}"))
+        found.append(Monitored(plane, f"wn{k + 1}", "rad/s", "frequency", f"natural frequency {where}"))
+        found.append(Monitored(plane, f"zeta{k + 1}", "1", "damping", f"damping ratio {where}"))
     for axis in "AB":
         where = f"of amplifier {plane}{axis}"
         found.append(Monitored(plane, f"amplifier_gain{axis}", "A/A", "amplifier", f"gain {where}"))

@@ -27,6 +27,13 @@ class FigureChange:
     """Probability of a change at least that large where nothing changed."""
     threshold: float
     """Standard deviations of the difference above which a change is an alarm."""
+    reproducibility: float = 0.0
+    """What two campaigns on one rig may differ by beside their noise, one sigma."""
+
+    @property
+    def std_change(self) -> float:
+        """Standard deviation of the change: of both campaigns, and of what reproduces no better."""
+        return math.hypot(self.std_was, self.std_now, self.reproducibility)
 
     @property
     def change_percent(self) -> float:
@@ -36,12 +43,12 @@ class FigureChange:
     @property
     def std_percent(self) -> float:
         """Standard deviation of the change, percent."""
-        return 100 * math.hypot(self.std_was, self.std_now) / abs(self.was)
+        return 100 * self.std_change / abs(self.was)
 
     @property
     def significance(self) -> float:
         """The change in its standard deviations, with sign."""
-        return (self.now - self.was) / max(math.hypot(self.std_was, self.std_now), 1e-300)
+        return (self.now - self.was) / max(self.std_change, 1e-300)
 
     @property
     def drifted(self) -> bool:

@@ -1,0 +1,103 @@
+"""The commands around a commissioned rig, without the service: health, check-controller, export."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.cli import run
+from service.experiment import file
+from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from sim.datasheet import to_toml
+from sim.reference import reference_rig
+from tests.support.commissioned import AXES, LAW, SHEET, plan, result
+
+
+@pytest.fixture
+def baseline(tmp_path):
+    folder = tmp_path / "base"
+    folder.mkdir()
+    (folder / "result.json").write_text(json.dumps(result()))
+    (folder / "rig.toml").write_text(to_toml(SHEET))
+    return folder
+
+
+def experiment(path, ki=1.0, seed=1):
+    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    now = {p: m.at(np.concatenate([m.theta[:2] * ki, m.theta[2:]])) for p, m in models.items()}
+    sweep = synthetic_sweep(now, AXES, LAW, np.array(plan().profile.frequencies_hz), 0.05, seed=seed)
+    file.write(path, synthetic_experiment(sweep, axes=AXES))
+    return path
+
+
+def test_checks_add_up_to_a_history_and_a_trend(baseline, tmp_path, capsys):
+    history = tmp_path / "history.jsonl"
+    for k in range(3):
+        found = experiment(tmp_path / f"{k}.h5", 0.97 if k == 2 else 1.0, seed=k)
+        out = tmp_path / f"out{k}"
+        command = ["health", "compare", found, "--baseline", baseline, "--out", out, "--history", history, "--json"]
+        assert run([str(c) for c in command]) == 0
+        printed = json.loads(capsys.readouterr().out)
+        assert printed["alarm"] is (k == 2)
+        assert printed["tests_made"] == k
+        assert json.loads((out / "health.json").read_text())["drifted"] == printed["drifted"]
+        assert "Health of" in (out / "health.html").read_text()
+    assert set(printed["drifted"]) == {"x.kiA", "x.kiB", "y.kiA", "y.kiB"}
+    assert run(["health", "trend", str(history), "--json"]) == 0
+    trend = json.loads(capsys.readouterr().out)
+    assert trend["checks"] == 3
+    assert trend["series"]["x.kiA"]["drifted"] == [False, False, True]
+
+
+def test_a_history_that_a_crash_cut_short_goes_on(baseline, tmp_path, capsys):
+    history, found = tmp_path / "history.jsonl", experiment(tmp_path / "e.h5")
+    command = ["health", "compare", found, "--baseline", baseline, "--out", tmp_path / "o", "--history", history]
+    arguments = [str(c) for c in (*command, "--json")]
+    assert run(arguments) == 0
+    with history.open("a") as log:
+        log.write('{"format": "amb-heal')
+    assert run(arguments) == 0
+    capsys.readouterr()
+    assert len(history.read_text().splitlines()) == 2
+    assert run(["health", "trend", str(history), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["checks"] == 2
+
+
+def test_a_history_with_something_else_in_it_is_refused_by_line(tmp_path, capsys):
+    (tmp_path / "history.jsonl").write_text('{"a": 1}\n{"b": 2}\n')
+    assert run(["health", "trend", str(tmp_path / "history.jsonl")]) == 1
+    assert "line 1" in capsys.readouterr().err
+
+
+def test_plan_and_secret(baseline, capsys):
+    assert run(["health", "plan", "--baseline", str(baseline), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["frequencies_hz"]) > 8
+    assert run(["health", "secret"]) == 0
+    assert capsys.readouterr().out.startswith("whsec_")
+
+
+def test_a_controller_is_refused_with_a_reason_and_accepted_with_another_table(baseline, tmp_path, capsys):
+    sheet = str(baseline / "rig.toml")
+    assert run(["check-controller", sheet, "--baseline", str(baseline), "--json"]) == 1
+    refused = capsys.readouterr()
+    assert json.loads(refused.out)["verdict"] == "unsafe"
+    assert len(refused.err.splitlines()) == 1
+    accepted = ["check-controller", sheet, "--baseline", str(baseline), "--zones", "ok=20,bad", "--accept", "ok"]
+    assert run(accepted) == 0
+    assert "safe" in capsys.readouterr().out
+    (tmp_path / "c.toml").write_text("[controller]\nnumerator = 3\n")
+    assert run(["check-controller", str(tmp_path / "c.toml"), "--baseline", str(baseline)]) == 1
+    assert "numerator and denominator" in capsys.readouterr().err
+
+
+def test_exports_and_what_they_hold(baseline, tmp_path, capsys):
+    out = tmp_path / "x" / "plant.mat"
+    assert run(["export", "model", str(baseline / "result.json"), str(out), "--plane", "y"]) == 0
+    assert run(["export", "show", str(out)]) == 0
+    assert "i_yA [A]" in capsys.readouterr().out
+    frf = tmp_path / "frf.uff"
+    assert run(["export", "responses", str(experiment(tmp_path / "e.h5")), str(frf), "--path", "r->u"]) == 0
+    assert run(["export", "show", str(frf)]) == 0
+    assert "u_xA, u_xB per r_xA, r_xB" in capsys.readouterr().out
+    assert run(["export", "model", str(baseline / "result.json"), str(tmp_path / "x.xls")]) == 1
+    assert run(["export", "model", str(baseline / "result.json"), str(out), "--part", "rotor"]) == 1
