@@ -11,6 +11,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import can
@@ -135,15 +136,15 @@ class _SocketcandBus(SocketCanDaemonBus):
 
 def send_all(network: canopen.Network, cob_id: int, contents: Iterable[bytes]) -> None:
     """Send frames of one identifier, as few at a time as the interface likes."""
-    frames = [can.Message(arbitration_id=cob_id, is_extended_id=False, data=data) for data in contents]
     bus = network.bus
     if not isinstance(bus, _SocketcandBus):
-        for frame in frames:
-            network.send_message(cob_id, bytes(frame.data))
+        for data in contents:
+            network.send_message(cob_id, data)
         return
+    frames = (can.Message(arbitration_id=cob_id, is_extended_id=False, data=data) for data in contents)
     with network.send_lock:
-        for at in range(0, len(frames), TOGETHER):
-            bus.send_together(frames[at : at + TOGETHER])
+        while some := list(islice(frames, TOGETHER)):  # the first are on the line while the others are made
+            bus.send_together(some)
     network.check()
 
 

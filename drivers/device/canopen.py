@@ -5,6 +5,7 @@ from __future__ import annotations
 import binascii
 import struct
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -80,12 +81,13 @@ class BlockSdoServer(SdoServer):
                 self._send_block()
 
     def _send_block(self) -> None:
-        at, end = self._position, min(self._position + 7 * self._block_size, len(self._data))
-        segments = []
+        end = min(self._position + 7 * self._block_size, len(self._data))
+        send_all(self.network, self.tx_cobid, self._segments(self._position, end))
+
+    def _segments(self, at: int, end: int) -> Iterator[bytes]:
         for number, start in enumerate(range(at, end, 7), 1):
             last = NO_MORE_BLOCKS if start + 7 >= len(self._data) else 0
-            segments.append(bytes([number | last]) + bytes(self._data[start : start + 7]).ljust(7, b"\0"))
-        send_all(self.network, self.tx_cobid, segments)
+            yield bytes([number | last]) + bytes(self._data[start : start + 7]).ljust(7, b"\0")
 
     def _send_end(self) -> None:
         unused = -len(self._data) % 7
