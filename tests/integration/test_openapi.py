@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from datetime import timedelta
@@ -155,3 +156,4 @@ def test_the_api_is_what_its_description_says(described, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout[-20_000:] + done.stderr[-2000:]
+    assert re.search(r"Selected: (\d+)/\1\n\s*Tested: \1\n", done.stdout), done.stdout[-2000:]
