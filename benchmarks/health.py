@@ -83,8 +83,8 @@ def main() -> None:
     threshold = policy.threshold(0, n, 300.0)
     yearly = _yearly(significance, threshold)
     print(
-        f"threshold {threshold:.2f} standard deviations; false alarms a year expected of this rig from mean and scatter "
-        f"of its checks, Gaussian tails: {yearly:.2g} (accepted: {policy.per_year:g})"
+        f"threshold {threshold:.2f} standard deviations; false alarms a year expected of this rig from mean and "
+        f"scatter of its checks, Gaussian tails: {yearly:.2g} (accepted: {policy.per_year:g})"
     )
     for name, what in (
         ("ki -5 %", {"ki": 0.95}),
