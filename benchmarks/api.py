@@ -1,6 +1,6 @@
 """How fast the service is: reads while a job runs, a long list, submission to start, workers on PostgreSQL.
 
-``python benchmarks/service.py [reads|list|start|workers ...] [--seconds 20]``; the load comes from a process of its
+``python benchmarks/api.py [reads|list|start|workers ...] [--seconds 20]``; the load comes from a process of its
 own, at a fixed rate, and a request's time counts from when it was due.
 """
 
