@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from sim.errors import LevitationError
-from sim.rig import Array, Magnets, Rig
+from sim.rig import Array, Contact, Magnets, Rig
 
 Complex = NDArray[np.complex128]
 
@@ -116,6 +116,12 @@ def operating_point(rig: Rig) -> OperatingPoint:
     return OperatingPoint(current, load, ki, ks)
 
 
+def stop_stiffness(contact: Contact) -> tuple[float, float]:
+    """Stiffness of the stops on the positive and on the negative side, N/m."""
+    k = contact.stiffness_n_per_m
+    return k * min(1.0, 1.0 + contact.side), k * min(1.0, 1.0 - contact.side)
+
+
 def rayleigh_coefficient(m: Magnets) -> Array:
     """alpha of the Rayleigh loop b = (1 + alpha A) i +- alpha/2 (A^2 - i^2), 1/A, (n,).
 
@@ -123,6 +129,23 @@ def rayleigh_coefficient(m: Magnets) -> Array:
     """
     tangent = np.tan(m.hysteresis_rad)
     return np.asarray(tangent / ((4 / (3 * math.pi) - tangent) * m.hysteresis_reference_a))
+
+
+def play_share(m: Magnets) -> Array:
+    """c of one play beside the current itself, b = i + c play(i), (n,).
+
+    The play's fundamental at twice its width is (1/2 - j/pi) A, where its lag is largest (Krasnosel'skii and
+    Pokrovskii, Systems with Hysteresis, 1989, chapter 2).
+    """
+    tangent = np.tan(m.hysteresis_rad)
+    return np.asarray(tangent / (1 / math.pi - tangent / 2))
+
+
+def plays(m: Magnets) -> tuple[Array, Array, Array]:
+    """Strength of each axis, (n,), and weights and half widths of the plays, b = i + 2 strength sum w_j play_j(i)."""
+    if m.hysteresis_width_a > 0:
+        return play_share(m) / 2, np.ones(1), np.array([m.hysteresis_width_a])
+    return rayleigh_coefficient(m), PLAY_WEIGHTS_A, PLAY_THRESHOLDS_A
 
 
 def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:

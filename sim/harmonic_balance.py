@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import actuator, amplifier
+from sim import actuator, amplifier, sensor
 from sim.actuator import OperatingPoint
 from sim.rig import Array, Rig
 from sim.twin import LinearModel, force_rotation, linear_model
@@ -93,22 +93,49 @@ class Responder:
             [(per_harmonic[k][self.line] @ x[:, k, :, None])[..., 0] for k in range(len(self.harmonics))], axis=1
         )
 
-    def answer(self, U: Complex, rounds: int | None = None) -> Answer:
-        """Response to logged control amplitudes U, (P, H, n), harmonics as given to the constructor."""
-        return self._answer(U * self._log_phase, rounds)
+    def answer(self, U: Complex, rounds: int | None = None, seen: Complex | None = None) -> Answer:
+        """Response to logged control amplitudes U, (P, H, n), harmonics as given to the constructor.
 
-    def _answer(self, U: Complex, rounds: int | None = None) -> Answer:
+        Parameters
+        ----------
+        seen
+            (P, H, n) measured sensor signal. The magnets alone make an unstable plant, so for a given U a strong
+            nonlinear force feeds on itself; evaluated where the rotor was seen to be, it does not.
+        """
+        return self._answer(U * self._log_phase, rounds, seen)
+
+    def current(self, U: Complex) -> Complex:
+        """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone."""
+        return self._current(U * self._log_phase)[0]
+
+    def _answer(self, U: Complex, rounds: int | None = None, seen: Complex | None = None) -> Answer:
         m = self._model
         current, U_eff = self._current(U)
         flux = self._at_points(m.flux_per_u, U_eff)
         x_linear = self._at_points(m.bearing_per_u, U_eff)
         force = np.zeros_like(x_linear)
-        x = x_linear
-        for _ in range(rounds or (6 if self._strongly else 3)):
-            force = self._beyond_linear(flux, x)
+        y_linear = self._at_points(m.y_per_u, U_eff)
+        x, Y = x_linear, y_linear
+        for _ in range(rounds or (3 if seen is not None else 6 if self._strongly else 3)):
+            force = self._beyond_linear(flux, x if seen is None else x + self._from_sensors(seen - Y))
             x = x_linear + self._at_points(m.bearing_per_force, force)
-        Y = self._at_points(m.y_per_u, U_eff) + self._at_points(m.y_per_force, force)
+            Y = y_linear + self._at_points(m.y_per_force, force)
         return Answer(current, self._static_real(Y))
+
+    def _from_sensors(self, Y: Complex) -> Complex:
+        """Displacement at the bearings, (P, H, n), of a rigid rotor that the sensors see at Y.
+
+        It corrects a displacement that the model has but for the force in question, so flexibility may be left out;
+        the mean is left to the model, as no sensor knows its own zero.
+        """
+        rotor, n = self.rig.rotor, self.rig.n_axes
+        (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
+        plane = np.array([[1.0, a], [1.0, -b]]) @ np.linalg.inv([[1.0, sa], [1.0, -sb]])
+        own = 1 / sensor.response(self.rig.sensors, self._omega)  # (H F, n)
+        at_sensor = Y * own.reshape(len(self.harmonics), -1, n)[:, self.line].transpose(1, 0, 2)
+        if self.harmonics[0] == 0:
+            at_sensor[:, 0] = 0.0
+        return np.asarray(at_sensor @ np.kron(np.eye(n // 2), plane).T)
 
     def _static_real(self, X: Complex) -> Complex:
         if self.harmonics[0] == 0:
@@ -119,22 +146,37 @@ class Responder:
     def _beyond_linear(self, flux: Complex, x: Complex) -> Complex:
         """Bearing force beyond the linear one, on the rotor, (P, H, n)."""
         rig, point, h = self.rig, self._point, self.harmonics
-        n_time = 32 if self._strongly else 16
+        plays = np.any(rig.magnets.hysteresis_rad > 0)
+        n_time = 64 if plays and rig.magnets.hysteresis_width_a else 32 if self._strongly else 16
         i_t = _samples(flux, h, n_time) + point.current_a
         x_t = _samples(x, h, n_time)
         effective = i_t
-        if np.any(rig.magnets.hysteresis_rad > 0):
+        if plays and rig.magnets.hysteresis_width_a:
+            effective = self._one_play(actuator.play_share(rig.magnets), rig.magnets.hysteresis_width_a, i_t)
+        elif plays:
             effective = self._rayleigh(actuator.rayleigh_coefficient(rig.magnets), i_t)
         total = actuator.force(rig.magnets, effective, x_t)
         if rig.drift and self.progress is not None:
-            ki = 1 + rig.drift.ki_change * self.progress[:, None, None]
-            ks = rig.drift.ks_change * self.progress[:, None, None]
+            passed = rig.drift.progress(self.progress)[:, None, None]
+            ki, ks = 1 + rig.drift.ki_change * passed, rig.drift.ks_change * passed
             total = ki * total + (ks - (ki - 1)) * point.ks * x_t
         excess = (total - point.ki * (i_t - point.current_a) - point.ks * x_t) @ force_rotation(rig).T + point.load_n
         if rig.contact:
+            above, below = actuator.stop_stiffness(rig.contact)
             depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
-            excess = excess - rig.contact.stiffness_n_per_m * depth * np.sign(x_t)
+            excess = excess - np.where(x_t > 0, above, -below) * depth
         return _amplitudes(excess, h)
+
+    @staticmethod
+    def _one_play(share: Array, width: float, i_t: Array) -> Array:
+        """Current with one play about the middle of its swing; the second period is the steady one."""
+        middle = (i_t.max(axis=1) + i_t.min(axis=1)) / 2
+        i = np.ascontiguousarray((i_t - middle[:, None]).transpose(1, 0, 2))
+        position, out = np.zeros_like(middle), np.empty_like(i)
+        for t in range(-len(i), len(i)):
+            position = np.minimum(np.maximum(position, i[t] - width), i[t] + width)
+            out[t] = position
+        return np.asarray(i_t + share * out.transpose(1, 0, 2))
 
     @staticmethod
     def _rayleigh(alpha: Array, i_t: Array) -> Array:

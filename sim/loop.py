@@ -85,9 +85,9 @@ def _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pl
         for b in range(n):
             total += rotation[a, b] * (f[b] - law[4, b] * now[at + b] - law[5, b] * now[at + n + b])
         x = now[at + n + a]
-        depth = abs(x) - contact[0]
+        depth = abs(x) - contact[0, a]
         if depth > 0.0:
-            total -= math.copysign(contact[1] * depth, x)
+            total -= contact[1 if x > 0.0 else 2, a] * math.copysign(depth, x)
         d[a] = total
 
 
@@ -161,6 +161,8 @@ def _advance(  # type: ignore[no-untyped-def]
     for t in range(n_samples):
         if drift[2] > 0.0:
             elapsed = (started + t) / drift[2]
+            if drift[3] > 1e-6:
+                elapsed = math.expm1(-drift[3] * elapsed) / math.expm1(-drift[3])
             scale[0], scale[1] = 1.0 + drift[0] * elapsed, 1.0 + drift[1] * elapsed
         for k in range(first_d - 1, first_u + n - 1, -1):
             state[k] = state[k - n]
@@ -234,10 +236,13 @@ class Loop:
         self._point = actuator.operating_point(rig)
         self._ss = state_space(rig, self._point)
         self._b, self._a = control_law.transposed_form(rig.controller)
+        self._play_strength, self._play_weights, self._play_widths = actuator.plays(rig.magnets)
         self._law = self._law_rows()
         self._rotation = force_rotation(rig)
         m, c, d = rig.magnets, rig.contact, rig.drift
-        self._contact = np.array([c.clearance_m, c.stiffness_n_per_m] if c else [np.inf, 0.0])
+        self._contact = np.array([np.full(rig.n_axes, np.inf), np.zeros(rig.n_axes), np.zeros(rig.n_axes)])
+        if c:
+            self._contact = np.stack([c.clearance_m, *(np.full(rig.n_axes, k) for k in actuator.stop_stiffness(c))])
         self._slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, _NONE)
         self._slews = bool(np.any(self._slew < _NONE))
         self._general = bool(
@@ -251,7 +256,9 @@ class Loop:
         )
         self._seen = self._seen_rows()
         self._p = propagators(rig, self._ss, self._seen, substeps, self._slews)
-        self._drift = np.array([d.ki_change, d.ks_change, d.duration_s / self._period_s] if d else [0.0, 0.0, 0.0])
+        self._drift = np.zeros(4)
+        if d:
+            self._drift = np.array([d.ki_change, d.ks_change, d.duration_s / self._period_s, d.curvature])
         self.require_stability()
         self.levitate()
 
@@ -280,7 +287,7 @@ class Loop:
                 p.load_n,
                 np.minimum(m.saturation_current_a, _NONE),
                 np.full(self.n_axes, m.current_limit_a),
-                actuator.rayleigh_coefficient(m),
+                self._play_strength,
                 p.current_a,
             ]
         )
@@ -306,7 +313,7 @@ class Loop:
         self._c = np.stack([self._resting_controller(value) for value in u])
         depth = int(np.ceil(np.max(self._lag_steps))) + 4
         self._y_past = np.zeros((n, depth))
-        self._plays = np.zeros((n, len(actuator.PLAY_THRESHOLDS_A)))
+        self._plays = np.zeros((n, len(self._play_widths)))
         self._rest_corrections()
 
     def _rest_corrections(self) -> None:
@@ -323,8 +330,8 @@ class Loop:
                 self._slews,
                 self._slew,
                 self._plays,
-                actuator.PLAY_WEIGHTS_A,
-                actuator.PLAY_THRESHOLDS_A,
+                self._play_weights,
+                self._play_widths,
                 np.ones(2),
                 np.zeros(self.n_axes),
                 d,
@@ -402,8 +409,8 @@ class Loop:
             self._law,
             self._contact,
             self._slew,
-            actuator.PLAY_WEIGHTS_A,
-            actuator.PLAY_THRESHOLDS_A,
+            self._play_weights,
+            self._play_widths,
             self._lag_steps,
             np.array([noise.displacement_step_m, noise.current_step_a]),
             np.array([self.rig.displacement_limit_m, self.rig.current_limit_a]),

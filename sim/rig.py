@@ -62,10 +62,13 @@ class Support:
 
 @dataclass(frozen=True)
 class Contact:
-    """Radial stop on either side of each axis at the bearing: a spring beyond the clearance."""
+    """Stops of each axis at the bearing: a spring beyond the clearance."""
 
-    clearance_m: float
+    clearance_m: Array
+    """(n,) free way; inf where there is no stop"""
     stiffness_n_per_m: float
+    side: float = 0.0
+    """0 stops to either side alike, 1 only where displacement is positive, -1 only where it is negative"""
 
 
 @dataclass(frozen=True)
@@ -91,12 +94,15 @@ class Magnets:
     saturation_current_a: Array
     """i_s of i_s tanh(i/i_s), inf for none, (n,)."""
     hysteresis_rad: Array
-    """Loss angle of the current's play loop at the reference amplitude, 0 for none, (n,)."""
+    """Loss angle of the current's loop, 0 for none, (n,): a Rayleigh loop's at the reference amplitude, or the
+    largest that one play has, at twice its width."""
     hysteresis_reference_a: float
     cross_coupling_rad: float
     """Rotation of the force from x to y at each bearing, rad."""
     cross_coupling_symmetric: float = 0.0
     """Share of the x force that acts in y, and the reverse, at each bearing."""
+    hysteresis_width_a: float = 0.0
+    """Half width of the one play of the iron; 0 for a Rayleigh loop, which is plays of every width."""
 
     @property
     def gap_m(self) -> Array:
@@ -158,12 +164,20 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class Drift:
-    """Linear change of the magnets while a campaign runs, as they warm up."""
+    """Change of the magnets while a campaign runs, as they warm up."""
 
     ki_change: float
     """Relative change of ki at ``duration_s``."""
     ks_change: float
     duration_s: float
+    curvature: float = 0.0
+    """``duration_s`` in time constants of an exponential approach; 0 for a change in proportion to time"""
+
+    def progress(self, share: Array) -> Array:
+        """Share of the change that has come about when a share of ``duration_s`` has passed."""
+        if abs(self.curvature) < 1e-6:
+            return share
+        return np.asarray(np.expm1(-self.curvature * share) / np.expm1(-self.curvature))
 
 
 @dataclass(frozen=True)

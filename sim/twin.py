@@ -154,6 +154,15 @@ def _transposed(a: Complex) -> Complex:
     return np.swapaxes(a, -1, -2)
 
 
+def current_per_control(rig: Rig, frequency_hz: Array) -> Complex:
+    """Sampled coil current per held, logged control signal, A/A, (F, n, n): `LinearModel.i_per_u` alone."""
+    omega, period = 2 * np.pi * np.asarray(frequency_hz, dtype=float), rig.controller.sample_time_s
+    delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)
+    own = amplifier.sampled(rig.amplifiers, omega, period, delay) * logged_early[:, None]
+    return np.asarray(own[:, :, None] * rig.amplifiers.crosstalk)
+
+
 def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     """Exact small-signal responses of the sampled rig, at its operating point.
 
@@ -190,11 +199,10 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
         gain = sensor.response(rig.sensors, w) / -(w**2)[:, None]
         image = limit * (point.ki * actuator.eddy_factor(rig.magnets, w))[:, None, :]
         y_per_u = y_per_u + gain[:, :, None] * image @ baseband(w)
-    i_per_u = amplifier.sampled(rig.amplifiers, omega, period, delay)[:, :, None] * cross
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
     return LinearModel(
         omega,
-        i_per_u * logged_early,
+        current_per_control(rig, frequency_hz),
         y_per_u * logged_early,
         plant,
         base,

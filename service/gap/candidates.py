@@ -1,14 +1,10 @@
-"""Which effect: every candidate of the catalogue fitted beside the datasheet's uncertain values, then pairs.
-
-Starts are found in the data: a resonance at the frequencies where the plain twin fails most, a clearance from
-the largest displacement, a slew limit from the largest rate of current.
-"""
+"""Which effect: candidates of the catalogue fitted beside the datasheet's uncertain values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -16,16 +12,11 @@ from numpy.typing import NDArray
 
 from service.gap.evidence import occam
 from service.gap.fit import COARSE, EXACT, MIDDLE, Fit, Problem, Stage
-from service.gap.nuisance import Nuisance
-from service.gap.observation import Observation
-from service.gap.predict import residual
-from sim.effect import Effect
+from service.gap.part import Ground, Values
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
-from sim.rig import Rig
 
 Real = NDArray[np.float64]
-Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -43,97 +34,75 @@ class Candidate:
 class Task:
     """What a worker needs to fit one explanation."""
 
-    nuisance: Nuisance
-    observations: tuple[Observation, ...]
+    ground: Ground
     effects: tuple[str, ...]
     starts: tuple[tuple[Values, ...], ...]
     """Alternative starting values, one mapping per effect each."""
     theta: Real
+    """(k,) deviations to start from"""
     stages: tuple[Stage, ...] = (COARSE, MIDDLE, EXACT)
-
-
-def possible(nuisance: Nuisance, observations: Sequence[Observation]) -> list[Effect]:
-    """Effects that this rig and these conditions could show, additive ones excepted (`service.gap.additive`)."""
-    turning = any(o.speed_rad_s for o in observations)
-    n_axes, modes = nuisance.rig.n_axes, nuisance.n_modes
-    return [
-        e
-        for e in CATALOGUE.values()
-        if e.path != "additive"
-        and e.needs_axes <= n_axes
-        and (turning or not e.needs_speed)
-        and (modes or e.id not in ("modal_damping", "internal_damping"))
-    ]
-
-
-def peaks_of_failure(rig: Rig, o: Observation, count: int = 2) -> list[float]:
-    """Frequencies where a twin leaves most of the displacement unexplained, Hz, largest first."""
-    n = rig.n_axes
-    z = np.abs(residual(rig, o)[:, o.fundamental, 2 * n :]) ** 2
-    total = np.bincount(o.line, weights=np.log1p(z).sum(axis=1), minlength=len(o.frequency_hz))
-    per_line = total / np.maximum(np.bincount(o.line, minlength=len(o.frequency_hz)), 1)
-    inner = np.r_[False, (per_line[1:-1] >= per_line[:-2]) & (per_line[1:-1] >= per_line[2:]), False]
-    inner[[0, -1]] = per_line[[0, -1]] > per_line[[1, -2]]
-    order = np.argsort(np.where(inner, -per_line, 0.0))
-    return [float(o.frequency_hz[k]) for k in order[:count]]
-
-
-def starts(effect: Effect, null_rig: Rig, o: Observation) -> list[dict[str, float]]:
-    """Starting values of an effect's parameters, several where its answer has several valleys."""
-    base = {
-        p.name: p.typical if p.scale == "log" or not p.strength else p.null + 0.2 * (p.typical - p.null)
-        for p in effect.parameters
-    }
-    current = np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1)
-    swing = float(np.abs(o.Y[:, o.fundamental]).max())
-    if effect.id in ("support_resonance", "extra_flexible_mode"):
-        found = peaks_of_failure(null_rig, o)
-        return [{**base, "frequency_hz": f} for f in (*found, base["frequency_hz"])]
-    if effect.id == "eddy_currents":
-        return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
-    if effect.id == "touchdown_contact":
-        return [{**base, "clearance_m": share * swing} for share in (0.85, 0.5)]
-    if effect.id == "amplifier_voltage_limit":
-        rate = float((current * 2 * np.pi * o.points_hz).max())
-        return [{**base, "slew_inverse_s_per_a": 1 / (share * rate)} for share in (0.9, 0.6)]
-    if effect.id == "off_centre_rotor":
-        return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]
-    return [base]
+    held: Candidate | None = None
+    """An explanation whose nonlinear effects stay as fitted: their force hardly depends on what is fitted beside
+    them, and is costly to compute."""
+    occam_alone: float = 0.0
+    """Occam factor of the plain twin, which both parts of such a sum hold."""
 
 
 def fit_task(task: Task) -> Candidate:
     """Fit one explanation from each of its starts, and keep the best."""
-    best: tuple[Problem, Fit] | None = None
-    problem = Problem(task.nuisance, task.observations, [CATALOGUE[name] for name in task.effects])
-    rough = [s for s in task.stages if s.closed]
-    begun: list[tuple[float, Real, Real]] = []
+    if task.held is None:
+        return _fitted(task)
+    held = task.held
+    fixed = {name: v for name, v in zip(held.effects, held.fit.values, strict=True) if CATALOGUE[name].nonlinear}
+    rest = [k for k, name in enumerate(task.effects) if name not in fixed]
+    free = replace(
+        task,
+        ground=replace(task.ground, found=(*task.ground.found, *fixed.items())),
+        effects=tuple(task.effects[k] for k in rest),
+        starts=tuple(tuple(start[k] for k in rest) for start in task.starts),
+        held=None,
+    )
+    c = _fitted(free)
+    values = {**fixed, **dict(zip(c.effects, c.fit.values, strict=True))}
+    spread = {
+        **dict(zip(held.effects, held.standard_deviations, strict=True)),
+        **dict(zip(c.effects, c.standard_deviations, strict=True)),
+    }
+    fit = replace(c.fit, effects=task.effects, values=tuple(dict(values[name]) for name in task.effects))
+    occam_factor = c.occam + held.occam - task.occam_alone
+    return Candidate(task.effects, fit, occam_factor, tuple(spread[name] for name in task.effects))
+
+
+def _fitted(task: Task) -> Candidate:
+    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects])
+    active, rough = task.ground.part.active, [s for s in task.stages if s.closed]
+    begun: list[tuple[float, Real]] = []
     for values in task.starts:
-        theta, e = task.theta, problem.scaled(values)
-        cost = np.inf
+        x, cost = np.concatenate([task.theta[active], problem.scaled(values)]), np.inf
         try:
             for stage in rough:
-                theta, e, fit = problem.run(theta, e, stage)
-                cost = fit.chi_square + fit.penalty
+                fit = problem.run(x, stage)
+                x, cost = problem.vector(fit), fit.chi_square + fit.penalty
         except (AmbError, np.linalg.LinAlgError):
             continue  # this start leads to a rig that cannot be; another may not
-        begun.append((cost, theta, e))
+        begun.append((cost, x))
     begun.sort(key=lambda b: b[0])
-    for _, theta, e in begun[:2]:
+    best: Fit | None = None
+    for _, x in begun[:2] if rough else begun:
         try:
-            _, _, fit = problem.run(theta, e, task.stages[-1])
+            fit = problem.run(x, task.stages[-1])
         except (AmbError, np.linalg.LinAlgError):
             continue
-        if best is None or fit.chi_square + fit.penalty < best[1].chi_square + best[1].penalty:
-            best = problem, fit
+        if best is None or fit.chi_square + fit.penalty < best.chi_square + best.penalty:
+            best = fit
     if best is None:
         raise AmbError(f"no start of {' + '.join(task.effects) or 'the plain twin'} leads to a rig")
-    problem, fit = best
-    return Candidate(task.effects, fit, occam(problem, fit), _deviations(problem, fit))
+    return Candidate(task.effects, best, occam(problem, best), _deviations(problem, best))
 
 
 def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
     """Standard deviation of each effect parameter, widened where the fit leaves more than noise."""
-    k = len(problem.nuisance)
+    k = len(problem.active)
     width = problem.high - problem.low
     prior = np.concatenate([np.ones(k), 12.0 / np.maximum(width, 1e-12) ** 2])
     covariance = np.linalg.inv(fit.curvature + np.diag(prior))

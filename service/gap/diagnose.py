@@ -3,33 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import combinations
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.gap.candidates import Candidate, Fitter, Task, possible, starts
+from service.gap.candidates import Candidate, Fitter
+from service.gap.compose import (
+    Composition,
+    chosen_in,
+    composed,
+    heard_too,
+    held_out_closure,
+    on_sweep,
+    verdict_of,
+    with_interference,
+)
 from service.gap.document import gap_document
-from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE
+from service.gap.interference import hums_hz, interference, scatter_shrinkage
+from service.gap.log import log_fault
 from service.gap.loop import loop_figures
 from service.gap.next_experiment import next_experiment
 from service.gap.nuisance import Nuisance, nuisance
 from service.gap.observation import GapError, Observation, observe
-from service.gap.predict import residual
-from service.gap.shrinkage import Shrinkage, per_point, relative_gap, relative_noise, shrinkage
+from service.gap.part import Ground, Values, driven_by_current, parts
+from service.gap.search import Explained, explain
+from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
+from service.gap.significance import significance
 from service.gap.thin import thinned
-from service.gap.verdict import MIXED, VISIBLE, Ranked, Verdict, decide, ranked
-from service.gap.where import SIGNIFICANT, Where, locate, significance
+from service.gap.verdict import VISIBLE, Ranked, Verdict
+from service.gap.where import SIGNIFICANT, Where, locate
 from sim.datasheet import Datasheet
-from sim.effects import CATALOGUE
 
-PAIRED = 5
-"""Best single effects that are also tried in pairs."""
-REFINED = 6
-"""Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
-PROBING = (COARSE, MIDDLE, PROBE)
+CLOSED = 12
+"""Best explanations whose closure on the unseen sweep is computed."""
+UNDERSTOOD = 4.0
+"""Significance of what is left of the amplifiers up to which the plant is held against u through them."""
 
 
 @dataclass(frozen=True)
@@ -95,38 +105,47 @@ def diagnose(experiment: Experiment, datasheet: Datasheet, jobs: int = 1) -> Dia
     nu = nuisance(datasheet)
     main, other, name = sweeps_for(experiment)
     notes = _notes(main, other, datasheet)
-    held_half = None
+    lines_only = other is None
     if other is None:
         line = np.unique(main.frequency_hz, return_inverse=True)[1]
         main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)
-        held_half = other
-    o = observe(thinned(main), nu.rig, (0.0, 0.8))
-    unseen = observe(thinned(other), nu.rig, (0.8, 1.0))
+    sources = interference(main, nu.rig)
+    hums = hums_hz(sources)
+    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums)
+    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums)
     if o.unsettled > 0.3:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled; their weight is reduced")
+    amplitude_dependent = False
     with Fitter(jobs) as fitter:
-        order = _explain(fitter, nu, o)
-        if other is not held_half and _fails_on(order[0].candidate, unseen):
-            seen, unseen, name = _halves(other, nu, name)
-            order = _with_amplitude(fitter, nu, (o, seen), order)
+        found = _explained(fitter, nu, (o,), {})
+        failing = {} if lines_only else {e.part.path: e for e in found if _fails_on(e, unseen)}
+        if failing:
+            amplitude_dependent = True
+            seen, unseen, name = _halves(other, nu, name, hums)
+            found = _explained(fitter, nu, (o, seen), {e.part.path: e for e in found if e.part.path not in failing})
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
-    where = locate(nu, (o,), unseen)
-    null = next(r.candidate for r in order if not r.candidate.effects)
+        fault = log_fault(fitter, found)
+    whole = with_interference(composed(nu, found), sources)
+    null = whole.null.candidate
     closures, gaps = {}, {}
     before = shrinkage(null.fit.rig, null.fit.rig, unseen, name)
-    for r in order[:12]:
+    for r in whole.order[:CLOSED]:
         after = shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, name)
         closures[r.candidate.effects] = after.closure
         gaps[r.candidate.effects] = relative_gap(r.candidate.fit.rig, unseen)
-    z = residual(order[0].candidate.fit.rig, o)
-    verdict = decide(order, closures, significance(z, o), before.before)
-    chosen = next((r.candidate for r in order if r.candidate.effects == verdict.effects), null)
+    verdict = verdict_of(found, {e.part.path: held_out_closure(e, unseen) for e in found}, unseen)
+    verdict = heard_too(verdict, sources)
+    if fault is not None and not sources:
+        verdict = Verdict("none_of_these", (), (), 0.9, (fault,))
+    chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     shrunk = shrinkage(null.fit.rig, chosen.fit.rig, unseen, name) if verdict.effects else before
-    left = _left(order, verdict)
+    if sources and len(verdict.effects) == len(sources):
+        shrunk = scatter_shrinkage(other, nu.rig, sources, name) or shrunk
+        closures[verdict.effects] = shrunk.closure
     return Diagnosis(
         experiment.rig,
-        where,
-        tuple(order),
+        locate(found, amplitude_dependent, sources),
+        whole.order,
         verdict,
         shrunk,
         closures,
@@ -136,20 +155,63 @@ def diagnose(experiment: Experiment, datasheet: Datasheet, jobs: int = 1) -> Dia
         o,
         unseen,
         loop_figures(null.fit.rig, chosen.fit.rig, o),
-        next_experiment(nu, left, o),
+        next_experiment(nu, _left(whole, verdict), o),
         tuple(notes),
     )
 
 
-def _left(order: Sequence[Ranked], verdict: Verdict) -> list[Candidate]:
+def _explained(
+    fitter: Fitter, nu: Nuisance, observations: tuple[Observation, ...], known: dict[str, Explained]
+) -> list[Explained]:
+    """Every part of the loop explained, each on the ground of those before; ``known`` parts are not looked at again."""
+    out: list[Explained] = []
+    theta = np.zeros(len(nu))
+    named: list[tuple[str, Values]] = []
+    for part in parts(nu, observations):
+        understood = all(e.remaining < UNDERSTOOD for e in out if e.part.path == "amplifier")
+        ground = Ground(nu, part, observations, theta, tuple(named))
+        if part.path == "plant" and not understood:
+            rig = ground.rig(theta)
+            driven = tuple(driven_by_current(rig, o) for o in observations)
+            ground = replace(ground, observations=driven, from_current=True)
+        result = known.get(part.path) or explain(fitter, ground)
+        out.append(result)
+        chosen = chosen_in(result)
+        theta = chosen.fit.theta
+        named += zip(chosen.effects, chosen.fit.values, strict=True)
+    return out
+
+
+def _fails_on(e: Explained, unseen: Observation) -> bool:
+    """Whether what explains the main sweep leaves a clear gap on the other one."""
+    o, z = on_sweep(e, chosen_in(e), unseen)
+    return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
+
+
+def _halves(other: Sweep, nu: Nuisance, name: str, hums: Sequence[float]) -> tuple[Observation, Observation, str]:
+    """The other sweep in two: even lines to fit, odd lines unseen."""
+    line = np.unique(other.frequency_hz, return_inverse=True)[1]
+    seen, unseen = (
+        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums)
+        if (line % 2 == k).sum() * 2 > 16
+        else None
+        for k in (0, 1)
+    )
+    if seen is None or unseen is None:
+        whole = observe(thinned(other), nu.rig, (0.8, 1.0), hums)
+        return whole, whole, name + " (fitted too)"
+    return seen, unseen, name + ", every other line"
+
+
+def _left(whole: Composition, verdict: Verdict) -> list[Candidate]:
     """Explanations that are still to be told apart: of one alias class, or of nearly the same evidence."""
     if verdict.kind in ("no_gap", "none_of_these"):
         return []
-    names = {group for alternatives in verdict.indistinguishable for group in alternatives}
-    best = order[0]
+    names = {group for alternatives in verdict.indistinguishable for group in alternatives} | set(verdict.effects)
+    best = whole.order[0]
     return [
         r.candidate
-        for r in order
+        for r in whole.order
         if r.candidate.effects and (set(r.candidate.effects) <= names or r.log_evidence > best.log_evidence - 5.0)
     ][:2]
 
@@ -169,90 +231,3 @@ def _notes(main: Sweep, other: Sweep | None, datasheet: Datasheet) -> list[str]:
     if not datasheet.modes:
         notes.append("the datasheet knows no flexible mode: add the identified ones before the gap is diagnosed")
     return notes
-
-
-def _explain(fitter: Fitter, nu: Nuisance, o: Observation) -> list[Ranked]:
-    """Fit the plain twin, every single effect, and pairs where one effect leaves too much."""
-    zero = np.zeros(len(nu))
-    null = fitter.run([Task(nu, (o,), (), ((),), zero)])[0]
-    probed = fitter.run(
-        Task(nu, (o,), (e.id,), tuple((s,) for s in starts(e, null.fit.rig, o)), zero, PROBING)
-        for e in possible(nu, (o,))
-    )
-    singles = _refined(fitter, nu, (o,), probed)
-    order = ranked(null, singles)
-    if order[0].candidate.effects and order[0].unexplained > MIXED:
-        order = _with_pairs(fitter, nu, o, null, singles, order)
-    return order
-
-
-def _fails_on(best: Candidate, unseen: Observation) -> bool:
-    """Whether an explanation that fits the main sweep leaves a clear gap on the other one."""
-    J = float(per_point(best.fit.rig, unseen).mean())
-    return J > VISIBLE and significance(residual(best.fit.rig, unseen), unseen) > SIGNIFICANT
-
-
-def _halves(other: Sweep, nu: Nuisance, name: str) -> tuple[Observation, Observation, str]:
-    """The other sweep in two: even lines to fit, odd lines unseen."""
-    line = np.unique(other.frequency_hz, return_inverse=True)[1]
-    seen, unseen = (
-        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0)) if (line % 2 == k).sum() * 2 > 16 else None
-        for k in (0, 1)
-    )
-    if seen is None or unseen is None:
-        whole = observe(thinned(other), nu.rig, (0.8, 1.0))
-        return whole, whole, name + " (fitted too)"
-    return seen, unseen, name + ", every other line"
-
-
-def _with_amplitude(
-    fitter: Fitter, nu: Nuisance, both: tuple[Observation, ...], order: Sequence[Ranked]
-) -> list[Ranked]:
-    """Explanations refitted to both sweeps, with effects that only show at another amplitude beside the best ones."""
-    zero = np.zeros(len(nu))
-    null = fitter.run([Task(nu, both, (), ((),), zero)])[0]
-    best = [r.candidate for r in order if r.candidate.effects][:3]
-    tasks = [Task(nu, both, c.effects, (c.fit.values,), c.fit.theta, PROBING) for c in best]
-    largest = both[-1] if np.abs(both[-1].Y).max() > np.abs(both[0].Y).max() else both[0]
-    for effect in (e for e in possible(nu, both) if e.nonlinear):
-        found = starts(effect, null.fit.rig, largest)
-        tasks.append(Task(nu, both, (effect.id,), tuple((s,) for s in found), null.fit.theta, PROBING))
-        for c in best[:2]:
-            if effect.id not in c.effects and len(c.effects) == 1:
-                pair = tuple((c.fit.values[0], s) for s in found)
-                tasks.append(Task(nu, both, (*c.effects, effect.id), pair, c.fit.theta, PROBING))
-    everything = ranked(null, _refined(fitter, nu, both, fitter.run(tasks)))
-    return [r for r in everything if len(r.candidate.effects) < 2 or _worth_it(r, everything)]
-
-
-def _refined(
-    fitter: Fitter, nu: Nuisance, observations: tuple[Observation, ...], probed: Sequence[Candidate]
-) -> list[Candidate]:
-    """The probed candidates, the best ones fitted to the end."""
-    best = sorted(probed, key=lambda c: c.fit.chi_square + c.fit.penalty)
-    tasks = [Task(nu, observations, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in best[:REFINED]]
-    return [*fitter.run(tasks), *best[REFINED:]]
-
-
-def _with_pairs(
-    fitter: Fitter, nu: Nuisance, o: Observation, null: Candidate, singles: Sequence[Candidate], order: list[Ranked]
-) -> list[Ranked]:
-    best = order[0].candidate
-    names = [r.candidate.effects[0] for r in order if r.candidate.effects]
-    tasks = []
-    for a, b in [(names[0], n) for n in names[1:]] + list(combinations(names[1:PAIRED], 2)):
-        first = next(c for c in singles if c.effects == (a,))
-        second = starts(CATALOGUE[b], best.fit.rig, o)
-        tasks.append(Task(nu, (o,), (a, b), tuple((first.fit.values[0], s) for s in second), best.fit.theta, PROBING))
-    pairs = _refined(fitter, nu, (o,), fitter.run(tasks))
-    everything = ranked(null, [*singles, *pairs])
-    return [r for r in everything if len(r.candidate.effects) < 2 or _worth_it(r, everything)]
-
-
-def _worth_it(pair: Ranked, order: Sequence[Ranked]) -> bool:
-    """Whether both effects of a pair are needed: each alone leaves three times as much, and more than a little."""
-    alone = [r for r in order if len(r.candidate.effects) == 1 and r.candidate.effects[0] in pair.candidate.effects]
-    least = min((r.unexplained for r in alone), default=1.0)
-    a, b = pair.candidate.effects
-    alias = b in CATALOGUE[a].aliases or a in CATALOGUE[b].aliases
-    return least > (0.15 if alias else MIXED) and pair.unexplained < least / 3

@@ -8,6 +8,8 @@ what they leave tells them apart, not the difference.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,13 +17,16 @@ from service.gap.fit import Fit, Problem
 
 Real = NDArray[np.float64]
 
+TEMPERATURE = 3.0
+"""Log evidence is divided by this before it becomes a probability: the widths of priors are judgements, and a rig's own
+law of an effect differs from the catalogue's, each worth some nats."""
 MODEL_ERRORS = 40.0
 """Independent values in what a twin leaves: residuals of neighbouring lines and channels go together."""
 
 
 def occam(problem: Problem, fit: Fit) -> float:
     """Log of the share of the prior that the data leave: -1/2 logdet of curvature, effect priors uniform."""
-    k = len(problem.nuisance)
+    k = len(problem.active)
     width = problem.high - problem.low
     # A parameter that the data say nothing of keeps its prior, a uniform one of that width.
     prior = np.concatenate([np.ones(k), 12.0 / np.maximum(width, 1e-12) ** 2])
@@ -30,21 +35,21 @@ def occam(problem: Problem, fit: Fit) -> float:
     return float(-0.5 * logdet + 0.5 * np.sum(np.log(prior)))
 
 
-def log_evidence(chi_square: float, penalty: float, occam_factor: float, noise_chi_square: float) -> float:
-    """Log evidence of a fit; ``noise_chi_square`` is what a right twin leaves.
+def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float:
+    """Log evidence of a fit; ``noise`` is the chi-square that a right twin leaves in each of its groups.
 
-    Below it residuals are noise and count as such; what lies above is the twin's own error.
+    What a group leaves above it is the twin's own error. Groups are judged apart: an effect that shows in the
+    harmonics does not drown one that shows in the fundamental.
     """
-    excess = max(chi_square - noise_chi_square, 0.0)
-    gained = max(noise_chi_square - chi_square, 0.0)
-    return float(-0.5 * MODEL_ERRORS * np.log1p(excess / MODEL_ERRORS) + 0.5 * gained - 0.5 * penalty + occam_factor)
+    excess = np.array([max(chi - level, 0.0) for (chi, _), level in zip(fit.groups, noise, strict=True)])
+    return float(-0.5 * MODEL_ERRORS * np.log1p(excess / MODEL_ERRORS).sum() - 0.5 * fit.penalty + occam_factor)
 
 
 def probabilities(log_evidence: Real) -> Real:
-    """Normalised probabilities of alternatives with equal prior odds.
+    """Normalised probabilities of alternatives with equal prior odds, tempered.
 
     >>> probabilities(np.array([0.0, 0.0])).tolist()
     [0.5, 0.5]
     """
-    weight = np.exp(log_evidence - np.max(log_evidence))
+    weight = np.exp((log_evidence - np.max(log_evidence)) / TEMPERATURE)
     return np.asarray(weight / weight.sum())

@@ -1,7 +1,8 @@
-"""Maximum a posteriori fit of a twin, with chosen effects, to observations: Levenberg-Marquardt.
+"""Maximum a posteriori fit of one part of the loop, with chosen effects, to observations: Levenberg-Marquardt.
 
 Every candidate is fitted beside the datasheet's uncertain values, each under its tolerance as a unit-normal
-prior; an effect's own parameters range freely between their bounds.
+prior; an effect's own parameters range freely between their bounds. The derivatives by the datasheet's values
+change little from step to step, so they are kept until a step fails with them (the chord method).
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.jacobian import answer_and_jacobian
-from service.gap.nuisance import Nuisance
+from service.gap.jacobian import answer_and_jacobian, current_jacobian, stacked
 from service.gap.observation import Observation
-from service.gap.predict import answer, at_speed_of, centred, control, linear_answer, measured, weights
+from service.gap.part import Ground
+from service.gap.predict import answer, at_speed_of, centred, control, current, displacement, measured_signal, weight
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model
@@ -27,6 +28,12 @@ STEP = 1e-3
 """Forward difference of an effect's parameter, in units of its scale."""
 TOLERANCE_BOUND = 4.0
 """A datasheet's value may be off by this many of its tolerances; what lies beyond is a gap, not an uncertainty."""
+LONGEST_LOG = 1.5
+"""Longest step of a magnitude, in nats: a clearance that jumps past the rotor's reach would not come back."""
+CHANGING = ("thermal_drift",)
+"""Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
+CHORD = 4
+"""Steps for which the derivatives by the datasheet's values are kept."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,7 @@ EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4)
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted twin."""
+    """A fitted twin, or one part of it."""
 
     effects: tuple[str, ...]
     theta: Real
@@ -59,30 +66,51 @@ class Fit:
     values: tuple[dict[str, float], ...]
     """parameters of each effect"""
     rig: Rig
-    chi_square: float
-    """of the weighted residuals, all harmonics"""
-    n_residuals: int
+    groups: tuple[tuple[float, int], ...]
+    """(chi-square, number of residuals) of the fundamental and of the other harmonics, sweep by sweep"""
+    penalty: float
+    """|theta|^2 of the values fitted, what the datasheet's tolerances hold against the fit"""
+    active: NDArray[np.int64]
+    """indices of the values fitted"""
     curvature: Real
-    """(k + e, k + e), J^T J of the weighted residuals; effect parameters in units of their scale"""
+    """(a + e, a + e), J^T J of the weighted residuals; effect parameters in units of their scale"""
     status: str
 
     @property
-    def penalty(self) -> float:
-        """|theta|^2, what the datasheet's tolerances hold against the fit."""
-        return float(self.theta @ self.theta)
+    def chi_square(self) -> float:
+        """Of the weighted residuals, all harmonics."""
+        return sum(chi for chi, _ in self.groups)
+
+    @property
+    def n_residuals(self) -> int:
+        """Number of weighted residuals, real and imaginary parts apart."""
+        return sum(n for _, n in self.groups)
+
+
+@dataclass
+class _State:
+    """Where a pass of the fit stands."""
+
+    x: Real
+    rig: Rig
+    residuals: list[Complex]
+    predictions: list[Complex]
+    cost: float
 
 
 class Problem:
-    """Observations, a datasheet's uncertain values, and the effects that are fitted beside them."""
+    """Observations of a part of the loop, its uncertain values, and the effects that are fitted beside them."""
 
-    def __init__(self, nuisance: Nuisance, observations: Sequence[Observation], effects: Sequence[Effect] = ()) -> None:
-        self.nuisance, self.observations, self.effects = nuisance, tuple(observations), tuple(effects)
+    def __init__(self, ground: Ground, effects: Sequence[Effect] = ()) -> None:
+        self.ground, self.effects = ground, tuple(effects)
+        self.observations, self.active = ground.observations, ground.part.active
         self.parameters = [(k, p) for k, e in enumerate(effects) for p in e.parameters]
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
         self.low: Real = np.array([self._inner(p, p.low) for _, p in self.parameters], dtype=float) / self.scale
         self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
-        self.nonlinear = any(e.nonlinear for e in effects)
-        self._k = len(nuisance)
+        self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
+        self.nonlinear = any(e.nonlinear or e.id in CHANGING for e in effects)
+        self._a, self._signal = len(self.active), ground.part.signal
 
     @staticmethod
     def _inner(p: Parameter, value: float) -> float:
@@ -102,10 +130,16 @@ class Problem:
         inner = [self._inner(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
         return np.asarray(np.array(inner, dtype=float) / self.scale)
 
-    def build(self, theta: Real, e: Real) -> Rig:
-        """The rig at deviations ``theta`` with effects ``e``."""
-        rig = self.nuisance.at(theta)
-        for effect, values in zip(self.effects, self.values(e), strict=True):
+    def theta(self, x: Real) -> Real:
+        """All deviations, (k,): the part's own from ``x``, the others as found before."""
+        theta = self.ground.theta.copy()
+        theta[self.active] = x[: self._a]
+        return theta
+
+    def build(self, x: Real) -> Rig:
+        """The rig at a vector of deviations and effect parameters, (a + e,)."""
+        rig = self.ground.rig(self.theta(x))
+        for effect, values in zip(self.effects, self.values(x[self._a :]), strict=True):
             rig = effect.on(rig, **values)
         return rig
 
@@ -119,181 +153,179 @@ class Problem:
         return np.asarray((model.sensitivity[o.line] @ excitation[..., None])[..., 0])
 
     def predict(self, rig: Rig, o: Observation, closed: bool, carried: Complex | None = None) -> Complex:
-        """Answer [u, i, y] to the measured control signal, (P, H, 3 n).
+        """The part's output for its measured input, (P, H, n).
 
-        ``carried`` is what the magnets' nonlinearity adds to the small-signal answer of [i, y], (P, H, 2 n), all
+        ``carried`` is what the magnets' nonlinearity adds to the small-signal displacement, (P, H, n), all
         harmonics; it hardly changes while a linear effect is fitted, so it is computed once a stage.
         """
-        n, f = rig.n_axes, o.fundamental
-        nonlinear = self.beyond_linear(rig, o) if carried is None or self.nonlinear else carried
-        out = np.empty((*o.U.shape[:2], 3 * n), dtype=complex)
-        out[:, :, :n] = control(rig, o)
-        out[:, :, n:] = nonlinear
+        if self._signal == "u":
+            return control(rig, o)
+        if self._signal == "i":
+            return current(rig, o)
+        f = o.fundamental
+        out = self.beyond_linear(rig, o) if carried is None or self.nonlinear else carried.copy()
         if closed:
             model = linear_model(at_speed_of(rig, o), o.frequency_hz)
-            U = self._closed_control(o, model)[..., None]
-            out[:, f, n : 2 * n] += (model.i_per_u[o.line] @ U)[..., 0]
-            out[:, f, 2 * n :] += (model.y_per_u[o.line] @ U)[..., 0]
+            out[:, f] += (model.y_per_u[o.line] @ self._closed_control(o, model)[..., None])[..., 0]
         else:
-            out[:, f, n:] += linear_answer(rig, o)
+            out[:, f] += displacement(rig, o)
         return out
 
-    @staticmethod
-    def beyond_linear(rig: Rig, o: Observation) -> Complex:
-        """Answer of [i, y] without its small-signal fundamental, (P, H, 2 n)."""
-        out = answer(rig, o)
-        out[:, o.fundamental] -= linear_answer(rig, o)
+    def beyond_linear(self, rig: Rig, o: Observation) -> Complex:
+        """Displacement without its small-signal fundamental, (P, H, n); other parts have nothing of the kind."""
+        if self._signal != "y":
+            return np.zeros((*o.U.shape[:2], 0), dtype=complex)
+        out = answer(rig, o)[..., rig.n_axes :]
+        out[:, o.fundamental] -= displacement(rig, o)
         return out
-
-    @staticmethod
-    def _with_control(o: Observation, U: Complex) -> Observation:
-        new = o.U.copy()
-        new[:, o.fundamental] = U
-        return replace(o, U=new)
 
     def _nuisance_columns(self, rig: Rig, o: Observation, closed: bool) -> Complex:
-        """Derivative of the fundamental of [i, y] by theta, (P, 2 n, k)."""
-        n = rig.n_axes
+        """Derivative of the fundamental by the active values, (P, n, a)."""
+        n, nuisance = rig.n_axes, self.ground.nuisance
+        if self._signal == "u":
+            return np.zeros((len(o.line), n, 0), dtype=complex)
+        if self._signal == "i":
+            return current_jacobian(nuisance, rig, o)
+        amplifiers = self.ground.part.from_control
         if not closed:
-            return answer_and_jacobian(self.nuisance, rig, o)[1]
+            return answer_and_jacobian(nuisance, rig, o, amplifiers)[1][:, n:, self.active]
         model = linear_model(at_speed_of(rig, o), o.frequency_hz)
-        _, J = answer_and_jacobian(self.nuisance, rig, self._with_control(o, self._closed_control(o, model)))
+        U = o.U.copy()
+        U[:, o.fundamental] = self._closed_control(o, model)
+        J = answer_and_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[1][:, n:, self.active]
         C = model.controller[:, None, None]
-        S = np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line]
-        J[:, n:] = S @ J[:, n:]
-        J[:, :n] -= (model.i_per_u * C)[o.line] @ J[:, n:]
-        return J
+        return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 
-    def _effect_columns(
-        self, theta: Real, e: Real, o: Observation, closed: bool, at: Complex, carried: Complex
-    ) -> Complex:
-        """Derivative of `predict` by the effects' parameters, (P, H, 3 n, e); ``at`` is the prediction itself."""
-        columns = np.zeros((*at.shape, len(e)), dtype=complex)
-        for j in range(len(e)):
-            moved = e.copy()
-            moved[j] += STEP if e[j] + STEP <= self.high[j] else -STEP
-            there = self.predict(self.build(theta, moved), o, closed, carried)
-            columns[..., j] = (there - at) / (moved[j] - e[j])
-        return columns
+    def _effect_columns(self, state: _State, stage: Stage, w: list[Real], carried: list[Complex]) -> list[Complex]:
+        """Weighted derivatives of the predictions by the effects' parameters, (P, H, n, e) per sweep."""
+        columns = [np.zeros((*p.shape, len(self.scale)), dtype=complex) for p in state.predictions]
+        for j in range(len(self.scale)):
+            moved = state.x.copy()
+            at = self._a + j
+            moved[at] += STEP if moved[at] + STEP <= self.high[j] else -STEP
+            rig = self.build(moved)
+            for column, o, c, p in zip(columns, self.observations, carried, state.predictions, strict=True):
+                column[..., j] = (self.predict(rig, o, stage.closed, c) - p) / (moved[at] - state.x[at])
+        return [
+            centred(column, weight_, o) * weight_[..., None]
+            for column, weight_, o in zip(columns, w, self.observations, strict=True)
+        ]
 
     # ------------------------------------------------------------------------------------------------- fit
 
     def _weights(self, stage: Stage) -> list[Real]:
         out = []
         for o in self.observations:
-            w, m = weights(o), measured(o)[:, [o.fundamental]]
+            w = weight(o, self._signal)
             if stage.relative_floor:
-                n = m.shape[2] // 3
-                size = np.concatenate([np.abs(m[..., k * n : (k + 1) * n]).max(2) for k in range(3)], axis=1)
-                floor = stage.relative_floor * np.repeat(size, n, axis=1)[:, None, :]
+                size = np.abs(measured_signal(o, self._signal)[:, o.fundamental]).max(axis=1)
+                floor = stage.relative_floor * size[:, None, None]
                 w = np.where(w > 0, 1 / np.hypot(1 / np.maximum(w, 1e-300), floor), 0.0)
             out.append(w)
         return out
 
-    def _residuals(
-        self, rig: Rig, stage: Stage, w: list[Real], carried: list[Complex]
-    ) -> tuple[list[Complex], list[Complex], float]:
-        """Weighted residuals (P, H, 3 n) and predictions per observation, and chi-square."""
+    def _state(self, x: Real, stage: Stage, w: list[Real], carried: list[Complex], prior: Real) -> _State:
+        rig = self.build(x)
         predictions = [self.predict(rig, o, stage.closed, c) for o, c in zip(self.observations, carried, strict=True)]
         residuals = [
-            centred(measured(o) - p, weight, o) * weight
-            for o, p, weight in zip(self.observations, predictions, w, strict=True)
+            centred(measured_signal(o, self._signal) - p, weight_, o) * weight_
+            for o, p, weight_ in zip(self.observations, predictions, w, strict=True)
         ]
-        return residuals, predictions, float(sum(np.vdot(r, r).real for r in residuals))
+        cost = float(sum(np.vdot(r, r).real for r in residuals) + x**2 @ prior)
+        return _State(x, rig, residuals, predictions, cost)
 
-    def _normal_equations(
-        self,
-        x: Real,
-        rig: Rig,
-        stage: Stage,
-        w: list[Real],
-        residuals: list[Complex],
-        predictions: list[Complex],
-        carried: list[Complex],
-    ) -> tuple[Real, Real]:
-        """J^T J and J^T r. The datasheet's values move only the fundamental of i and y, so only that is stacked."""
-        k, m = self._k, len(x)
+    def _nuisance_rows(self, rig: Rig, stage: Stage, w: list[Real]) -> list[Real]:
+        """Weighted derivatives of the fundamentals by the active values, one (2 P n, a) per sweep."""
+        return [
+            stacked(self._nuisance_columns(rig, o, stage.closed) * weight_[:, o.fundamental, :, None])
+            for o, weight_ in zip(self.observations, w, strict=True)
+        ]
+
+    def _normal_equations(self, state: _State, rows: list[Real], columns: list[Complex]) -> tuple[Real, Real]:
+        """J^T J and J^T r. The datasheet's values move only the fundamental, so only that is stacked for them."""
+        a, m = self._a, len(state.x)
         curvature, gradient = np.zeros((m, m)), np.zeros(m)
-        for o, weight, r, p, c in zip(self.observations, w, residuals, predictions, carried, strict=True):
-            n, f = rig.n_axes, o.fundamental
-            J = _real(self._nuisance_columns(rig, o, stage.closed) * weight[:, f, n:, None])
-            curvature[:k, :k] += J.T @ J
-            gradient[:k] += J.T @ _real(r[:, f, n:, None])[:, 0]
-            if m > k:
-                E = self._effect_columns(x[:k], x[k:], o, stage.closed, p, c)
-                E = centred(E, weight, o) * weight[..., None]
-                cross = J.T @ _real(E[:, f, n:])
-                flat = _real(E)
-                curvature[:k, k:] += cross
-                curvature[k:, :k] += cross.T
-                curvature[k:, k:] += flat.T @ flat
-                gradient[k:] += flat.T @ _real(r[..., None])[:, 0]
+        for o, r, J, E in zip(self.observations, state.residuals, rows, columns, strict=True):
+            f = o.fundamental
+            curvature[:a, :a] += J.T @ J
+            gradient[:a] += J.T @ stacked(r[:, f, :, None])[:, 0]
+            if m > a:
+                cross, flat = J.T @ stacked(E[:, f]), stacked(E)
+                curvature[:a, a:] += cross
+                curvature[a:, :a] += cross.T
+                curvature[a:, a:] += flat.T @ flat
+                gradient[a:] += flat.T @ stacked(r[..., None])[:, 0]
         return curvature, gradient
 
-    def run(self, theta: Real, e: Real, stage: Stage) -> tuple[Real, Real, Fit]:
-        """One Levenberg-Marquardt pass; returns the parameters and the fit."""
-        w, k = self._weights(stage), self._k
-        prior = np.concatenate([np.ones(k), np.zeros(len(e))])
-        x = np.concatenate([theta, e])
-        bound = np.full(k, TOLERANCE_BOUND)
+    def run(self, x: Real, stage: Stage) -> Fit:
+        """One Levenberg-Marquardt pass from ``x`` (a + e,)."""
+        a, w = self._a, self._weights(stage)
+        prior = np.concatenate([np.ones(a), np.zeros(len(x) - a)])
+        bound = np.full(a, TOLERANCE_BOUND)
+        longest = np.concatenate([bound, self._longest])
         low, high = np.concatenate([-bound, self.low]), np.concatenate([bound, self.high])
-        rig = self.build(x[:k], x[k:])
-        carried = [self.beyond_linear(rig, o) for o in self.observations]
-        r, predictions, chi_square = self._residuals(rig, stage, w, carried)
-        cost = chi_square + float(x**2 @ prior)
-        damping, status, curvature = 1e-3, "reached the largest number of iterations", np.zeros((len(x), len(x)))
+        begun = self.build(x)
+        carried = [self.beyond_linear(begun, o) for o in self.observations]
+        state = self._state(x, stage, w, carried, prior)
+        damping, status = 1e-3, "reached the largest number of iterations"
+        rows, age = self._nuisance_rows(state.rig, stage, w), 0
+        curvature = np.zeros((len(x), len(x)))
         for iteration in range(stage.iterations):
-            curvature, gradient = self._normal_equations(x, rig, stage, w, r, predictions, carried)
+            if age >= CHORD:
+                rows, age = self._nuisance_rows(state.rig, stage, w), 0
+            columns = self._effect_columns(state, stage, w, carried)
+            curvature, gradient = self._normal_equations(state, rows, columns)
             hessian = curvature + np.diag(prior)
             scale = np.diag(np.maximum(np.diag(hessian), 1e-12))
-            accepted = False
-            for _ in range(7):
-                step = np.linalg.solve(hessian + damping * scale, gradient - prior * x)
-                trial = np.clip(x + np.clip(step, -4.0, 4.0), low, high)
-                trial_rig = self.build(trial[:k], trial[k:])
-                trial_r, trial_predictions, trial_chi = self._residuals(trial_rig, stage, w, carried)
-                trial_cost = trial_chi + float(trial**2 @ prior)
-                if np.isfinite(trial_cost) and trial_cost < cost:
-                    accepted = True
+            trial = None
+            for _ in range(7 if age == 0 else 2):
+                step = np.linalg.solve(hessian + damping * scale, gradient - prior * state.x)
+                tried = np.clip(state.x + np.clip(step, -longest, longest), low, high)
+                found = self._state(tried, stage, w, carried, prior)
+                if np.isfinite(found.cost) and found.cost < state.cost:
+                    trial = found
                     break
                 damping = max(damping * 10, 1e-6)
-            if not accepted:
+            if trial is None and age > 0:
+                age, damping = CHORD, 1e-3  # the derivatives are too old
+                continue
+            if trial is None:
                 status = "no step lowers the cost"
                 break
-            damping = max(damping / 10, 1e-9)
-            drop = cost - trial_cost
-            x, rig, r, predictions, chi_square, cost = (
-                trial,
-                trial_rig,
-                trial_r,
-                trial_predictions,
-                trial_chi,
-                trial_cost,
-            )
-            if not stage.closed and not self.nonlinear and iteration < 4:
-                carried = [self.beyond_linear(rig, o) for o in self.observations]
-                r, predictions, chi_square = self._residuals(rig, stage, w, carried)
-                cost = chi_square + float(x**2 @ prior)
-            if drop < stage.tolerance * max(1.0, cost):
+            damping, age = max(damping / 10, 1e-9), age + 1
+            drop, state = state.cost - trial.cost, trial
+            if not stage.closed and not self.nonlinear and self._signal == "y" and iteration < 4:
+                carried = [self.beyond_linear(state.rig, o) for o in self.observations]
+                state = self._state(state.x, stage, w, carried, prior)
+            if drop < stage.tolerance * max(1.0, state.cost):
                 status = "converged"
                 break
-        count = sum(2 * int((weight > 0).sum()) for weight in w)
+        return self._fit(state, w, curvature, status)
+
+    def _fit(self, state: _State, w: list[Real], curvature: Real, status: str) -> Fit:
+        groups: list[tuple[float, int]] = []
+        for o, r, weight_ in zip(self.observations, state.residuals, w, strict=True):
+            own = np.arange(len(o.harmonics)) == o.fundamental
+            groups += [
+                (float(np.sum(np.abs(r[:, chosen]) ** 2)), 2 * int((weight_[:, chosen] > 0).sum()))
+                for chosen in (own, ~own)
+            ]
+        a = self._a
+        theta, values = self.theta(state.x), self.values(state.x[a:])
+        penalty = float(state.x[:a] @ state.x[:a])
         names = tuple(effect.id for effect in self.effects)
-        return x[:k], x[k:], Fit(names, x[:k], self.values(x[k:]), rig, chi_square, count, curvature, status)
+        return Fit(names, theta, values, state.rig, tuple(groups), penalty, self.active, curvature, status)
 
-    def staged(self, theta: Real, e: Real, stages: Sequence[Stage] = (COARSE, MIDDLE, EXACT)) -> Fit:
-        """Fit through stages of growing exactness, each from where the last one ended."""
-        fit: Fit | None = None
-        for stage in stages:
-            theta, e, fit = self.run(theta, e, stage)
-        assert fit is not None
-        return fit
+    def vector(self, fit: Fit) -> Real:
+        """The vector (a + e,) at which a fit of this problem ended."""
+        return np.concatenate([fit.theta[self.active], self.scaled(fit.values)])
 
-
-def _real(x: Complex) -> Real:
-    """(..., columns) complex -> (2 rows, columns): real parts, then imaginary ones."""
-    flat = x.reshape(-1, x.shape[-1])
-    return np.concatenate([flat.real, flat.imag])
+    def residuals(self, fit: Fit) -> list[Complex]:
+        """Weighted residuals of a fit of this part, (P, H, n) per sweep."""
+        prior = np.zeros(self._a + len(self.scale))
+        nothing = [np.zeros((*o.U.shape[:2], 0), dtype=complex) for o in self.observations]
+        carried = [self.beyond_linear(fit.rig, o) for o in self.observations] if self._signal == "y" else nothing
+        return self._state(self.vector(fit), EXACT, self._weights(EXACT), carried, prior).residuals
 
 
 def _scale(p: Parameter) -> float:

@@ -40,10 +40,27 @@ class _Motion:
     """(P,)"""
 
 
-def answer_and_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> tuple[Complex, Complex]:
+def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
+    """Derivative of the fundamental of i, (P, n, 3 n), per unit deviation of the amplifiers' values.
+
+    Columns are gains, frequencies and dampings, axis by axis; ``rig`` is the rig at the present deviations.
+    """
+    n, omega, axes = rig.n_axes, 2 * np.pi * o.frequency_hz, np.arange(rig.n_axes)
+    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    crossed = (o.U[:, o.fundamental] * early) @ rig.amplifiers.crosstalk.T
+    columns = np.zeros((len(o.line), n, 3 * n), dtype=complex)
+    for k, (d_sampled, _) in enumerate(_amplifier_changes(rig, omega)):
+        columns[:, axes, k * n + axes] = d_sampled[o.line] * crossed
+    return np.asarray(columns * nuisance.sigma[2 * n : 5 * n])
+
+
+def answer_and_jacobian(
+    nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True
+) -> tuple[Complex, Complex]:
     """Small-signal [i, y] at the fundamental, (P, 2 n), and its derivative, (P, 2 n, k), per unit deviation.
 
-    ``rig`` is the rig at the present deviations, effects included.
+    ``rig`` is the rig at the present deviations, effects included; the columns of the amplifiers' values are left
+    at zero where they are not asked for.
     """
     rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
     n, omega = rig.n_axes, 2 * np.pi * o.frequency_hz
@@ -75,7 +92,7 @@ def answer_and_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> tuple[C
     columns[:, n:, n : 2 * n] = per_magnet * (point.ks * at_bearing)[:, None, :]
     axes = np.arange(n)
     crossed = U @ rig.amplifiers.crosstalk.T
-    for k, change in enumerate(_amplifier_changes(rig, omega)):
+    for k, change in enumerate(_amplifier_changes(rig, omega) if amplifiers else ()):
         d_sampled, d_base = (c[o.line] * crossed * early for c in change)
         block = slice((2 + k) * n, (3 + k) * n)
         columns[:, axes, (2 + k) * n + axes] = d_sampled
@@ -143,3 +160,9 @@ def _mechanical_columns(
                 columns[:, n + axis, column + 4 + side] = motion.sensor[:, axis] * qk[:, 0]
             column += 6
         start += 2 + len(modes)
+
+
+def stacked(x: Complex) -> Real:
+    """(..., columns) complex -> (2 rows, columns): real parts, then imaginary ones."""
+    flat = x.reshape(int(np.prod(x.shape[:-1])), x.shape[-1])
+    return np.concatenate([flat.real, flat.imag])

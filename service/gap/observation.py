@@ -7,6 +7,7 @@ the noise that feedback carries round cancels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,15 @@ UNSETTLED_SHARE = 0.25
 decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
 
 
+RINGING = 0.04
+"""Relative distance to a flexible mode within which it still rings in the blocks, from the last change of frequency or
+from noise: there blocks are not independent, so their mean is no better than one, and no harmonic is judged."""
+HARMONIC_ERROR = 0.1
+"""Relative error of a harmonic below which no law is trusted: two laws of one effect differ by this much."""
+
+
+HUMMED = 0.35
+"""Relative distance to an interference within which it is counted as a point's own error."""
 OWN_SCATTER = 3.0
 """Ratio of a point's variance to its neighbours' beyond which it counts as its own: 1 in 1000 for six blocks."""
 
@@ -107,13 +117,15 @@ def _smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
     return np.where(v > OWN_SCATTER * pooled, v, pooled)
 
 
-def observe(sweep: Sweep, rig: Rig, progress: tuple[float, float] = (0.0, 1.0)) -> Observation:
-    """Prepare a sweep. ``rig`` (any reasonable twin) only serves to take the feedback out of the block scatter."""
-    sweep = usable(sweep)
+def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
+    """Variance of the mean over blocks of what a twin leaves of u, i and y, (P, H, n) each, A^2 and m^2.
+
+    ``rig`` (any reasonable twin) only serves to take the feedback out; i is zero where it was not logged.
+    """
     frequency, line = time_points(sweep.frequency_hz)
     U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
-    sd_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
-    sd_y, sd_u = np.zeros_like(sd_i), np.zeros_like(sd_i)
+    of_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
+    of_y, of_u = np.zeros_like(of_i), np.zeros_like(of_i)
     for k, h in enumerate(sweep.harmonics):
         model = linear_model(rig, np.maximum(h * frequency, 1e-2))
         dU = U[:, :, k] - U[:, :, k].mean(axis=1, keepdims=True)
@@ -126,20 +138,47 @@ def observe(sweep: Sweep, rig: Rig, progress: tuple[float, float] = (0.0, 1.0)) 
                 power = np.minimum(power, np.mean(np.abs(direct) ** 2, axis=1))
             return np.asarray(power / (blocks - 1))
 
-        sd_y[:, k] = np.sqrt(_smooth_variance(scatter(Y, model.y_per_u), sweep.frequency_hz))
+        of_y[:, k] = scatter(Y, model.y_per_u)
         dY = Y[:, :, k] - Y[:, :, k].mean(axis=1, keepdims=True)
         C = -model.controller[:, None, None] * np.eye(rig.n_axes)
-        sd_u[:, k] = np.sqrt(_smooth_variance(scatter(U, C, dY), sweep.frequency_hz))
+        of_u[:, k] = scatter(U, C, dY)
         if sweep.I is not None:
-            sd_i[:, k] = np.sqrt(_smooth_variance(scatter(sweep.I, model.i_per_u), sweep.frequency_hz))
+            of_i[:, k] = scatter(sweep.I, model.i_per_u)
+    return of_u, of_i, of_y
+
+
+def observe(
+    sweep: Sweep, rig: Rig, progress: tuple[float, float] = (0.0, 1.0), hums_hz: Sequence[float] = ()
+) -> Observation:
+    """Prepare a sweep.
+
+    Parameters
+    ----------
+    rig
+        Any reasonable twin: it only serves to take the feedback out of the block scatter.
+    hums_hz
+        Frequencies of interference, near which the blocks of a point are not independent.
+    """
+    sweep = usable(sweep)
+    frequency, line = time_points(sweep.frequency_hz)
+    U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
+    scatter = block_scatter(sweep, rig)
+    hummed = near_hum(sweep, hums_hz)[..., None]
+    sd_u, sd_i, sd_y = (
+        np.sqrt(_smooth_variance(v, sweep.frequency_hz)) * np.where(hummed, np.sqrt(blocks), 1.0) for v in scatter
+    )
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
     mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
-    sd_u, sd_y = _with_floor(sd_u, mean_u, f), _with_floor(sd_y, mean_y, f)
-    sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, f)
+    sd_u, sd_y = (_with_floor(sd, mean, sweep.harmonics) for sd, mean in ((sd_u, mean_u), (sd_y, mean_y)))
+    sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
     drift_y, unsettled = _drift(Y[:, :, f], sd_y[:, f], blocks)
     drift_u, _ = _drift(U[:, :, f], sd_u[:, f], blocks)
     sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
+    rings = _ringing(rig, sweep)
+    sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
+    rings[:, f] = False
+    sd_y[rings] = np.inf
     sd_u = np.hypot(sd_u, UNSETTLED_SHARE * drift_u[:, None, None])
     return Observation(
         frequency,
@@ -159,11 +198,25 @@ def observe(sweep: Sweep, rig: Rig, progress: tuple[float, float] = (0.0, 1.0)) 
     )
 
 
-def _with_floor(sd: Real, mean: Complex, f: int) -> Real:
-    """Standard deviation with the model's own error at the fundamental, relative to each channel's size."""
-    out = sd.copy()
-    out[:, f] = np.hypot(sd[:, f], MODEL_FLOOR * np.abs(mean[:, f]))
-    return out
+def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...]) -> Real:
+    """Standard deviation with the model's own error, relative to the size of each channel and harmonic."""
+    relative = np.where(np.array(harmonics) > 1, HARMONIC_ERROR, 0.0)  # a mean holds the static position too
+    relative[harmonics.index(1)] = MODEL_FLOOR
+    return np.asarray(np.hypot(sd, relative[:, None] * np.abs(mean)))
+
+
+def near_hum(sweep: Sweep, hums_hz: Sequence[float], width: float = HUMMED) -> NDArray[np.bool_]:
+    """Harmonics of the points that lie near an interference, (P, H)."""
+    at = (sweep.frequency_hz[:, None] * np.array(sweep.harmonics))[..., None]
+    hums = np.array(hums_hz, dtype=float)
+    return np.asarray(np.any(np.abs(at - hums) < width * hums, axis=-1))
+
+
+def _ringing(rig: Rig, sweep: Sweep) -> NDArray[np.bool_]:
+    """Harmonics that fall on a flexible mode, (P, H)."""
+    modes = np.array([mode.natural_frequency_rad_s for plane in rig.rotor.modes for mode in plane]) / (2 * np.pi)
+    at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
+    return np.asarray(np.any(np.abs(at[..., None] - modes) < RINGING * modes, axis=-1))
 
 
 def _drift(Y: Complex, sd: Real, blocks: int) -> tuple[Real, float]:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from service.gap.observation import Observation
 from sim import control_law
-from sim.harmonic_balance import Responder
+from sim.harmonic_balance import STATIC_HZ, Responder
 from sim.rig import Rig
-from sim.twin import linear_model
+from sim.twin import current_per_control, linear_model
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -28,7 +28,7 @@ def at_speed_of(rig: Rig, o: Observation) -> Rig:
 
 def answer(rig: Rig, o: Observation) -> Complex:
     """Twin's [i, y] for the measured control signal, all harmonics, (P, H, 2 n)."""
-    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(o.U)
+    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(o.U, seen=o.Y)
     return np.concatenate([a.I, a.Y], axis=2)
 
 
@@ -37,6 +37,21 @@ def linear_answer(rig: Rig, o: Observation) -> Complex:
     model = linear_model(at_speed_of(rig, o), o.frequency_hz)
     U = o.U[:, o.fundamental, :, None]
     return np.concatenate([(model.i_per_u[o.line] @ U)[..., 0], (model.y_per_u[o.line] @ U)[..., 0]], axis=1)
+
+
+def displacement(rig: Rig, o: Observation) -> Complex:
+    """Small-signal y at the fundamental, (P, n)."""
+    model = linear_model(at_speed_of(rig, o), o.frequency_hz)
+    return np.asarray((model.y_per_u[o.line] @ o.U[:, o.fundamental, :, None])[..., 0])
+
+
+def current(rig: Rig, o: Observation) -> Complex:
+    """Twin's coil current for the measured control signal, all harmonics, (P, H, n)."""
+    if np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)):
+        return Responder(rig, o.frequency_hz, o.line, o.harmonics).current(o.U)
+    per_harmonic = [current_per_control(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))[o.line] for h in o.harmonics]
+    answers = [(G @ o.U[:, k, :, None])[..., 0] for k, G in enumerate(per_harmonic)]
+    return np.stack(answers, axis=1)
 
 
 def control(rig: Rig, o: Observation) -> Complex:
@@ -55,6 +70,22 @@ def control(rig: Rig, o: Observation) -> Complex:
     return out
 
 
+def measured_signal(o: Observation, signal: str) -> Complex:
+    """u, i or y of all harmonics, (P, H, n)."""
+    if signal == "i":
+        assert o.I is not None
+        return o.I
+    return o.U if signal == "u" else o.Y
+
+
+def weight(o: Observation, signal: str) -> Real:
+    """1 / sd of the real and of the imaginary part of u, i or y, (P, H, n)."""
+    w = np.asarray(np.sqrt(2) / {"u": o.sd_u, "i": o.sd_i, "y": o.sd_y}[signal])
+    if signal == "u" and 0 in o.harmonics:
+        w[:, o.harmonics.index(0)] = 0.0  # an integrator's mean says nothing
+    return w
+
+
 def measured(o: Observation) -> Complex:
     """[u, i, y] of all harmonics, (P, H, 3 n); i is zero where it was not logged."""
     current = np.zeros_like(o.Y) if o.I is None else o.I
@@ -63,11 +94,8 @@ def measured(o: Observation) -> Complex:
 
 def weights(o: Observation) -> Real:
     """1 / sd of the real and of the imaginary part of [u, i, y], (P, H, 3 n); 0 where nothing was logged."""
-    w_u = np.sqrt(2) / o.sd_u
-    if 0 in o.harmonics:
-        w_u[:, o.harmonics.index(0)] = 0.0
-    w_i = np.zeros_like(o.sd_y) if o.I is None else np.sqrt(2) / o.sd_i
-    return np.concatenate([w_u, w_i, np.sqrt(2) / o.sd_y], axis=2)
+    w_i = np.zeros_like(o.sd_y) if o.I is None else weight(o, "i")
+    return np.concatenate([weight(o, "u"), w_i, weight(o, "y")], axis=2)
 
 
 def centred(e: Complex, w: Real, o: Observation) -> Complex:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from service.gap.candidates import Candidate
 from service.gap.evidence import log_evidence, probabilities
+from sim.effects import CATALOGUE
 
 DETECTED = 8.0
 """Log evidence by which an effect must beat the plain twin: one false alarm in some thousand clean rigs, were
@@ -19,8 +20,11 @@ MIXED = 0.02
 """Share of the gap that a first effect must leave for a second one, of another kind, to be looked for."""
 VISIBLE = 1.5
 """J on the unseen sweep from which there is a gap that could be closed."""
-ALIKE = 0.03
-"""Probability, relative to the best, from which a candidate counts as not told apart."""
+ALIKE = 6.0
+"""Log evidence behind the best up to which a candidate counts as not told apart."""
+LARGEST_CLASS = 3
+CLEAR = 30.0
+"""Excess chi-square of a group from which the share that an explanation leaves of it means something."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +33,12 @@ class Ranked:
 
     candidate: Candidate
     log_evidence: float
+    """`DETECTED` taken off for every effect: an effect is named only for good reason"""
     probability: float
     unexplained: float
     """share of the plain twin's excess chi-square that is left"""
+    shares: tuple[float, ...] = ()
+    """the same for the fundamental and for the harmonics of each sweep; 0 where there was no gap"""
 
 
 @dataclass(frozen=True)
@@ -45,61 +52,88 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def noise_level(null: Candidate, candidates: Sequence[Candidate]) -> float:
-    """Chi-square that a right twin would leave: no more than one per residual, no more than the best fit has."""
-    best = min(c.fit.chi_square for c in (null, *candidates))
-    return float(min(null.fit.n_residuals, best))
+def noise_levels(null: Candidate, candidates: Sequence[Candidate]) -> list[float]:
+    """Chi-square of each group that a right twin leaves: no more than one per residual, nor than the best fit has."""
+    everything = (null, *candidates)
+    return [
+        float(min(count, *(c.fit.groups[g][0] for c in everything))) for g, (_, count) in enumerate(null.fit.groups)
+    ]
 
 
 def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
     """Explanations by falling evidence, the plain twin (no effects) among them."""
-    noise = noise_level(null, candidates)
+    noise = noise_levels(null, candidates)
     everything = [null, *candidates]
-    logs = np.array([log_evidence(c.fit.chi_square, c.fit.penalty, c.occam, noise) for c in everything])
+    logs = np.array([log_evidence(c.fit, c.occam, noise) - DETECTED * len(c.effects) for c in everything])
     p = probabilities(logs)
-    before = max(null.fit.chi_square + null.fit.penalty - noise, 1e-9)
     out = [
-        Ranked(c, float(log), float(q), float((c.fit.chi_square + c.fit.penalty - noise) / before))
+        Ranked(c, float(log), float(q), unexplained(c, null, noise), shares(c, null, noise))
         for c, log, q in zip(everything, logs, p, strict=True)
     ]
     return sorted(out, key=lambda r: -r.log_evidence)
 
 
+def renormalised(order: Sequence[Ranked]) -> list[Ranked]:
+    """The same explanations, others being out of the question."""
+    p = probabilities(np.array([r.log_evidence for r in order]))
+    return [replace(r, probability=float(q)) for r, q in zip(order, p, strict=True)]
+
+
+def unexplained(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> float:
+    """Share of the plain twin's excess that an explanation leaves, the datasheet's values at their own price."""
+    before = max(null.fit.chi_square + null.fit.penalty - sum(noise), 1e-9)
+    return float((candidate.fit.chi_square + candidate.fit.penalty - sum(noise)) / before)
+
+
+def shares(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> tuple[float, ...]:
+    """Share of the plain twin's excess that is left, group by group; 0 where the plain twin has no clear excess."""
+    out = []
+    for (after, _), (before, _), level in zip(candidate.fit.groups, null.fit.groups, noise, strict=True):
+        clear = before - level > CLEAR
+        out.append(float(max(after - level, 0.0) / (before - level)) if clear else 0.0)
+    return tuple(out)
+
+
 def alike(best: Ranked, order: Sequence[Ranked]) -> tuple[str, ...]:
-    """Single effects that the data cannot tell from the best one, the best first."""
-    return tuple(
-        r.candidate.effects[0]
-        for r in order
-        if len(r.candidate.effects) == 1 and r.log_evidence > best.log_evidence + np.log(ALIKE)
-    )
+    """Single effects that the data cannot tell from the best one, the best first.
+
+    Known aliases that fit as well count whatever the number of their parameters: how many a law has says little
+    of how likely it is.
+    """
+    name = best.candidate.effects[0]
+    cost = best.candidate.fit.chi_square + best.candidate.fit.penalty
+
+    def close(r: Ranked) -> bool:
+        other = r.candidate.effects[0]
+        if r.log_evidence > best.log_evidence - ALIKE:
+            return True
+        known = other in CATALOGUE[name].aliases or name in CATALOGUE[other].aliases
+        return known and r.candidate.fit.chi_square + r.candidate.fit.penalty < cost + 2 * ALIKE
+
+    singles = [r for r in order if len(r.candidate.effects) == 1]
+    return tuple(r.candidate.effects[0] for r in singles if close(r))[:LARGEST_CLASS]
 
 
-def decide(
-    order: Sequence[Ranked], closures: Mapping[tuple[str, ...], float], remaining: float, unseen_before: float
-) -> Verdict:
-    """Verdict from ranked explanations.
+def decide(order: Sequence[Ranked], remaining: float, closure: float | None, significant: float) -> Verdict:
+    """Verdict on one part of the loop, from its ranked explanations.
 
     Parameters
     ----------
-    closures : closure on the unseen sweep, by effects
     remaining : significance (normal deviate) of what the best explanation leaves
-    unseen_before : J of the plain twin on the unseen sweep, 1 for noise; closure means nothing where it is small
+    closure : share of the part's gap that the best explanation closes on the unseen sweep; None where it has none
+    significant : significance of the plain twin's gap on the sweeps fitted and unseen
     """
-    null = next(r for r in order if not r.candidate.effects)
     best = order[0]
-    gain = best.log_evidence - null.log_evidence
-    if gain < DETECTED:
-        if remaining > 8.0 and unseen_before > VISIBLE:
+    if not best.candidate.effects:
+        if min(remaining, significant) > 8.0:
             return Verdict("none_of_these", (), (), 0.9, ("no effect of the catalogue explains any of the gap",))
-        return Verdict("no_gap", (), (), float(1 / (1 + np.exp(gain - DETECTED))), ())
+        return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
-    closure = closures.get(effects, 0.0) if unseen_before > VISIBLE else 1 - best.unexplained
-    if remaining > 6.0 and (best.unexplained > UNEXPLAINED or closure < 1 - 1.2 * UNEXPLAINED):
-        share = max(best.unexplained, 1 - closure)
+    closed = 1 - best.unexplained if closure is None else closure
+    if remaining > 6.0 and (best.unexplained > UNEXPLAINED or closed < 1 - 1.2 * UNEXPLAINED):
+        share = max(best.unexplained, 1 - closed)
         reason = f"the best explanation, {' + '.join(effects)}, leaves {100 * share:.0f} % of the gap"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     group = alike(best, order) if len(effects) == 1 else ()
     classes = (group,) if len(group) > 1 else ()
-    same = [r for r in order if len(r.candidate.effects) == len(effects)]
-    p = probabilities(np.array([r.log_evidence for r in same]))
-    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, float(p[0]), ())
+    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, best.probability, ())

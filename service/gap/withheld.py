@@ -36,6 +36,7 @@ DRAWN_SIGMAS = 0.7
 SPEED_RAD_S = (60.0, 300.0)
 AT_SPEED = 0.1
 """Share of the other cases that are measured on a turning rotor."""
+AXES = ("xA", "xB", "yA", "yB")
 ATTEMPTS = 60
 WEAKEST, STRONGEST = 0.1, 1.6
 """Strengths as shares of the catalogue's typical, plainly visible ones."""
@@ -166,7 +167,8 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
         hz = float(g.choice([50.0, 60.0]))
         return {"frequency_hz": hz, ("amplitude_m" if on_current else "amplitude_a"): 0.0}
     if name == "touchdown_contact":
-        return {"clearance_m": float(g.uniform(2e-6, 7e-6))}
+        clearance, side = float(g.uniform(2e-6, 7e-6)), float(g.choice([0.0, 0.0, 1.0, -1.0]))
+        return {"side": side, **{f"clearance_{axis}_m": clearance for axis in AXES}}
     if name == "support_resonance":
         return {"frequency_hz": 15.0 * 50.0 ** float(g.uniform())}
     if name == "extra_flexible_mode":

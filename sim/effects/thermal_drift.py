@@ -12,7 +12,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if rig.drift is not None:
         ki += rig.drift.ki_change * duration / rig.drift.duration_s
         ks += rig.drift.ks_change * duration / rig.drift.duration_s
-    return replace(rig, drift=Drift(ki, ks, duration) if ki or ks else None)
+    return replace(rig, drift=Drift(ki, ks, duration, p["curvature"]) if ki or ks else None)
 
 
 EFFECT = Effect(
@@ -22,9 +22,19 @@ EFFECT = Effect(
         Parameter("ki_change", "1", -0.2, 0.2, -0.05, 0.0, description="relative change of ki after duration_s"),
         Parameter("ks_change", "1", -0.2, 0.2, -0.03, 0.0, description="relative change of ks after duration_s"),
         Parameter("duration_s", "s", 1.0, 36e3, 300.0, 300.0, "log", "time that the change takes", strength=False),
+        Parameter(
+            "curvature",
+            "1",
+            0.0,
+            8.0,
+            0.0,
+            0.0,
+            description="duration_s in time constants of an exponential approach; 0: in proportion to time",
+            strength=False,
+        ),
     ),
     apply=_apply,
-    law="ki (1 + dki t/T), ks (1 + dks t/T)",
+    law="ki (1 + dki g), ks (1 + dks g), g = (1 - exp(-c t/T)) / (1 - exp(-c)), t/T for c = 0",
     signature="error of y/i grows with the time of the point, not with its frequency or amplitude",
     aliases=("off_centre_rotor",),
     separated_by="the first points repeated last",

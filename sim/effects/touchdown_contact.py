@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from sim.effect import Effect, Parameter
 from sim.errors import EffectError
 from sim.rig import Contact, Rig
@@ -13,7 +15,8 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         return rig
     if rig.contact is not None:
         raise EffectError(f"rig {rig.name} already has a contact; change that one instead of adding another")
-    return replace(rig, contact=Contact(p["clearance_m"], p["stiffness_n_per_m"]))
+    clearance = np.array([p[f"clearance_{axis}_m"] for axis in rig.axes])
+    return replace(rig, contact=Contact(clearance, p["stiffness_n_per_m"], p["side"]))
 
 
 EFFECT = Effect(
@@ -21,10 +24,24 @@ EFFECT = Effect(
     path="plant",
     parameters=(
         Parameter("stiffness_n_per_m", "N/m", 1e4, 1e8, 1e6, 0.0, "log", "of the stop, at each bearing"),
-        Parameter("clearance_m", "m", 1e-6, 2.5e-4, 12e-6, 12e-6, "log", "free way to either side", strength=False),
+        Parameter("side", "1", -1.0, 1.0, 0.0, 0.0, description="1: only above, -1: only below", strength=False),
+        *(
+            Parameter(
+                f"clearance_{axis}_m",
+                "m",
+                1e-6,
+                2.5e-4,
+                12e-6,
+                12e-6,
+                "log",
+                f"free way in {axis}; not used on a rig without that axis",
+                strength=False,
+            )
+            for axis in ("xA", "xB", "yA", "yB")
+        ),
     ),
     apply=_apply,
-    law="f = -k (|x| - c) sign x where |x| > c",
+    law="f = -k (|x| - c) sign x where |x| > c, to either side or to one",
     signature="nothing below a threshold in displacement, above it gain falls, jumps, rich odd harmonics in y",
     aliases=("magnetic_saturation",),
     separated_by="a lower amplitude; the threshold is in displacement at low frequency, saturation's is in current",

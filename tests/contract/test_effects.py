@@ -172,7 +172,7 @@ def test_each_of_its_parameters_counts(one):
     rig = rig_for(one)
     typical = answer(one.on(rig))
     for p in one.parameters:
-        moved = p.null if p.strength else 0.8 * p.typical
+        moved = p.null if p.strength else 0.1 * p.typical or 0.6 * p.high
         changed = answer(one.on(rig, **{p.name: min(max(moved, min(p.low, p.null)), p.high)}))
         assert any(np.any(np.abs(a - b) > 1e-9 * np.abs(b).max()) for a, b in zip(changed, typical, strict=True)), (
             p.name

@@ -38,7 +38,7 @@ def in_time(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
         QUIET,
         effect("magnetic_saturation").on(QUIET),
         effect("off_centre_rotor").on(QUIET),
-        effect("touchdown_contact").on(QUIET, clearance_m=15e-6),
+        effect("touchdown_contact").on(QUIET, **{f"clearance_{axis}_m": 15e-6 for axis in ("xA", "xB", "yA", "yB")}),
         effect("logging_offset").on(QUIET, samples=2.0),
         reference_rig(gravity_m_per_s2=3.0, noise=Noise()),
     ],

@@ -24,7 +24,7 @@ DELAY_S = 40e-6
 
 
 def candidate(rig, *effects, values=()) -> Candidate:
-    fit = Fit(effects, np.zeros(1), tuple(values), rig, 1.0, 10, np.eye(1), "converged")
+    fit = Fit(effects, np.zeros(1), tuple(values), rig, ((1.0, 10),), 0.0, np.arange(1), np.eye(1), "converged")
     return Candidate(effects, fit, 0.0, tuple({k: 0.01 * v for k, v in value.items()} for value in values))
 
 

@@ -1,0 +1,194 @@
+"""What was found in the parts of the loop, put together: whole twins, their probabilities, and one verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.candidates import Candidate
+from service.gap.fit import Fit, Problem
+from service.gap.interference import Interference
+from service.gap.nuisance import Nuisance
+from service.gap.observation import Observation
+from service.gap.part import STANDSTILL, driven_by_current
+from service.gap.search import Explained
+from service.gap.shrinkage import closure_of
+from service.gap.significance import significance
+from service.gap.verdict import VISIBLE, Ranked, Verdict, decide
+from sim.effects import CATALOGUE
+
+Complex = NDArray[np.complex128]
+
+LISTED = 12
+"""Explanations of a part that are put together with those of the others."""
+NEGLIGIBLE = 0.02
+"""Share of all parts' excess up to which a part that nothing explains does not change the verdict."""
+
+
+@dataclass(frozen=True)
+class Composition:
+    """Whole twins by falling evidence, the plain one among them."""
+
+    order: tuple[Ranked, ...]
+
+    @property
+    def null(self) -> Ranked:
+        """The plain twin, its datasheet's values refitted."""
+        return next(r for r in self.order if not r.candidate.effects)
+
+
+def chosen_in(e: Explained) -> Candidate:
+    """The explanation of a part that other parts build on: the best one where it beats the plain twin."""
+    return e.order[0].candidate
+
+
+def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
+    """Twins of the chosen explanations, of every alternative in one part, and of none."""
+    chosen = [next(r for r in e.order if r.candidate is chosen_in(e)) for e in found]
+    by_size = sorted(range(len(found)), key=lambda k: -_excess(found[k]))
+    picks = [list(chosen), [e.null for e in found]]
+    for k, e in enumerate(found):
+        picks += [[r if j == k else c for j, c in enumerate(chosen)] for r in e.order[:LISTED]]
+        picks.append([c if j == k else found[j].null for j, c in enumerate(chosen)])
+    whole: dict[tuple[str, ...], Ranked] = {}
+    before = max(sum(_excess(e) for e in found), 1e-9)
+    for pick in picks:
+        combined = _combined(nuisance, [pick[k] for k in by_size])
+        left = sum(r.unexplained * _excess(e) for r, e in zip(pick, found, strict=True)) / before
+        evidence = sum(r.log_evidence for r in pick)
+        probability = float(np.prod([r.probability for r in pick]))
+        whole.setdefault(combined.effects, Ranked(combined, evidence, probability, left))
+    return Composition(tuple(sorted(whole.values(), key=lambda r: -r.log_evidence)))
+
+
+def _excess(e: Explained) -> float:
+    """What the plain twin leaves of a part beyond the best explanation."""
+    best = min(r.candidate.fit.chi_square + r.candidate.fit.penalty for r in e.order)
+    return max(e.null.candidate.fit.chi_square + e.null.candidate.fit.penalty - best, 0.0)
+
+
+def _combined(nuisance: Nuisance, pick: Sequence[Ranked]) -> Candidate:
+    """One candidate of the parts' own, the largest gap first."""
+    theta, k = np.zeros(len(nuisance)), len(nuisance)
+    curvature = np.zeros((k, k))
+    for r in pick:
+        active = r.candidate.fit.active
+        theta[active] = r.candidate.fit.theta[active]
+        curvature[np.ix_(active, active)] = r.candidate.fit.curvature[: len(active), : len(active)]
+    named = [
+        (name, values, sds)
+        for r in pick
+        for name, values, sds in zip(
+            r.candidate.effects, r.candidate.fit.values, r.candidate.standard_deviations, strict=True
+        )
+    ]
+    rig = nuisance.at(theta)
+    for name, values, _ in named:
+        rig = CATALOGUE[name].on(rig, **values)
+    fit = Fit(
+        tuple(name for name, _, _ in named),
+        theta,
+        tuple(values for _, values, _ in named),
+        rig,
+        tuple(g for r in pick for g in r.candidate.fit.groups),
+        float(theta @ theta),
+        np.arange(k),
+        curvature,
+        "; ".join(sorted({r.candidate.fit.status for r in pick})),
+    )
+    return Candidate(fit.effects, fit, sum(r.candidate.occam for r in pick), tuple(sds for _, _, sds in named))
+
+
+def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observation, Complex]:
+    """A sweep as the part sees it, and the weighted residuals of a candidate there, (P, H, n)."""
+    ground = e.ground
+    if ground.from_current:
+        o = driven_by_current(ground.rig(ground.theta), o)
+    there = Problem(replace(ground, observations=(o,)), [CATALOGUE[name] for name in candidate.effects])
+    return o, there.residuals(candidate.fit)[0]
+
+
+def held_out_closure(e: Explained, unseen: Observation) -> float | None:
+    """Closure of a part's best explanation on the unseen sweep; None where the plain twin has no gap there."""
+    before, after = (
+        float(np.mean(np.abs(on_sweep(e, c, unseen)[1]) ** 2) / 2) for c in (e.null.candidate, e.order[0].candidate)
+    )
+    return closure_of(before, after) if before > VISIBLE else None
+
+
+def verdict_of(found: Sequence[Explained], closures: Mapping[str, float | None], unseen: Observation) -> Verdict:
+    """One verdict from the parts': what nothing explains in one part outweighs what is explained in others."""
+    own = {}
+    for e in found:
+        there, z = on_sweep(e, e.null.candidate, unseen)
+        significant = max(e.significance, significance(z, there))
+        own[e.part.path] = decide(e.order, e.remaining, closures[e.part.path], significant)
+    by_size = sorted(found, key=lambda e: -_excess(e))
+    total = sum(_excess(e) for e in found)
+    for e in by_size:
+        v = own[e.part.path]
+        if v.kind == "none_of_these" and (e.null.candidate.fit.chi_square > NEGLIGIBLE * total):
+            return replace(v, reasons=tuple(f"{e.part.path}: {reason}" for reason in v.reasons))
+    named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
+    if not named:
+        return max(own.values(), key=lambda v: -v.probability)
+    effects = tuple(name for v in named for name in v.effects)
+    classes = tuple(group for v in named for group in v.indistinguishable)
+    if not any(o.speed_rad_s for e in found for o in e.ground.observations):
+        classes = with_exact_aliases(effects, classes)
+    return Verdict(
+        "effect" if len(effects) == 1 else "effects",
+        effects,
+        classes,
+        float(np.prod([v.probability for v in named])),
+        (),
+    )
+
+
+def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
+    """Alias classes with the effects that a rotor at rest cannot show apart from those named.
+
+    >>> with_exact_aliases(["modal_damping"], [])
+    (('modal_damping', 'internal_damping'),)
+    """
+    out = []
+    for name in effects:
+        group = next((g for g in classes if name in g), (name,))
+        group += tuple(STANDSTILL[n] for n in group if n in STANDSTILL)
+        out += [group] if len(group) > 1 else []
+    return tuple(out)
+
+
+def with_interference(whole: Composition, sources: Sequence[Interference]) -> Composition:
+    """Twins with the interference that was heard before those without it."""
+    if not sources:
+        return whole
+    best = whole.order[0]
+    c = best.candidate
+    effects, rig = (*c.effects, *(s.effect for s in sources)), c.fit.rig
+    for s in sources:
+        rig = CATALOGUE[s.effect].on(rig, **s.parameters)
+    values = (*c.fit.values, *(dict(s.parameters) for s in sources))
+    spread = tuple(
+        {name: s.std if v and name.startswith("amplitude") else 0.0 for name, v in s.parameters.items()}
+        for s in sources
+    )
+    heard = Candidate(
+        effects, replace(c.fit, effects=effects, values=values, rig=rig), c.occam, (*c.standard_deviations, *spread)
+    )
+    return Composition((replace(best, candidate=heard), *whole.order))
+
+
+def heard_too(verdict: Verdict, sources: Sequence[Interference]) -> Verdict:
+    """The verdict with the interference that was heard beside it.
+
+    What else nothing explains is then laid to the interference: it disturbs the means too.
+    """
+    if not sources:
+        return verdict
+    effects = (*verdict.effects, *(s.effect for s in sources))
+    kind = "effect" if len(effects) == 1 else "effects"
+    return replace(verdict, kind=kind, effects=effects, reasons=())

@@ -1,0 +1,114 @@
+"""The loop in parts, each held against its own measured input, so that an error of one does not colour the next.
+
+The controller is held by r - C y, the amplifiers by u, the plant by the measured coil current. Each part has its
+own uncertain values and its own effects, so a mixture that spans parts is several single diagnoses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.nuisance import Nuisance
+from service.gap.observation import Observation
+from sim.effect import Effect
+from sim.effects import CATALOGUE
+from sim.harmonic_balance import STATIC_HZ
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Real = NDArray[np.float64]
+Values = Mapping[str, float]
+
+STANDSTILL = {"modal_damping": "internal_damping"}
+"""Effects that nothing tells apart on a rotor that stands still: only the first is fitted then, and both are named."""
+SIGNALS = {"controller": "u", "amplifier": "i", "plant": "y"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the loop: its output signal, the datasheet's values that act in it, the effects that may."""
+
+    path: str
+    active: NDArray[np.int64]
+    """indices of the nuisance vector"""
+    effects: tuple[str, ...]
+    from_control: bool = False
+    """The plant with the amplifiers, from u: the current was not logged."""
+
+    @property
+    def signal(self) -> str:
+        """Name of the output: u, i or y."""
+        return SIGNALS[self.path]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What every fit of a part shares: data, the values that other parts fixed, and the effects found there."""
+
+    nuisance: Nuisance
+    part: Part
+    observations: tuple[Observation, ...]
+    theta: Real
+    """(k,) deviations of all values; only the part's own are fitted"""
+    found: tuple[tuple[str, Values], ...] = ()
+    """effects of other parts"""
+    from_current: bool = False
+    """The plant is driven by the measured current: no amplifier explains how it came to be."""
+
+    def rig(self, theta: Real) -> Rig:
+        """The rig at deviations ``theta`` with what other parts have found."""
+        rig = self.nuisance.at(theta)
+        for name, values in self.found:
+            rig = CATALOGUE[name].on(rig, **values)
+        if self.from_current:  # the amplifiers' own limits are in that current already
+            free = np.full(rig.n_axes, np.inf)
+            rig = replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=free))
+        return rig
+
+
+def possible(nuisance: Nuisance, observations: Sequence[Observation], paths: Sequence[str]) -> list[Effect]:
+    """Effects of some paths that this rig and these conditions could show, one of each exact alias."""
+    turning = any(o.speed_rad_s for o in observations)
+    return [
+        e
+        for e in CATALOGUE.values()
+        if e.path in paths
+        and e.needs_axes <= nuisance.rig.n_axes
+        and (turning or not e.needs_speed)
+        and (nuisance.n_modes or e.id not in ("modal_damping", "internal_damping"))
+        and (turning or e.id not in STANDSTILL.values())
+    ]
+
+
+def parts(nuisance: Nuisance, observations: Sequence[Observation]) -> list[Part]:
+    """The parts of the loop that the log tells apart, in the order in which they are to be looked at."""
+
+    def part(path: str, of: NDArray[np.bool_], paths: Sequence[str], from_control: bool = False) -> Part:
+        names = tuple(e.id for e in possible(nuisance, observations, paths))
+        return Part(path, np.flatnonzero(of), names, from_control)
+
+    amplifier = np.array([name.startswith("amplifier") for name in nuisance.names])
+    controller = part("controller", np.zeros_like(amplifier), ("controller",))
+    if any(o.I is None for o in observations):
+        return [controller, part("plant", np.ones_like(amplifier), ("amplifier", "plant"), from_control=True)]
+    return [controller, part("amplifier", amplifier, ("amplifier",)), part("plant", ~amplifier, ("plant",))]
+
+
+def driven_by_current(rig: Rig, o: Observation) -> Observation:
+    """The observation with the control signal that would have made the measured current, and noise to match.
+
+    Fitting y to it is fitting the plant alone, whatever the amplifiers do; the current's own noise then counts, so
+    where the amplifiers are understood it is better to let them answer to u, which has none.
+    """
+    assert o.I is not None
+    U, sd_y = o.U.copy(), o.sd_y.copy()
+    for k, h in enumerate(o.harmonics):
+        model = linear_model(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))
+        U[:, k] = np.linalg.solve(model.i_per_u[o.line], o.I[:, k, :, None])[..., 0]
+        spread = np.abs(model.y_per_i[o.line]) ** 2 @ (o.sd_i[:, k, :, None] ** 2)
+        sd_y[:, k] = np.sqrt(o.sd_y[:, k] ** 2 + spread[..., 0])
+    return replace(o, U=U, sd_y=sd_y)

@@ -1,0 +1,162 @@
+"""The explanations of one part of the loop: the plain twin, every single effect, then mixtures by forward selection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.candidates import Candidate, Fitter, Task
+from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE, Problem, Stage
+from service.gap.part import Ground, Part
+from service.gap.significance import significance
+from service.gap.starts import starts
+from service.gap.verdict import MIXED, Ranked, ranked, renormalised
+from sim.effects import CATALOGUE
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+PAIRED = 5
+"""Best single effects that are also tried in pairs."""
+REFINED = 6
+"""Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
+WITHIN = 30.0
+"""Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
+MOST_EFFECTS = 3
+"""Largest mixture within one part."""
+REMAINS = 4.0
+"""Significance of what an explanation leaves from which another effect beside it is looked for."""
+SHARP = ("touchdown_contact",)
+"""Effects whose start is good and whose valley is narrow: a rough fit would lose it."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What the search found in one part."""
+
+    ground: Ground
+    order: tuple[Ranked, ...]
+    """by falling evidence, the plain twin among them"""
+    plain: tuple[Complex, ...]
+    """weighted residuals of the plain twin, (P, H, n) per sweep"""
+    left: tuple[Complex, ...]
+    """the same of the best explanation"""
+
+    @property
+    def part(self) -> Part:
+        """The part of the loop."""
+        return self.ground.part
+
+    @property
+    def null(self) -> Ranked:
+        """The plain twin."""
+        return next(r for r in self.order if not r.candidate.effects)
+
+    @property
+    def significance(self) -> float:
+        """Of the gap that the plain twin leaves at the excited frequency, over bands and channels."""
+        return max(
+            significance(z[:, [o.fundamental]], o, bound=np.inf)
+            for z, o in zip(self.plain, self.ground.observations, strict=True)
+        )
+
+    @property
+    def remaining(self) -> float:
+        """Significance of what the best explanation leaves."""
+        return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
+
+
+def explain(fitter: Fitter, ground: Ground) -> Explained:
+    """Fit the plain twin, every single effect of the part, and mixtures where one effect leaves too much."""
+    null = fitter.run([Task(ground, (), ((),), ground.theta, (*_rough(ground), EXACT))])[0]
+    plain = _residuals(ground, null)
+    probed = fitter.run(_with(name, null, null, plain, ground, ground.theta) for name in ground.part.effects)
+    found = _refined(fitter, ground, null, probed)
+    order, left = ranked(null, found), plain
+    for size in range(1, MOST_EFFECTS + 1):
+        best = order[0]
+        left = _residuals(ground, best.candidate)
+        if len(best.candidate.effects) < size or size == MOST_EFFECTS or not _leaves_something(best, left, ground):
+            break
+        larger = _refined(fitter, ground, null, fitter.run(_larger(order, size, left, ground)))
+        found = [*found, *larger]
+        everything = ranked(null, found)
+        order = renormalised([r for r in everything if _worth_it(r, everything)])
+    return Explained(ground, tuple(order), plain, left)
+
+
+def _residuals(ground: Ground, candidate: Candidate) -> tuple[Complex, ...]:
+    return tuple(Problem(ground, [CATALOGUE[name] for name in candidate.effects]).residuals(candidate.fit))
+
+
+def _rough(ground: Ground) -> tuple[Stage, ...]:
+    """First stages of a fit: only the plant has resonances that need them."""
+    return (COARSE, MIDDLE) if ground.part.path == "plant" else ()
+
+
+def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex], ground: Ground, theta: Real) -> Task:
+    """Task to fit one more effect beside those of ``first``, which leaves ``left``, from deviations ``theta``."""
+    beginnings, effects = _starts(first, name, left, ground), (*first.effects, name)
+    held = first if any(CATALOGUE[e].nonlinear for e in first.effects) else None
+    if name in SHARP:
+        return Task(ground, effects, beginnings, first.fit.theta, (PROBE,), held, null.occam)
+    return Task(ground, effects, beginnings, theta, (*_rough(ground), PROBE), held, null.occam)
+
+
+def _starts(
+    first: Candidate, name: str, residuals: Sequence[Complex], ground: Ground
+) -> tuple[tuple[dict[str, float], ...], ...]:
+    """Starts of an effect beside those of ``first``; a nonlinear one's found where the rotor moves most."""
+    sweeps = range(len(ground.observations))
+    k = max(sweeps, key=lambda k: float(np.abs(ground.observations[k].Y).max())) if CATALOGUE[name].nonlinear else 0
+    o, z = ground.observations[k], residuals[k]
+    return tuple((*first.fit.values, s) for s in starts(CATALOGUE[name], first.fit.rig, z, o, ground))
+
+
+def _leaves_something(best: Ranked, left: Sequence[Complex], ground: Ground) -> bool:
+    if max(best.shares) < MIXED:
+        return False
+    return any(significance(z, o) > REMAINS for z, o in zip(left, ground.observations, strict=True))
+
+
+def _larger(order: Sequence[Ranked], size: int, left: Sequence[Complex], ground: Ground) -> Iterable[Task]:
+    """Mixtures of ``size + 1``: the best explanation with every other effect, and pairs of good singles."""
+    best, null = order[0].candidate, next(r.candidate for r in order if not r.candidate.effects)
+    tried = set()
+    for name in ground.part.effects:
+        if name not in best.effects:
+            tried.add(frozenset((*best.effects, name)))
+            yield _with(name, best, null, left, ground, best.fit.theta)
+    if size > 1:
+        return
+    singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]
+    for a, b in combinations(singles, 2):
+        if frozenset((*a.effects, *b.effects)) in tried:
+            continue
+        yield _with(b.effects[0], a, null, _residuals(ground, a), ground, a.fit.theta)
+
+
+def _refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:
+    """The probed candidates, those that may win fitted to the end."""
+    order = [r for r in ranked(null, probed) if r.candidate is not null]
+    near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
+    tasks = [Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in near]
+    return [*fitter.run(tasks), *(r.candidate for r in order if r.candidate not in near)]
+
+
+def _worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
+    """Whether all effects of a mixture are needed: fewer leave three times as much, and more than a little."""
+    size = len(mixture.candidate.effects)
+    if size < 2:
+        return True
+    smaller = [r for r in order if 0 < len(r.candidate.effects) < size]
+    if mixture.log_evidence < max(r.log_evidence for r in smaller):
+        return False
+    effects = mixture.candidate.effects
+    alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
+    least = np.min([r.shares for r in smaller], axis=0)
+    return bool(np.any((least > (0.15 if alias else MIXED)) & (np.array(mixture.shares) < least / 3)))

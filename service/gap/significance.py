@@ -1,0 +1,39 @@
+"""Whether residuals are more than noise: the worst band and channel, with its false-alarm rate controlled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from service.gap.observation import Observation
+
+Complex = NDArray[np.complex128]
+
+OUTLIER = 12.0
+"""Largest squared residual (over its expectation) that one value adds to a cell."""
+
+
+def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OUTLIER) -> float:
+    """Largest excess of mean square over bands and channels, as a one-sided normal deviate after Bonferroni.
+
+    Residuals of one line's points share what is left of the twin's error, so a cell counts half its values.
+    """
+    edges = np.quantile(o.frequency_hz, np.linspace(0, 1, n_bands + 1))
+    which = np.clip(np.searchsorted(edges, o.points_hz, side="right") - 1, 0, n_bands - 1)
+    deviates = []
+    for band in range(n_bands):
+        # A few outliers at a sharp peak are not a gap: each value counts up to a bound.
+        cell = np.minimum(np.abs(z[which == band]) ** 2 / 2, bound)  # mean one
+        if not len(cell):
+            continue
+        mean = cell.reshape(len(cell), -1).mean(axis=0)
+        deviates.append((mean - 1.0) * np.sqrt(len(cell) / 2))
+    if not deviates:
+        return 0.0
+    values = np.concatenate(deviates)
+    worst = float(values.max())
+    if worst > 30:
+        return worst
+    p = min(1.0, float(norm.sf(worst)) * len(values))
+    return float(max(norm.isf(p), 0.0)) if p < 1 else 0.0

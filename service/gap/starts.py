@@ -1,0 +1,128 @@
+"""Starting values of an effect, found in what the twin leaves unexplained.
+
+A resonance starts where the twin fails most, a slew limit at the largest rate of current, a stop at the clearance
+whose force answers best to the residuals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.jacobian import answer_and_jacobian, stacked
+from service.gap.observation import Observation
+from service.gap.part import Ground
+from service.gap.predict import answer, displacement, weight
+from sim.effect import Effect
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+
+Complex = NDArray[np.complex128]
+
+CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
+"""Shares of each axis's largest displacement at which a stop is looked for."""
+LIGHT = 2e-6
+"""Inverse mass, 1/kg, of a housing that is looked for: small enough for its answer to be proportional."""
+SOFT = 0.02
+"""Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
+
+
+def peaks_of_failure(z: Complex, o: Observation, count: int = 2) -> list[float]:
+    """Frequencies where a twin leaves most unexplained, Hz, largest first; z (P, H, n) weighted residuals."""
+    total = np.bincount(
+        o.line, weights=np.log1p(np.abs(z[:, o.fundamental]) ** 2).sum(axis=1), minlength=len(o.frequency_hz)
+    )
+    per_line = total / np.maximum(np.bincount(o.line, minlength=len(o.frequency_hz)), 1)
+    inner = np.r_[False, (per_line[1:-1] >= per_line[:-2]) & (per_line[1:-1] >= per_line[2:]), False]
+    inner[[0, -1]] = per_line[[0, -1]] > per_line[[1, -2]]
+    order = np.argsort(np.where(inner, -per_line, 0.0))
+    return [float(o.frequency_hz[k]) for k in order[:count]]
+
+
+def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground) -> list[dict[str, float]]:
+    """Starting values of an effect's parameters, several where its answer has several valleys.
+
+    ``z`` (P, H, n) are the weighted residuals that ``rig`` leaves and the effect is to explain.
+    """
+    base = {
+        p.name: p.typical if p.scale == "log" or not p.strength else p.null + 0.2 * (p.typical - p.null)
+        for p in effect.parameters
+    }
+    if effect.id in ("support_resonance", "extra_flexible_mode"):
+        found = [peaks_of_failure(z, o, 1)[0], *resonances(rig, z, o, ground)]
+        return [{**base, "frequency_hz": f} for f in dict.fromkeys((*found, base["frequency_hz"]))]
+    if effect.id == "eddy_currents":
+        return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
+    if effect.id == "touchdown_contact":
+        return stops(effect, base, rig, z, o)
+    if effect.id == "amplifier_voltage_limit":
+        current = np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1)
+        rate = float((current * 2 * np.pi * o.points_hz).max())
+        return [{**base, "slew_inverse_s_per_a": 1 / (share * rate)} for share in (0.9, 0.6)]
+    if effect.id == "magnetic_hysteresis":
+        flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
+        return [base, {**base, "width_a": 0.25 * flux}, {**base, "width_a": 0.6 * flux}]
+    if effect.id == "off_centre_rotor":
+        return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]
+    return [base]
+
+
+def resonances(rig: Rig, z: Complex, o: Observation, ground: Ground, count: int = 2) -> list[float]:
+    """Frequencies, Hz, best first, at which a light housing would explain most that the datasheet's values cannot.
+
+    A score test: the housing is so light that its answer is proportional to its inverse mass, and what the values
+    of the datasheet could do as well is projected out.
+    """
+    if rig.support is not None:
+        return []
+    f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
+    J = answer_and_jacobian(ground.nuisance, rig, o, ground.part.from_control)[1][:, rig.n_axes :, ground.part.active]
+    rows = stacked(J * w[..., None])
+    basis = np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]  # the tolerances as data
+
+    def left(x: Complex) -> NDArray[np.float64]:
+        flat = stacked(x[..., None])[:, 0]
+        return np.asarray(flat - basis @ (basis.T @ flat))
+
+    wanted, without, light = left(z[:, f]), displacement(rig, o), CATALOGUE["support_resonance"]
+    grid = o.frequency_hz[:: max(1, len(o.frequency_hz) // 32)]
+    gains = []
+    for hz in grid:
+        housed = light.on(rig, inverse_mass_per_kg=LIGHT, frequency_hz=float(hz), damping_ratio=0.02)
+        change = left((displacement(housed, o) - without) * w)
+        gains.append(max(float(change @ wanted), 0.0) ** 2 / max(float(change @ change), 1e-300))
+    order = np.argsort(-np.array(gains))
+    best = [int(order[0])]
+    best += [int(k) for k in order if abs(int(k) - best[0]) > 2][: count - 1]
+    return [float(grid[k]) for k in best]
+
+
+def stops(
+    effect: Effect, base: dict[str, float], rig: Rig, z: Complex, o: Observation, count: int = 2
+) -> list[dict[str, float]]:
+    """The clearances and sides, best first, whose soft stop answers most to the residuals, with the fitting stiffness.
+
+    The force of a stop is proportional to its stiffness where the rotor was seen to move, so one soft stop tells
+    the best stiffness of each clearance by linear regression.
+    """
+    if rig.contact is not None:
+        return [base]
+    swing = np.abs(o.Y[:, o.fundamental]).max(axis=0)
+    soft = SOFT * float(np.max(rig.magnets.ks))
+    limits = next(p for p in effect.parameters if p.name == "stiffness_n_per_m")
+    without, w = answer(rig, o)[..., rig.n_axes :], weight(o, "y")
+    found = []
+    for share in CLEARANCES:
+        clearances = {f"clearance_{axis}_m": share * float(s) for axis, s in zip(rig.axes, swing, strict=True)}
+        for side in (0.0, 1.0, -1.0):
+            values = {**base, **clearances, "side": 0.9 * side, "stiffness_n_per_m": max(soft, limits.low)}
+            change = (answer(effect.on(rig, **values), o)[..., rig.n_axes :] - without) * w
+            power = float(np.vdot(change, change).real)
+            along = float(np.vdot(change, z).real)
+            if along <= 0 or power <= 0:
+                continue
+            stiffness = values["stiffness_n_per_m"] * along / power
+            values["stiffness_n_per_m"] = float(np.clip(stiffness, limits.low, limits.high))
+            found.append((along**2 / power, values))
+    found.sort(key=lambda f: -f[0])
+    return [values for _, values in found[:count]] or [base]
