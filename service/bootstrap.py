@@ -80,19 +80,6 @@ def connected(url: str) -> Iterator[Controller]:
         controller.close()
 
 
-@contextmanager
-def demo_controller(seed: int, in_process: bool = False) -> Iterator[Controller]:
-    """The reference rig behind Modbus TCP, in a device process that ends with this context; or in this process."""
-    if in_process:
-        with connected(f"simulated://?seed={seed}") as controller:
-            yield controller
-        return
-    from service.device_process import device_process
-
-    with device_process("--protocol", "modbus", "--seed", str(seed)) as device, connected(device.url) as controller:
-        yield controller
-
-
 def quick_profile() -> Profile:
     """A coarse experiment for a first look: a third of the time, and of the accuracy."""
     from service.experiment.plan import Profile

@@ -75,7 +75,11 @@ def configure(level: str = "info", form: Literal["console", "json"] = "console",
             structlog.processors.JSONRenderer(ensure_ascii=False, default=str),
         ]
     else:
-        last = [structlog.dev.ConsoleRenderer(colors=stream.isatty(), timestamp_key="time")]
+        last = [
+            structlog.dev.ConsoleRenderer(  # a traceback without values: pages of numbers, and secrets among them
+                colors=stream.isatty(), timestamp_key="time", exception_formatter=structlog.dev.plain_traceback
+            )
+        ]
     handler = logging.StreamHandler(stream)
     handler.setFormatter(
         _OneLine(

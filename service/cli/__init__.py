@@ -9,7 +9,7 @@ import sys
 
 import typer
 
-from service.cli import client, commission, controller, db, effects, export, gap, health, keys, rig, serve
+from service.cli import client, commission, controller, db, demo, effects, export, gap, health, keys, rig, serve
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -19,7 +19,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command()(commission.demo)
+app.command()(demo.demo)
 app.command()(commission.commission)
 app.command()(commission.identify)
 app.command()(controller.check_controller)

@@ -1,12 +1,11 @@
-"""``ambit demo``, ``ambit commission``, ``ambit identify``: the main job, whole or in part."""
+"""``ambit commission`` and ``ambit identify``: the main job in this process, whole or in part."""
 
 from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from drivers.controller import Controller
-    from service.bootstrap import Commissioned
     from service.experiment.data import Experiment
     from sim.datasheet import Datasheet
     from sim.rig import Rig
@@ -24,28 +22,6 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 Quick = Annotated[bool, typer.Option("--quick", help="A coarse experiment: a third of the time and of the accuracy.")]
 STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
-
-
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(help="Seed of the rig's noise.", min=0)] = 1,
-    quick: Quick = False,
-    in_process: Annotated[
-        bool, typer.Option("--in-process", help="Simulate in this process, and not behind Modbus TCP in another one.")
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Commission a simulated rig, from nothing to result.json and report.html.
-
-    The rig is a device process that the demo starts, talks to over Modbus TCP, and ends.
-    """
-    from service import bootstrap
-    from service.output import ready_folder
-    from sim.reference import reference_datasheet, reference_rig
-
-    ready_folder(out)
-    rig = bootstrap.demo_controller(seed, in_process)
-    _commission(rig, reference_datasheet(), out, resume=True, quick=quick, as_json=as_json, truth=reference_rig())
 
 
 def commission(
@@ -65,7 +41,7 @@ def commission(
 
     datasheet = read(rig)
     ready_folder(out)
-    _commission(bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None)
+    commission_directly(bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None)
 
 
 def identify(
@@ -84,10 +60,11 @@ def identify(
     ready_folder(out)
     measured = file.read(experiment)
     announce = say if sys.stderr.isatty() else None  # a log wants no word before the result or the error
-    _show(bootstrap.identify_into(measured, datasheet, out, str(experiment), announce), measured, as_json, None)
+    done = bootstrap.identify_into(measured, datasheet, out, str(experiment), announce)
+    show(done.document, done.files, done.seconds, measured, as_json)
 
 
-def _commission(
+def commission_directly(
     connection: AbstractContextManager[Controller],
     datasheet: Datasheet,
     out: Path,
@@ -96,7 +73,10 @@ def _commission(
     as_json: bool,
     truth: Rig | None,
 ) -> None:
-    """Campaign with a bar and an orderly Ctrl-C; then the rest, in which nothing moves any more."""
+    """Campaign with a bar and an orderly Ctrl-C; then the rest, in which nothing moves any more.
+
+    ``truth`` is what a simulated rig's result is compared with.
+    """
     from service import bootstrap
     from service.cli.interrupt import asked_to_stop
     from service.cli.progress import campaign_progress
@@ -107,26 +87,41 @@ def _commission(
         experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
     measured = time.monotonic() - began
     done = bootstrap.identify_into(experiment, datasheet, out, announce=say)
-    done = replace(
-        done,
-        files={**done.files, "experiment": out / bootstrap.EXPERIMENT, "datasheet": out / bootstrap.DATASHEET},
-        seconds={"experiment": measured, **done.seconds},
-    )
-    _show(done, experiment, as_json, truth)
+    files = {**done.files, "experiment": out / bootstrap.EXPERIMENT, "datasheet": out / bootstrap.DATASHEET}
+    show(done.document, files, {"experiment": measured, **done.seconds}, experiment, as_json, truth)
 
 
-def _show(done: Commissioned, experiment: Experiment, as_json: bool, truth: Rig | None) -> None:
+def show(
+    document: dict[str, Any],
+    files: dict[str, Path],
+    seconds: dict[str, float],
+    experiment: Experiment,
+    as_json: bool,
+    truth: Rig | None = None,
+    more: dict[str, Any] | None = None,
+) -> None:
+    """Print a result: figures beside the truth or the datasheet, fits, notes, time and files.
+
+    Parameters
+    ----------
+    document
+        The contents of result.json.
+    seconds
+        Wall time by step.
+    more
+        What only the JSON tells.
+    """
     from service.cli import summary
 
-    found = list(summary.rows(done.result, truth))
+    found = list(summary.rows(document, experiment.axes, truth))
+    reference = "truth" if truth is not None else "datasheet"
     if as_json:
-        files = {"files": {k: str(v) for k, v in done.files.items()}, "seconds": done.seconds}
-        reference = "truth" if truth is not None else "datasheet"
-        print_json(done.document | files | {"compared_with": reference, "comparison": summary.compared(found)})
+        told = {"files": {k: str(v) for k, v in files.items()}, "seconds": seconds, **(more or {})}
+        print_json(document | told | {"compared_with": reference, "comparison": summary.compared(found)})
         return
     console = stdout()
-    console.print(summary.table(found, "truth" if truth is not None else "datasheet"))
-    for text in summary.fits(done.result) + summary.notes(done.result) + [summary.times(done.seconds, experiment)]:
+    console.print(summary.table(found, reference))
+    for text in summary.fits(document) + summary.notes(document) + [summary.times(seconds, experiment)]:
         console.print(text, soft_wrap=True)
-    for name, path in done.files.items():
+    for name, path in files.items():
         console.print(f"{name}: {path}", soft_wrap=True)

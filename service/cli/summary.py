@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from service.experiment.data import Experiment
-    from service.identification.result import CommissioningResult, Estimate, PlaneResult
     from sim.rig import Rig
 
 
@@ -34,34 +33,42 @@ class Row:
         return None if not self.reference else 100 * (self.value / self.reference - 1)
 
 
-def rows(result: CommissioningResult, truth: Rig | None = None) -> Iterator[Row]:
-    """Stiffness and modes of every plane; compared with the rig's truth where there is one, else with the datasheet."""
-    for k, plane in enumerate(result.planes.values()):
-        yield from _stiffness(plane, result.axes, truth)
-        yield from _modes(plane, k, truth)
+def rows(document: dict[str, Any], axes: tuple[str, ...], truth: Rig | None = None) -> Iterator[Row]:
+    """Stiffness and modes of every plane; compared with the rig's truth where there is one, else with the datasheet.
+
+    Parameters
+    ----------
+    document
+        The contents of result.json.
+    axes
+        Names of the axes, in the order of the rig's.
+    """
+    for k, (name, plane) in enumerate(document["planes"].items()):
+        yield from _stiffness(name, plane, axes, truth)
+        yield from _modes(name, plane, k, truth)
 
 
-def _stiffness(plane: PlaneResult, axes: tuple[str, ...], truth: Rig | None) -> Iterator[Row]:
+def _stiffness(plane: str, found: dict[str, Any], axes: tuple[str, ...], truth: Rig | None) -> Iterator[Row]:
     for name in ("kiA", "kiB", "ksA", "ksB"):
-        estimate = plane.stiffness[name]
-        reference = estimate.nominal
+        estimate = found["stiffness"][name]
+        reference = estimate.get("nominal")
         if truth is not None:
             source = truth.magnets.ki if name.startswith("ki") else truth.magnets.ks
-            reference = float(source[axes.index(plane.plane + name[-1])])
-        yield _row(plane.plane, name, estimate, reference)
+            reference = float(source[axes.index(plane + name[-1])])
+        yield _row(plane, name, estimate, reference)
 
 
-def _modes(plane: PlaneResult, index: int, truth: Rig | None) -> Iterator[Row]:
+def _modes(plane: str, found: dict[str, Any], index: int, truth: Rig | None) -> Iterator[Row]:
     known = () if truth is None else truth.rotor.modes[index]
-    for k, mode in enumerate(m for m in plane.modes if m.kind == "rotor"):
-        w = mode.natural_frequency_rad_s
-        same = min(known, key=lambda m: abs(m.natural_frequency_rad_s - w.value), default=None)
-        yield _row(plane.plane, f"wn{k + 1}", w, None if same is None else same.natural_frequency_rad_s)
-        yield _row(plane.plane, f"zeta{k + 1}", mode.damping_ratio, None if same is None else same.damping_ratio)
+    for k, mode in enumerate(found["rotor_modes"]):
+        w = mode["natural_frequency_rad_s"]
+        same = min(known, key=lambda m: abs(m.natural_frequency_rad_s - w["value"]), default=None)
+        yield _row(plane, f"wn{k + 1}", w, None if same is None else same.natural_frequency_rad_s)
+        yield _row(plane, f"zeta{k + 1}", mode["damping_ratio"], None if same is None else same.damping_ratio)
 
 
-def _row(plane: str, name: str, estimate: Estimate, reference: float | None) -> Row:
-    return Row(plane, name, estimate.unit, estimate.value, estimate.std, reference)
+def _row(plane: str, name: str, estimate: dict[str, Any], reference: float | None) -> Row:
+    return Row(plane, name, estimate["unit"], estimate["value"], estimate["std"], reference)
 
 
 def table(found: list[Row], reference: str) -> Table:
@@ -91,25 +98,25 @@ def table(found: list[Row], reference: str) -> Table:
     return out
 
 
-def fits(result: CommissioningResult) -> list[str]:
+def fits(document: dict[str, Any]) -> list[str]:
     """NRMSE on the unseen sweep by plane and entry, in words."""
     out = []
-    for name, plane in result.planes.items():
-        matrix, sweep = plane.cross_validation_fit_percent, "unseen sweep"
+    for name, plane in document["planes"].items():
+        matrix, sweep = plane["cross_validation_fit_percent"], "unseen sweep"
         if matrix is None:
-            matrix, sweep = plane.fit_percent, "fitted sweep (no other one was measured)"
-        a, b = (" ".join(f"{v:.2f}" for v in row) for row in matrix)
+            matrix, sweep = plane["fit_percent"], "fitted sweep (no other one was measured)"
+        a, b = (" ".join("-" if v is None else f"{v:.2f}" for v in row) for row in matrix)
         out.append(f"{name}-plane: NRMSE {a} / {b} % on the {sweep}")
     return out
 
 
-def notes(result: CommissioningResult) -> list[str]:
+def notes(document: dict[str, Any]) -> list[str]:
     """What the user must know beside the figures; points that were left out are counted, not listed."""
-    out = [f"note: {text}" for text in result.warnings]
-    for name, plane in result.planes.items():
-        own = [w for w in plane.warnings if " Hz: " not in w]
+    out = [f"note: {text}" for text in document["warnings"]]
+    for name, plane in document["planes"].items():
+        own = [w for w in plane["warnings"] if " Hz: " not in w]
         out += [f"note, {name}-plane: {text}" for text in own]
-        if left_out := len(plane.warnings) - len(own):
+        if left_out := len(plane["warnings"]) - len(own):
             out.append(f"note, {name}-plane: {left_out} points were not used; the report lists them")
     return out
 

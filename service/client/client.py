@@ -176,7 +176,7 @@ class Client:
     url
         Its address; AMBIT_URL without it, and the default of ``ambit serve`` without that.
     key
-        API key; AMBIT_KEY without it. A service on this machine may have none.
+        API key; AMBIT_KEY without it, "" for none. A service on this machine may have none.
     ca
         Certificate of the authority, PEM, where the system does not know it; AMBIT_CA without it.
     timeout_s
@@ -195,8 +195,8 @@ class Client:
     ) -> None:
         self._transport = Transport(
             url or os.environ.get("AMBIT_URL") or DEFAULT_URL,
-            key or os.environ.get("AMBIT_KEY"),
-            ca or os.environ.get("AMBIT_CA"),
+            os.environ.get("AMBIT_KEY") if key is None else key,
+            os.environ.get("AMBIT_CA") if ca is None else ca,
             timeout_s,
             patience_s,
         )

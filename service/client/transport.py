@@ -11,6 +11,7 @@ from uuid import uuid4
 
 import httpx
 
+from service.access.loopback import is_loopback
 from service.client.errors import UnreachableError, of_response
 from service.client.shapes import Page
 from service.errors import OutputError
@@ -47,7 +48,11 @@ class Transport:
         self.patience_s = patience_s
         try:
             verify: Any = _authority(ca) if ca else True
-            self._http = httpx.Client(base_url=self.url, headers=headers, timeout=timeout_s, verify=verify)
+            parts = httpx.URL(self.url)
+            direct = parts.scheme == "http" and is_loopback(parts.host)  # no proxy leads to this machine
+            self._http = httpx.Client(
+                base_url=self.url, headers=headers, timeout=timeout_s, verify=verify, trust_env=not direct
+            )
         except (httpx.InvalidURL, ValueError, OSError) as error:
             raise UnreachableError(
                 f"cannot use {url!r}: {error}; give http://host:port with --url or AMBIT_URL"

@@ -1,44 +1,76 @@
-"""The device process that the demo starts is gone when the demo is."""
+"""The demo goes through the service, and what it starts is gone when it is; an interrupted one goes on."""
 
 import os
+import re
 import signal
 from pathlib import Path
 
+import httpx
 import pytest
 
-from tests.support.command import Running, wait_until
+from service.experiment import file
+from tests.support.command import Running, ambit, wait_until
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux")
 
 
-def _device_of(demo: int) -> int:
-    """The device process that a demo has started."""
+def _started_by(pid: int) -> dict[int, str]:
+    """Processes below a process, and their commands."""
+    found = {}
     for entry in Path("/proc").iterdir():
         try:
-            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == demo and b"--until-stdin-closes" in (entry / "cmdline").read_bytes():
-                return int(entry.name)
+            if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
+                found[int(entry.name)] = (entry / "cmdline").read_text().replace("\0", " ")
         except (OSError, ValueError, IndexError):
             continue
-    return 0
+    return found | {k: v for child in list(found) for k, v in _started_by(child).items()}
 
 
 def _alive(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds the device process in /proc, as on Linux")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
-def test_the_device_ends_with_the_demo(number, tmp_path):
+def test_what_the_demo_starts_ends_with_it_and_the_job_goes_on_the_next_time(number, tmp_path):
     demo = Running("demo", "--quick", "--out", tmp_path)
     try:
-        wait_until(lambda: any(" points" in line for line in demo.said), "the first points")
-        device = _device_of(demo.process.pid)
-        assert device
+        wait_until(lambda: any(line.startswith("main sweep") for line in demo.said), "the main sweep")
+        started = _started_by(demo.process.pid)
+        for what in ("--until-stdin-closes", "service.jobs.supervised", "service.jobs.calculating"):
+            assert any(what in command for command in started.values()), started
         if number == signal.SIGKILL:
             os.kill(demo.process.pid, number)
         else:
             demo.interrupt(number)
         assert demo.wait() == (1 if number == signal.SIGINT else -signal.SIGKILL)
-        wait_until(lambda: not _alive(device), "the end of the device", 20)
-        assert (tmp_path / "experiment.journal").exists()
+        for process in started:
+            wait_until(lambda process=process: not _alive(process), f"the end of {started[process]}", 20)
+    finally:
+        demo.end()
+    (journal,) = (tmp_path / "service" / "work").glob("job_*/experiment.journal")
+    assert journal.read_bytes().count(b"\n") > 20
+    if number == signal.SIGKILL:
+        again = ambit("demo", "--quick", "--out", tmp_path)
+        assert again.returncode == 0, again.stderr
+        assert "was interrupted" in again.stderr
+        assert journal.parent.name in again.stderr
+        assert file.read(tmp_path / "experiment.h5").named("main") is not None
+        assert not journal.exists()
+
+
+def test_it_can_be_looked_at_in_the_service_until_ctrl_c(tmp_path):
+    demo = Running("demo", "--quick", "--out", tmp_path, "--keep-serving")
+    try:
+        wait_until(lambda: any(line.startswith("serving on") for line in demo.said), "the end of the job", 120)
+        told = (re.match("report in the service: (http.*)", line) for line in demo.process.stdout)
+        url = next(match[1] for match in told if match)
+        assert httpx.get(url).text == (tmp_path / "report.html").read_text()
+        started = _started_by(demo.process.pid)
+        demo.interrupt()
+        assert demo.wait() == 0
+        for process in started:
+            wait_until(lambda process=process: not _alive(process), f"the end of {started[process]}", 20)
+        with pytest.raises(httpx.ConnectError):
+            httpx.get(url)
     finally:
         demo.end()

@@ -28,7 +28,7 @@ def demo(tmp_path_factory):
 def test_everything_is_there(demo):
     out, _, _ = demo
     found = {p.name for p in out.iterdir()}
-    assert found == {"experiment.h5", "result.json", "report.html", "rig.toml"}
+    assert found == {"experiment.h5", "result.json", "report.html", "rig.toml", "service"}
 
 
 def test_the_rig_is_found(demo):
@@ -48,14 +48,15 @@ def test_the_result_file_is_what_was_printed(demo):
     written = json.loads((out / "result.json").read_text())
     assert written["format"] == "amb-commissioning-result"
     assert written["version"] == 1
-    assert written["experiment"] == "experiment.h5"
+    assert written["experiment"].endswith("/experiment.h5")  # of the service: with the experiment's id
+    assert "/api/v1/models/mod_" in document["report_url"]
     assert {k: document[k] for k in written} == written
     for path in document["files"].values():
         assert Path(path).exists()
 
 
 def test_in_process_it_gives_the_same(demo, tmp_path):
-    """The demo talks to a device process. Same seed: the plan takes the same way, each figure is the same."""
+    """The demo goes through the service to a device process. Same seed: the plan takes the same way, to each figure."""
     _, document, _ = demo
     done = ambit("demo", "--quick", "--seed", 3, "--out", tmp_path, "--json", "--in-process")
     assert done.returncode == 0, done.stderr
