@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import enum
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -94,6 +94,40 @@ class PointResult:
 
 
 @dataclass(frozen=True)
+class Waveform:
+    """A periodic excitation of all axes at once: one period of r, ramped up, settled, and recorded for some periods."""
+
+    r_a: NDArray[np.float64]
+    """(N, n_axes) one period of r, A, a row a controller sample."""
+    periods: int = 2
+    """Periods that are recorded, without a gap, after ``settle_samples``."""
+    settle_samples: int = 0
+
+    @property
+    def samples(self) -> int:
+        """N, samples of one period."""
+        return len(self.r_a)
+
+    @property
+    def peak_a(self) -> float:
+        """Largest |r| of any axis."""
+        return float(np.max(np.abs(self.r_a), initial=0.0))
+
+
+@dataclass(frozen=True)
+class WaveformResult:
+    """What a periodic waveform gave: the records of its periods."""
+
+    records: dict[str, NDArray[np.float64]]
+    """r, u, i, y, (periods * N, n_axes) each."""
+    peak_displacement_m: float
+    """Largest |y| of any axis while the waveform was on, ramps included."""
+    peak_current_a: float
+    rig_seconds: float
+    sequence: int
+
+
+@dataclass(frozen=True)
 class Capabilities:
     """What a controller is and allows."""
 
@@ -108,6 +142,9 @@ class Capabilities:
     current_limit_a: float
     harmonics: tuple[int, ...] = HARMONICS
     raw_records: bool = True
+    periodic: bool = field(default=False, compare=False)
+    """Whether it also plays periodic waveforms on all axes at once: it is a `PeriodicController` then. That is the
+    driver's, not the rig's, and two drivers of one rig are equal without it."""
 
 
 @dataclass(frozen=True)
@@ -169,3 +206,14 @@ class Controller(Protocol):
 
     def close(self) -> None:
         """Stop, and give up the link."""
+
+
+@runtime_checkable
+class PeriodicController(Controller, Protocol):
+    """A controller whose capabilities say ``periodic``: beside tones it plays waveforms from a table."""
+
+    def measure_periodic(self, waveform: Waveform) -> WaveformResult:
+        """Excite all axes with a periodic waveform, wait, record, and ramp back to zero.
+
+        Raises as `Controller.measure` does.
+        """

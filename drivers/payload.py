@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.controller import HARMONICS, PointResult, Tone
+from drivers.controller import HARMONICS, PointResult, Tone, WaveformResult
 from drivers.device.lockin import cosine, quantised_amplitude
 from drivers.packing import Order
 from sim.rig import Array
@@ -120,3 +120,9 @@ def as_received(point: PointResult) -> PointResult:
         peak_current_a=float(np.float32(point.peak_current_a)),
         records=None if point.records is None else decode_raw(encode_raw(point, "big"), point.tone, axes, "big"),
     )
+
+
+def records_as_received(result: WaveformResult) -> WaveformResult:
+    """A waveform's records rounded to the 32-bit floats in which a bus carries u, i and y."""
+    records = {k: v if k == "r" else v.astype(np.float32).astype(float) for k, v in result.records.items()}
+    return replace(result, records=records)

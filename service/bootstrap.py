@@ -19,6 +19,7 @@ from service.output import json_text, ready_folder, write_text
 if TYPE_CHECKING:
     from drivers.controller import Controller
     from service.experiment.data import Experiment
+    from service.experiment.multisine_plan import MultisineProfile
     from service.experiment.plan import Profile
     from service.experiment.progress import ProgressCallback
     from service.identification.result import CommissioningResult
@@ -95,6 +96,15 @@ def quick_profile() -> Profile:
     )
 
 
+def profile_for(excitation: str, quick: bool = False) -> Profile | MultisineProfile | None:
+    """What an experiment shall reach with "stepped-sine" or "multisine"; None for the first one's default."""
+    from service.experiment.multisine_plan import MultisineProfile
+
+    if excitation == "multisine":
+        return MultisineProfile(realisations=3, periods=2) if quick else MultisineProfile()
+    return quick_profile() if quick else None
+
+
 def measure(
     controller: Controller,
     datasheet: Datasheet,
@@ -102,7 +112,7 @@ def measure(
     progress: ProgressCallback | None = None,
     cancelled: Callable[[], bool] | None = None,
     resume: bool = True,
-    profile: Profile | None = None,
+    profile: Profile | MultisineProfile | None = None,
 ) -> Experiment:
     """Run the automated experiment into ``out_dir``, the datasheet beside it.
 

@@ -20,6 +20,11 @@ def quantised_amplitude(amplitude_a: float) -> float:
     return round(amplitude_a * AMPLITUDE_STEPS_PER_A) / AMPLITUDE_STEPS_PER_A
 
 
+def quantised_waveform(r_a: Array) -> Array:
+    """Waveform that the controller really plays, A: whole microamperes, as for the amplitude of a tone."""
+    return np.asarray(np.round(np.asarray(r_a, dtype=float) * AMPLITUDE_STEPS_PER_A) / AMPLITUDE_STEPS_PER_A)
+
+
 def cosine(tone: Tone, first: int, count: int) -> Array:
     """Unit cosine at samples ``first`` to ``first + count``, (count,); sample 0 starts the first block.
 

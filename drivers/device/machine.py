@@ -12,14 +12,26 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
-from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
+from drivers.controller import (
+    Capabilities,
+    PointResult,
+    State,
+    Status,
+    Tone,
+    TripCause,
+    Waveform,
+    WaveformResult,
+)
 from drivers.device.lease import WATCHDOG_S, LeaseTable
-from drivers.device.limits import MAX_SAMPLES, check_tone
+from drivers.device.limits import MAX_SAMPLES, check_tone, check_waveform
 from drivers.device.play import Gauges, Interruption, Pace, Player
 from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, TripError
 from sim.rig import Rig
 from sim.stepping import Simulation
+
+R = TypeVar("R", PointResult, WaveformResult)
 
 
 @dataclass(frozen=True)
@@ -211,6 +223,11 @@ class RigDevice:
             Someone else's stop since the last tone.
         """
         self.check(tone)
+        self._accept(token)
+        return lambda: self._play(tone)
+
+    def _accept(self, token: int) -> None:
+        """Reserve the rig for the excitation that the holder of a lease is about to play."""
         lease = self._leases.require(token)
         with self._state_lock:
             if self._closed.is_set():
@@ -230,18 +247,34 @@ class RigDevice:
             self._gauges.state = State.ARMED
             # After a gap on the bus, the command may come before the next heartbeat does.
             self._leases.feed(token)
-        return lambda: self._play(tone)
 
     def measure(self, tone: Tone, token: int) -> PointResult:
         """Play a tone and measure it, see `drivers.controller.Controller.measure`."""
         return self.arm(tone, token)()
 
+    def measure_periodic(self, waveform: Waveform, token: int) -> WaveformResult:
+        """Play a periodic waveform on all axes and record it, see `drivers.controller.PeriodicController`.
+
+        Raises
+        ------
+        LimitError, LeaseError, TripError, BusyError, CancelledError
+            As `arm` does.
+        """
+        check_waveform(waveform, self.capabilities())
+        self._accept(token)
+        self._log(f"excitation on: a waveform of {waveform.samples} samples, {waveform.peak_a:.6g} A at most")
+        return self._played(lambda: self._player.play_periodic(waveform, self._sequence + 1))
+
     def _play(self, tone: Tone) -> PointResult:
         frequency = tone.frequency_hz(1 / self._rig.controller.sample_time_s)
         self._log(f"excitation on: {tone.amplitude_a:.6g} A at {frequency:.6g} Hz on {self._rig.axes[tone.axis]}")
+        return self._played(lambda: self._player.play(tone, self._sequence + 1))
+
+    def _played(self, play: Callable[[], tuple[R | None, Interruption | None]]) -> R:
+        """Result of an excitation that was accepted, or the error that its early end is."""
         try:
             with self._rig_lock:
-                result, interruption = self._player.play(tone, self._sequence + 1)
+                result, interruption = play()
         finally:
             with self._state_lock:
                 self._playing = False

@@ -6,17 +6,29 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from drivers.controller import HARMONICS, PointResult, State, Tone, TripCause
-from drivers.device.lockin import LockIn, cosine, quantised_amplitude, ramp_samples, smooth_step
+from drivers.controller import HARMONICS, PointResult, State, Tone, TripCause, Waveform, WaveformResult
+from drivers.device.lockin import (
+    LockIn,
+    cosine,
+    quantised_amplitude,
+    quantised_waveform,
+    ramp_samples,
+    smooth_step,
+)
 from sim.rig import Array
 from sim.stepping import Simulation
+
+T = TypeVar("T", PointResult, WaveformResult)
 
 FAST_CHUNK_SAMPLES = 1000
 REAL_TIME_CHUNK_S = 0.005
 EMERGENCY_RAMP_S = 0.02
+WAVEFORM_RAMP_S = 0.1
+"""Ramp of a waveform: a period of the lowest frequency that a rotor is usually excited with."""
 CALM_S = 0.5
 """Simulated time that passes after a limit was exceeded, so that the rotor is at rest when the next tone begins."""
 
@@ -104,13 +116,23 @@ class Player:
 
     def play(self, tone: Tone, sequence: int) -> tuple[PointResult | None, Interruption | None]:
         """Result, or None and why the tone ended early; the excitation is zero either way."""
-        run = _Run(tone, quantised_amplitude(tone.amplitude_a), self._sim.n_axes)
+        run = _ToneRun(tone, self._sim.n_axes)
+        shape = (ramp_samples(tone, self._fs), tone.settle_samples, tone.blocks * tone.samples)
+        return self._play(run, *shape, sequence)
+
+    def play_periodic(self, waveform: Waveform, sequence: int) -> tuple[WaveformResult | None, Interruption | None]:
+        """The same for a periodic waveform."""
+        run = _WaveformRun(waveform)
+        ramp = round(WAVEFORM_RAMP_S * self._fs) if run.amplitude_a else 0
+        return self._play(run, ramp, waveform.settle_samples, waveform.periods * waveform.samples, sequence)
+
+    def _play(
+        self, run: _Run[T], ramp: int, settle: int, record: int, sequence: int
+    ) -> tuple[T | None, Interruption | None]:
         before = self._moment()
-        ramp = ramp_samples(tone, self._fs)
-        record = tone.blocks * tone.samples
         try:
-            self._segment(run, State.SETTLING, -tone.settle_samples - ramp, ramp, 0.0, 1.0)
-            self._segment(run, State.SETTLING, -tone.settle_samples, tone.settle_samples, 1.0, 1.0)
+            self._segment(run, State.SETTLING, -settle - ramp, ramp, 0.0, 1.0)
+            self._segment(run, State.SETTLING, -settle, settle, 1.0, 1.0)
             self._segment(run, State.RECORDING, 0, record, 1.0, 1.0, keep=True)
             self._segment(run, State.RECORDING, record, ramp, 1.0, 0.0)
         except Interrupted as early:
@@ -132,7 +154,7 @@ class Player:
         return run.result(sequence, self._fs), None
 
     def _segment(
-        self, run: _Run, state: State, first: int, count: int, start: float, end: float, keep: bool = False
+        self, run: _Run[T], state: State, first: int, count: int, start: float, end: float, keep: bool = False
     ) -> None:
         if count > 0:
             self._gauges.state = state
@@ -143,8 +165,7 @@ class Player:
             n = min(self._pace.chunk_samples, count - done)
             position = (done + np.arange(n)) / count
             level = np.full(n, start) if start == end else start + (end - start) * smooth_step(position)
-            r = np.zeros((n, self._sim.n_axes))
-            r[:, run.tone.axis] = run.amplitude_a * level * cosine(run.tone, first + done, n)
+            r = run.wave(first + done, n) * level[:, None]
             self._gauges.excitation_a = run.amplitude_a * float(level[-1])
             before = run.samples
             reached = self._advance(r, run=run, keep=keep)
@@ -156,15 +177,14 @@ class Player:
                 raise Interrupted(reached)
             done += n
 
-    def _emergency_ramp(self, run: _Run) -> None:
+    def _emergency_ramp(self, run: _Run[T]) -> None:
         total = round(EMERGENCY_RAMP_S * self._fs)
         if run.amplitude_a == 0 or run.level == 0:
             return
         for done in range(0, total, self._pace.chunk_samples):
             n = min(self._pace.chunk_samples, total - done)
             level = run.level * smooth_step(1 - (done + 1 + np.arange(n)) / total)
-            r = np.zeros((n, self._sim.n_axes))
-            r[:, run.tone.axis] = run.amplitude_a * level * cosine(run.tone, run.next_sample + done, n)
+            r = run.wave(run.next_sample + done, n) * level[:, None]
             self._gauges.excitation_a = run.amplitude_a * float(level[-1])
             self._advance(r, check_limits=False)
             self._pace.wait(n)
@@ -186,7 +206,7 @@ class Player:
             self._gauges.rig_time_s = moment.time_s
 
     def _advance(
-        self, r: Array, check_limits: bool = True, run: _Run | None = None, keep: bool = False
+        self, r: Array, check_limits: bool = True, run: _Run[T] | None = None, keep: bool = False
     ) -> Interruption | None:
         record = self._sim.advance(r, check_limits=check_limits)
         self._gauges.displacement_m = tuple(record.y[-1].tolist())
@@ -214,18 +234,25 @@ class Player:
         )
 
 
-class _Run:
-    """What one tone has gathered so far."""
+class _Run(Generic[T]):
+    """What an excitation is, and what it has gathered so far."""
 
-    def __init__(self, tone: Tone, amplitude_a: float, n_axes: int) -> None:
-        self.tone = tone
+    def __init__(self, amplitude_a: float) -> None:
         self.amplitude_a = amplitude_a
+        """Largest |r|."""
         self.next_sample = 0
         self.level = 0.0
         self.samples = 0
         self._peak_y = self._peak_i = 0.0
-        self._lockin = LockIn(tone, 4 * n_axes)
         self._chunks: list[Array] = []
+
+    def wave(self, first: int, count: int) -> Array:
+        """r at full level from sample ``first`` on, (count, n_axes); sample 0 starts the record."""
+        raise NotImplementedError
+
+    def result(self, sequence: int, sample_rate_hz: float) -> T:
+        """What an excitation that was played to its end gave."""
+        raise NotImplementedError
 
     def add(self, r: Array, u: Array, i: Array, y: Array, keep: bool) -> None:
         """Take over a chunk; (M, n_axes) each."""
@@ -233,15 +260,37 @@ class _Run:
         self._peak_y = max(self._peak_y, float(np.max(np.abs(y))))
         self._peak_i = max(self._peak_i, float(np.max(np.abs(i))))
         if keep:
-            chunk = np.hstack((r, u, i, y))
-            self._lockin.add(chunk)
-            if self.tone.raw:
-                self._chunks.append(chunk)
+            self._keep(np.hstack((r, u, i, y)))
+
+    def _keep(self, chunk: Array) -> None:
+        self._chunks.append(chunk)
+
+    def _records(self) -> dict[str, Array]:
+        return dict(zip("ruiy", np.split(np.concatenate(self._chunks), 4, axis=1), strict=True))
+
+
+class _ToneRun(_Run[PointResult]):
+    """One tone, demodulated while it is played."""
+
+    def __init__(self, tone: Tone, n_axes: int) -> None:
+        super().__init__(quantised_amplitude(tone.amplitude_a))
+        self.tone, self._n_axes = tone, n_axes
+        self._lockin = LockIn(tone, 4 * n_axes)
+
+    def wave(self, first: int, count: int) -> Array:
+        """The tone's cosine in its axis."""
+        r = np.zeros((count, self._n_axes))
+        r[:, self.tone.axis] = self.amplitude_a * cosine(self.tone, first, count)
+        return r
+
+    def _keep(self, chunk: Array) -> None:
+        self._lockin.add(chunk)
+        if self.tone.raw:
+            super()._keep(chunk)
 
     def result(self, sequence: int, sample_rate_hz: float) -> PointResult:
-        """What a tone that was played to its end gave."""
+        """Amplitudes of the blocks, and the records when they were asked for."""
         r, u, i, y = np.split(self._lockin.amplitudes, 4, axis=2)
-        raw = np.split(np.concatenate(self._chunks), 4, axis=1) if self.tone.raw else None
         return PointResult(
             tone=self.tone,
             harmonics=HARMONICS,
@@ -253,5 +302,21 @@ class _Run:
             peak_current_a=self._peak_i,
             rig_seconds=self.samples / sample_rate_hz,
             sequence=sequence,
-            records=None if raw is None else dict(zip("ruiy", raw, strict=True)),
+            records=self._records() if self.tone.raw else None,
         )
+
+
+class _WaveformRun(_Run[WaveformResult]):
+    """A periodic waveform, recorded."""
+
+    def __init__(self, waveform: Waveform) -> None:
+        self._period = quantised_waveform(waveform.r_a)
+        super().__init__(float(np.max(np.abs(self._period), initial=0.0)))
+
+    def wave(self, first: int, count: int) -> Array:
+        """The period, repeated."""
+        return self._period[np.arange(first, first + count) % len(self._period)]
+
+    def result(self, sequence: int, sample_rate_hz: float) -> WaveformResult:
+        """The records."""
+        return WaveformResult(self._records(), self._peak_y, self._peak_i, self.samples / sample_rate_hz, sequence)

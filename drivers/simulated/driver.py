@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
-from drivers.controller import Capabilities, PointResult, Status, Tone
+from drivers.controller import Capabilities, PointResult, Status, Tone, Waveform, WaveformResult
 from drivers.device.lease import NO_TOKEN
 from drivers.device.machine import RigDevice
-from drivers.payload import as_received
+from drivers.payload import as_received, records_as_received
 from sim.rig import Rig
 
 
@@ -35,7 +36,7 @@ class SimulatedController:
 
     def capabilities(self) -> Capabilities:
         """What the controller is and allows."""
-        return self._device.capabilities()
+        return replace(self._device.capabilities(), periodic=True)
 
     def status(self) -> Status:
         """Snapshot of state, trip, excitation, lease."""
@@ -55,6 +56,10 @@ class SimulatedController:
     def measure(self, tone: Tone) -> PointResult:
         """Excite with one tone, measure, ramp back to zero; the result has a bus's word length."""
         return as_received(self._device.measure(tone, self._token))
+
+    def measure_periodic(self, waveform: Waveform) -> WaveformResult:
+        """Excite all axes with a periodic waveform, record, ramp back; records have the word length of a bus."""
+        return records_as_received(self._device.measure_periodic(waveform, self._token))
 
     def stop(self) -> None:
         """Ramp the excitation to zero, from any thread, at any time."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,23 @@ if TYPE_CHECKING:
     from sim.rig import Rig
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+
+
+class Excitation(StrEnum):
+    """How a rig is excited."""
+
+    STEPPED_SINE = "stepped-sine"
+    MULTISINE = "multisine"
+
+
 Quick = Annotated[bool, typer.Option("--quick", help="A coarse experiment: a third of the time and of the accuracy.")]
+How = Annotated[
+    Excitation,
+    typer.Option(
+        help="One tone after the other, or multisines on all axes at once: a tenth of the time on the rig, where the "
+        "controller can play them."
+    ),
+]
 STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
 
 
@@ -32,6 +49,7 @@ def commission(
         bool, typer.Option(help="Go on with an interrupted campaign that lies in the folder, or put it aside.")
     ] = True,
     quick: Quick = False,
+    excitation: How = Excitation.STEPPED_SINE,
     as_json: Json = False,
 ) -> None:
     """Measure a rig through its controller, identify it, and write result.json and report.html."""
@@ -41,7 +59,7 @@ def commission(
 
     datasheet = read(rig)
     ready_folder(out)
-    commission_directly(bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None)
+    commission_directly(bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None, excitation)
 
 
 def identify(
@@ -72,6 +90,7 @@ def commission_directly(
     quick: bool,
     as_json: bool,
     truth: Rig | None,
+    excitation: Excitation = Excitation.STEPPED_SINE,
 ) -> None:
     """Campaign with a bar and an orderly Ctrl-C; then the rest, in which nothing moves any more.
 
@@ -82,7 +101,7 @@ def commission_directly(
     from service.cli.progress import campaign_progress
 
     began = time.monotonic()
-    profile = bootstrap.quick_profile() if quick else None
+    profile = bootstrap.profile_for(excitation.value, quick)
     with asked_to_stop(STOPPING) as cancelled, connection as controller, campaign_progress() as progress:
         experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
     measured = time.monotonic() - began

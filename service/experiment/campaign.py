@@ -10,13 +10,25 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from drivers.controller import Capabilities, Controller, PointResult, State, Tone, TripCause
+from drivers.controller import (
+    Capabilities,
+    Controller,
+    PeriodicController,
+    PointResult,
+    State,
+    Tone,
+    TripCause,
+    Waveform,
+    WaveformResult,
+)
 from drivers.errors import BusError, CancelledError, ControllerError, LeaseError, TripError
-from service.experiment import file, journal, phases
+from service.experiment import file, journal, multisine_plan, phases
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
+from service.experiment.multisine_phases import MultisinePhases
+from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
 from service.experiment.plan import Limits, Profile, Request
 from service.experiment.points import Point, experiment
 from service.experiment.predecessor import holds_all, make_way, put_aside
@@ -28,6 +40,8 @@ T = TypeVar("T")
 
 EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
+_Done = dict[str, list[Point]]
+_Extra = dict[str, str]
 WATCH_S = 0.1
 BUS_TRIES = 6
 """With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
@@ -41,7 +55,7 @@ def run_campaign(
     progress: ProgressCallback | None = None,
     cancelled: Callable[[], bool] | None = None,
     resume: bool = True,
-    profile: Profile | None = None,
+    profile: Profile | MultisineProfile | None = None,
     holder: str = "ambit campaign",
 ) -> Experiment:
     """Run the whole experiment on a controller and write ``out_dir/experiment.h5``.
@@ -62,21 +76,22 @@ def run_campaign(
     resume
         Go on with a journal that lies in ``out_dir``; otherwise it is put aside and the campaign starts anew.
     profile
-        What to reach; the default suits the reference rig.
+        What to reach, and by which excitation: a `Profile` for stepped sine, the default, which suits the reference
+        rig; a `MultisineProfile` for multisines on all axes at once, where the controller can play them.
     holder
         Name under which the rig is leased.
 
     Returns
     -------
     experiment
-        Sweeps "main", "validation", "amplifier", "noise", "preliminary".
+        Sweeps "main", "validation", "amplifier", "noise", "preliminary"; the last not with multisines.
 
     Raises
     ------
     ExperimentFileError
         ``out_dir`` cannot be written; nothing has moved.
     CampaignError
-        The controller does not fit the datasheet, or is tripped.
+        The controller does not fit the datasheet, cannot play the excitation, or is tripped.
     JournalError
         A journal in ``out_dir`` is of another rig or plan.
     CancelledError
@@ -88,12 +103,17 @@ def run_campaign(
     profile = profile or Profile()
     capabilities = controller.capabilities()
     limits = checked_limits(capabilities, datasheet)
+    if isinstance(profile, MultisineProfile) and not capabilities.periodic:
+        raise CampaignError(
+            f"{capabilities.identity} plays tones only, no periodic waveforms; measure it by stepped sine"
+        )
     prepare_folder(out_dir, resume)
     speed = float(controller.status().speed_rad_s)
     header = fingerprint(capabilities, datasheet, limits, profile) | {"about": {"speed_rad_s": speed}}
     log = journal.Journal(out_dir / JOURNAL, header)
     meter = Meter(progress)
-    done: dict[str, list[Point]] = {}
+    done: _Done = {}
+    extra: _Extra = {}
 
     def assembled() -> Experiment:
         attributes = {"controller": capabilities.identity, "rig_seconds": f"{meter.rig_seconds:.3f}"}
@@ -104,7 +124,7 @@ def run_campaign(
             capabilities.harmonics,
             capabilities.sample_rate_hz,
             speed,
-            attributes,
+            attributes | extra,
         )
 
     try:
@@ -112,7 +132,7 @@ def run_campaign(
             _make_ready(controller)
             measure = _Patient(controller, cancelled or (lambda: False))
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
-            phases.run(recorder, limits, profile, capabilities.raw_records, meter, done)
+            _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra)
         result = assembled()
         make_way(out_dir / EXPERIMENT, result)
         file.write(out_dir / EXPERIMENT, result)
@@ -147,22 +167,52 @@ def recover(out_dir: Path) -> Experiment:
     """
     header, entries = journal.read(out_dir / JOURNAL)
 
-    def measure(_: Request) -> Trip:
+    def measure(_: Request | PeriodicRequest) -> Trip:
         raise _EndOfJournal
 
     try:
-        limits, profile = Limits(**header["limits"]), Profile(**header["profile"])
+        limits, profile = Limits(**header["limits"]), _profile(header["profile"])
         harmonics, about = tuple(header["harmonics"]), header["about"]
     except (KeyError, TypeError) as error:
         raise JournalError(f"{out_dir / JOURNAL} was written by another version: {error}; resume with that") from error
     recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics)
-    done: dict[str, list[Point]] = {}
+    done: _Done = {}
+    extra: _Extra = {}
     with suppress(_EndOfJournal, CampaignError):
-        phases.run(recorder, limits, profile, header["raw_records"], Meter(None), done)
+        _run(recorder, limits, profile, header["raw_records"], Meter(None), done, extra)
     attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
     return experiment(
-        header["rig"], tuple(header["axes"]), done, harmonics, limits.sample_rate_hz, about["speed_rad_s"], attributes
+        header["rig"],
+        tuple(header["axes"]),
+        done,
+        harmonics,
+        limits.sample_rate_hz,
+        about["speed_rad_s"],
+        attributes | extra,
     )
+
+
+def _run(
+    recorder: Recorder,
+    limits: Limits,
+    profile: Profile | MultisineProfile,
+    raw_records: bool,
+    meter: Meter,
+    done: _Done,
+    extra: _Extra,
+) -> None:
+    """All phases of the excitation that the profile is for."""
+    if isinstance(profile, MultisineProfile):
+        MultisinePhases(recorder, limits, profile, meter, done, extra).run(raw_records)
+    else:
+        phases.run(recorder, limits, profile, raw_records, meter, done)
+
+
+def _profile(document: dict[str, Any]) -> Profile | MultisineProfile:
+    """The profile that a journal keeps; TypeError when another version wrote it."""
+    if "multisine" in document:
+        return MultisineProfile(**document["multisine"])
+    return Profile(**document)
 
 
 def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
@@ -216,7 +266,9 @@ def prepare_folder(out_dir: Path, resume: bool) -> None:
         put_aside(out_dir / JOURNAL)
 
 
-def fingerprint(capabilities: Capabilities, datasheet: Datasheet, limits: Limits, profile: Profile) -> journal.Entry:
+def fingerprint(
+    capabilities: Capabilities, datasheet: Datasheet, limits: Limits, profile: Profile | MultisineProfile
+) -> journal.Entry:
     """What must be the same for a journal to be continued."""
     return {
         "rig": datasheet.name,
@@ -226,7 +278,7 @@ def fingerprint(capabilities: Capabilities, datasheet: Datasheet, limits: Limits
         "raw_records": capabilities.raw_records,
         "limits": asdict(limits),
         "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
-        "profile": asdict(profile),
+        "profile": multisine_plan.documented(profile) if isinstance(profile, MultisineProfile) else asdict(profile),
     }
 
 
@@ -237,14 +289,14 @@ class _Patient:
         self._controller = controller
         self._cancelled = cancelled
 
-    def __call__(self, request: Request) -> PointResult | Trip:
-        """One tone, or how it tripped; the trip is acknowledged."""
-        tone = Tone(**asdict(request))
+    def __call__(self, request: Request | PeriodicRequest) -> PointResult | WaveformResult | Trip:
+        """One tone or waveform, or how it tripped; the trip is acknowledged."""
+        play = self._player(request)
         for attempt in range(BUS_TRIES):
             if self._cancelled():
                 raise CancelledError("the campaign was cancelled; the excitation is off")
             try:
-                return self._through(lambda: self._controller.measure(tone))
+                return self._through(play)
             except TripError as trip:
                 self._through(self._controller.acknowledge)
                 if trip.cause != "host":
@@ -253,6 +305,17 @@ class _Patient:
                 if attempt == BUS_TRIES - 1:
                     raise
         raise AssertionError("the last attempt returns or raises")
+
+    def _player(self, request: Request | PeriodicRequest) -> Callable[[], PointResult | WaveformResult]:
+        """What plays the request."""
+        if isinstance(request, Request):
+            tone = Tone(**asdict(request))
+            return lambda: self._controller.measure(tone)
+        waveform = Waveform(request.waveform_a, request.periods, request.settle_samples)
+        controller = self._controller
+        if not isinstance(controller, PeriodicController):
+            raise CampaignError("the controller plays no periodic waveforms although its capabilities promise them")
+        return lambda: controller.measure_periodic(waveform)
 
     def _through(self, call: Callable[[], T]) -> T:
         """Result of a call over the bus, tried again while the bus fails."""

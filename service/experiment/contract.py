@@ -126,6 +126,7 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     flags = _flags(d, len(frequency))
     block_samples = d.integers("block_samples", len(frequency)) if "block_samples" in datasets else None
     time_s = d.vector("time_s", len(frequency)) if "time_s" in datasets else None
+    kurtosis = d.vector("kurtosis", n_axes) if "kurtosis" in datasets else None
     shared: dict[str, Any] = {
         "kind": kind,
         "speed_rad_s": number(where, "speed_rad_s", attributes["speed_rad_s"]),
@@ -150,6 +151,8 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
         flags=flags,
         block_samples=block_samples,
         time_s=time_s,
+        kurtosis=kurtosis,
+        phase_rad=_phases(d, values["R"]) if "phase_rad" in datasets else None,
         **values,
         **shared,
     )
@@ -177,6 +180,13 @@ def _points(d: _Datasets, rate: float, kind: str) -> tuple[NDArray[np.float64], 
     if np.any(amplitude < 0):
         raise d.fail("amplitude_a", f"holds {amplitude.min():g} A; an amplitude must not be negative")
     return frequency, axis, amplitude
+
+
+def _phases(d: _Datasets, R: NDArray[np.complex128]) -> NDArray[np.float64]:
+    phase = d.array("phase_rad", np.float64)
+    if phase.shape != R.shape[:2]:
+        raise d.fail("phase_rad", f"has shape {phase.shape}; it must be {R.shape[:2]}: points, blocks")
+    return np.asarray(phase)
 
 
 def _flags(d: _Datasets, n_points: int) -> tuple[str, ...]:

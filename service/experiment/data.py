@@ -43,6 +43,13 @@ class Sweep:
     """(P,) length of a block, samples; None when the file does not tell."""
     time_s: Real | None = None
     """(P,) rig time at which the point was measured, s from the campaign's start; None when the file does not tell."""
+    phase_rad: Real | None = None
+    """(P, B) of a multisine on all axes at once: phase that r of the point's axis had in each block, before the time
+    origin was moved. Experiment e of a block played r_j = W[e, j] x_j with W = `multisine.orthogonal` of the number of
+    axes, and the points are what the separation of the experiments gave. None for what excites one axis at a time."""
+
+    kurtosis: Real | None = None
+    """(n_axes,) of such a multisine: E[y^4] / (3 E[y^2]^2), 1 for a Gaussian signal."""
 
     @property
     def n_points(self) -> int:
@@ -72,6 +79,8 @@ class Sweep:
             flags=tuple(self.flags[k] for k in index) if self.flags else (),
             block_samples=None if self.block_samples is None else self.block_samples[index],
             time_s=None if self.time_s is None else self.time_s[index],
+            phase_rad=None if self.phase_rad is None else self.phase_rad[index],
+            kurtosis=self.kurtosis,
         )
 
 

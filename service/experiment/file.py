@@ -176,6 +176,10 @@ def _write_sweep(group: Any, sweep: Sweep) -> None:
         group["block_samples"] = sweep.block_samples
     if sweep.time_s is not None:
         group["time_s"] = sweep.time_s
+    if sweep.kurtosis is not None:
+        group["kurtosis"] = sweep.kurtosis
+    if sweep.phase_rad is not None:
+        group["phase_rad"] = sweep.phase_rad
     if sweep.flags:
         group.create_dataset("flags", data=list(sweep.flags), dtype=h5py.string_dtype())
     for name in ("R", "U", "I", "Y"):

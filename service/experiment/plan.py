@@ -10,8 +10,9 @@ a^2 proportional to Phi_v / |G|^2. Limits cut the amplitude, and then time makes
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,6 +133,10 @@ class Request:
     def seconds(self, sample_rate_hz: float) -> float:
         """Time that the rig will need, without the controller's ramps."""
         return (self.settle_samples + self.blocks * self.samples) / sample_rate_hz
+
+    def description(self) -> dict[str, Any]:
+        """What a journal keeps, to know the same question again."""
+        return asdict(self)
 
     def with_amplitude(self, amplitude_a: float) -> Request:
         """The same tone, another amplitude."""

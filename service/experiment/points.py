@@ -33,6 +33,12 @@ class Point:
     time_s: float
     """Rig time at the end of the point, s from the campaign's start."""
     flag: str = ""
+    kind: str = "stepped-sine"
+    """Of a "multisine" only the excited line is kept: one harmonic."""
+    phase_rad: Real | None = None
+    """(blocks,) of a multisine, see `service.experiment.data.Sweep`."""
+    kurtosis: Real | None = None
+    """(n_axes,) of the same."""
 
     @property
     def excitation_a(self) -> complex:
@@ -57,16 +63,21 @@ def unmeasured(request: Request, frequency_hz: float, n_axes: int, harmonics: in
 
 
 def sweep(
-    points: Sequence[Point], harmonics: tuple[int, ...], sample_rate_hz: float, speed_rad_s: float, comment: str
+    points: Sequence[Point],
+    harmonics: tuple[int, ...],
+    sample_rate_hz: float,
+    speed_rad_s: float,
+    comment: str,
 ) -> Sweep:
     """Points as one sweep, by frequency and then by axis."""
     ordered = sorted(points, key=lambda p: (p.frequency_hz, p.request.axis))
+    kind = "noise" if comment == "noise" else ordered[0].kind
     return Sweep(
-        kind="noise" if comment == "noise" else "stepped-sine",
+        kind=kind,
         frequency_hz=np.array([p.frequency_hz for p in ordered]),
         axis=np.array([p.request.axis for p in ordered], dtype=np.int64),
         amplitude_a=np.array([p.request.amplitude_a for p in ordered]),
-        harmonics=harmonics,
+        harmonics=(1,) if kind == "multisine" else harmonics,
         R=np.array([p.R for p in ordered]),
         U=np.array([p.U for p in ordered]),
         I=np.array([p.I for p in ordered]),
@@ -77,6 +88,8 @@ def sweep(
         flags=tuple(p.flag for p in ordered),
         block_samples=np.array([p.request.samples for p in ordered], dtype=np.int64),
         time_s=np.array([p.time_s for p in ordered]),
+        phase_rad=np.array([p.phase_rad for p in ordered]) if kind == "multisine" else None,
+        kurtosis=ordered[0].kurtosis,
     )
 
 

@@ -8,14 +8,15 @@ function.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.journal import Entry
+from service.experiment.multisine_plan import PeriodicRequest
 from service.experiment.plan import Request
 from service.experiment.points import Point
 
@@ -59,6 +60,22 @@ class Answer(Protocol):
     def records(self) -> dict[str, NDArray[np.float64]] | None: ...  # noqa: D102
 
 
+class PeriodicAnswer(Protocol):
+    """What the rig gave for a waveform: the fields of `drivers.controller.WaveformResult` that are kept."""
+
+    @property
+    def records(self) -> dict[str, NDArray[np.float64]]: ...  # noqa: D102
+
+    @property
+    def peak_displacement_m(self) -> float: ...  # noqa: D102
+
+    @property
+    def peak_current_a(self) -> float: ...  # noqa: D102
+
+    @property
+    def rig_seconds(self) -> float: ...  # noqa: D102
+
+
 class Recorder:
     """Measures through a journal.
 
@@ -76,7 +93,7 @@ class Recorder:
 
     def __init__(
         self,
-        measure: Callable[[Request], Answer | Trip],
+        measure: Callable[[Request | PeriodicRequest], Answer | PeriodicAnswer | Trip],
         found: list[Entry],
         append: Callable[[Entry], None],
         sample_rate_hz: float,
@@ -116,16 +133,18 @@ class Recorder:
             time_s=entry["time_s"],
         )
 
-    def reduced(self, phase: str, request: Request, reduction: Reduction) -> dict[str, Any] | Trip:
-        """One tone with its records, of which only ``reduction(records)`` is kept."""
+    def reduced(self, phase: str, request: Request | PeriodicRequest, reduction: Reduction) -> dict[str, Any] | Trip:
+        """One tone or waveform with its records, of which only ``reduction(records)`` and the peaks are kept."""
         entry = self._entry(phase, request, reduction, request.amplitude_a > 0)
         if entry["outcome"] == "trip":
             return Trip(entry["cause"], entry["message"])
-        result: dict[str, Any] = entry["reduced"]
-        return result
+        peaks = {k: entry[k] for k in ("peak_displacement_m", "peak_current_a")}
+        return {**entry["reduced"], **peaks}
 
-    def _entry(self, phase: str, request: Request, reduction: Reduction | None, keep_trip: bool) -> Entry:
-        asked = {"phase": phase, "request": asdict(request)}
+    def _entry(
+        self, phase: str, request: Request | PeriodicRequest, reduction: Reduction | None, keep_trip: bool
+    ) -> Entry:
+        asked = {"phase": phase, "request": request.description()}
         if self._found:
             entry = self._found.pop()
             if {k: entry.get(k) for k in asked} != asked:
@@ -140,7 +159,7 @@ class Recorder:
         self.rig_seconds = entry["time_s"]
         return entry
 
-    def _live(self, request: Request, reduction: Reduction | None) -> Entry:
+    def _live(self, request: Request | PeriodicRequest, reduction: Reduction | None) -> Entry:
         answer = self._measure(request)
         if isinstance(answer, Trip):
             return {
@@ -156,7 +175,8 @@ class Recorder:
             "time_s": self.rig_seconds + float(answer.rig_seconds),
         }
         if reduction is None:
-            return entry | {"R": answer.R, "U": answer.U, "I": answer.I, "Y": answer.Y}
+            tone = cast(Answer, answer)  # a waveform is always reduced
+            return entry | {"R": tone.R, "U": tone.U, "I": tone.I, "Y": tone.Y}
         if answer.records is None:
             raise CampaignError("the controller sent no records although its capabilities promise them")
         return entry | {"reduced": reduction(answer.records)}

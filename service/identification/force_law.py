@@ -20,6 +20,43 @@ _ANGLE = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
 _WAVE = np.exp(1j * _ANGLE)
 
 
+def excess_of_many(
+    ki: Real,
+    ks: Real,
+    bias_current_a: Real,
+    current: Complex,
+    displacement: Complex,
+    group: NDArray[np.int64],
+    kurtosis: Real,
+) -> tuple[Complex, Complex, Complex]:
+    """The same where all lines of a group are there at once, as in a multisine, and their phases are not known.
+
+    To third order the excess of many lines with random phases is, on the average over phases, what the derivatives'
+    means make of each line (Bussgang): (2 E[ab] + 3 E[b^2]) a + (E[a^2] + 6 E[ab] + 6 E[b^2]) b. Where the phases are
+    known `many_lines` is exact.
+
+    Parameters
+    ----------
+    ki, ks, bias_current_a, current, displacement
+        As for `excess_force`.
+    group
+        (P,) lines of the same number are there together.
+    kurtosis
+        (n,) fourth moment of the displacement over a Gaussian's: phases chosen for small peaks make it less than 1.
+    """
+    a, b = current / bias_current_a, displacement / (bias_current_a * ki / ks)
+    members = (group[:, None] == np.unique(group)).astype(float)
+    shared = members @ members.T
+
+    def moment(x: Complex, y: Complex) -> Real:
+        return np.asarray(kurtosis * (shared @ (x * y.conj()).real) / 2)
+
+    aa, ab, bb = moment(a, a), moment(a, b), moment(b, b)
+    g = (2 * ab + 3 * bb) * a + (aa + 6 * ab + 6 * bb) * b
+    along = (2 * ab + 6 * bb) * a + (aa + 12 * ab + 18 * bb) * b  # b dg/db
+    return ki * bias_current_a * g, bias_current_a * (g - along), ki * bias_current_a / ks * along
+
+
 def excess_force(
     ki: Real, ks: Real, bias_current_a: Real, current: Complex, displacement: Complex
 ) -> tuple[Complex, Complex, Complex]:

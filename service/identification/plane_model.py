@@ -16,9 +16,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification import amplifier
-from service.identification.force_law import excess_force
+from service.identification.force_law import excess_force, excess_of_many
+from service.identification.many_lines import excess_of_products
 from service.identification.zoh import Complex, Real
 
 MODE_NAMES = ("nu_rad_s", "sigma_rad_s", "bearing_A", "bearing_B", "sensor_A", "sensor_B")
@@ -111,6 +113,16 @@ class Points:
 
 
 @dataclass(frozen=True)
+class Together:
+    """Which points of a multisine excite the rotor at the same time, where its phases are not known."""
+
+    group: NDArray[np.int64]
+    """(P,)"""
+    kurtosis: Real
+    """(n_axes,) of the displacement, 1 for Gaussian."""
+
+
+@dataclass(frozen=True)
 class Amplitude:
     """Amplitudes at the bearings about which the force law's excess is taken."""
 
@@ -118,6 +130,10 @@ class Amplitude:
     """(P, 2) A."""
     displacement: Complex
     """(P, 2) m."""
+    together: Together | None = None
+    """Of a multisine without phases; None for tones."""
+    products: Complex | None = None
+    """(B, 3, P, 2) of a multisine, whose lines are there at once: `many_lines.ManyLines.products`; None for tones."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +268,12 @@ class PlaneModel:
         force = ki * coil
         excess = None
         if amplitude is not None:
-            excess = excess_force(ki, ks, self.known.bias_current_a, amplitude.current, amplitude.displacement)
+            i0 = self.known.bias_current_a
+            at, many = (ki, ks, i0, amplitude.current, amplitude.displacement), amplitude.together
+            if amplitude.products is not None:
+                excess = excess_of_products(ki, ks, i0, amplitude.products.mean(axis=0))
+            else:
+                excess = excess_force(*at) if many is None else excess_of_many(*at, many.group, many.kurtosis)
             force = force + excess[0]
         # (I - H_bb Ks)^-1, a closed form for two axes
         d = -h_bb * ks

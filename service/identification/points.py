@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.identification.many_lines import ManyLines
+from service.identification.plane_model import Together
 from service.identification.zoh import Complex, Real
 from sim.errors import AmbError
 
@@ -39,6 +41,10 @@ class PlanePoints:
     """Why points were not used, one line each."""
     suspect: NDArray[np.bool_]
     """(P,) points that count little, by their flag."""
+    many: ManyLines | None = None
+    """Of a multisine on all axes whose phases are known: its points excite the rotor at the same time."""
+    together: Together | None = None
+    """Of a multisine whose phases are not."""
 
     @property
     def n_blocks(self) -> int:
@@ -79,6 +85,8 @@ class PlanePoints:
             self.index[keep],
             self.left_out,
             self.suspect[keep],
+            None if self.many is None else self.many.select(keep),
+            None if self.together is None else Together(self.together.group[keep], self.together.kurtosis),
         )
 
 
@@ -137,7 +145,18 @@ def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints
         keep,
         tuple(left_out),
         np.array([any(word in flags[p].lower() for word in SUSPECT) for p in keep], dtype=bool),
+        ManyLines.of(sweep, keep),
+        _together(sweep, keep, pair),
     )
+
+
+def _together(sweep: Sweep, keep: NDArray[np.int64], pair: tuple[int, int]) -> Together | None:
+    """All points of a multisine on all axes at once, or those of each axis where the file tells no kurtosis."""
+    if sweep.kind != "multisine":
+        return None
+    if sweep.kurtosis is None:
+        return Together(np.asarray(sweep.axis[keep], dtype=np.int64), np.ones(2))
+    return Together(np.zeros(len(keep), dtype=np.int64), np.asarray(sweep.kurtosis[list(pair)], dtype=float))
 
 
 def check_excitation(points: PlanePoints, minimum: int = 8) -> None:

@@ -7,14 +7,14 @@ they are weighted with. That is maximum likelihood, errors in variables included
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel, block_noise
-from service.identification.plane_model import Amplitude, PlaneModel, Points
+from service.identification.plane_model import Amplitude, PlaneModel, Points, Prediction
 from service.identification.points import PlanePoints
 from service.identification.split import Split, split_rows
 from service.identification.zoh import Complex, Real
@@ -60,6 +60,15 @@ def residual_blocks(points: PlanePoints, i: Complex, y: Complex) -> Complex:
 
 def predicted_blocks(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> tuple[Complex, Complex]:
     """Model's i and y for each block's own u, (P, B, 2) each: the mean's prediction, and the small signal beyond it."""
+    if amplitude is not None and amplitude.products is not None and len(amplitude.products) == points.n_blocks:
+        # the blocks are realisations: each has its own phases, and with them its own cubic terms
+        each = [
+            model.predict(
+                Points(points.omega, points.U[:, b]), replace(amplitude, products=amplitude.products[b : b + 1])
+            )
+            for b in range(points.n_blocks)
+        ]
+        return np.stack([p.i for p in each], axis=1), np.stack([p.y for p in each], axis=1)
     mean = model.predict(Points(points.omega, points.u), amplitude)
     away = points.U - points.u[:, None, :]
     i = mean.i[:, None, :] + away * model.amplifier_response(points.omega, base_band=False)[:, None, :]
@@ -154,10 +163,15 @@ def _amplifier_residual(model: PlaneModel, points: PlanePoints, gradient: bool) 
 def amplitude_of(model: PlaneModel, at: PlanePoints | Points, rounds: int = 3) -> Amplitude:
     """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included."""
     points = Points(at.omega, at.u)
+    many, together = (at.many, at.together) if isinstance(at, PlanePoints) else (None, None)
+
+    def now(p: Prediction) -> Amplitude:
+        return Amplitude(p.coil, p.x, together, None if many is None else many.products(p.coil, p.x))
+
     p = model.predict(points)
     for _ in range(rounds):
-        p = model.predict(points, Amplitude(p.coil, p.x))
-    return Amplitude(p.coil, p.x)
+        p = model.predict(points, now(p))
+    return now(p)
 
 
 def refine(

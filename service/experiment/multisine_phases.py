@@ -1,0 +1,278 @@
+"""A multisine campaign in order: noise, pilot, main sweep, validation, amplifiers.
+
+Like `service.experiment.phases` every decision follows from profile and measurements, so a campaign can be resumed.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment import distortion, multisine_plan
+from service.experiment.errors import CampaignError
+from service.experiment.knowledge import Knowledge
+from service.experiment.multisine import Lines, Multisine, separated, spectra
+from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest, Responses
+from service.experiment.noise import NoiseSpectra
+from service.experiment.phases import Phases
+from service.experiment.plan import Limits, Profile, Request
+from service.experiment.points import Point
+from service.experiment.progress import Meter
+from service.experiment.recorder import Recorder, Trip
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+NAMES = ("r", "u", "i", "y")
+PILOT_TRIES = 4
+LOWER = 0.5
+"""Level after a trip, against the one that tripped."""
+UNSETTLED = 2.0
+"""Power of the change between periods over that of the noise at rest beyond which a transient is not over."""
+NEGLIGIBLE = 5e-4
+"""Relative change between periods that does not matter: a quarter of the accuracy of a stepped sine's point."""
+DISTORTED = 0.05
+"""Odd distortion of the current over its signal above which an amplifier is at its limit."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """One realisation, every experiment of it: (E, P, L + D, n) amplitudes by signal, detection lines last."""
+
+    multisine: Multisine
+    values: dict[str, Complex]
+    peak_displacement_m: float
+    peak_current_a: float
+    kurtosis: Real
+    """(n_axes,) E[y^4] / (3 E[y^2]^2) over all experiments: 1 for Gaussian."""
+    settled: bool
+
+    def columns(self) -> dict[str, Complex]:
+        """(L, inputs, n) mean over the periods, each input as if alone."""
+        L = len(self.multisine.lines.excited)
+        return {s: separated(v[:, :, :L].mean(axis=1), self.multisine) for s, v in self.values.items()}
+
+
+class MultisinePhases:
+    """A multisine campaign under way.
+
+    Parameters
+    ----------
+    recorder, limits, profile, meter, done
+        As for `service.experiment.phases.Phases`.
+    extra
+        Filled with what belongs to the experiment beside its points: "distortion" levels as JSON.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        limits: Limits,
+        profile: MultisineProfile,
+        meter: Meter,
+        done: dict[str, list[Point]],
+        extra: dict[str, str],
+    ) -> None:
+        self.recorder, self.limits, self.profile, self.meter, self.done = recorder, limits, profile, meter, done
+        self.extra = extra
+        self.settle_s = profile.settle_s
+        self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
+        self._levels: dict[str, dict[str, dict[str, list[float | None]]]] = {}
+
+    def run(self, raw_records: bool) -> None:
+        """All phases in order."""
+        p = self.profile
+        self.meter.total = self.limits.n_axes * (
+            1 + p.realisations + p.validation_realisations + p.amplifier_realisations
+        )
+        rest = Phases(self.recorder, self.limits, Profile(), self.meter, self.done)
+        rest.noise_step(raw_records)
+        self.knowledge = rest.knowledge
+        responses = self.pilot()
+        responses.into(self.knowledge)
+        for sweep in ("main", "validation", "amplifier"):
+            self.sweep(sweep, responses)
+
+    # ---- pilot
+
+    def pilot(self) -> Responses:
+        """Responses of the closed loop from a multisine that is small enough for a rig of which nothing is known.
+
+        Raises
+        ------
+        CampaignError
+            It trips at every level.
+        """
+        lines = self._lines("pilot")
+        gain, why = 1.0, ""
+        for _ in range(PILOT_TRIES):
+            multisine = multisine_plan.pilot(self.profile, self.limits, lines, gain)
+            outcome = self._realisation("pilot", 0, multisine)
+            if isinstance(outcome, Played):
+                columns = outcome.columns()
+                r = np.einsum("ljj->lj", columns["r"])
+                f = lines.frequency_hz(self.limits.sample_rate_hz)
+                per_ampere = {s: np.swapaxes(columns[s] / r[:, :, None], 1, 2) for s in multisine_plan.SIGNALS}
+                return Responses(f, per_ampere)
+            gain, why = gain / 4, outcome.message
+        raise CampaignError(
+            f"the rig trips even with {multisine_plan.PILOT_SHARE * gain * 100:.2g} % of the current's share "
+            f"({why}); see to the rig, or raise its limits"
+        )
+
+    def _lines(self, sweep: str) -> Lines:
+        try:
+            return multisine_plan.lines_of(sweep, self.profile, self.limits, self.knowledge.noise.lines_hz)
+        except ValueError as error:
+            raise CampaignError(f"no multisine fits: {error}") from error
+
+    # ---- sweeps
+
+    def sweep(self, name: str, responses: Responses) -> None:
+        """All realisations of a sweep; each becomes a block of its points."""
+        lines = self._lines(name)
+        planned = multisine_plan.realisations(self.profile, self.limits, name, lines, self.knowledge, responses)
+        gain = 1.0
+        played: list[Played] = []
+        flags: list[str] = []
+        for k, multisine in enumerate(planned):
+            outcome, gain = self._patiently(name, k, multisine, gain, flags)
+            played.append(outcome)
+            self.done[name] = self._points(name, lines, played, flags)
+            self._judge(name, played)
+        if len(played) < 2:
+            self.done.pop(name, None)
+
+    def _patiently(
+        self, name: str, k: int, multisine: Multisine, gain: float, flags: list[str]
+    ) -> tuple[Played, float]:
+        """One realisation, at a lower level or settled for longer when it has to be."""
+        for attempt in range(self.profile.tries):
+            last = attempt == self.profile.tries - 1
+            outcome = self._realisation(name, k, multisine.scaled(gain))
+            if isinstance(outcome, Trip):
+                gain *= LOWER
+                _mark(flags, f"repeated at lower amplitude after a {outcome.cause} trip")
+            elif self._distorted(outcome) and not last:
+                gain *= LOWER
+                _mark(flags, "repeated at lower amplitude: the current was distorted")
+            elif not outcome.settled and not last:
+                self.settle_s *= 2
+            else:
+                if not outcome.settled:
+                    _mark(flags, "not settled")
+                return outcome, gain
+        raise CampaignError(
+            f"the {name} multisine trips at every level down to {gain:.2g} of the planned one; see to the rig"
+        )
+
+    def _distorted(self, played: Played) -> bool:
+        levels = self._pooled([played], "i")
+        return bool(np.any(levels.odd > DISTORTED * levels.signal))
+
+    def _realisation(self, name: str, k: int, multisine: Multisine) -> Played | Trip:
+        """All experiments of one realisation."""
+        lines = multisine.lines
+        both = np.concatenate([lines.excited, lines.detection])
+
+        def reduction(records: dict[str, Real]) -> dict[str, Any]:
+            y = records["y"] - records["y"].mean(axis=0)
+            values = {s: spectra(records[s], lines.samples, both) for s in NAMES}
+            return values | {"moments": np.array([np.mean(y**2, axis=0), np.mean(y**4, axis=0)])}
+
+        found: list[dict[str, Any]] = []
+        for e in range(multisine.n_inputs):
+            request = PeriodicRequest(
+                name,
+                k,
+                e,
+                multisine.waveform(e),
+                multisine_plan.periods_of(name, self.profile),
+                multisine_plan.settle_samples(self.settle_s, self.limits),
+            )
+            outcome = self.recorder.reduced(name, request, reduction)
+            if isinstance(outcome, Trip):
+                return outcome
+            found.append(outcome)
+            self.meter.rig_seconds = self.recorder.rig_seconds
+            self.meter.finished(name, f"realisation {k + 1}, experiment {e + 1}", self.recorder.replaying)
+        values = {s: np.array([x[s] for x in found]) for s in NAMES}
+        second, fourth = np.mean([x["moments"] for x in found], axis=0)
+        return Played(
+            multisine,
+            values,
+            max(float(x["peak_displacement_m"]) for x in found),
+            max(float(x["peak_current_a"]) for x in found),
+            fourth / (3 * second**2),
+            self._settled(multisine, values["y"]),
+        )
+
+    def _settled(self, multisine: Multisine, Y: Complex) -> bool:
+        """Whether the first period is like the last but for the noise at rest."""
+        lines = multisine.lines
+        L = len(lines.excited)
+        rate = self.limits.sample_rate_hz
+        change = np.abs(Y[:, -1, :L] - Y[:, 0, :L]) ** 2
+        variance = np.array(
+            [self.knowledge.noise.block_variance(float(f), lines.samples / rate)["y"] for f in lines.frequency_hz(rate)]
+        )
+        size = np.mean(np.abs(Y[:, :, :L]) ** 2, axis=(0, 1, 3))[:, None]
+        allowed = 2 * variance + NEGLIGIBLE**2 * size
+        return bool(np.mean(change / allowed) < UNSETTLED)
+
+    # ---- what it gives
+
+    def _points(self, name: str, lines: Lines, played: list[Played], flags: list[str]) -> list[Point]:
+        """Points of a sweep: a block is a realisation, so that the blocks scatter by noise and distortion."""
+        columns = [p.columns() for p in played]
+        stacked = {s: np.array([c[s] for c in columns]) for s in NAMES}  # (B, L, inputs, n)
+        f = lines.frequency_hz(self.limits.sample_rate_hz)
+        periods, settle = (
+            multisine_plan.periods_of(name, self.profile),
+            multisine_plan.settle_samples(self.settle_s, self.limits),
+        )
+        points = []
+        for k, line in enumerate(lines.excited):
+            for axis in range(self.limits.n_axes):
+                amplitude = float(np.mean(np.abs(stacked["r"][:, k, axis, axis])))
+                request = Request(axis, amplitude, int(line) * periods, lines.samples * periods, len(played), settle)
+                R, U, I, Y = (stacked[s][:, k, axis][:, None, :] for s in NAMES)
+                points.append(
+                    Point(
+                        request,
+                        float(f[k]),
+                        R,
+                        U,
+                        I,
+                        Y,
+                        max(p.peak_displacement_m for p in played),
+                        max(p.peak_current_a for p in played),
+                        self.recorder.rig_seconds,
+                        "; ".join(flags),
+                        kind="multisine",
+                        phase_rad=np.array([np.angle(p.multisine.spectrum[k, axis]) for p in played]),
+                        kurtosis=np.mean([p.kurtosis for p in played], axis=0),
+                    )
+                )
+        return points
+
+    def _pooled(self, played: list[Played], signal: str) -> distortion.Distortion:
+        return distortion.pooled([distortion.levels(v, p.multisine.lines) for p in played for v in p.values[signal]])
+
+    def _judge(self, name: str, played: list[Played]) -> None:
+        """Noise, odd and even distortion of current and displacement, dB over the signal, for the file."""
+        found: dict[str, dict[str, list[float | None]]] = {}
+        for s in ("i", "y"):
+            decibels = self._pooled(played, s).in_decibels()
+            found[s] = {k: [None if np.isinf(x) else round(float(x), 1) for x in v] for k, v in decibels.items()}
+        self._levels[name] = found
+        self.extra["distortion_db"] = json.dumps(self._levels)
+
+
+def _mark(flags: list[str], flag: str) -> None:
+    if flag not in flags:
+        flags.append(flag)
