@@ -37,7 +37,7 @@ class Sampled:
 def continuous(model: PlaneModel) -> tuple[Real, Real, Real]:
     """A, B, C from the amplifiers' inputs to the sensors' outputs, without hold and delay."""
     a, b, c = physical_matrices(model)
-    parts = [_companion(amp.poles, amp.dc_gain) for amp in model.amplifiers]
+    parts = [companion(amp.poles, amp.dc_gain) for amp in model.amplifiers]
     amp_a = block_diag(*[p[0] for p in parts])
     amp_b = block_diag(*[p[1] for p in parts])
     amp_c = block_diag(*[p[2] for p in parts])
@@ -45,18 +45,24 @@ def continuous(model: PlaneModel) -> tuple[Real, Real, Real]:
     whole_a = np.block([[amp_a, np.zeros((n, len(a)))], [b @ amp_c, a]])
     whole_b = np.vstack([amp_b, np.zeros((len(a), 2))])
     whole_c = np.hstack([np.zeros((2, n)), c])
-    for j, w in enumerate(model.known.sensor_bandwidth_rad_s):
-        if math.isfinite(w):  # one more state, which lags the sensor
-            size = len(whole_a)
-            whole_a = np.block([[whole_a, np.zeros((size, 1))], [w * whole_c[j], np.array([[-w]])]])
-            whole_b = np.vstack([whole_b, np.zeros((1, 2))])
-            whole_c = np.hstack([whole_c, np.zeros((2, 1))])
-            whole_c[j] = 0.0
-            whole_c[j, -1] = 1.0
-    return whole_a, whole_b, whole_c
+    return with_sensor_lags(whole_a, whole_b, whole_c, model.known.sensor_bandwidth_rad_s)
 
 
-def _companion(poles: Complex, gain: float) -> tuple[Real, Real, Real]:
+def with_sensor_lags(a: Real, b: Real, c: Real, bandwidth_rad_s: Real) -> tuple[Real, Real, Real]:
+    """The same system with one more state for each sensor that lags; inf for one that does not."""
+    outputs, inputs = len(c), b.shape[1]
+    for j, w in enumerate(bandwidth_rad_s):
+        if math.isfinite(w):
+            size = len(a)
+            a = np.block([[a, np.zeros((size, 1))], [w * c[j], np.array([[-w]])]])
+            b = np.vstack([b, np.zeros((1, inputs))])
+            c = np.hstack([c, np.zeros((outputs, 1))])
+            c[j] = 0.0
+            c[j, -1] = 1.0
+    return a, b, c
+
+
+def companion(poles: Complex, gain: float) -> tuple[Real, Real, Real]:
     """Controllable form of gain prod(-p) / prod(s - p), its states scaled to be of one size."""
     n = len(poles)
     w = float(np.exp(np.mean(np.log(np.abs(poles)))))
@@ -76,8 +82,8 @@ def sampled(model: PlaneModel) -> Sampled:
     delay = max(model.delay_s + model.known.computing_delay_s, 0.0)
     whole = math.floor(delay / period + 1e-9)
     rest = max(delay - whole * period, 0.0)
-    phi_late, gamma_late = _integrated(a, b, rest)
-    phi_first, gamma_first = _integrated(a, b, period - rest)
+    phi_late, gamma_late = integrated(a, b, rest)
+    phi_first, gamma_first = integrated(a, b, period - rest)
     older = phi_first @ gamma_late  # the input of one sample earlier acts first
     phi = phi_first @ phi_late
     if delay < 1e-12:
@@ -98,7 +104,7 @@ def sampled(model: PlaneModel) -> Sampled:
     return Sampled(big, drive, np.hstack([c, np.zeros((2, 2 * kept))]))
 
 
-def _integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:
+def integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:
     """exp(A t) and the integral of exp(A s) B from 0 to t."""
     n = len(a)
     both = expm(np.block([[a, b], [np.zeros((b.shape[1], n + b.shape[1]))]]) * seconds)

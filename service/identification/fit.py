@@ -14,9 +14,10 @@ from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.refine import Data
 from service.identification.result import CommissioningResult, PlaneResult
-from service.identification.selection import choose_modes
+from service.identification.rotating import speeds_of, turned
+from service.identification.selection import Selected, choose_modes
 from service.identification.split import Knowledge
-from service.identification.staged import staged_fit
+from service.identification.staged import StagedFit, staged_fit
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 
@@ -61,28 +62,39 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
     excited = [s for s in experiment.sweeps if s.kind != "noise" and s.n_points and np.any(s.amplitude_a > 0)]
     if not excited:
         raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
-    main = next((s for s in excited if s.comment != "amplifier"), excited[0])
+    speeds = speeds_of(experiment)
+    slowest = [s for s in excited if s.speed_rad_s == speeds[0]] if speeds else excited
+    main = next((s for s in slowest if s.comment != "amplifier"), excited[0])
     amplifier_sweep = next((s for s in excited if s.comment == "amplifier" and s is not main), None)
-    others = [s for s in excited if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
+    others = [s for s in slowest if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
     validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
 
     warnings: list[str] = []
     if main.speed_rad_s:
+        remedy = "" if len(speeds) > 1 else "; add a sweep at standstill, or at another speed"
         warnings.append(
-            f"measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling of the planes is not in the model"
+            f"planes measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling is not in their models{remedy}"
         )
     if validation is None:
         warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
     planes: dict[str, PlaneResult] = {}
+    fitted: dict[str, Selected] = {}
     for plane, pair in planes_of(tuple(experiment.axes)).items():
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited and not identified")
             continue
-        planes[plane] = identify_plane(
-            main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options
-        )
+        found = fit_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
+        fitted[plane] = found.selected
+        planes[plane] = found.result(datasheet)
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
+    rotating = None
+    if len(speeds) > 1:
+        try:
+            rotating = turned(experiment, datasheet, fitted, main.speed_rad_s)
+            warnings += [f"rotating: {w}" for w in rotating.warnings]
+        except AmbError as error:  # the planes' results stand
+            warnings.append(f"measured at {len(speeds)} speeds, but the rotating model was not fitted: {error}")
     return CommissioningResult(
         datasheet.name,
         tuple(experiment.axes),
@@ -90,6 +102,7 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
         _name(experiment, main),
         None if validation is None else _name(experiment, validation),
         tuple(warnings),
+        rotating=rotating,
     )
 
 
@@ -98,7 +111,33 @@ def _name(experiment: Experiment, sweep: Sweep) -> str:
     return f"sweeps/{place} ({sweep.comment})" if sweep.comment else f"sweeps/{place}"
 
 
-def identify_plane(
+@dataclass(frozen=True)
+class FittedPlane:
+    """One plane after all its fits, and what they were made from."""
+
+    data: Data
+    held_out: PlanePoints | None
+    u_to_y: FrequencyResponse
+    plant: FrequencyResponse
+    amplifiers: tuple[AmplifierFit, AmplifierFit] | None
+    staged: StagedFit
+    selected: Selected
+
+    def result(self, datasheet: Datasheet) -> PlaneResult:
+        """Figures with uncertainty, validation, curves."""
+        return assemble(
+            datasheet,
+            self.data,
+            self.held_out,
+            self.u_to_y,
+            self.plant,
+            self.amplifiers,
+            self.staged,
+            self.selected,
+        )
+
+
+def fit_plane(
     main: Sweep,
     amplifier_sweep: Sweep | None,
     validation: Sweep | None,
@@ -106,8 +145,8 @@ def identify_plane(
     plane: str,
     datasheet: Datasheet,
     options: Options | None = None,
-) -> PlaneResult:
-    """Identify one plane: the six steps, then the joint refinement and its validation."""
+) -> FittedPlane:
+    """Identify one plane: the six steps, then the joint refinement."""
     options = options or Options()
     points = plane_points(main, axes, plane)
     check_excitation(points)
@@ -126,7 +165,7 @@ def identify_plane(
     held_out = None if validation is None else plane_points(validation, axes, plane)
     if held_out is not None and len(held_out.omega) == 0:
         held_out = None
-    return assemble(datasheet, data, held_out, u_to_y, plant, fits, staged, selected)
+    return FittedPlane(data, held_out, u_to_y, plant, fits, staged, selected)
 
 
 def split_knowledge(datasheet: Datasheet, options: Options) -> Knowledge:

@@ -10,40 +10,15 @@ import numpy as np
 
 from service.identification.closed_loop import Predicted
 from service.identification.combine import StateSpace
+from service.identification.estimate import Estimate as Estimate
 from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
 from service.identification.margins import AxisMargins, zone
 from service.identification.plane_model import PlaneModel
+from service.identification.rotating import Turned
 from service.identification.subspace import SubspaceModel
 from service.identification.validation import CorrelationTest
 from service.identification.zoh import Complex, Real
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A figure with its standard deviation."""
-
-    value: float
-    std: float
-    unit: str = ""
-    nominal: float | None = None
-    """What the datasheet says."""
-    std_from_data: float | None = None
-    """The part of ``std`` that noise brings: without widening, and with the shapes' splits held."""
-
-    @property
-    def error_percent(self) -> float | None:
-        """How far the datasheet is from the estimate, percent of the estimate."""
-        return None if self.nominal is None else 100.0 * (self.nominal - self.value) / self.value
-
-    def document(self) -> dict[str, Any]:
-        """As JSON."""
-        out: dict[str, Any] = {"value": self.value, "std": self.std, "unit": self.unit}
-        if self.nominal is not None:
-            out |= {"nominal": self.nominal, "error_percent": self.error_percent}
-        if self.std_from_data is not None:
-            out["std_from_data"] = self.std_from_data
-        return out
 
 
 @dataclass(frozen=True)
@@ -286,6 +261,8 @@ class CommissioningResult:
     validation_sweep: str | None
     warnings: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+    rotating: Turned | None = None
+    """The rotor over all speeds, of an experiment at more than one."""
 
     def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
         """The contents of result.json; every number in it is finite or null."""
@@ -302,6 +279,8 @@ class CommissioningResult:
                 **self.provenance,
             },
         }
+        if self.rotating is not None:
+            document["rotating"] = self.rotating.document()
         return {k: _finite(v) for k, v in document.items()}
 
 

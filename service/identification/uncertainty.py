@@ -5,19 +5,45 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from service.identification.least_squares import covariance_of
+from service.identification.least_squares import Fit, covariance_of
 from service.identification.plane_model import PlaneModel
-from service.identification.refine import Refined
 from service.identification.split import HELD, Posterior
 from service.identification.zoh import Complex, Real
 
 ESTIMATED_WEIGHTS = 1.06
 """What whitening with an estimated instead of the true covariance adds to the mean square of six-block data."""
+
+
+class Parametrised(Protocol):
+    """A model that knows its parameters."""
+
+    @property
+    def theta(self) -> Real:
+        """Its parameters, (size,)."""
+
+    def at(self, theta: Real) -> Self:
+        """The same with other parameters."""
+
+
+class Fitted(Protocol):
+    """A joint fit in units of the noise."""
+
+    @property
+    def fit(self) -> Fit:
+        """Residuals of the data first, those that hold splits last."""
+
+    @property
+    def relative(self) -> float:
+        """Relative model error that the weights allow for beside the noise."""
+
+
+Model = TypeVar("Model", bound=Parametrised)
 
 
 @dataclass(frozen=True)
@@ -36,7 +62,7 @@ class Uncertainty:
     scale: float
     """Residuals in units of what the weights allow for."""
 
-    def std(self, model: PlaneModel, of: Callable[[PlaneModel], Real]) -> tuple[Real, Real]:
+    def std(self, model: Model, of: Callable[[Model], Real]) -> tuple[Real, Real]:
         """Standard deviations of functions of the model: reported, and from data alone.
 
         Linear error propagation with central differences; complex values count as two.
@@ -46,7 +72,7 @@ class Uncertainty:
         data = np.sqrt(np.maximum(np.einsum("kn,nm,km->k", gradient, self.from_data, gradient), 0.0))
         return total, data
 
-    def gradient(self, model: PlaneModel, of: Callable[[PlaneModel], Real]) -> Real:
+    def gradient(self, model: Model, of: Callable[[Model], Real]) -> Real:
         """Derivatives of ``of`` to the free parameters, (K, n)."""
         size = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         columns = []
@@ -60,7 +86,7 @@ class Uncertainty:
         return np.stack(columns, axis=-1)
 
 
-def uncertainty_of(refined: Refined, splits: Posterior | None, level: float = 0.999) -> Uncertainty:
+def uncertainty_of(refined: Fitted, splits: Posterior | None, level: float = 0.999) -> Uncertainty:
     """Covariance of a joint fit.
 
     Noise brings (J^T J)^-1 with the shapes' splits held; what is not known of the splits is added along the direction

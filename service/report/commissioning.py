@@ -15,6 +15,7 @@ from service.report import measurement
 from service.report.format import count, decibel, figures, fixed, number, paragraph, signed, span, table
 from service.report.page import Captioned, Page, Section, Tone
 from service.report.plane import plane_section
+from service.report.rotating import rotating_section
 from sim.datasheet import Datasheet
 
 GOOD_PERCENT = 90.0
@@ -45,6 +46,8 @@ def commissioning_page(result: CommissioningResult, experiment: Experiment, data
     """
     sections = [_figures_of_merit(result)]
     sections += [plane_section(plane, experiment, datasheet) for plane in result.planes.values()]
+    if result.rotating is not None:
+        sections.append(rotating_section(result.rotating))
     sections.append(_measurement(experiment, datasheet))
     tone, sentence = verdict(result)
     notes = [*result.warnings]

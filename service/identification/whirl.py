@@ -1,0 +1,162 @@
+"""Whirl of the levitated rotor: closed-loop poles at a speed, which way they turn, and how well that is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, eig
+from scipy.signal import tf2ss
+
+from service.identification.closed_loop import companion, integrated, with_sensor_lags
+from service.identification.rotating_model import RotatingModel
+from service.identification.zoh import Complex, Real
+
+RINGING = 0.5
+"""Damping ratio above which a pole is no whirl that anyone would see."""
+STEP = 1e-6
+"""Relative step of the derivatives of the loop's matrix, which is smooth to well below it."""
+
+
+@dataclass(frozen=True)
+class Whirl:
+    """Oscillating poles of the loop at one speed, ascending."""
+
+    pole: Complex
+    """(n,) rad/s, Im > 0."""
+    direction: Real
+    """(n,) from -1, a backward circle at the sensors, over 0, to and fro, to 1, a forward one."""
+    shape: Complex
+    """(n, 4) at the sensors, of length 1."""
+    covariance: Real
+    """(n, 2, 2) of the pole's real and imaginary part."""
+
+    @property
+    def frequency(self) -> Real:
+        """(n,) rad/s, Im of the pole: what is seen ringing."""
+        return np.asarray(self.pole.imag)
+
+    @property
+    def damping_ratio(self) -> Real:
+        """Of each pole, (n,)."""
+        return np.asarray(-self.pole.real / np.abs(self.pole))
+
+    @property
+    def frequency_std(self) -> Real:
+        """(n,) rad/s."""
+        return np.asarray(np.sqrt(self.covariance[:, 1, 1]))
+
+    @property
+    def damping_std(self) -> Real:
+        """(n,) of the damping ratio."""
+        a, b = self.pole.real, self.pole.imag
+        size = np.abs(self.pole) ** 3
+        slope = np.stack([-(b**2) / size, a * b / size], axis=1)
+        return np.asarray(np.sqrt(np.maximum(np.einsum("na,nab,nb->n", slope, self.covariance, slope), 0.0)))
+
+
+def loop_matrix(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s: float) -> tuple[Real, Real]:
+    """One sample of the closed loop as a matrix, and its map from state to y.
+
+    Hold and delay are exact (Astrom and Wittenmark, Computer-Controlled Systems, 3.2); the same law in all axes.
+    """
+    a, b, c = _continuous(model, speed_rad_s)
+    n, period = len(a), model.known[0].sample_time_s
+    phi, drives, past = None, [], []
+    for k, plane in enumerate(model.planes):
+        delay = max(plane.delay_s + plane.known.computing_delay_s, 0.0)
+        whole = math.floor(delay / period + 1e-9)
+        rest = max(delay - whole * period, 0.0)
+        columns = b[:, 2 * k : 2 * k + 2]
+        phi_late, late = integrated(a, columns, rest)
+        phi_first, first = integrated(a, columns, period - rest)
+        phi = phi_first @ phi_late
+        drives.append((whole, first, phi_first @ late))
+        past.append(whole + 1)
+    assert phi is not None
+    size = n + 2 * sum(past)
+    big, drive, seen = np.zeros((size, size)), np.zeros((size, 4)), np.zeros((4, size))
+    big[:n, :n], seen[:, :n] = phi, c
+    at = n
+    for k, (whole, first, older) in enumerate(drives):
+        # past inputs of the plane, the latest first: u(k - 1), ..., u(k - whole - 1)
+        columns_k = slice(2 * k, 2 * k + 2)
+        big[:n, at + 2 * whole : at + 2 * whole + 2] = older
+        if whole == 0:
+            drive[:n, columns_k] = first
+        else:
+            big[:n, at + 2 * whole - 2 : at + 2 * whole] = first
+        drive[at : at + 2, columns_k] = np.eye(2)
+        for j in range(1, past[k]):
+            big[at + 2 * j : at + 2 * j + 2, at + 2 * j - 2 : at + 2 * j] = np.eye(2)
+        at += 2 * past[k]
+    ca, cb, cc, cd = _controller(controller)
+    top = np.hstack([big - drive @ cd @ seen, drive @ cc])
+    closed = np.vstack([top, np.hstack([-cb @ seen, ca])])
+    return closed, np.hstack([seen, np.zeros((4, len(ca)))])
+
+
+def _controller(controller: tuple[Real, Real]) -> tuple[Real, Real, Real, Real]:
+    numerator, denominator = (np.trim_zeros(np.asarray(x, dtype=float), "f") for x in controller)
+    parts = (np.asarray(x, dtype=float) for x in tf2ss(numerator, denominator))
+    a, b, c, d = (block_diag(*[x] * 4) for x in parts)
+    if len(denominator) == 1:  # a plain gain has no state
+        a, b, c = np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((4, 0))
+    return a, b, c, d
+
+
+def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, Real]:
+    """Amplifiers and rotor in a row, from u to y."""
+    m = model.matrices()
+    n = len(m.mass)
+    stiffness = np.diag(m.stiffness) + speed_rad_s * m.circulatory - m.bearings.T @ (model.ks[:, None] * m.bearings)
+    damping = np.diag(m.damping) + speed_rad_s * m.gyroscopic
+    rotor = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / m.mass[:, None], -damping / m.mass[:, None]]])
+    push = np.vstack([np.zeros((n, 4)), m.bearings.T / m.mass[:, None] * model.ki])
+    gain = np.concatenate([p.sensor_gain for p in model.planes])
+    seen = np.hstack([gain[:, None] * m.sensors, np.zeros((4, n))])
+    parts = [companion(a.poles, a.dc_gain) for p in model.planes for a in p.amplifiers]
+    a_amp, b_amp, c_amp = (block_diag(*[x[j] for x in parts]) for j in range(3))
+    size = len(a_amp)
+    a = np.block([[a_amp, np.zeros((size, 2 * n))], [push @ c_amp, rotor]])
+    b = np.vstack([b_amp, np.zeros((2 * n, 4))])
+    # displacements and speeds in units that make the matrix even
+    scale = np.concatenate([np.ones(size + n), np.full(n, 1e3)])
+    c = np.hstack([np.zeros((4, size)), seen]) * scale
+    bandwidth = np.concatenate([k.sensor_bandwidth_rad_s for k in model.known])
+    return with_sensor_lags(a / scale[:, None] * scale, b / scale[:, None], c, bandwidth)
+
+
+def whirl(
+    model: RotatingModel,
+    controller: tuple[Real, Real],
+    speed_rad_s: float,
+    covariance: Real,
+    free: np.ndarray,
+    highest_rad_s: float,
+) -> Whirl:
+    """Poles of the running loop at a speed that ring below a frequency, with the covariance of each."""
+    matrix, seen = loop_matrix(model, controller, speed_rad_s)
+    period = model.known[0].sample_time_s
+    values, left, right = (np.asarray(x) for x in eig(matrix, left=True, right=True))
+    poles = np.log(values + 1e-300) / period
+    keep = (poles.imag > 1.0) & (poles.imag < highest_rad_s) & (-poles.real < RINGING * np.abs(poles))
+    order = np.flatnonzero(keep)[np.argsort(poles.imag[keep])]
+    shape = (seen @ right[:, order]).T
+    shape = shape / np.linalg.norm(shape, axis=1, keepdims=True)
+    x, y = shape[:, :2], shape[:, 2:]
+    forward, backward = np.sum(np.abs(x + 1j * y) ** 2, axis=1), np.sum(np.abs(x - 1j * y) ** 2, axis=1)
+    along = []
+    pairing = np.einsum("ik,ik->k", left[:, order].conj(), right[:, order])
+    for place in np.flatnonzero(free):
+        theta = model.theta.copy()
+        step = STEP * max(abs(theta[place]), 1e-3)
+        theta[place] += step
+        change = (loop_matrix(model.at(theta), controller, speed_rad_s)[0] - matrix) / step
+        d_value = np.einsum("ik,ik->k", left[:, order].conj(), change @ right[:, order]) / pairing
+        along.append(d_value / values[order] / period)
+    slope = np.array(along)  # (parameters, n)
+    both = np.stack([slope.real, slope.imag], axis=2)
+    found = np.einsum("pna,pq,qnb->nab", both, covariance, both)
+    return Whirl(poles[order], (forward - backward) / (forward + backward), shape, found)

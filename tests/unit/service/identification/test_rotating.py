@@ -1,0 +1,324 @@
+"""A turning rotor: polar inertia, splitting and whirl are found, at standstill the planes stand alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment, Sweep
+from service.identification.fit import identify
+from service.identification.result import CommissioningResult
+from service.identification.rotating import Turned
+from service.identification.rotating_fit import fit_rotating
+from service.identification.rotating_model import RotatingModel, TurningPoints, joined, paired
+from service.identification.rotating_points import speed_points
+from service.identification.split import Split, log_ratios
+from service.identification.synthetic import plane_model_of
+from service.identification.whirl import loop_matrix, whirl
+from sim.datasheet import Datasheet
+from sim.harmonic_balance import Responder, respond_to_excitation
+from sim.loop import Loop
+from sim.reference import reference_rig
+from sim.rig import Rig
+from sim.twin import linear_model, with_effects
+
+SPEEDS = (0.0, 157.0, 314.0)
+POLAR, COUPLING, INTERNAL = 2.4, 0.03, 2e-4
+HZ = np.unique(
+    np.concatenate([np.geomspace(10, 1000, 44), 493 + np.linspace(-9, 9, 13), 907.5 + np.linspace(-12, 12, 13)])
+)
+BLOCKS, PERIOD_S = 6, 1e-4
+
+
+def rig_at(speed_rad_s: float) -> Rig:
+    effects = {
+        "gyroscopic_coupling": {"polar_inertia_kgm2": POLAR - 1.9, "mode_coupling": COUPLING},
+        "internal_damping": {"damping_ratio": INTERNAL},
+    }
+    return with_effects(reference_rig(speed_rad_s=speed_rad_s), effects)
+
+
+def block_samples(hz: np.ndarray) -> np.ndarray:
+    """About 0.1 s of whole periods, to the nearest sample."""
+    return np.round(np.ceil(0.1 * hz) / hz / PERIOD_S).astype(np.int64)
+
+
+def sweep_at(speed: float, seed: int, hz: np.ndarray = HZ, runout_m: float = 0.0, comment: str = "main") -> Sweep:
+    """The nonlinear answer in closed loop, white noise of each block, and runout as it leaks into blocks."""
+    rig, rng = rig_at(speed), np.random.default_rng(seed)
+    samples = block_samples(hz)
+    hz = np.ceil(0.1 * hz) / (samples * PERIOD_S)
+    n = rig.n_axes
+    line, axis = np.repeat(np.arange(len(hz)), n), np.tile(np.arange(n), len(hz))
+    R = np.zeros((len(line), 4, n), dtype=complex)
+    R[np.arange(len(line)), 1, axis] = 0.15
+    U, answer = respond_to_excitation(Responder(rig, hz, line, (0, 1, 2, 3)), R)
+    model = linear_model(rig, hz)
+    shape = (len(line), BLOCKS, n)
+
+    def white(sd: float) -> np.ndarray:
+        return sd * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
+
+    fed = np.linalg.inv(np.eye(n) + model.y_per_u * model.controller[:, None, None])[line][:, None]
+    y = (fed @ white(4e-9)[..., None])[..., 0]
+    u = -model.controller[line][:, None, None] * y
+    i = (model.i_per_u[line][:, None] @ u[..., None])[..., 0] + white(2e-4)
+    if runout_m:
+        y_line, u_line, i_line = (x[line] for x in runout_leak(rig, hz, samples, runout_m, rng))
+        y, u, i = y + y_line, u + u_line, i + i_line
+    return Sweep(
+        kind="stepped-sine",
+        frequency_hz=hz[line],
+        axis=axis,
+        amplitude_a=np.full(len(line), 0.15),
+        harmonics=(1,),
+        R=np.broadcast_to(R[:, None, 1:2], (len(line), BLOCKS, 1, n)).copy(),
+        U=(U[:, None, 1] + u)[:, :, None],
+        I=(answer.I[:, None, 1] + i)[:, :, None],
+        Y=(answer.Y[:, None, 1] + y)[:, :, None],
+        speed_rad_s=speed,
+        comment=comment,
+        block_samples=samples[line],
+    )
+
+
+def runout_leak(rig: Rig, hz: np.ndarray, samples: np.ndarray, size_m: float, rng) -> tuple[np.ndarray, ...]:
+    """What blocks of whole periods of ``hz`` make of y, u and i of a loop with runout, (F, B, 4) each."""
+    model = linear_model(rig, np.array([rig.speed_rad_s / (2 * np.pi)]))
+    seen = size_m * np.array([1, 1, -1j, -1j])  # a quarter of a turn later in y
+    y = np.linalg.solve(np.eye(4) + model.y_per_u[0] * model.controller[0], seen)
+    u = -model.controller[0] * y
+    out = np.zeros((3, len(hz), BLOCKS, 4), dtype=complex)
+    for f, (frequency, length) in enumerate(zip(hz, samples, strict=True)):
+        t = PERIOD_S * np.arange(length * BLOCKS)
+        turn = np.exp(1j * (rig.speed_rad_s * t + rng.uniform(0, 2 * np.pi)))
+        origin = np.exp(1j * rng.uniform(0, 2 * np.pi))  # phase of r at the record's start, taken out
+        for k, line in enumerate((y, u, model.i_per_u[0] @ u)):
+            wave = np.real(line[:, None] * turn) * np.exp(-2j * np.pi * frequency * t)
+            out[k, f] = 2 * origin * wave.reshape(4, BLOCKS, length).mean(axis=2).T
+    return tuple(out)
+
+
+def true_model(rig: Rig) -> RotatingModel:
+    x, y = (plane_model_of(rig, p) for p in "xy")
+    model = joined(x, y, paired(x, y), rig.rotor.polar_inertia_kgm2)
+    theta, layout = model.theta.copy(), model.layout
+    for k, pair in enumerate(layout.pairs):
+        w = [rig.rotor.modes[p][pair[p]].natural_frequency_rad_s for p in range(2)]
+        theta[layout.gyroscopic(k)] = rig.rotor.modes[0][pair[0]].gyroscopic
+        theta[layout.gyroscopic(k) + 1] = rig.rotor.internal_damping_ratio * np.mean(w)
+        for p in range(2):
+            sigma = layout.own[p].start + layout.planes[p].mode(pair[p]).start + 1
+            theta[sigma] += rig.rotor.internal_damping_ratio * w[p]
+    return model.at(theta)
+
+
+@pytest.fixture(scope="module")
+def turning_result(datasheet: Datasheet) -> CommissioningResult:
+    sweeps = [sweep_at(w, k) for k, w in enumerate(SPEEDS)]
+    sweeps.append(sweep_at(SPEEDS[2], 9, np.geomspace(12, 950, 20), comment="validation"))
+    return identify(Experiment("reference", datasheet.axes, tuple(sweeps)), datasheet)
+
+
+@pytest.fixture(scope="module")
+def turned(turning_result: CommissioningResult) -> Turned:
+    assert turning_result.rotating is not None
+    return turning_result.rotating
+
+
+def test_the_model_is_the_twin_of_a_turning_rig() -> None:
+    """An independent model of the same physics, through other code, at a speed."""
+    rig, hz = rig_at(300.0), np.geomspace(10, 1000, 80)
+    found, twin = true_model(rig).response(2 * np.pi * hz, 300.0), linear_model(rig, hz).y_per_u
+    assert np.max(np.abs(found - twin)) < 1e-6 * np.max(np.abs(twin))
+
+
+def test_at_standstill_the_model_is_the_two_planes() -> None:
+    rig = rig_at(0.0)
+    omega = 2 * np.pi * np.geomspace(10, 1000, 40)
+    found = true_model(rig).response(omega, 0.0)
+    for k, plane in enumerate(true_model(rig).planes):
+        own = slice(2 * k, 2 * k + 2)
+        assert np.allclose(found[:, own, own], plane.response(omega), rtol=1e-9)
+        assert not np.any(found[:, own, 2 - 2 * k : 4 - 2 * k])
+
+
+def test_the_jacobian_is_exact() -> None:
+    model, rng = true_model(rig_at(0.0)), np.random.default_rng(0)
+    omega = 2 * np.pi * np.geomspace(10, 1000, 30)
+    u = 0.1 * (rng.normal(size=(30, 4)) + 1j * rng.normal(size=(30, 4)))
+    points = TurningPoints(omega, rng.choice([0.0, 150.0, 300.0], 30), u)
+    first = model.predict(points)
+    from service.identification.plane_model import Amplitude
+
+    amplitude = Amplitude(first.coil, np.full_like(first.x, 3e-6))
+    exact = model.predict(points, amplitude, gradient=True)
+    assert exact.d_i is not None
+    assert exact.d_y is not None
+    for k, name in enumerate(model.layout.names):
+        step = 1e-6 * max(abs(model.theta[k]), 1e-3)
+        if name.endswith("delay_s"):
+            step = 1e-12
+        up, down = model.theta.copy(), model.theta.copy()
+        up[k] += step
+        down[k] -= step
+        a, b = (model.at(t).predict(points, amplitude) for t in (up, down))
+        for numeric, given in (((a.y - b.y), exact.d_y), ((a.i - b.i), exact.d_i)):
+            size = np.max(np.abs(numeric)) / (2 * step)
+            assert np.max(np.abs(numeric / (2 * step) - given[:, :, k])) <= 1e-4 * size + 1e-15, name
+
+
+def test_polar_inertia_and_splitting_are_recovered(turned: Turned) -> None:
+    """From planes that know nothing of the speed, a datasheet without polar inertia, and no mode known."""
+    polar = turned.estimate("polar_inertia_kgm2", "kg m2")
+    assert polar.value == pytest.approx(POLAR, abs=3 * polar.std)
+    assert polar.value == pytest.approx(POLAR, rel=0.02)
+    for k in range(2):
+        g, rotating, _ = turned.pair_figures(k)
+        assert g.value == pytest.approx(COUPLING, abs=3 * g.std)
+        assert g.value == pytest.approx(COUPLING, rel=0.02)
+        assert rotating.value == pytest.approx(INTERNAL, abs=3.5 * rotating.std)
+
+
+def test_inertia_and_stiffness_are_recovered_with_honest_intervals(turned: Turned) -> None:
+    rig = rig_at(0.0)
+    inertia = turned.estimate("transverse_inertia_kgm2", "kg m2")
+    assert inertia.value == pytest.approx(10.87, abs=3 * inertia.std)
+    assert inertia.value == pytest.approx(10.87, rel=0.002)
+    for k, axis in enumerate(rig.axes):
+        for kind, truth in (("ki", rig.magnets.ki[k]), ("ks", rig.magnets.ks[k])):
+            found = turned.stiffness()[f"{kind}_{axis}"]
+            assert found.value == pytest.approx(truth, abs=4 * found.std)
+            assert found.std < 0.003 * truth
+
+
+def test_the_fit_is_at_the_noise_and_agrees_with_the_planes(turned: Turned) -> None:
+    assert turned.uncertainty.adequate
+    assert np.all(np.abs(turned.rms - 1) < 0.1)
+    assert turned.apart is not None
+    assert turned.apart < 3.5
+    ((name, speed, rms),) = turned.unseen
+    assert "validation" in name
+    assert speed == SPEEDS[2]
+    assert rms < 1.4
+
+
+def test_standstill_alone_gives_the_planes_fits(datasheet: Datasheet) -> None:
+    """The two-by-two fits are the special case of no speed."""
+    experiment = Experiment("reference", datasheet.axes, (sweep_at(0.0, 0),))
+    planes = identify(experiment, datasheet).planes
+    x, y = planes["x"].model, planes["y"].model
+    start = joined(x, y, paired(x, y), POLAR)
+    free = start.layout.free()
+    free[start.layout.rigid] = False  # known, as the planes have it
+    data = (speed_points(experiment.main, datasheet.axes, "main"),)
+    found = fit_rotating(start, data, (Split(log_ratios(x)), Split(log_ratios(y))), free)
+    for k, plane in enumerate((planes["x"], planes["y"])):
+        names = plane.model.layout.names
+        std = np.zeros(plane.model.layout.size)
+        std[[names.index(n) for n in plane.parameter_names]] = np.sqrt(np.diag(plane.covariance_from_data))
+        apart = np.abs(found.model.plane(k).theta - plane.model.theta)
+        # the other plane's sensors and currents tell a little more, so not to the last digit
+        assert np.all(apart <= 0.7 * std)
+    assert found.model.polar_inertia == POLAR  # nothing turns, nothing is said
+
+
+def test_poles_of_the_loop_are_those_of_the_simulator(controller: tuple[np.ndarray, np.ndarray]) -> None:
+    rig = rig_at(300.0)
+    ours = np.linalg.eigvals(loop_matrix(true_model(rig), controller, 300.0)[0])
+    theirs = np.linalg.eigvals(Loop(rig, 4).closed_loop())
+    slow = theirs[np.abs(theirs) > 0.9]
+    assert all(np.min(np.abs(ours - p)) < 2e-6 for p in slow)
+
+
+def test_whirl_intervals_are_those_of_the_covariance(turned: Turned, controller: tuple[np.ndarray, np.ndarray]) -> None:
+    """First order in the parameters, against draws of them."""
+    u, model = turned.uncertainty, turned.model
+    given = whirl(model, controller, 200.0, u.from_data, u.free, 2 * np.pi * 1000)
+    rng, drawn = np.random.default_rng(0), []
+    root = np.linalg.cholesky(u.from_data)
+    for _ in range(60):
+        theta = model.theta.copy()
+        theta[u.free] += root @ rng.normal(size=len(root))
+        values = np.log(np.linalg.eigvals(loop_matrix(model.at(theta), controller, 200.0)[0]) + 1e-300) / PERIOD_S
+        drawn.append([values[np.argmin(np.abs(values - p))].imag for p in given.pole])
+    assert np.std(drawn, axis=0) == pytest.approx(given.frequency_std, rel=0.35)
+
+
+def test_the_campbell_diagram_tells_forward_from_backward(turned: Turned) -> None:
+    diagram = turned.campbell
+    for nu, splitting in ((3094.0, COUPLING), (5700.0, COUPLING)):
+        near = [b for b in diagram.levitated if abs(np.nanmean(b.frequency) - nu) < 0.06 * nu]
+        assert sorted(b.direction for b in near) == ["backward", "forward"]
+        forward, backward = (next(b for b in near if b.direction == d) for d in ("forward", "backward"))
+        assert np.all(np.diff(forward.frequency) > 0)
+        assert np.all(np.diff(backward.frequency) < 0)
+        # far from standstill, where the planes' own difference no longer counts, whirls part by g W
+        parting = np.diff(forward.frequency - backward.frequency)[-1] / np.diff(diagram.speed_rad_s)[-1]
+        assert parting == pytest.approx(splitting, rel=0.2)
+        # damping that turns with the shaft feeds the forward whirl
+        assert (
+            forward.damping_ratio[-1] - forward.damping_ratio[0]
+            < backward.damping_ratio[-1] - (backward.damping_ratio[0])
+        )
+    assert [b.direction for b in diagram.free] == ["backward", "forward"] * 2
+    assert diagram.critical
+    assert diagram.critical[0].speed_rad_s == pytest.approx(96.6, rel=0.01)
+
+
+def test_synchronous_lines_are_taken_out(datasheet: Datasheet) -> None:
+    """Runout hundreds of times the noise: seen, taken out where it leaks, and the means are where they would be."""
+    hz = np.sort(np.append(HZ, 157.0 / (2 * np.pi)))
+    clean, loud = (sweep_at(157.0, 1, hz, runout_m=size) for size in (0.0, 2e-6))
+    before = speed_points(clean, datasheet.axes, "clean")
+    after = speed_points(loud, datasheet.axes, "loud")
+    raw = replace(loud, speed_rad_s=0.0)
+    untouched = speed_points(raw, datasheet.axes, "raw")
+    assert not any(line.seen for line in before.lines)
+    first = after.lines[0]
+    assert first.seen
+    assert first.notched > 50
+    assert after.left_out
+    assert not after.lines[1].seen
+    places = np.array(
+        [np.flatnonzero((before.omega == w) & (before.axis == a)) for w, a in zip(after.omega, after.axis, strict=True)]
+    )[:, 0]
+    there = np.array(
+        [
+            np.flatnonzero((untouched.omega == w) & (untouched.axis == a))
+            for w, a in zip(after.omega, after.axis, strict=True)
+        ]
+    )[:, 0]
+    error, left = np.abs(after.y - before.y[places]), np.abs(untouched.y[there] - before.y[places])
+    assert np.median(left) > 3e-9
+    assert np.sqrt(np.mean(error**2)) < 0.15 * np.sqrt(np.mean(left**2))
+    assert np.median(error) < 3e-9
+
+
+def test_runout_does_not_move_the_estimates(datasheet: Datasheet) -> None:
+    sweeps = tuple(sweep_at(w, k, runout_m=2e-6 if w else 0.0) for k, w in enumerate(SPEEDS))
+    found = identify(Experiment("reference", datasheet.axes, sweeps), datasheet).rotating
+    assert found is not None
+    polar = found.estimate("polar_inertia_kgm2", "kg m2")
+    assert polar.value == pytest.approx(POLAR, abs=3 * polar.std)
+    assert polar.value == pytest.approx(POLAR, rel=0.02)
+    assert np.all(found.rms < 1.3)
+
+
+def test_the_result_has_the_section_and_the_report_the_diagram(turning_result: CommissioningResult) -> None:
+    from service.report.rotating import campbell_figure, rotating_section
+
+    section = turning_result.document()["rotating"]
+    assert section["polar_inertia_kgm2"]["value"] == pytest.approx(POLAR, rel=0.02)
+    assert len(section["modes"]) == 2
+    assert {b["direction"] for b in section["campbell"]["levitated"]} >= {"forward", "backward"}
+    assert turning_result.rotating is not None
+    names = {t.get("name") for t in campbell_figure(turning_result.rotating).data}
+    assert {"forward", "backward", "once a turn", "forward, 95 %"} <= names
+    assert any("polar inertia" in p for p in rotating_section(turning_result.rotating).parts if isinstance(p, str))
+
+
+def test_one_speed_has_no_such_section(result: CommissioningResult) -> None:
+    assert "rotating" not in result.document()
