@@ -169,7 +169,11 @@ def identify_into(
 
 
 def diagnose_into(
-    experiment: Experiment, datasheet: Datasheet, out_dir: Path, jobs: int = 0
+    experiment: Experiment,
+    datasheet: Datasheet,
+    out_dir: Path,
+    jobs: int = 0,
+    tell: Callable[[str, float], None] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Path]]:
     """Diagnose the gap between an experiment and the twin of a datasheet, and write gap.json and gap.html.
 
@@ -177,6 +181,8 @@ def diagnose_into(
     ----------
     jobs
         Processes that fit candidates; 0 for one per core.
+    tell
+        Told what begins, and the percent that are done.
 
     Returns
     -------
@@ -191,8 +197,11 @@ def diagnose_into(
     from service.gap.diagnose import diagnose
     from service.report.gap import gap_page
 
+    said = tell or (lambda phase, percent: None)
     ready_folder(out_dir)
+    said("gap diagnosis", 2.0)
     diagnosis = diagnose(experiment, datasheet, jobs=jobs or os.cpu_count() or 1)
+    said("report", 95.0)
     document = diagnosis.to_dict()
     files = {
         "gap": write_text(out_dir / GAP, json_text(document)),

@@ -148,7 +148,7 @@ def _watched(ambit: Client, job: Job) -> tuple[Job, float]:
                 job = seen
                 if job.progress.phase in WORDS and job.state == "running":
                     shown(_progress(job))
-                elif job.progress.phase == "identification" or job.ended:
+                elif job.progress.phase in ("identification", "report") or job.ended:
                     break
         measured = time.monotonic()
         if not job.ended:

@@ -1,6 +1,6 @@
-"""The child process that calculates: reads one request a line, writes one answer a line.
+"""The child process that calculates: reads one request a line, writes lines of progress and then one with the answer.
 
-Run as ``python -m service.jobs.calculating``. It ends when its parent does.
+Run as ``python -m service.jobs.calculating``. It ends when its parent does, and so do processes that it starts.
 """
 
 from __future__ import annotations
@@ -35,15 +35,22 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in FIRST_NEEDED:
         import_module(name)
-    for request in sys.stdin:
-        answers.write(json.dumps(_answer(json.loads(request))) + "\n")
+
+    def say(message: dict[str, Any]) -> None:
+        answers.write(json.dumps(message) + "\n")
         answers.flush()
 
+    def tell(phase: str, percent: float) -> None:
+        say({"progress": {"phase": phase, "percent": percent}})
 
-def _answer(request: dict[str, Any]) -> dict[str, Any]:
+    for request in sys.stdin:
+        say(_answer(json.loads(request), tell))
+
+
+def _answer(request: dict[str, Any], tell: calculations.Tell) -> dict[str, Any]:
     function: Callable[..., dict[str, Any]] = calculations.BY_NAME[request["function"]]
     try:
-        return {"result": function(**request["arguments"])}
+        return {"result": function(**request["arguments"], tell=tell)}
     except AmbError as error:
         return {"error": str(error)}
     except MemoryError:
@@ -63,3 +70,5 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     main()
+elif __name__ == "__mp_main__":  # a process that this one has started, to calculate beside it
+    _end_with_parent()

@@ -13,11 +13,18 @@ from service.experiment import file
 from service.output import json_text, write_text
 from sim import datasheet
 
+Tell = Callable[[str, float], None]
+"""Told the phase and the percent that are done."""
+
 RESULT, REPORT, PLOTS, GAP = "result.json", "report.html", "plots.json", "gap.json"
 GAP_REPORT, HEALTH_REPORT = "gap.html", "health.html"
 
 
-def identification(experiment: str, rig: str, out: str, name: str) -> dict[str, Any]:
+def silent(phase: str, percent: float) -> None:
+    """Tell nobody."""
+
+
+def identification(experiment: str, rig: str, out: str, name: str, tell: Tell = silent) -> dict[str, Any]:
     """Identify an experiment; result.json, report.html and plots.json are in ``out``.
 
     Parameters
@@ -26,6 +33,8 @@ def identification(experiment: str, rig: str, out: str, name: str) -> dict[str, 
         Paths of the experiment file, the datasheet and the folder.
     name
         How the result refers to the experiment.
+    tell
+        Told how far it is.
 
     Returns
     -------
@@ -34,16 +43,18 @@ def identification(experiment: str, rig: str, out: str, name: str) -> dict[str, 
     """
     from service.report.curves import curves
 
+    percents = {"identifying": ("identification", 5.0), "writing the report": ("report", 90.0)}
     sheet = datasheet.read(Path(rig))
-    done = bootstrap.identify_into(file.read(Path(experiment)), sheet, Path(out), name)
+    measured = file.read(Path(experiment))
+    done = bootstrap.identify_into(measured, sheet, Path(out), name, lambda begins: tell(*percents[begins]))
     write_text(Path(out) / PLOTS, json_text(curves(done.result, sheet)))
     return model_summary(done.document)
 
 
-def gap(experiment: str, rig: str, out: str, processes: int) -> dict[str, Any]:
+def gap(experiment: str, rig: str, out: str, processes: int, tell: Tell = silent) -> dict[str, Any]:
     """Diagnose the gap of an experiment; gap.json and gap.html are in ``out``; the summary."""
     sheet = datasheet.read(Path(rig))
-    document, _ = bootstrap.diagnose_into(file.read(Path(experiment)), sheet, Path(out), processes)
+    document, _ = bootstrap.diagnose_into(file.read(Path(experiment)), sheet, Path(out), processes, tell)
     verdict = document["verdict"]
     return {
         "verdict": verdict["kind"],
@@ -56,7 +67,7 @@ def gap(experiment: str, rig: str, out: str, processes: int) -> dict[str, Any]:
     }
 
 
-def health_plan(baseline: str, rig: str, budget_s: float) -> dict[str, Any]:
+def health_plan(baseline: str, rig: str, budget_s: float, tell: Tell = silent) -> dict[str, Any]:
     """Profile of a short experiment, as JSON."""
     from service import checkup
     from service.health.compare import Baseline
@@ -67,7 +78,9 @@ def health_plan(baseline: str, rig: str, budget_s: float) -> dict[str, Any]:
     return asdict(plan.profile)
 
 
-def health_compare(baseline: str, rig: str, experiment: str, out: str, history: str, at: str) -> dict[str, Any]:
+def health_compare(
+    baseline: str, rig: str, experiment: str, out: str, history: str, at: str, tell: Tell = silent
+) -> dict[str, Any]:
     """Compare a short experiment with a baseline; health.html is in ``out``; the document."""
     from service import checkup
     from service.health.compare import Baseline

@@ -14,6 +14,7 @@ from contextlib import suppress
 from typing import IO, Any
 
 from service.errors import JobError, StoppedError
+from service.jobs.calculations import Tell, silent
 
 _POLL_S = 0.1
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -44,23 +45,29 @@ class _Child:
                 if pipe is not None:
                     pipe.close()
 
-    def ask(self, request: dict[str, Any], stopped: Callable[[], bool]) -> dict[str, Any]:
-        stdin, stdout = _pipe(self.process.stdin), _pipe(self.process.stdout)
+    def ask(self, request: dict[str, Any], stopped: Callable[[], bool], tell: Tell) -> dict[str, Any]:
+        stdin, stdout = _pipe(self.process.stdin), _pipe(self.process.stdout).fileno()
         try:
             stdin.write(json.dumps(request) + "\n")
             stdin.flush()
-            with selectors.DefaultSelector() as selector:
-                selector.register(stdout, selectors.EVENT_READ)
-                while not selector.select(_POLL_S):
-                    if stopped():
-                        raise StoppedError("the calculation was stopped")
-            line = stdout.readline()
         except BrokenPipeError:
-            line = ""
-        if not line:
-            raise self._lost()
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+            raise self._lost() from None
+        begun = b""
+        with selectors.DefaultSelector() as selector:
+            selector.register(stdout, selectors.EVENT_READ)
+            while True:
+                if stopped():
+                    raise StoppedError("the calculation was stopped")
+                if not selector.select(_POLL_S):
+                    continue
+                if not (read := os.read(stdout, 65536)):
+                    raise self._lost()
+                *lines, begun = (begun + read).split(b"\n")
+                for line in lines:
+                    said: dict[str, Any] = json.loads(line)
+                    if "progress" not in said:
+                        return said
+                    tell(said["progress"]["phase"], said["progress"]["percent"])
 
     def _lost(self) -> JobError:
         status = self.process.wait()
@@ -81,7 +88,9 @@ class Calculator:
         """Have a child ready before the first job comes."""
         self._give_back(_Child())
 
-    def run(self, function: str, arguments: dict[str, Any], stopped: Callable[[], bool]) -> dict[str, Any]:
+    def run(
+        self, function: str, arguments: dict[str, Any], stopped: Callable[[], bool], tell: Tell = silent
+    ) -> dict[str, Any]:
         """Result of a function of `service.jobs.calculations`.
 
         Parameters
@@ -90,6 +99,8 @@ class Calculator:
             What JSON can say; paths as strings.
         stopped
             Polled ten times a second; True ends the child.
+        tell
+            Told how far it is.
 
         Raises
         ------
@@ -100,7 +111,7 @@ class Calculator:
         """
         child = self._take()
         try:
-            answer = child.ask({"function": function, "arguments": arguments}, stopped)
+            answer = child.ask({"function": function, "arguments": arguments}, stopped, tell)
         except BaseException:
             child.kill()
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from service.jobs import calculations
@@ -21,7 +22,12 @@ def identify(worker: Context, job: JobRow, control: Control, experiment_id: str)
     control.report(phase="identification")
     out = worker.folder(job.id) / "model"
     arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "name": f"{experiment_id}/{row.file_name}"}
-    summary = worker.calculator.run("identification", arguments, control.stopped)
+    alone = job.kind == "identification"  # after an experiment, the percent are the experiment's
+
+    def tell(phase: str, percent: float) -> None:
+        control.report(phase=phase, **({"percent": percent} if alone else {}))
+
+    summary = worker.calculator.run("identification", arguments, control.stopped, tell)
     kept = {
         name: worker.blobs.put_file(out / name)
         for name in (calculations.RESULT, calculations.REPORT, calculations.PLOTS)
@@ -49,8 +55,12 @@ def diagnose(worker: Context, job: JobRow, control: Control, experiment_id: str)
     _, rig = datasheet_file(worker, job)
     control.report(phase="gap diagnosis")
     out = worker.folder(job.id) / "gap"
-    arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "processes": 1}
-    summary = worker.calculator.run("gap", arguments, control.stopped)
+    arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "processes": _processes(worker)}
+
+    def tell(phase: str, percent: float) -> None:
+        control.report(phase=phase, percent=percent)
+
+    summary = worker.calculator.run("gap", arguments, control.stopped, tell)
     gap = GapRow(
         id=derived_id("gap", job.id),
         rig_id=job.rig_id,
@@ -65,3 +75,9 @@ def diagnose(worker: Context, job: JobRow, control: Control, experiment_id: str)
     )
     worker.database.surely(lambda session: results.keep(session, gap))
     return {"experiment": experiment_id, "gap": gap.id}
+
+
+def _processes(worker: Context) -> int:
+    """Processes of one diagnosis: the cores that this worker may use, shared by those that it calculates at a time."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, cores // worker.settings.cpu_jobs)

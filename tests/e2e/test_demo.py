@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from service.experiment import file
-from tests.support.command import Running, ambit, wait_until
+from tests.support.command import Running, wait_until
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux")
 
@@ -30,9 +30,9 @@ def _alive(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
-def test_what_the_demo_starts_ends_with_it_and_the_job_goes_on_the_next_time(number, tmp_path):
-    demo = Running("demo", "--quick", "--out", tmp_path)
+def _interrupted(folder: Path, number: int) -> Path:
+    """Journal of a demo that was ended in its main sweep; everything that it had started is gone."""
+    demo = Running("demo", "--quick", "--out", folder)
     try:
         wait_until(lambda: any(line.startswith("main sweep") for line in demo.said), "the main sweep")
         started = _started_by(demo.process.pid)
@@ -43,33 +43,38 @@ def test_what_the_demo_starts_ends_with_it_and_the_job_goes_on_the_next_time(num
         else:
             demo.interrupt(number)
         assert demo.wait() == (1 if number == signal.SIGINT else -signal.SIGKILL)
-        for process in started:
-            wait_until(lambda process=process: not _alive(process), f"the end of {started[process]}", 20)
+        _wait_for_end(started)
     finally:
         demo.end()
-    (journal,) = (tmp_path / "service" / "work").glob("job_*/experiment.journal")
+    (journal,) = (folder / "service" / "work").glob("job_*/experiment.journal")
     assert journal.read_bytes().count(b"\n") > 20
-    if number == signal.SIGKILL:
-        again = ambit("demo", "--quick", "--out", tmp_path)
-        assert again.returncode == 0, again.stderr
-        assert "was interrupted" in again.stderr
-        assert journal.parent.name in again.stderr
-        assert file.read(tmp_path / "experiment.h5").named("main") is not None
-        assert not journal.exists()
+    return journal
 
 
-def test_it_can_be_looked_at_in_the_service_until_ctrl_c(tmp_path):
+def _wait_for_end(processes: dict[int, str]) -> None:
+    for process, command in processes.items():
+        wait_until(lambda process=process: not _alive(process), f"the end of {command}", 20)
+
+
+def test_what_the_demo_starts_ends_with_it(tmp_path):
+    _interrupted(tmp_path, signal.SIGINT)
+
+
+def test_a_killed_demo_goes_on_and_can_be_looked_at_in_the_service_until_ctrl_c(tmp_path):
+    journal = _interrupted(tmp_path, signal.SIGKILL)
     demo = Running("demo", "--quick", "--out", tmp_path, "--keep-serving")
     try:
         wait_until(lambda: any(line.startswith("serving on") for line in demo.said), "the end of the job", 120)
+        assert any(journal.parent.name in line and "was interrupted" in line for line in demo.said)
+        assert not journal.exists()
+        assert file.read(tmp_path / "experiment.h5").named("main") is not None
         told = (re.match("report in the service: (http.*)", line) for line in demo.process.stdout)
         url = next(match[1] for match in told if match)
         assert httpx.get(url).text == (tmp_path / "report.html").read_text()
         started = _started_by(demo.process.pid)
         demo.interrupt()
         assert demo.wait() == 0
-        for process in started:
-            wait_until(lambda process=process: not _alive(process), f"the end of {started[process]}", 20)
+        _wait_for_end(started)
         with pytest.raises(httpx.ConnectError):
             httpx.get(url)
     finally:

@@ -8,7 +8,9 @@ import time
 import pytest
 
 from service.errors import JobError, StoppedError
+from service.experiment import file
 from service.jobs.calculator import Calculator
+from tests.support.measured import small_experiment
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +38,17 @@ def test_data_that_do_not_allow_it_are_told_in_one_line(calculator, tmp_path):
         calculator.run("identification", arguments(tmp_path, tmp_path / "e.h5"), never)
     assert error.value.title == "identification failed"
     assert "\n" not in str(error.value)
+
+
+def test_it_tells_how_far_it_is_before_it_answers(calculator, tmp_path):
+    experiment, _ = small_experiment("x")
+    file.write(tmp_path / "e.h5", experiment)
+    said = []
+    asked = arguments(tmp_path, tmp_path / "e.h5")
+    answer = calculator.run("identification", asked, never, lambda phase, percent: said.append((phase, percent)))
+    assert [phase for phase, _ in said] == ["identification", "report"]
+    assert 0 < said[0][1] < said[1][1] < 100
+    assert set(answer["planes"]) == {"x"}
 
 
 @pytest.fixture
