@@ -33,7 +33,8 @@ def force(m: Magnets, current_a: Array, displacement_m: Array) -> Array:
     """Force of the differential pair, N, for current and displacement of shape (..., n).
 
     f = k ((i0 + i)^2 / (s0 - x)^2 - (i0 - i)^2 / (s0 + x)^2), k = ki s0^2 / (4 i0); a coil carries no negative
-    current (Schweitzer and Maslen, Magnetic Bearings, 2009, eq. 4.3).
+    current (Schweitzer and Maslen, Magnetic Bearings, 2009, eq. 4.3). A pole that saturates by its flux pulls less,
+    1 / (1 + (B/Bs)^n), relative to its pull at the bias.
     """
     s0, i0 = m.gap_m, m.bias_current_a
     k = m.ki * s0**2 / (4 * i0)
@@ -41,7 +42,11 @@ def force(m: Magnets, current_a: Array, displacement_m: Array) -> Array:
     x = displacement_m + m.offset_m
     upper = np.maximum(i0 + i, 0.0) / (s0 - x)
     lower = np.maximum(i0 - i, 0.0) / (s0 + x)
-    return np.asarray(k * (upper**2 - lower**2))
+    if not m.flux_share:
+        return np.asarray(k * (upper**2 - lower**2))
+    share, n = m.flux_share * s0 / i0, m.flux_power  # of the pole's current over gap
+    pulls = [pole**2 * (1 + m.flux_share**n) / (1 + (share * pole) ** n) for pole in (upper, lower)]
+    return np.asarray(k * (pulls[0] - pulls[1]))
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ def operating_point(rig: Rig) -> OperatingPoint:
         The magnets cannot carry the weight within the current limit.
     """
     m, n = rig.magnets, rig.n_axes
-    if not rig.gravity_m_per_s2 and not np.any(m.offset_m):
+    if not rig.gravity_m_per_s2 and not np.any(m.offset_m) and not m.flux_share:
         return OperatingPoint(np.zeros(n), np.zeros(n), m.ki, m.ks)  # centred, unloaded: the magnets' own factors
     weight, turned = static_load(rig), force_rotation(rig)
     pull = force(m, np.zeros(n), np.zeros(n))

@@ -25,6 +25,14 @@ STATIC_HZ = 1e-2
 """Frequency at which the static response (harmonic 0) is evaluated: far below every pole of an AMB rig."""
 
 
+SLEW_STEPS = 256
+"""Fewest time steps of a period in which a supply's voltage limit is followed."""
+SLEW_PERIODS = 40
+"""Most periods for it to settle: a current loop that winds up is slow."""
+SETTLED = 1e-4
+"""Change from period to period, relative to the largest swing that the limit lets through, that counts as settled."""
+
+
 @dataclass(frozen=True)
 class Answer:
     """Coil current and sensor signal, complex amplitudes, each (P, H, n)."""
@@ -83,6 +91,7 @@ class Responder:
             np.any(rig.magnets.hysteresis_rad > 0)
             or rig.contact
             or np.any(np.isfinite(rig.magnets.saturation_current_a))
+            or rig.magnets.flux_share
         )
         self._slews = bool(np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)))
 
@@ -201,19 +210,19 @@ class Responder:
         amp, s = self.rig.amplifiers, 1j * self._omega[:, None]
         w = amp.natural_frequency_rad_s
         if amp.damping_ratio is None:
-            per_slew, rate = 1 / (s + w), -w / (s + w)
+            per_slew = 1 / (s + w)
         else:
-            bottom = s**2 + 2 * amp.damping_ratio * w * s + w**2
-            per_slew, rate = (s + 2 * amp.damping_ratio * w) / bottom, -(w**2) / bottom
+            unseen = 2 * amp.damping_ratio * w * (1 - amp.slew_seen)
+            per_slew = (s + unseen) / (s**2 + 2 * amp.damping_ratio * w * s + w**2)
         H, P = len(self.harmonics), len(self.line)
         line = self.line[:, None] + np.arange(H) * (len(s) // H)
-        base = self._at_points(m.baseband, U)
-        v_linear = s[line] * base
-        limit = amp.slew_limit_a_per_s
+        v_linear = s[line] * self._at_points(m.baseband, U)
         dv = np.zeros((P, H, w.size), dtype=complex)
-        for _ in range(12):
-            v_t = _samples(v_linear + rate[line] * dv, self.harmonics, 64)
-            dv = 0.5 * dv + 0.5 * _amplitudes(np.clip(v_t, -limit, limit) - v_t, self.harmonics)
+        limit = amp.slew_limit_a_per_s
+        slewing = np.flatnonzero(np.any(np.abs(v_linear).sum(axis=1) > limit, axis=1))
+        if len(slewing):
+            omega = self._omega.reshape(H, -1)[self.harmonics.index(1), self.line[slewing]]
+            dv[slewing] = self._slewing(v_linear[slewing], omega)
         change = per_slew[line] * dv
         with np.errstate(divide="ignore", invalid="ignore"):
             drive = amplifier.continuous(amp, self._omega)[line]
@@ -221,6 +230,35 @@ class Responder:
         delay = np.exp(-1j * self._omega[line][..., None] * (amp.delay_s + self.rig.controller.computing_delay_s))
         equivalent = U + np.linalg.solve(amp.crosstalk, (change / (drive * hold[..., None] * delay))[..., None])[..., 0]
         return linear + change, equivalent
+
+    def _slewing(self, v_linear: Complex, omega: Array) -> Complex:
+        """What the limit takes off the slope of the current, (P, H, n), in the steady state.
+
+        Stepped through time, as it has more harmonics than are asked for and a loop that winds up: with what the
+        limit changes, i' = v + dv, v' = -w^2 i - 2 zeta w (v + seen dv), or v = -w i for a first-order amplifier.
+        """
+        amp = self.rig.amplifiers
+        w, limit = amp.natural_frequency_rad_s, amp.slew_limit_a_per_s
+        steps = int(np.clip(8 * w.max() / omega.min(), SLEW_STEPS, 8 * SLEW_STEPS))
+        dt = 2 * np.pi / omega[:, None] / steps
+        asked = np.ascontiguousarray(_samples(v_linear, self.harmonics, steps).transpose(1, 0, 2))
+        i, v = np.zeros_like(asked[0]), np.zeros_like(asked[0])
+        taken = np.empty_like(asked)
+        damping = None if amp.damping_ratio is None else 2 * amp.damping_ratio * w
+        for _ in range(SLEW_PERIODS):
+            begun = i
+            for t in range(steps):
+                slope = asked[t] + (v if damping is not None else -w * i)
+                taken[t] = dv = np.clip(slope, -limit, limit) - slope
+                if damping is None:
+                    i = (i + dt * dv) / (1 + dt * w)
+                else:  # implicit in the amplifier's own loop, so that no step is too long for it
+                    pull = w**2 * (i + dt * dv) + damping * amp.slew_seen * dv
+                    v = (v - dt * pull) / (1 + dt * damping + (dt * w) ** 2)
+                    i = i + dt * (v + dv)
+            if np.all(np.abs(i - begun) < SETTLED * np.max(limit) / omega[:, None]):
+                break
+        return _amplitudes(taken.transpose(1, 0, 2), self.harmonics)
 
 
 def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> tuple[Complex, Answer]:

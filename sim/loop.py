@@ -51,6 +51,18 @@ def _magnet(law, a, i, x):  # type: ignore[no-untyped-def]
 
 
 @_compiled
+def _saturating_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
+    """The same of poles that saturate by their flux."""
+    share, n = law[11, a], law[12, a]
+    upper = max(law[1, a] + i, 0.0) / (law[2, a] - x - law[3, a])
+    lower = max(law[1, a] - i, 0.0) / (law[2, a] + x + law[3, a])
+    per_flux = share * law[2, a] / law[1, a]
+    top = upper**2 / (1.0 + (per_flux * upper) ** n)
+    bottom = lower**2 / (1.0 + (per_flux * lower) ** n)
+    return law[0, a] * (1.0 + share**n) * (top - bottom)
+
+
+@_compiled
 def _plain_corrections(now, at, law, d):  # type: ignore[no-untyped-def]
     """Force beyond the linear one of magnets without saturation, play, contact, slew limit or rotation."""
     n = law.shape[1]
@@ -76,7 +88,8 @@ def _corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pl
             i = total
         if law[7, a] < 1e30:
             i = law[7, a] * math.tanh(i / law[7, a])
-        f[a] = scale[0] * _magnet(law, a, i, x) + (scale[1] - scale[0]) * law[5, a] * x
+        force = _saturating_magnet(law, a, i, x) if law[11, a] > 0.0 else _magnet(law, a, i, x)
+        f[a] = scale[0] * force + (scale[1] - scale[0]) * law[5, a] * x
         if slews:
             rate = now[at + 2 * n + a]
             d[n + a] = min(max(rate, -slew[a]), slew[a]) - rate
@@ -248,6 +261,7 @@ class Loop:
         self._general = bool(
             np.any(self._law[7] < _NONE)
             or np.any(self._law[9] > 0)
+            or m.flux_share
             or self._slews
             or c
             or d
@@ -274,7 +288,7 @@ class Loop:
         return np.vstack([ss.flux, ss.bearing, *rate, *sensor])
 
     def _law_rows(self) -> Array:
-        """Rows k, i0, s0, offset, ki, ks, load, i_s, i_max, alpha, i at rest of the compiled force law, (11, n)."""
+        """Rows k, i0, s0, offset, ki, ks, load, i_s, i_max, alpha, i at rest, B0/Bs, n of the force law, (13, n)."""
         m, p = self.rig.magnets, self._point
         return np.vstack(
             [
@@ -289,6 +303,8 @@ class Loop:
                 np.full(self.n_axes, m.current_limit_a),
                 self._play_strength,
                 p.current_a,
+                np.full(self.n_axes, m.flux_share),
+                np.full(self.n_axes, m.flux_power),
             ]
         )
 

@@ -101,6 +101,10 @@ class Magnets:
     """Rotation of the force from x to y at each bearing, rad."""
     cross_coupling_symmetric: float = 0.0
     """Share of the x force that acts in y, and the reverse, at each bearing."""
+    flux_share: float = 0.0
+    """Flux density at the bias over that at which a pole saturates, 0 for none."""
+    flux_power: float = 4.0
+    """n of a pole's pull / (1 + (B/Bs)^n)"""
     hysteresis_width_a: float = 0.0
     """Half width of the one play of the iron; 0 for a Rayleigh loop, which is plays of every width."""
 
@@ -125,6 +129,9 @@ class Amplifiers:
     """Largest |di/dt| that the supply voltage allows at zero current, inf for none, (n,)."""
     lag_s: float = 0.0
     """Time constant of a further first-order lag in front of every amplifier (a filter, a slow power stage)."""
+    slew_seen: float = 0.0
+    """Share of the damping that acts on the slope that the coil has, not on the one asked for, where it is limited:
+    0 for a current loop that does not know of its limit, 1 for one whose damping is in the coil."""
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
             A[k + 1, k : k + 2] = -(w**2), -2 * amp.damping_ratio[axis] * w
             drive[k + 1] = w**2 * amp.gain[axis] * amp.crosstalk[axis]
             rate[axis, k + 1] = 1.0
+            slew[k + 1, axis] = -2 * amp.damping_ratio[axis] * w * amp.slew_seen
         if amp.lag_s > SHORTEST_LAG_S:  # the lag stands between u and the amplifier
             entry = k + order - 1
             A[entry, lagged + axis] = w**order * amp.gain[axis]

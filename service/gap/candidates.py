@@ -19,6 +19,11 @@ from sim.errors import AmbError
 Real = NDArray[np.float64]
 
 
+LAW_ERROR = 0.01
+"""Relative error of a parameter that no data remove: two programs' laws of one effect agree no better (loop delays of
+an independent program are found 0.25 us short)."""
+
+
 @dataclass(frozen=True)
 class Candidate:
     """One fitted explanation: no effect, one, or several."""
@@ -101,13 +106,16 @@ def _fitted(task: Task) -> Candidate:
 
 
 def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
-    """Standard deviation of each effect parameter, widened where the fit leaves more than noise."""
+    """Standard deviation of each effect parameter: the data's, widened where more than noise is left, and the law's."""
     k = len(problem.active)
     width = problem.high - problem.low
     prior = np.concatenate([np.ones(k), 12.0 / np.maximum(width, 1e-12) ** 2])
     covariance = np.linalg.inv(fit.curvature + np.diag(prior))
     widened = max(1.0, fit.chi_square / fit.n_residuals)
     scaled = np.sqrt(np.maximum(np.diag(covariance)[k:], 0) * widened) * problem.scale
+    strength = np.array([LAW_ERROR * abs(fit.values[which][p.name]) for which, p in problem.parameters])
+    logarithmic = np.array([p.scale == "log" for _, p in problem.parameters])
+    scaled = np.hypot(scaled, np.where(logarithmic, LAW_ERROR, strength))
     out: list[dict[str, float]] = [{} for _ in problem.effects]
     for (which, p), sd in zip(problem.parameters, scaled, strict=True):
         value = fit.values[which][p.name]

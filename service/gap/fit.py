@@ -24,7 +24,7 @@ from sim.twin import LinearModel, linear_model
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-STEP = 1e-3
+STEP = 2e-5
 """Forward difference of an effect's parameter, in units of its scale."""
 TOLERANCE_BOUND = 4.0
 """A datasheet's value may be off by this many of its tolerances; what lies beyond is a gap, not an uncertainty."""

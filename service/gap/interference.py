@@ -95,7 +95,7 @@ def _heard(
         float(ratio[inside].mean()) if (inside := quiet & (away >= low) & (away < high)).any() else 1.0
         for low, high in itertools.pairwise(BINS)
     )
-    amplitude = float(np.sqrt(np.quantile(variance[near].mean(axis=1), 0.9) * (blocks - 1)))
+    amplitude = float(np.sqrt(variance[near].mean(axis=1).max() * (blocks - 1)))
     return Interference(
         effect,
         frequency_hz,

@@ -58,7 +58,14 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "amplifier_voltage_limit":
         current = np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1)
         rate = float((current * 2 * np.pi * o.points_hz).max())
-        return [{**base, "slew_inverse_s_per_a": 1 / (share * rate)} for share in (0.9, 0.6)]
+        return [
+            {"slew_inverse_s_per_a": 1 / (share * rate), "slope_seen": seen}
+            for share in (0.9, 0.7)
+            for seen in (0.1, 0.9)
+        ]
+    if effect.id == "magnetic_saturation":
+        by_flux = {"saturation_inverse_per_a": 0.02, "flux_power": 5.0}
+        return [{**base, "flux_share": 0.0}, {**by_flux, "flux_share": 0.4}, {**by_flux, "flux_share": 0.7}]
     if effect.id == "magnetic_hysteresis":
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
         return [base, {**base, "width_a": 0.25 * flux}, {**base, "width_a": 0.6 * flux}]

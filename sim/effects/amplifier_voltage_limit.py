@@ -13,7 +13,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["slew_inverse_s_per_a"] < 1e-12:
         return rig
     slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / p["slew_inverse_s_per_a"])
-    return replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=slew))
+    return replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=slew, slew_seen=p["slope_seen"]))
 
 
 EFFECT = Effect(
@@ -29,6 +29,17 @@ EFFECT = Effect(
             0.0,
             "log",
             "inverse of the largest |di/dt| = U/L",
+        ),
+        Parameter(
+            "slope_seen",
+            "1",
+            0.0,
+            1.0,
+            0.0,
+            0.0,
+            description="share of the current loop's damping that acts on the slope the coil has; "
+            "nothing on a first-order amplifier",
+            strength=False,
         ),
     ),
     apply=_apply,

@@ -10,11 +10,14 @@ from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    if p["saturation_inverse_per_a"] < 1e-12:
-        return rig
-    # Cubic terms i^3/(3 is^2) of saturations in series add.
-    inverse = np.hypot(1 / rig.magnets.saturation_current_a, p["saturation_inverse_per_a"])
-    return replace(rig, magnets=replace(rig.magnets, saturation_current_a=1 / inverse))
+    magnets = rig.magnets
+    if p["saturation_inverse_per_a"] > 1e-12:
+        # Cubic terms i^3/(3 is^2) of saturations in series add.
+        inverse = np.hypot(1 / magnets.saturation_current_a, p["saturation_inverse_per_a"])
+        magnets = replace(magnets, saturation_current_a=1 / inverse)
+    if p["flux_share"] > 0:
+        magnets = replace(magnets, flux_share=p["flux_share"], flux_power=p["flux_power"])
+    return replace(rig, magnets=magnets)
 
 
 EFFECT = Effect(
@@ -22,9 +25,15 @@ EFFECT = Effect(
     path="plant",
     parameters=(
         Parameter("saturation_inverse_per_a", "1/A", 0.02, 2.0, 1 / 1.6, 0.0, "log", "1/i_s of i_s tanh(i/i_s)"),
+        Parameter(
+            "flux_share", "1", 0.0, 1.2, 0.3, 0.0, description="B0/Bs, flux density at the bias over saturation's"
+        ),
+        Parameter(
+            "flux_power", "1", 2.0, 8.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
+        ),
     ),
     apply=_apply,
-    law="the force sees i_s tanh(i/i_s)",
+    law="the force sees i_s tanh(i/i_s), or each pole pulls 1/(1 + (B/Bs)^n) of what it should",
     signature="gain of y/i falls with amplitude, third harmonic in y, i clean",
     aliases=("amplifier_voltage_limit", "touchdown_contact", "magnetic_hysteresis"),
     separated_by="harmonics in i (voltage limit); phase of y/i, which saturation leaves alone (hysteresis); "

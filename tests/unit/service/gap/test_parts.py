@@ -1,0 +1,115 @@
+"""Each part of the loop is diagnosed on its own input: mixtures, logs at fault, interference, one amplitude only."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.diagnose import diagnose
+from service.gap.interference import interference
+from service.gap.nuisance import nuisance
+from service.gap.observation import observe
+from service.gap.part import parts
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+
+
+def spoiled(measured: Experiment, change) -> Experiment:  # type: ignore[no-untyped-def]
+    return replace(measured, sweeps=tuple(change(s) for s in measured.sweeps))
+
+
+def test_effects_of_two_parts_are_both_named_however_different_in_size() -> None:
+    """A controller far off and a sensor gain of 4 %: the one does not drown the other."""
+    datasheet, truth = known_datasheet(seed=11)
+    both = {"controller_mismatch": {"gain_change": 0.08, "derivative_change": 0.0, "lag_samples": 0.0}}
+    both["sensor_gain"] = dict.fromkeys((f"gain_change_{a}" for a in ("xB", "yA", "yB")), 0.0) | {
+        "gain_change_xA": 0.08
+    }
+    d = diagnose(experiment(with_effects(true_rig(truth), both)), datasheet)
+    assert set(d.verdict.effects) == set(both)
+    assert d.to_dict()["where"]["path"] == "controller"
+
+
+def test_a_log_that_lags_is_no_effect_of_the_rig() -> None:
+    """y written down half a sample late: controller and plant both seem off, but neither is."""
+    datasheet, truth = known_datasheet(seed=12)
+    rig = true_rig(truth)
+
+    def late(s: Sweep) -> Sweep:
+        h = np.array(s.harmonics)
+        lag = np.exp(-2j * np.pi * s.frequency_hz[:, None] * h * 0.5 * rig.controller.sample_time_s)
+        return replace(s, Y=s.Y * lag[:, None, :, None])
+
+    d = diagnose(spoiled(experiment(rig), late), datasheet)
+    assert d.verdict.kind == "none_of_these"
+    assert "logged displacement" in d.to_dict()["verdict"]["reasons"][0]
+
+
+def test_a_filtered_current_log_is_no_effect_of_the_rig() -> None:
+    datasheet, truth = known_datasheet(seed=13)
+
+    def filtered(s: Sweep) -> Sweep:
+        at = s.frequency_hz[:, None] * np.array(s.harmonics)
+        return replace(s, I=s.I / (1 + 1j * at / 4000.0)[:, None, :, None])
+
+    d = diagnose(spoiled(experiment(true_rig(truth)), filtered), datasheet)
+    assert d.verdict.kind == "none_of_these"
+    assert "logged coil current" in d.to_dict()["verdict"]["reasons"][0]
+
+
+def test_a_stop_that_only_the_larger_amplitude_reaches_is_named() -> None:
+    datasheet, truth = known_datasheet(seed=14)
+    rig = true_rig(truth)
+    quiet = experiment(rig)
+    swing = [np.abs(s.Y[:, :, s.harmonics.index(1)]).max() for s in quiet.sweeps]
+    assert swing[1] > 1.3 * swing[0]
+    clearance = float(np.sqrt(swing[0] * swing[1]))
+    stop = {f"clearance_{axis}_m": clearance for axis in rig.axes} | {"stiffness_n_per_m": 3e5, "side": 0.0}
+    d = diagnose(experiment(with_effects(rig, {"touchdown_contact": stop})), datasheet)
+    assert d.verdict.effects == ("touchdown_contact",)
+    assert d.where.amplitude_dependent
+    assert "every other line" in d.shrinkage.held_out, "what was fitted is not what closure is measured on"
+    found = d.chosen.fit.values[0]
+    assert found["clearance_xA_m"] == pytest.approx(clearance, rel=0.1)
+
+
+def hummed(s: Sweep, hz: float, amplitude_m: float, seed: int) -> Sweep:
+    """Displacement with a hum whose phase drifts from block to block, seen where a harmonic comes near it."""
+    rng = np.random.default_rng(seed)
+    at = s.frequency_hz[:, None] * np.array(s.harmonics)
+    near = amplitude_m / (1 + (np.abs(at / hz - 1) / 0.03) ** 2)
+    phase = np.exp(2j * np.pi * rng.random((s.n_points, s.Y.shape[1])))
+    return replace(s, Y=s.Y + (near[:, None, :] * phase[:, :, None])[..., None])
+
+
+def test_hum_of_the_mains_is_heard_in_the_scatter_and_named() -> None:
+    datasheet, truth = known_datasheet(seed=15)
+    measured = experiment(true_rig(truth))
+    loud = replace(measured, sweeps=tuple(hummed(s, 50.0, 30e-9, seed=k) for k, s in enumerate(measured.sweeps)))
+    rig = nuisance(datasheet).rig
+    assert interference(measured.sweeps[0], rig) == []
+    heard = interference(loud.sweeps[0], rig)
+    assert [s.effect for s in heard] == ["mains_interference"]
+    assert 6e-9 < heard[0].parameters["amplitude_m"] < 36e-9, "no line of the sweep meets the mains exactly"
+    d = diagnose(loud, datasheet)
+    assert d.verdict.effects == ("mains_interference",)
+    assert d.to_dict()["where"]["path"] == "additive"
+
+
+def test_without_the_current_amplifier_and_plant_are_one_part() -> None:
+    datasheet, truth = known_datasheet()
+    nu = nuisance(datasheet)
+    o = observe(experiment(true_rig(truth)).sweeps[0], nu.rig)
+    assert [p.path for p in parts(nu, [o])] == ["controller", "amplifier", "plant"]
+    merged = parts(nu, [replace(o, I=None)])
+    assert [p.path for p in merged] == ["controller", "plant"]
+    assert {"loop_delay", "eddy_currents"} <= set(merged[1].effects)
+
+
+def test_a_rotor_at_rest_cannot_tell_modal_from_internal_damping() -> None:
+    datasheet, truth = known_datasheet(seed=16)
+    ratio = {"mode1_log_ratio": 1.5, "mode2_log_ratio": 1.5}
+    d = diagnose(experiment(with_effects(true_rig(truth), {"modal_damping": ratio})), datasheet)
+    assert d.verdict.effects == ("modal_damping",)
+    assert ("modal_damping", "internal_damping") in d.verdict.indistinguishable

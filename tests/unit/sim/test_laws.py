@@ -1,0 +1,80 @@
+"""Laws of the magnets and amplifiers that have more than one form: harmonic balance against the time simulation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim import actuator
+from sim.effects import effect
+from sim.harmonic_balance import Responder
+from sim.reference import reference_rig
+from sim.rig import Drift, Noise
+from sim.stepping import Simulation
+
+QUIET = reference_rig(noise=Noise())
+FS = 1 / QUIET.controller.sample_time_s
+
+
+def steady(rig, amplitude_a: float, periods: int = 30, samples: int = 250):  # type: ignore[no-untyped-def]
+    """Amplitudes of u, i and y of one tone on axis xA, harmonics 0 to 3, (4, n) each, and its frequency."""
+    k = np.arange(periods * samples)
+    r = np.zeros((len(k), rig.n_axes))
+    r[:, 0] = amplitude_a * np.cos(2 * np.pi * k / samples)
+    record = Simulation(rig, seed=1).advance(r, check_limits=False)
+    last = slice(-10 * samples, None)
+    basis = np.exp(-2j * np.pi * np.outer([0, 1, 2, 3], k[last]) / samples) / (10 * samples)
+    basis[1:] *= 2
+    return FS / samples, [basis @ getattr(record, name)[last] for name in "uiy"]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "tolerance"),
+    [
+        ("magnetic_hysteresis", {"loss_angle_rad": 0.03, "width_a": 0.1}, 0.05),
+        ("magnetic_saturation", {"saturation_inverse_per_a": 0.02, "flux_share": 0.6, "flux_power": 4.0}, 0.05),
+        ("touchdown_contact", {"side": 1.0, **{f"clearance_{a}_m": 4e-6 for a in QUIET.axes}}, 0.1),
+    ],
+)
+def test_the_change_that_a_law_makes_is_the_time_simulations(name, values, tolerance) -> None:  # type: ignore[no-untyped-def]
+    rig = effect(name).on(QUIET, **values)
+    hz, (u, _, y) = steady(rig, 0.3)
+    answers = [
+        Responder(r, np.array([hz]), np.zeros(1, dtype=np.int64)).answer(u[None], rounds=30, seen=y[None]).Y[0]
+        for r in (QUIET, rig)
+    ]
+    for harmonic, shows in ((1, 1e-8), (3, 1e-10)):
+        change, missing = y[harmonic, 0] - answers[0][harmonic, 0], y[harmonic, 0] - answers[1][harmonic, 0]
+        assert abs(change) > shows, "the law shows"
+        assert abs(missing) < tolerance * abs(change), harmonic
+
+
+def test_one_play_lags_most_at_twice_its_width_by_the_angle_given() -> None:
+    m = effect("magnetic_hysteresis").on(QUIET, loss_angle_rad=0.03, width_a=0.2).magnets
+    share, theta = actuator.play_share(m)[0], 2 * np.pi * np.arange(4000) / 4000
+    play, out = 0.0, []
+    for i in 0.4 * np.cos(np.concatenate([theta, theta])):
+        play = min(max(play, i - 0.2), i + 0.2)
+        out.append(i + share * play)
+    fundamental = 2 * np.mean(np.array(out[4000:]) * np.exp(-1j * theta)) / 0.4
+    assert -np.angle(fundamental) == pytest.approx(0.03, rel=0.01)
+
+
+def test_a_warming_magnet_has_gone_most_of_its_way_early() -> None:
+    slow, fast = Drift(-0.1, -0.1, 100.0), Drift(-0.1, -0.1, 100.0, curvature=3.0)
+    share = np.array([0.0, 0.3, 1.0])
+    np.testing.assert_allclose(slow.progress(share), share)
+    gone = fast.progress(share)
+    assert gone[0] == 0
+    assert gone[2] == pytest.approx(1.0)
+    assert gone[1] == pytest.approx((1 - np.exp(-0.9)) / (1 - np.exp(-3.0)))
+
+
+def test_flux_saturation_keeps_the_pull_at_the_bias() -> None:
+    m = effect("magnetic_saturation").on(QUIET, saturation_inverse_per_a=0.02, flux_share=0.7).magnets
+    plain = replace(m, flux_share=0.0)
+    n = QUIET.n_axes
+    small, large = np.full(n, 1e-4), np.full(n, 0.8 * m.bias_current_a[0])
+    assert np.all(actuator.force(m, large, np.zeros(n)) < 0.9 * actuator.force(plain, large, np.zeros(n)))
+    assert np.all(actuator.force(m, small, np.zeros(n)) < actuator.force(plain, small, np.zeros(n)))
+    np.testing.assert_allclose(actuator.force(m, np.zeros(n), np.zeros(n)), 0.0, atol=1e-9)
