@@ -8,7 +8,7 @@ import numpy as np
 
 from service.identification import amplifier
 from service.identification.amplifier import N_PARAMETERS
-from service.identification.evidence import Evidence, best
+from service.identification.evidence import Evidence, best, leave_one_out
 from service.identification.least_squares import minimise
 from service.identification.noise import block_noise
 from service.identification.points import PlanePoints
@@ -72,9 +72,9 @@ def amplifier_fit(
     delay = 0.0
     for order in orders:
         theta = np.append(_start(order, start, sample_time_s), delay)
-        theta, cost = _fit(theta, omega, u, i, sigma, sample_time_s, computing_delay_s)
+        theta, cost, left_out = _fit(theta, omega, u, i, sigma, sample_time_s, computing_delay_s)
         found.append((order, theta[:-1], float(theta[-1])))
-        candidates.append(Evidence(f"order {order}", len(theta), 2 * len(omega), cost))
+        candidates.append(Evidence(f"order {order}", len(theta), 2 * len(omega), cost, leave_one_out_rms=left_out))
         if order >= 2:
             start, delay = theta[:3], float(theta[-1])
     pick = best(candidates)
@@ -95,7 +95,7 @@ def _start(order: int, known: Real, sample_time_s: float) -> Real:
 
 def _fit(
     theta: Real, omega: Real, u: Complex, i: Complex, sigma: Real, sample_time_s: float, computing_delay_s: float
-) -> tuple[Real, float]:
+) -> tuple[Real, float, float]:
     weight = np.sqrt(2.0) / sigma
 
     def residual(t: Real, gradient: bool) -> tuple[Real, Real | None] | None:
@@ -109,4 +109,4 @@ def _fit(
         return np.concatenate([e.real, e.imag]), np.concatenate([d.real, d.imag])
 
     fit = minimise(residual, theta, np.ones(len(theta), dtype=bool), max_iterations=40)
-    return fit.theta, fit.cost
+    return fit.theta, fit.cost, leave_one_out(fit.residual, fit.jacobian)

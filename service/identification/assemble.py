@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from service.identification.amplifier_fit import AmplifierFit
 from service.identification.closed_loop import predicted_closed_loop
 from service.identification.combine import amplifier_state_space, plant_poles, plant_state_space, transmission_zeros
 from service.identification.etfe import FrequencyResponse, etfe
+from service.identification.evidence import Evidence
 from service.identification.extended import extended_report
 from service.identification.margins import axis_margins, dense_grid
+from service.identification.noise import block_noise
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.points import PlanePoints, same_frequency
 from service.identification.refine import Data, Refined, amplitude_of, noise_of
@@ -84,7 +87,7 @@ def assemble(
         model=model,
         covariance=u.covariance,
         parameter_names=names,
-        amplifiers=_amplifiers(model, u, data, fits),
+        amplifiers=_amplifiers(model, u, data, fits, held_out),
         stiffness=_stiffness(model, u, datasheet, points),
         modes=_modes(model, u, points),
         delay_s=_estimates(model, u, lambda m: np.array([m.delay_s]), ["s"])[0],
@@ -111,7 +114,7 @@ def assemble(
         tests_passed=passed,
         adequate=u.adequate,
         widening=u.widening,
-        mode_evidence=selected.evidence,
+        mode_evidence=_unseen_modes(selected, held_out),
         state_space=plant_state_space(model, points.axes),
         amplifier_state_space=amplifier_state_space(model, points.axes),
         margins=dict(zip("AB", peaks, strict=True)),
@@ -176,6 +179,40 @@ def _cross_validation(
         return None, rms, None, None
     fit, response = frequency_fit(model, points)
     return fit, rms, etfe(points, "u->y"), response
+
+
+def _unseen_modes(selected: Selected, points: PlanePoints | None) -> tuple[Evidence, ...]:
+    """The evidence on the number of modes, with how each candidate does on points that no fit has seen."""
+    if points is None:
+        return selected.evidence
+    # one noise for all of them: that of the chosen model
+    chosen = selected.refined.model
+    sigma = noise_of(chosen, points, amplitude_of(chosen, points)).sigma[:, -2:]
+    out = []
+    for e, model in zip(selected.evidence, selected.candidates, strict=True):
+        y = model.predict(Points(points.omega, points.u), amplitude_of(model, points)).y
+        out.append(replace(e, unseen_rms=float(np.sqrt(np.mean(np.abs((points.y - y) / sigma) ** 2)))))
+    return tuple(out)
+
+
+def _unseen_amplifier(
+    fit: AmplifierFit, channel: int, points: PlanePoints | None, model: PlaneModel
+) -> tuple[Evidence, ...]:
+    """The evidence on an amplifier's order, with how each order does on currents that no fit has seen."""
+    if points is None or points.I is None or points.i is None or not np.any(points.axis == channel):
+        return fit.evidence
+    own = points.select(points.axis == channel)
+    assert own.I is not None
+    assert own.i is not None
+    ratio = own.i[:, channel] / own.u[:, channel]
+    away = own.I[:, :, channel] - ratio[:, None] * own.U[:, :, channel]
+    sigma = block_noise(away[:, :, None], own.omega).sigma[:, 0]
+    out = []
+    for e, (_, parameters, delay) in zip(fit.evidence, fit.fits, strict=True):
+        late = delay + model.known.computing_delay_s
+        i = amp.sampled(own.omega, parameters, late, model.known.sample_time_s)[0] * own.u[:, channel]
+        out.append(replace(e, unseen_rms=float(np.sqrt(np.mean(np.abs((own.i[:, channel] - i) / sigma) ** 2)))))
+    return tuple(out)
 
 
 def _residual_tests(refined: Refined, points: PlanePoints) -> tuple[Real, dict[str, list[CorrelationTest]]]:
@@ -261,7 +298,11 @@ def _poles(model: PlaneModel, u: Uncertainty) -> tuple[PoleResult, ...]:
 
 
 def _amplifiers(
-    model: PlaneModel, u: Uncertainty, data: Data, fits: tuple[AmplifierFit, AmplifierFit] | None
+    model: PlaneModel,
+    u: Uncertainty,
+    data: Data,
+    fits: tuple[AmplifierFit, AmplifierFit] | None,
+    held_out: PlanePoints | None,
 ) -> dict[str, AmplifierResult]:
     out = {}
     scatter = _amplifier_scatter(data)
@@ -293,7 +334,7 @@ def _amplifiers(
             dict(zip(names, found, strict=True)),
             fit,
             first,
-            fits[j].evidence if fits is not None else (),
+            _unseen_amplifier(fits[j], j, held_out, model) if fits is not None else (),
             first_order,
         )
     return out

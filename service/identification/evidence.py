@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from service.identification.zoh import Real
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -17,6 +21,10 @@ class Evidence:
     """Sum of squares in units of the noise."""
     chosen: bool = False
     note: str = ""
+    leave_one_out_rms: float | None = None
+    """Cross-validation within the data: residual over noise of each value, predicted by a fit without it."""
+    unseen_rms: float | None = None
+    """Cross-validation on a sweep that no fit has seen: residual over noise. None without such a sweep."""
 
     @property
     def rms(self) -> float:
@@ -42,6 +50,20 @@ class Evidence:
     @property
     def _fit(self) -> float:
         return self.n_data * math.log(max(self.cost, 1e-300) / self.n_data)
+
+
+def leave_one_out(residual: Real, jacobian: Real) -> float:
+    """Root mean square of r_k/(1 - h_k), the residual of value k by a fit without it.
+
+    h is the diagonal of J (J^T J)^-1 J^T; exact where the model is linear about its optimum (Allen's PRESS).
+
+    >>> leave_one_out(np.array([1.0, -1.0, 1.0, -1.0]), np.ones((4, 1)))
+    1.3333333333333333
+    """
+    norms = np.linalg.norm(jacobian, axis=0)
+    q, _ = np.linalg.qr(jacobian / np.where(norms > 0, norms, 1.0))
+    leverage = np.minimum(np.einsum("nk,nk->n", q, q), 1 - 1e-9)
+    return float(np.sqrt(np.mean((residual / (1.0 - leverage)) ** 2)))
 
 
 def best(candidates: list[Evidence], clear: float = 10.0) -> int:

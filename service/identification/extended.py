@@ -13,6 +13,7 @@ import numpy as np
 
 from service.identification.least_squares import covariance_of
 from service.identification.plane_model import EXTENDED
+from service.identification.profile import profiles
 from service.identification.refine import Data, Refined, residuals
 from service.identification.split import HELD, Posterior
 from service.identification.uncertainty import Uncertainty
@@ -64,6 +65,8 @@ def extended_report(
             "nominal": float(model.theta[model.layout.index(name)]),
             "identifiable": bool(std < tolerance[name]),
         }
+    spread = {name: (out[name]["value"], out[name]["std"]) for name in asked}
+    out["profile"] = profiles(refined, splits, data, spread)
     out["identifiable"] = all(out[name]["identifiable"] for name in asked)
     out["given"] = {"mass_kg": datasheet.mass_kg}
     out |= _rank(full, refined, scale)

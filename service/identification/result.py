@@ -295,6 +295,8 @@ def evidence_document(e: Evidence) -> dict[str, Any]:
         "aic": e.aic,
         "mdl": e.mdl,
         "fpe": e.fpe,
+        "leave_one_out_rms": e.leave_one_out_rms,
+        "cross_validation_rms": e.unseen_rms,
         "chosen": e.chosen,
         "note": e.note,
     }

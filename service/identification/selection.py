@@ -8,11 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.etfe import FrequencyResponse
-from service.identification.evidence import Evidence
+from service.identification.evidence import Evidence, leave_one_out
 from service.identification.flexible import PoleResidue, search, shapes_of
 from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
 from service.identification.refine import Data, Refined, Weights, refine, residuals
-from service.identification.split import Knowledge, Posterior, Split, held_at_start, log_ratios, posterior
+from service.identification.split import (
+    LOOSE,
+    Knowledge,
+    Posterior,
+    Split,
+    held_at_start,
+    log_ratios,
+    posterior,
+    split_rows,
+)
 from service.identification.zoh import Real
 
 MAX_MODES = 6
@@ -29,6 +38,8 @@ class Selected:
     splits: Posterior | None
     """What is known of the shapes' splits; None without modes."""
     evidence: tuple[Evidence, ...]
+    candidates: tuple[PlaneModel, ...] = ()
+    """The joint fits that the evidence is of."""
 
 
 def with_modes(model: PlaneModel, modes: Real) -> PlaneModel:
@@ -121,13 +132,15 @@ def choose_modes(
             _data_cost(r, data),
             n == now,
             r.fit.status,
+            _left_out(r, data),
         )
         for n, r in sorted(tried.items())
     )
+    candidates = tuple(r.model for _, r in sorted(tried.items()))
     if _rms(tried[now], data) > ADEQUATE:
         wrong = _forgiving(with_modes(start, modes), data, knowledge)
-        return Selected(*_finished(wrong, data, knowledge), evidence)
-    return Selected(*_finished(tried[now], data, knowledge), evidence)
+        return Selected(*_finished(wrong, data, knowledge), evidence, candidates)
+    return Selected(*_finished(tried[now], data, knowledge), evidence, candidates)
 
 
 def _forgiving(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
@@ -241,6 +254,16 @@ def _again(model: PlaneModel, data: Data, weights: Weights, knowledge: Knowledge
 def _data_cost(refined: Refined, data: Data) -> float:
     r, _ = residuals(refined.model, data, refined.weights, refined.amplitude, gradient=False)
     return float(r @ r)
+
+
+def _left_out(refined: Refined, data: Data) -> float:
+    r, jacobian = residuals(refined.model, data, refined.weights, refined.amplitude)
+    assert jacobian is not None
+    held, slope = split_rows(refined.model, Split(log_ratios(refined.model), LOOSE))
+    whole = np.vstack([jacobian, slope])[:, refined.fit.free]
+    # the rows that hold splits are at rest and not left out: they only share the leverage
+    padded = leave_one_out(np.concatenate([r, np.zeros(len(held))]), whole)
+    return padded * float(np.sqrt((len(r) + len(held)) / len(r)))
 
 
 def _n_data(refined: Refined, data: Data) -> int:

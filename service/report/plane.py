@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.experiment.data import Experiment
+from service.identification.evidence import Evidence
 from service.identification.result import PlaneResult
 from service.identification.validation import nrmse_matrix
 from service.report import bode, residuals
@@ -119,24 +120,51 @@ def _amplifiers(plane: PlaneResult) -> str:
 def _more(plane: PlaneResult) -> str:
     """Model order, identifiability and the state space, folded away."""
     evidence = table(
-        ["flexible modes", "parameters", "residual over noise, rms", "MDL", "AIC", ""],
+        [
+            "candidate",
+            "parameters",
+            "residual / noise",
+            "MDL",
+            "AIC",
+            "FPE",
+            "each left out",
+            "unseen sweep",
+            "",
+        ],
         [
             [
-                e.name,
+                name,
                 str(e.n_parameters),
                 fixed(e.rms, 3),
                 fixed(e.mdl, 0),
                 fixed(e.aic, 0),
+                number(e.fpe, 4),
+                fixed(e.leave_one_out_rms, 3),
+                fixed(e.unseen_rms, 3),
                 "chosen" if e.chosen else "",
             ]
-            for e in plane.mode_evidence
+            for name, e in _candidates(plane)
         ],
     )
+    evidence += paragraph(
+        "Lower is better in every column. AIC, FPE and MDL charge for parameters; cross-validation does so by itself: "
+        "residual over noise of each value by a fit without it, and of a sweep that no fit has seen. The simplest "
+        "candidate is chosen that none beats clearly by MDL.",
+        "small",
+    )
     return (
-        f"<details><summary>How many modes</summary>{evidence}</details>"
+        f"<details><summary>How many modes, and of which order the amplifiers</summary>{evidence}</details>"
         f"<details><summary>Inertia and centre of gravity</summary>{_extended(plane)}</details>"
         f"<details><summary>State space of the plant, modal form</summary>{_state_space(plane)}</details>"
     )
+
+
+def _candidates(plane: PlaneResult) -> list[tuple[str, Evidence]]:
+    """Every alternative that was tried, with its name."""
+    found = [(e.name, e) for e in plane.mode_evidence]
+    for axis, a in plane.amplifiers.items():
+        found += [(f"amplifier {plane.plane}{axis}, {e.name}", e) for e in a.evidence]
+    return found
 
 
 def _extended(plane: PlaneResult) -> str:
@@ -151,9 +179,22 @@ def _extended(plane: PlaneResult) -> str:
             value, std = figures(float(e["value"]), float(e["std"]))
             rows.append([label, value, std, number(float(e["nominal"])), "yes" if e["identifiable"] else "no"])
     text = "; ".join(str(a) for a in plane.extended.get("aliases", ()))
-    return table(
-        ["with the mass given", "estimate", "std. dev.", "datasheet", "better than the datasheet"], rows
-    ) + paragraph(f"Cannot be told apart by these data: {text}.", "small")
+    profile = plane.extended.get("profile", {})
+    grown = [
+        [
+            label,
+            ", ".join(number(float(v), 6) for v in profile[key]["held_at"]),
+            ", ".join(number(float(v), 3) for v in profile[key]["cost_growth"]),
+            "flat: cannot be told" if profile[key]["flat"] else "identifiable",
+        ]
+        for key, label in {**names, "mass_kg": "mass, kg", "common_sensor_gain": "gain of all sensors"}.items()
+        if key in profile
+    ]
+    likelihood = table(["held, everything else refitted", "at", "−2 log likelihood grows by", ""], grown)
+    return (
+        table(["with the mass given", "estimate", "std. dev.", "datasheet", "better than the datasheet"], rows)
+        + f"{likelihood}{paragraph(f'Cannot be told apart by these data: {text}.', 'small')}"
+    )
 
 
 def _state_space(plane: PlaneResult) -> str:
