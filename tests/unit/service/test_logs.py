@@ -86,6 +86,7 @@ SECRET = KEY.rsplit("_", 1)[1]
         (lambda log: log.info("password=hush&x=1"), "hush"),
         (lambda log: log.info("-----BEGIN PRIVATE KEY-----\nMIIhush\n-----END PRIVATE KEY-----"), "MIIhush"),
     ],
+    ids=range(11),  # a key is another one in every process, and so would be its test's name
 )
 def test_a_secret_never_reaches_the_log(restored, form, say, secret):
     stream = io.StringIO()
