@@ -1,6 +1,6 @@
-"""Identification at the statistical limit: Monte Carlo against the Cramer-Rao bound, CPU time, a black box beside it.
+"""Identification at the statistical limit: Monte Carlo against the Cramer-Rao bound, CPU time, other tools beside it.
 
-Run: python benchmarks/identification.py [--runs 200] [--noise 0.01]
+Run: python benchmarks/identification.py [--runs 200] [--noise 0.01] [--peers-only]
 
 Reference plant (Tables 5-1, 5-3, 5-5 and Appendix A of the thesis), 320 points, the noise relative to each signal; the
 datasheet's ki is 88 % off, ks 37 %, and no mode is known. Seeds are fixed.
@@ -12,20 +12,19 @@ import argparse
 import time
 from dataclasses import replace
 
+import _peers
 import numpy as np
 
 from service.experiment.data import Experiment
-from service.identification.combine import plant_poles
-from service.identification.fit import identify
+from service.identification.fit import fit_plane, identify
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.points import plane_points
 from service.identification.refine import Data, Weights, amplitude_of, refine
 from service.identification.result import PlaneResult
+from service.identification.selection import modes_from, with_modes, with_split
 from service.identification.split import Posterior, Split, log_ratios
-from service.identification.subspace import subspace
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
-from service.identification.validation import nrmse_matrix
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.reference import reference_datasheet, reference_rig
 
@@ -156,43 +155,49 @@ def one_fit(noise: float) -> None:
     )
 
 
-def beside(noise: float) -> None:
-    """The joint fit and a black-box subspace model on the same data."""
-    data, truth = experiment(noise, 0)
-    plane = identify(data, reference_datasheet()).planes["x"]
-    curves = plane.curves
-    exact = truth.plant_response(curves.plant.omega)
-    begin = time.process_time()
-    black = subspace(curves.plant, 8)
-    spent = time.process_time() - begin
-    poles = np.array([230.24, 110.56])
-    print("\nSame data, plant i->y   NRMSE % 11/12/21/22        rms     unstable poles off %    zeta1, zeta2 off %")
-    for name, g, p in (
-        ("joint physical model", plane.model.plant_response(curves.plant.omega), plant_poles(plane.model)),
-        (f"subspace ({1e3 * spent:.0f} ms)", black.response(curves.plant.omega), black.poles),
-        ("truth", exact, plant_poles(truth)),
-    ):
-        fit = nrmse_matrix(curves.plant.value, g).ravel()
-        rms = np.sqrt(np.mean(np.abs((curves.plant.value - g) / curves.plant.std) ** 2))
-        true_poles = plant_poles(truth)
-        unstable = [100 * (np.min(np.abs(p - t)) / abs(t)) for t in poles]
-        zetas = []
-        for w in truth.modes[:, 0]:
-            at, ref = p[np.argmin(np.abs(p - 1j * w))], true_poles[np.argmin(np.abs(true_poles - 1j * w))]
-            zetas.append(100 * ((at.real / abs(at)) / (ref.real / abs(ref)) - 1))
-        print(
-            f"{name:22}  {'/'.join(f'{x:.1f}' for x in fit):22} {rms:8.2f}     {unstable[0]:8.3f} {unstable[1]:8.3f}"
-            f"      {zetas[0]:+8.2f} {zetas[1]:+8.2f}"
-        )
+def beside(noise: float, data_sets: int = 5) -> None:
+    """The joint fit, the whole procedure, and other tools on the same data."""
+    sheet, cases = reference_datasheet(), []
+    for seed in range(data_sets):
+        data, truth = experiment(noise, seed)
+        begin = time.process_time()
+        plane = identify(data, sheet).planes["x"]
+        whole = time.process_time() - begin
+        cases.append(_peers.Case(plane, joint_fit(data, sheet), whole))
+    _peers.table(cases, truth, noise)
+
+
+def joint_fit(data: Experiment, sheet: Datasheet) -> tuple[float, PlaneModel]:
+    """CPU of one joint fit from where the staged steps end, amplifiers and noise known, and its model."""
+    found = fit_plane(data.main, None, None, sheet.axes, "x", sheet)
+    start = with_modes(found.staged.rigid_model, modes_from(found.staged.search[1], found.staged.rigid_model.ki))
+    best = found.selected.refined.model
+    split = Split(log_ratios(best))
+    start = with_split(start, split.log_ratios)
+    theta = start.theta.copy()
+    theta[4 : start.layout.delay + 1] = best.theta[4 : best.layout.delay + 1]
+    start = start.at(theta)
+    fixed = tuple(n for n in start.layout.names if n.startswith("amplifier") or n == "delay_s")
+    free = start.layout.free(fixed=fixed)
+    weights = found.selected.refined.weights
+    times = []
+    for _ in range(5):
+        begin = time.process_time()
+        refined = refine(start, found.data, free, weights=weights, split=split)
+        times.append(time.process_time() - begin)
+    return float(np.median(times)), refined.model
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--noise", type=float, default=0.01)
+    parser.add_argument("--peers-only", action="store_true", help="no Monte Carlo")
     arguments = parser.parse_args()
     one_fit(arguments.noise)
     beside(arguments.noise)
+    if arguments.peers_only:
+        return
     sheet = reference_datasheet()
     monte_carlo(arguments.runs, arguments.noise, with_rotor_model(sheet), "shapes' splits known")
     monte_carlo(arguments.runs, arguments.noise, sheet, "no mode known")
