@@ -66,17 +66,26 @@ def identify(
     experiment: Annotated[Path, typer.Argument(help="Experiment file: HDF5 or MATLAB.")],
     rig: Annotated[Path, typer.Option(help="Datasheet of the rig, rig.toml.")],
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
+    also: Annotated[
+        list[Path] | None,
+        typer.Option(help="A further experiment of the same rig, at another speed; may be given again."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Identify a rig from an experiment file, and write result.json and report.html."""
+    """Identify a rig from an experiment file, and write result.json and report.html.
+
+    An experiment at several speeds, in one file or in several, gives the rotating model, too.
+    """
     from service import bootstrap
     from service.experiment import file
+    from service.experiment.merge import merged
     from service.output import ready_folder
     from sim.datasheet import read
 
     datasheet = read(rig)
     ready_folder(out)
-    measured = file.read(experiment)
+    paths = [experiment, *(also or [])]
+    measured = merged([file.read(p) for p in paths], [str(p) for p in paths])
     announce = say if sys.stderr.isatty() else None  # a log wants no word before the result or the error
     done = bootstrap.identify_into(measured, datasheet, out, str(experiment), announce)
     show(done.document, done.files, done.seconds, measured, as_json)
