@@ -6,11 +6,13 @@ Like `service.experiment.phases` every decision follows from profile and measure
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from service.experiment import distortion, multisine_plan
 from service.experiment.errors import CampaignError
@@ -23,6 +25,7 @@ from service.experiment.plan import Limits, Profile, Request
 from service.experiment.points import Point
 from service.experiment.progress import Meter
 from service.experiment.recorder import Recorder, Trip
+from service.experiment.settling import period_change
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -31,12 +34,28 @@ NAMES = ("r", "u", "i", "y")
 PILOT_TRIES = 4
 LOWER = 0.5
 """Level after a trip, against the one that tripped."""
-UNSETTLED = 2.0
-"""Power of the change between periods over that of the noise at rest beyond which a transient is not over."""
+SETTLED = ("main", "validation")
+"""Sweeps whose responses are sharp. An amplifier's current follows its control signal at once, and a pilot is rough."""
+LASTING = 0.5
+"""A change between periods that a doubled settling time does not lower to this share (of power) is no transient."""
 NEGLIGIBLE = 5e-4
 """Relative change between periods that does not matter: a quarter of the accuracy of a stepped sine's point."""
 DISTORTED = 0.05
 """Odd distortion of the current over its signal above which an amplifier is at its limit."""
+
+TOLERANCE = 1.5
+"""What `settling.period_change` may reach: the noise it is compared with was estimated, from a short record."""
+TOLERABLE = 4.0
+"""A change beyond that is not taken for noise, however it lasts."""
+REST_PERIODS = 4
+"""Periods without excitation: noise with the resolution of the lines, which a spectrum of short segments smears."""
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """A transient was not over; what it exceeds the noise by, see `settling.period_change`."""
+
+    excess: float
 
 
 @dataclass(frozen=True)
@@ -49,12 +68,14 @@ class Played:
     peak_current_a: float
     kurtosis: Real
     """(n_axes,) E[y^4] / (3 E[y^2]^2) over all experiments: 1 for Gaussian."""
-    settled: bool
 
     def columns(self) -> dict[str, Complex]:
-        """(L, inputs, n) mean over the periods, each input as if alone."""
+        """(P, L, inputs, n) of every period, each input as if alone."""
         L = len(self.multisine.lines.excited)
-        return {s: separated(v[:, :, :L].mean(axis=1), self.multisine) for s, v in self.values.items()}
+        return {
+            s: np.array([separated(v[:, p, :L], self.multisine) for p in range(v.shape[1])])
+            for s, v in self.values.items()
+        }
 
 
 class MultisinePhases:
@@ -80,6 +101,8 @@ class MultisinePhases:
         self.recorder, self.limits, self.profile, self.meter, self.done = recorder, limits, profile, meter, done
         self.extra = extra
         self.settle_s = profile.settle_s
+        self.tolerance = TOLERANCE
+        self._rest: dict[str, Real] = {}
         self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
         self._levels: dict[str, dict[str, dict[str, list[float | None]]]] = {}
 
@@ -92,12 +115,33 @@ class MultisinePhases:
         rest = Phases(self.recorder, self.limits, Profile(), self.meter, self.done)
         rest.noise_step(raw_records)
         self.knowledge = rest.knowledge
+        self.at_rest()
         responses = self.pilot()
         responses.into(self.knowledge)
         for sweep in ("main", "validation", "amplifier"):
             self.sweep(sweep, responses)
 
-    # ---- pilot
+    # ---- rest and pilot
+
+    def at_rest(self) -> None:
+        """Noise of every line of the main sweep's grid, and of its neighbours.
+
+        Raises
+        ------
+        CampaignError
+            The rig trips without excitation.
+        """
+        samples = round(self.profile.period_s * self.limits.sample_rate_hz)
+        top = math.ceil(min(self.profile.to_hz, self.limits.max_frequency_hz) * self.profile.period_s) + 2
+        request = PeriodicRequest("rest", 0, 0, np.zeros((samples, self.limits.n_axes)), REST_PERIODS, 0)
+
+        def reduction(records: dict[str, Real]) -> dict[str, Any]:
+            return {s: np.mean(np.abs(spectra(records[s], samples, np.arange(top))) ** 2, axis=0) for s in ("u", "y")}
+
+        found = self.recorder.reduced("rest", request, reduction)
+        if isinstance(found, Trip):
+            raise CampaignError(f"the rig trips without excitation ({found.message}); it cannot be measured")
+        self._rest = {s: uniform_filter1d(found[s], 3, axis=0) for s in ("u", "y")}
 
     def pilot(self) -> Responses:
         """Responses of the closed loop from a multisine that is small enough for a rig of which nothing is known.
@@ -113,11 +157,12 @@ class MultisinePhases:
             multisine = multisine_plan.pilot(self.profile, self.limits, lines, gain)
             outcome = self._realisation("pilot", 0, multisine)
             if isinstance(outcome, Played):
-                columns = outcome.columns()
+                columns = {s: v.mean(axis=0) for s, v in outcome.columns().items()}
                 r = np.einsum("ljj->lj", columns["r"])
                 f = lines.frequency_hz(self.limits.sample_rate_hz)
                 per_ampere = {s: np.swapaxes(columns[s] / r[:, :, None], 1, 2) for s in multisine_plan.SIGNALS}
                 return Responses(f, per_ampere)
+            assert isinstance(outcome, Trip)
             gain, why = gain / 4, outcome.message
         raise CampaignError(
             f"the rig trips even with {multisine_plan.PILOT_SHARE * gain * 100:.2g} % of the current's share "
@@ -151,31 +196,49 @@ class MultisinePhases:
         self, name: str, k: int, multisine: Multisine, gain: float, flags: list[str]
     ) -> tuple[Played, float]:
         """One realisation, at a lower level or settled for longer when it has to be."""
-        for attempt in range(self.profile.tries):
-            last = attempt == self.profile.tries - 1
+        lowered = lengthened = 0
+        before, waited = 0.0, self.settle_s
+        while lowered < self.profile.tries:
             outcome = self._realisation(name, k, multisine.scaled(gain))
-            if isinstance(outcome, Trip):
-                gain *= LOWER
-                _mark(flags, f"repeated at lower amplitude after a {outcome.cause} trip")
-            elif self._distorted(outcome) and not last:
-                gain *= LOWER
-                _mark(flags, "repeated at lower amplitude: the current was distorted")
-            elif not outcome.settled and not last:
-                self.settle_s *= 2
-            else:
-                if not outcome.settled:
+            if isinstance(outcome, Ringing):
+                longer = max(2 * self.settle_s, self.settle_s + self.profile.period_s / 2)
+                if LASTING * before < outcome.excess < TOLERABLE and before:
+                    # a longer wait did not lower it, so it is noise that the record at rest does not tell
+                    self.settle_s, self.tolerance = waited, 2 * max(outcome.excess, before)
+                elif lengthened == self.profile.tries or not self._may_settle(longer, multisine, name):
+                    self.tolerance = np.inf
                     _mark(flags, "not settled")
+                else:
+                    waited, self.settle_s = self.settle_s, longer
+                    lengthened += 1
+                before = outcome.excess
+            elif isinstance(outcome, Trip):
+                gain *= LOWER
+                lowered += 1
+                _mark(flags, f"repeated at lower amplitude after a {outcome.cause} trip")
+            elif self._distorted(outcome) and lowered < self.profile.tries - 1:
+                gain *= LOWER
+                lowered += 1
+                _mark(flags, "repeated at lower amplitude: the current was distorted")
+            else:
                 return outcome, gain
         raise CampaignError(
             f"the {name} multisine trips at every level down to {gain:.2g} of the planned one; see to the rig"
         )
 
+    def _settling(self, name: str) -> float:
+        return self.settle_s if name in SETTLED else self.profile.short_settle_s
+
+    def _may_settle(self, seconds: float, multisine: Multisine, name: str) -> bool:
+        record = multisine_plan.periods_of(name, self.profile) * multisine.lines.samples
+        return multisine_plan.settle_samples(seconds, self.limits) + record <= self.limits.max_samples
+
     def _distorted(self, played: Played) -> bool:
         levels = self._pooled([played], "i")
         return bool(np.any(levels.odd > DISTORTED * levels.signal))
 
-    def _realisation(self, name: str, k: int, multisine: Multisine) -> Played | Trip:
-        """All experiments of one realisation."""
+    def _realisation(self, name: str, k: int, multisine: Multisine) -> Played | Trip | Ringing:
+        """All experiments of one realisation, or what ended it early."""
         lines = multisine.lines
         both = np.concatenate([lines.excited, lines.detection])
 
@@ -192,11 +255,13 @@ class MultisinePhases:
                 e,
                 multisine.waveform(e),
                 multisine_plan.periods_of(name, self.profile),
-                multisine_plan.settle_samples(self.settle_s, self.limits),
+                multisine_plan.settle_samples(self._settling(name), self.limits),
             )
             outcome = self.recorder.reduced(name, request, reduction)
             if isinstance(outcome, Trip):
                 return outcome
+            if name in SETTLED and (excess := self._excess(multisine, outcome)) > self.tolerance:
+                return Ringing(excess)
             found.append(outcome)
             self.meter.rig_seconds = self.recorder.rig_seconds
             self.meter.finished(name, f"realisation {k + 1}, experiment {e + 1}", self.recorder.replaying)
@@ -208,38 +273,43 @@ class MultisinePhases:
             max(float(x["peak_displacement_m"]) for x in found),
             max(float(x["peak_current_a"]) for x in found),
             fourth / (3 * second**2),
-            self._settled(multisine, values["y"]),
         )
 
-    def _settled(self, multisine: Multisine, Y: Complex) -> bool:
-        """Whether the first period is like the last but for the noise at rest."""
-        lines = multisine.lines
+    def _excess(self, multisine: Multisine, found: dict[str, Any]) -> float:
+        """Change from the first period to the last over what chance allows.
+
+        Of y, and of u, which is small where a plant resonates.
+        """
+        lines, rate = multisine.lines, self.limits.sample_rate_hz
         L = len(lines.excited)
-        rate = self.limits.sample_rate_hz
-        change = np.abs(Y[:, -1, :L] - Y[:, 0, :L]) ** 2
-        variance = np.array(
-            [self.knowledge.noise.block_variance(float(f), lines.samples / rate)["y"] for f in lines.frequency_hz(rate)]
-        )
-        size = np.mean(np.abs(Y[:, :, :L]) ** 2, axis=(0, 1, 3))[:, None]
-        allowed = 2 * variance + NEGLIGIBLE**2 * size
-        return bool(np.mean(change / allowed) < UNSETTLED)
+        smooth = [self.knowledge.noise.block_variance(float(f), lines.samples / rate) for f in lines.frequency_hz(rate)]
+        ratios = []
+        for s in ("u", "y"):
+            X = found[s][:, :L]
+            variance = np.maximum(self._rest[s][lines.excited], np.array([v[s] for v in smooth]))
+            size = np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 2)))
+            ratios.append(period_change(X[0], X[-1], variance, NEGLIGIBLE * size))
+        return max(ratios)
 
     # ---- what it gives
 
     def _points(self, name: str, lines: Lines, played: list[Played], flags: list[str]) -> list[Point]:
-        """Points of a sweep: a block is a realisation, so that the blocks scatter by noise and distortion."""
+        """Points of a sweep: a block is a period of a realisation, so that blocks scatter by noise and distortion."""
         columns = [p.columns() for p in played]
-        stacked = {s: np.array([c[s] for c in columns]) for s in NAMES}  # (B, L, inputs, n)
+        stacked = {s: np.concatenate([c[s] for c in columns]) for s in NAMES}  # (B, L, inputs, n)
+        # the excitation that was played is rounded: its own phase, not the planned one, is the time origin
+        late = np.angle(np.einsum("bljj->blj", stacked["r"]))
+        stacked = {s: v * np.exp(-1j * late)[..., None] for s, v in stacked.items()}
         f = lines.frequency_hz(self.limits.sample_rate_hz)
         periods, settle = (
             multisine_plan.periods_of(name, self.profile),
-            multisine_plan.settle_samples(self.settle_s, self.limits),
+            multisine_plan.settle_samples(self._settling(name), self.limits),
         )
         points = []
         for k, line in enumerate(lines.excited):
             for axis in range(self.limits.n_axes):
                 amplitude = float(np.mean(np.abs(stacked["r"][:, k, axis, axis])))
-                request = Request(axis, amplitude, int(line) * periods, lines.samples * periods, len(played), settle)
+                request = Request(axis, amplitude, int(line), lines.samples, periods * len(played), settle)
                 R, U, I, Y = (stacked[s][:, k, axis][:, None, :] for s in NAMES)
                 points.append(
                     Point(
@@ -254,7 +324,8 @@ class MultisinePhases:
                         self.recorder.rig_seconds,
                         "; ".join(flags),
                         kind="multisine",
-                        phase_rad=np.array([np.angle(p.multisine.spectrum[k, axis]) for p in played]),
+                        phase_rad=late[:, k, axis]
+                        + np.repeat([np.angle(p.multisine.spectrum[k, axis]) for p in played], periods),
                         kurtosis=np.mean([p.kurtosis for p in played], axis=0),
                     )
                 )

@@ -36,13 +36,14 @@ class MultisineProfile:
     lines: int = 220
     """Odd lines of the main sweep, the detection lines among them included."""
     period_s: float = 1.0
-    periods: int = 3
-    """Recorded periods of every experiment of the main sweep; all others take two, the fewest that tell a transient
-    from noise."""
+    periods: int = 2
+    """Recorded periods of every experiment: two are the fewest that tell a transient, and distortion, from noise."""
     realisations: int = 5
     """Draws of the phases, each played in as many experiments as there are axes: the blocks of the main sweep."""
-    settle_s: float = 0.3
-    """Settling to begin with; doubled as long as the periods still change."""
+    settle_s: float = 0.8
+    """Settling to begin with, main and validation sweep; doubled as long as the periods still change."""
+    short_settle_s: float = 0.3
+    """Settling of the pilot and of the amplifier sweep, whose figures no transient spoils."""
     validation_realisations: int = 2
     validation_gain: float = 0.6
     """Level of the validation sweep against the main one."""
@@ -161,7 +162,7 @@ def lines_of(sweep: str, profile: MultisineProfile, limits: Limits, hum_hz: tupl
 
 
 def periods_of(sweep: str, profile: MultisineProfile) -> int:
-    """Recorded periods of every experiment."""
+    """Recorded periods of every experiment: more than two only help the main sweep."""
     return profile.periods if sweep == "main" else min(2, profile.periods)
 
 

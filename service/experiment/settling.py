@@ -68,6 +68,30 @@ def _chi_square_limit(freedom: int) -> float:
     return float(2 * gammainccinv(freedom / 2, FALSE_ALARM / 2))
 
 
+def period_change(first: Complex, last: Complex, variance: Real, negligible: Real) -> float:
+    """How much a multisine's lines still change from the first period to the last, over what chance allows.
+
+    Parameters
+    ----------
+    first, last
+        (L, n) amplitudes at L lines of n axes.
+    variance
+        (L, n) noise variance E|X|^2 of one period.
+    negligible
+        (L,) a change that does not matter, whatever the noise.
+
+    Returns
+    -------
+    ratio
+        Of the line that changes most: its power of change over the limit that noise alone exceeds at any of the lines
+        with `FALSE_ALARM`. Above 1 a transient is not over.
+    """
+    n_lines, n = first.shape
+    power = np.sum(np.abs(last - first) ** 2 / (2 * variance + negligible[:, None] ** 2), axis=1)
+    limit = float(gammainccinv(n, FALSE_ALARM / n_lines))  # a sum of n exponential variables
+    return float(np.max(power) / limit)
+
+
 def stationary(before: Agreement, after: Agreement) -> bool:
     """Whether a longer wait did not help: what scatters is noise or interference that excitation brings, no transient.
 

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import oaconvolve
-from scipy.special import digamma, polygamma
+from scipy.special import digamma, gammaincinv, polygamma
 
 from service.identification.zoh import Complex, Real
 
 NEIGHBOURS = 12
+CHANCE = 1e-3
+"""Share of the frequencies that chance alone may take for noisier than their neighbours."""
 DRIFT = 3.0
 """Variance of the mean of drifting blocks, in units of one block's: what is left of the transient is no noise."""
 
@@ -50,6 +52,7 @@ def block_noise(
     correlated: bool = True,
     magnitude: Real | None = None,
     suspect: NDArray[np.bool_] | None = None,
+    sparse: bool = False,
 ) -> NoiseModel:
     """Noise of the mean residual from its blocks.
 
@@ -66,6 +69,9 @@ def block_noise(
         phase): the variance follows a + b magnitude^2 before neighbours are compared.
     suspect
         (P,) points that are taken for drifting whatever their blocks say.
+    sparse
+        Whether frequencies are so far apart that a resonance may raise the scatter of one and not of its neighbours:
+        points of one frequency that together scatter more than chance allows keep their own variance.
     """
     n, blocks, channels = residual.shape
     dof = blocks - 1
@@ -81,6 +87,8 @@ def block_noise(
     pooled = _smooth(own / shared, order, NEIGHBOURS) * shared
     ratio, prior = _drawn_together(own / pooled, order, dof)
     own, variance = own * trend, ratio * pooled * trend
+    if sparse:
+        variance = _own_where_larger(variance, own, omega, dof)
     variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
     drifting = _drifting(spread, own / trend, order)
     if suspect is not None:
@@ -109,6 +117,17 @@ def block_noise(
         covariance[:, np.arange(channels), np.arange(channels)] = variance
     alike = float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf")
     return NoiseModel(covariance / blocks, alike, np.any(drifting, axis=1))
+
+
+def _own_where_larger(variance: Real, own: Real, omega: Real, dof: int) -> Real:
+    """Variance (P, c), or what the points of one frequency show of their own where that is more than chance allows."""
+    _, place, count = np.unique(np.round(omega, 6), return_inverse=True, return_counts=True)
+    ratio = np.zeros((len(count), own.shape[1]))
+    np.add.at(ratio, place, own / variance)
+    shown = (ratio / count[:, None])[place]
+    freedom = dof * count[place][:, None]
+    limit = gammaincinv(freedom, 1 - CHANCE) / freedom
+    return np.asarray(np.where(shown > limit, shown * variance, variance))
 
 
 def _trend(own: Real, magnitude: Real, dof: int, rounds: int = 30) -> Real:

@@ -81,7 +81,11 @@ def noise_of(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None
     i, y = predicted_blocks(model, points, amplitude)
     size = y if points.I is None else np.concatenate([i, y], axis=2)
     return block_noise(
-        residual_blocks(points, i, y), points.omega, magnitude=np.abs(size.mean(axis=1)), suspect=points.suspect
+        residual_blocks(points, i, y),
+        points.omega,
+        magnitude=np.abs(size.mean(axis=1)),
+        suspect=points.suspect,
+        sparse=points.many is not None,
     )
 
 

@@ -1,0 +1,264 @@
+"""A rig commissioned by multisines: as exact as it says, in a tenth of the time, and as safe as tone by tone."""
+
+import json
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.controller import TripCause, Waveform
+from drivers.errors import CancelledError, LeaseError, LimitError, TripError
+from drivers.simulated.driver import SimulatedController
+from service.experiment.campaign import recover, run_campaign
+from service.experiment.errors import CampaignError
+from service.experiment.file import read
+from service.experiment.multisine import synthesise
+from service.experiment.multisine_plan import MultisineProfile
+from service.identification.fit import identify
+from sim.reference import reference_datasheet, reference_rig
+from sim.twin import linear_model
+from tests.support.campaigns import Faulty, same
+
+RIG, SHEET = reference_rig(), reference_datasheet()
+SHORT = MultisineProfile(
+    lines=60, realisations=2, validation_realisations=2, amplifier_realisations=2, amplifier_lines=24
+)  # fmt: skip
+
+
+def campaign(folder, rig=None, profile=SHORT, **options):
+    controller = rig if rig is not None else SimulatedController(RIG, seed=1)
+    return run_campaign(controller, SHEET, folder, profile=profile, **options)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("multisine")
+    return folder, campaign(folder, profile=MultisineProfile())
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    return campaign(tmp_path_factory.mktemp("short"))
+
+
+def test_ki_ks_and_modes_are_within_three_reported_deviations_of_the_truth(whole):
+    result = identify(read(whole[0] / "experiment.h5"), SHEET).document("experiment.h5")
+    for p, (name, plane) in enumerate(result["planes"].items()):
+        for b, bearing in enumerate("AB"):
+            for key, truth in (("ki", RIG.magnets.ki), ("ks", RIG.magnets.ks)):
+                found = plane["stiffness"][key + bearing]
+                error = found["value"] - truth[2 * p + b]
+                assert abs(error) < 3 * found["std"], (name, key, bearing)
+                assert found["std"] < 4e-4 * truth[2 * p + b]
+        assert len(plane["rotor_modes"]) == 2
+        for mode, truth in zip(plane["rotor_modes"], RIG.rotor.modes[p], strict=True):
+            wn, zeta = mode["natural_frequency_rad_s"], mode["damping_ratio"]
+            assert abs(wn["value"] - truth.natural_frequency_rad_s) < 3 * wn["std"]
+            assert abs(zeta["value"] - truth.damping_ratio) < 3 * zeta["std"]
+            assert zeta["std"] < 0.02 * truth.damping_ratio
+
+
+def test_it_takes_a_tenth_of_the_stepped_sines_rig_time_and_says_so(whole):
+    """The stepped sine takes 1168 s on this rig (benchmarks/multisine.py)."""
+    seconds = float(whole[1].attributes["rig_seconds"])
+    assert 60 < seconds < 130
+    assert whole[1].main.time_s.max() < seconds
+
+
+def test_the_file_has_all_sweeps_in_the_contracts_form(whole):
+    folder, experiment = whole
+    assert [s.comment for s in experiment.sweeps] == ["main", "validation", "amplifier", "noise"]
+    assert [s.kind for s in experiment.sweeps] == ["multisine"] * 3 + ["noise"]
+    assert {p.name for p in folder.iterdir()} == {"experiment.h5"}
+    stored = read(folder / "experiment.h5")
+    same(stored, experiment)
+    np.testing.assert_array_equal(stored.main.phase_rad, experiment.main.phase_rad)
+    main = stored.main
+    own = main.R[np.arange(main.n_points), :, 0, main.axis]
+    assert np.all(own.real > 0)
+    assert np.max(np.abs(own.imag)) < 1e-6 * np.max(own.real)
+    others = np.abs(main.R).sum(axis=3)[:, :, 0] - np.abs(own)
+    assert np.max(others) < 1e-4 * np.min(np.abs(own))  # the inputs were separated
+
+
+def test_displacements_stay_within_their_share(whole):
+    """The peaks of all lines together, every axis, as the phases make them."""
+    profile = MultisineProfile()
+    main = whole[1].main
+    allowed = profile.displacement_share * min(SHEET.displacement_limit_m, SHEET.linear_range_m)
+    line = np.round(main.frequency_hz).astype(int)
+    for b in range(profile.realisations):
+        columns = (main.Y[:, b, 0] * np.exp(1j * main.phase_rad[:, b])[:, None]).reshape(-1, 4, 4)
+        y = synthesise(columns.sum(axis=1), line[::4], 4096)  # experiment 0: all signs positive
+        assert np.max(np.abs(y)) < 1.1 * allowed
+
+
+def test_the_plant_is_measured(short):
+    main = short.main
+    f = np.unique(main.frequency_hz)
+    U, Y = (x[:, :, 0].mean(axis=1).reshape(len(f), 4, 4).swapaxes(1, 2) for x in (main.U, main.Y))
+    plane = np.kron(np.eye(2), np.ones((2, 2)))
+    truth = linear_model(RIG, f).y_per_u * plane
+    error = np.linalg.norm((Y @ np.linalg.inv(U)) * plane - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
+    assert np.median(error) < 0.01
+
+
+def test_distortion_is_told_apart_from_noise(whole):
+    levels = json.loads(whole[1].attributes["distortion_db"])["main"]["y"]
+    # the magnets' law is odd round the centre; the displacement's cubic terms stand out of the noise
+    assert all(x is not None and -80 < x < -50 for x in levels["odd"])
+    assert all(x is None or x < -75 for x in levels["even"])
+    assert all(-80 < x < -50 for x in levels["noise"])
+
+
+def test_equal_campaigns_are_equal(tmp_path, short):
+    same(campaign(tmp_path), short)
+
+
+# ---- safety
+
+
+class Counted(Faulty):
+    """Faults before the n-th waveform."""
+
+    def measure_periodic(self, waveform):
+        self.n += 1
+        self.fault(self.n)
+        return self.inner.measure_periodic(waveform)
+
+
+@pytest.mark.parametrize("n", [3, 9])
+def test_an_interrupt_stops_the_rig_and_the_campaign_goes_on_where_it_stopped(tmp_path, short, n):
+    def fault(k):
+        if k == n:
+            raise KeyboardInterrupt
+
+    rig = Counted(fault)
+    with pytest.raises(CancelledError, match="run it again"):
+        campaign(tmp_path, rig)
+    assert rig.stops
+    assert rig.status().excitation_a == 0
+    assert rig.status().lease_holder == ""
+    kept = recover(tmp_path)
+    assert kept.named("noise") is not None
+    resumed = Counted(lambda k: None)
+    whole = campaign(tmp_path, resumed)
+    assert [s.comment for s in whole.sweeps] == [s.comment for s in short.sweeps]
+    reference = Counted(lambda k: None)
+    campaign(tmp_path / "anew", reference)
+    assert resumed.n == reference.n - (n - 1)
+    assert float(whole.attributes["rig_seconds"]) == pytest.approx(float(short.attributes["rig_seconds"]), rel=0.2)
+
+
+def test_a_cancel_ends_a_waveform_that_is_being_played(tmp_path):
+    flag = threading.Event()
+
+    def progress(report):
+        if report.phase == "main":
+            flag.set()
+
+    rig = SimulatedController(RIG, seed=1)
+    with pytest.raises(CancelledError):
+        campaign(tmp_path, rig, progress=progress, cancelled=flag.is_set)
+    assert rig.status().excitation_a == 0
+
+
+def test_a_rig_that_trips_is_measured_at_a_lower_level(tmp_path):
+    tight = replace(RIG, displacement_limit_m=9e-6)
+    experiment = campaign(tmp_path, SimulatedController(tight, seed=1))
+    usual = campaign(tmp_path / "usual")
+    assert experiment.main.amplitude_a.max() < 0.8 * usual.main.amplitude_a.max()
+    assert experiment.main.n_points == usual.main.n_points
+
+
+def test_a_rig_that_trips_at_every_level_is_given_up_with_the_excitation_off(tmp_path):
+    class Tripping(Counted):
+        def measure_periodic(self, waveform):
+            if waveform.peak_a:
+                raise TripError("displacement", "displacement of axis xA reached its limit")
+            return self.inner.measure_periodic(waveform)
+
+    rig = Tripping(lambda k: None)
+    with pytest.raises(CampaignError, match="trips even with"):
+        campaign(tmp_path, rig)
+    assert rig.stops
+    assert rig.status().excitation_a == 0
+
+
+def test_a_controller_without_waveforms_is_refused_before_anything_moves(tmp_path):
+    class TonesOnly(Faulty):
+        def capabilities(self):
+            return replace(self.inner.capabilities(), periodic=False)
+
+    rig = TonesOnly(lambda k: None)
+    with pytest.raises(CampaignError, match="stepped sine"):
+        campaign(tmp_path, rig)
+    assert rig.status().uptime_s >= 0
+    assert rig.n == 0
+
+
+# ---- the verb
+
+
+WAVE = Waveform(0.02 * np.cos(2 * np.pi * np.arange(500) / 500)[:, None] * np.array([1.0, -1.0, 0.5, 0.0]), 3, 500)
+
+
+def test_a_waveform_is_recorded_as_it_is_played():
+    rig = SimulatedController(RIG, seed=1)
+    with rig.lease("test"):
+        found = rig.measure_periodic(WAVE)
+    assert found.records["y"].shape == (1500, 4)
+    np.testing.assert_allclose(found.records["r"], np.tile(WAVE.r_a, (3, 1)), atol=0.5e-6)
+    assert 0 < np.abs(found.records["y"]).max() <= found.peak_displacement_m * (1 + 1e-6)
+    assert found.rig_seconds == pytest.approx(0.2 + 0.2, abs=1e-3)  # both ramps, settling and record
+    assert rig.status().excitation_a == 0
+
+
+def test_a_waveform_needs_the_lease_and_keeps_the_limits():
+    rig = SimulatedController(RIG, seed=1)
+    with pytest.raises(LeaseError):
+        rig.measure_periodic(WAVE)
+    with rig.lease("test"):
+        for wrong in (
+            replace(WAVE, r_a=WAVE.r_a * 1000),
+            replace(WAVE, r_a=WAVE.r_a[:, :2]),
+            replace(WAVE, r_a=WAVE.r_a * np.nan),
+            replace(WAVE, periods=0),
+            replace(WAVE, settle_samples=10**8),
+        ):
+            with pytest.raises(LimitError):
+                rig.measure_periodic(wrong)
+
+
+def test_a_waveform_that_moves_the_rotor_too_far_trips_with_the_excitation_off():
+    rig = SimulatedController(replace(RIG, displacement_limit_m=1e-6), seed=1)
+    with rig.lease("test"):
+        with pytest.raises(TripError):
+            rig.measure_periodic(WAVE)
+        status = rig.status()
+        assert status.trip is TripCause.DISPLACEMENT
+        assert status.excitation_a == 0
+        rig.acknowledge()
+
+
+def test_leaving_the_lease_ends_a_waveform():
+    rig = SimulatedController(RIG, seed=1)
+    long = replace(WAVE, settle_samples=1_500_000)
+    caught = []
+
+    def play():
+        try:
+            with rig.lease("test"):
+                rig.measure_periodic(long)
+        except CancelledError as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    while rig.status().excitation_a == 0:
+        pass
+    rig.stop()
+    thread.join(20)
+    assert caught
+    assert rig.status().excitation_a == 0
