@@ -71,7 +71,7 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
 
     warnings: list[str] = []
     if main.speed_rad_s:
-        remedy = "" if len(speeds) > 1 else "; add a sweep at standstill, or at another speed"
+        remedy = "" if len(speeds) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(
             f"planes measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling is not in their models{remedy}"
         )
@@ -89,12 +89,12 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
     rotating = None
-    if len(speeds) > 1:
+    if any(speeds):
         try:
             rotating = turned(experiment, datasheet, fitted, main.speed_rad_s)
             warnings += [f"rotating: {w}" for w in rotating.warnings]
         except AmbError as error:  # the planes' results stand
-            warnings.append(f"measured at {len(speeds)} speeds, but the rotating model was not fitted: {error}")
+            warnings.append(f"measured at speed, but the rotating model was not fitted: {error}")
     return CommissioningResult(
         datasheet.name,
         tuple(experiment.axes),

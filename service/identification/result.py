@@ -262,7 +262,7 @@ class CommissioningResult:
     warnings: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     rotating: Turned | None = None
-    """The rotor over all speeds, of an experiment at more than one."""
+    """The rotor over all speeds, of an experiment at speed."""
 
     def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
         """The contents of result.json; every number in it is finite or null."""
