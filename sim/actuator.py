@@ -90,8 +90,11 @@ def operating_point(rig: Rig) -> OperatingPoint:
         The magnets cannot carry the weight within the current limit.
     """
     m, n = rig.magnets, rig.n_axes
-    if not rig.gravity_m_per_s2 and not np.any(m.offset_m) and not m.flux_share:
-        return OperatingPoint(np.zeros(n), np.zeros(n), m.ki, m.ks)  # centred, unloaded: the magnets' own factors
+    if not rig.gravity_m_per_s2 and not np.any(m.offset_m):
+        # centred, unloaded: the magnets' own factors, less what a pole's pull grows more slowly with its flux
+        saturated_share = m.flux_share**m.flux_power
+        slope = 1 - m.flux_power * saturated_share / (2 * (1 + saturated_share))
+        return OperatingPoint(np.zeros(n), np.zeros(n), m.ki * slope, m.ks * slope)
     weight, turned = static_load(rig), force_rotation(rig)
     pull = force(m, np.zeros(n), np.zeros(n))
     load = weight - turned @ pull

@@ -78,3 +78,13 @@ def test_flux_saturation_keeps_the_pull_at_the_bias() -> None:
     assert np.all(actuator.force(m, large, np.zeros(n)) < 0.9 * actuator.force(plain, large, np.zeros(n)))
     assert np.all(actuator.force(m, small, np.zeros(n)) < actuator.force(plain, small, np.zeros(n)))
     np.testing.assert_allclose(actuator.force(m, np.zeros(n), np.zeros(n)), 0.0, atol=1e-9)
+
+
+def test_factors_of_a_saturating_pole_are_slopes_of_its_force() -> None:
+    m = effect("magnetic_saturation").on(QUIET, saturation_inverse_per_a=0.02, flux_share=0.6, flux_power=5.0).magnets
+    point, zero = actuator.operating_point(replace(QUIET, magnets=m)), np.zeros(QUIET.n_axes)
+    di, dx = 1e-4, 1e-9
+    ki = (actuator.force(m, zero + di, zero) - actuator.force(m, zero - di, zero)) / (2 * di)
+    ks = (actuator.force(m, zero, zero + dx) - actuator.force(m, zero, zero - dx)) / (2 * dx)
+    np.testing.assert_allclose(point.ki, ki, rtol=1e-5)
+    np.testing.assert_allclose(point.ks, ks, rtol=1e-5)
