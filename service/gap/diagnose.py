@@ -79,13 +79,14 @@ class Diagnosis:
 
 def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
     """The sweep to fit, the one that no fit sees, and its name; only excited sweeps of the plant count."""
+    # Lines of a multisine drive the magnets' nonlinearity together, and the fits here know one tone at a time.
     excited = [
         (k, s)
         for k, s in enumerate(experiment.sweeps)
-        if s.kind != "noise" and s.comment not in ("amplifier", "coarse")
+        if s.kind == "stepped-sine" and s.comment not in ("amplifier", "coarse")
     ]
     if not excited:
-        raise GapError("the experiment has no excited sweep; run the experiment, then diagnose")
+        raise GapError("the experiment has no stepped-sine sweep of the plant; run one, then diagnose")
     main = excited[0][1]
     for k, s in excited[1:]:
         return main, s, f"sweeps/{k}"

@@ -116,11 +116,15 @@ def stops(
         return [base]
     swing = np.abs(o.Y[:, o.fundamental]).max(axis=0)
     soft = SOFT * float(np.max(rig.magnets.ks))
-    limits = next(p for p in effect.parameters if p.name == "stiffness_n_per_m")
+    known = {p.name: p for p in effect.parameters}
+    limits = known["stiffness_n_per_m"]
     without, w = answer(rig, o)[..., rig.n_axes :], weight(o, "y")
     found = []
     for share in CLEARANCES:
-        clearances = {f"clearance_{axis}_m": share * float(s) for axis, s in zip(rig.axes, swing, strict=True)}
+        clearances = {
+            name: float(np.clip(share * s, known[name].low, known[name].high))
+            for name, s in zip((f"clearance_{axis}_m" for axis in rig.axes), swing, strict=True)
+        }
         for side in (0.0, 1.0, -1.0):
             values = {**base, **clearances, "side": 0.9 * side, "stiffness_n_per_m": max(soft, limits.low)}
             change = (answer(effect.on(rig, **values), o)[..., rig.n_axes :] - without) * w

@@ -113,3 +113,11 @@ def test_a_rotor_at_rest_cannot_tell_modal_from_internal_damping() -> None:
     d = diagnose(experiment(with_effects(true_rig(truth), {"modal_damping": ratio})), datasheet)
     assert d.verdict.effects == ("modal_damping",)
     assert ("modal_damping", "internal_damping") in d.verdict.indistinguishable
+
+
+def test_a_rotor_that_hardly_moves_is_diagnosed_too() -> None:
+    """A stop is looked for within a rotor's swing, which may be below the smallest clearance of the catalogue."""
+    datasheet, truth = known_datasheet(seed=17)
+    small = experiment(true_rig(truth), amplitude_a=0.004)
+    assert max(np.abs(s.Y[:, :, 1]).max() for s in small.sweeps) < 1e-6
+    assert diagnose(small, datasheet).verdict.kind == "no_gap"
