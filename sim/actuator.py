@@ -45,7 +45,7 @@ def force(m: Magnets, current_a: Array, displacement_m: Array) -> Array:
     if not m.flux_share:
         return np.asarray(k * (upper**2 - lower**2))
     share, n = m.flux_share * s0 / i0, m.flux_power  # of the pole's current over gap
-    pulls = [pole**2 * (1 + m.flux_share**n) / (1 + (share * pole) ** n) for pole in (upper, lower)]
+    pulls = [pole**2 * (1 + m.flux_share**n) / (1 + (share * np.abs(pole)) ** n) for pole in (upper, lower)]
     return np.asarray(k * (pulls[0] - pulls[1]))
 
 

@@ -32,6 +32,8 @@ UNSETTLED_SHARE = 0.25
 decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
 
 
+SMALLEST_SHARE = 1e-6
+"""Smallest standard deviation, as a share of the largest amplitude of a signal: finer than any converter."""
 RINGING = 0.04
 """Relative distance to a flexible mode within which it still rings in the blocks, from the last change of frequency or
 from noise: there blocks are not independent, so their mean is no better than one, and no harmonic is judged."""
@@ -202,7 +204,8 @@ def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...]) -> Real:
     """Standard deviation with the model's own error, relative to the size of each channel and harmonic."""
     relative = np.where(np.array(harmonics) > 1, HARMONIC_ERROR, 0.0)  # a mean holds the static position too
     relative[harmonics.index(1)] = MODEL_FLOOR
-    return np.asarray(np.hypot(sd, relative[:, None] * np.abs(mean)))
+    smallest = SMALLEST_SHARE * np.abs(mean).max()  # a coarse converter may not scatter at all
+    return np.asarray(np.maximum(np.hypot(sd, relative[:, None] * np.abs(mean)), smallest))
 
 
 def near_hum(sweep: Sweep, hums_hz: Sequence[float], width: float = HUMMED) -> NDArray[np.bool_]:

@@ -97,7 +97,7 @@ def resonances(rig: Rig, z: Complex, o: Observation, ground: Ground, count: int 
     for hz in grid:
         housed = light.on(rig, inverse_mass_per_kg=LIGHT, frequency_hz=float(hz), damping_ratio=0.02)
         change = left((displacement(housed, o) - without) * w)
-        gains.append(max(float(change @ wanted), 0.0) ** 2 / max(float(change @ change), 1e-300))
+        gains.append(max(float(change @ wanted), 0.0) / max(float(np.linalg.norm(change)), 1e-300))
     order = np.argsort(-np.array(gains))
     best = [int(order[0])]
     best += [int(k) for k in order if abs(int(k) - best[0]) > 2][: count - 1]
