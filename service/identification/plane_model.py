@@ -138,20 +138,20 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the model says at each point. Gradients are None when they were not asked for."""
+    """What a model says at each point; n is 2 for a plane and 4 for a rotor. Gradients are None when not asked for."""
 
     i: Complex
-    """(P, 2) sampled current, A."""
+    """(P, n) sampled current, A."""
     y: Complex
-    """(P, 2) sampled displacement at the sensors, m."""
+    """(P, n) sampled displacement at the sensors, m."""
     coil: Complex
-    """(P, 2) base-band current, A."""
+    """(P, n) base-band current, A."""
     x: Complex
-    """(P, 2) displacement at the bearings, m."""
+    """(P, n) displacement at the bearings, m."""
     d_i: Complex | None = None
-    """(P, 2, size)"""
+    """(P, n, size)"""
     d_y: Complex | None = None
-    """(P, 2, size)"""
+    """(P, n, size)"""
 
 
 @dataclass(frozen=True)

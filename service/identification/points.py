@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,27 +21,61 @@ SUSPECT = ("not settled", "unsettled", "is distorted")
 """A point whose flag has one of these counts little: its mean is off by more than its noise."""
 
 
-@dataclass(frozen=True)
-class PlanePoints:
-    """Fundamentals of the points that excite one plane, block by block."""
+@dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """Fundamentals of points, block by block: n is 2 for a plane and 4 for a rotor."""
 
-    plane: str
-    axes: tuple[str, str]
     omega: Real
     """(P,) rad/s."""
     axis: NDArray[np.int64]
-    """(P,) 0 for bearing A, 1 for B."""
-    R: Complex
-    """(P, B, 2) A; so are U, I, and Y in m."""
+    """(P,) the excited one of the n axes."""
     U: Complex
+    """(P, B, n) A; so is I, and Y in m."""
     I: Complex | None
     Y: Complex
+    suspect: NDArray[np.bool_]
+    """(P,) points that count little, by their flag."""
+
+    @cached_property
+    def u(self) -> Complex:
+        """(P, n) mean over the blocks; so are i and y."""
+        return np.asarray(self.U.mean(axis=1))
+
+    @cached_property
+    def i(self) -> Complex | None:
+        """(P, n) A."""
+        return None if self.I is None else np.asarray(self.I.mean(axis=1))
+
+    @cached_property
+    def y(self) -> Complex:
+        """(P, n) m."""
+        return np.asarray(self.Y.mean(axis=1))
+
+    def select(self, keep: NDArray[np.bool_]) -> Self:
+        """Some of the points."""
+        return replace(
+            self,
+            omega=self.omega[keep],
+            axis=self.axis[keep],
+            U=self.U[keep],
+            I=None if self.I is None else self.I[keep],
+            Y=self.Y[keep],
+            suspect=self.suspect[keep],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanePoints(Blocks):
+    """The points that excite one plane; axis is 0 for bearing A, 1 for B."""
+
+    plane: str
+    axes: tuple[str, str]
+    R: Complex
+    """(P, B, 2) A."""
     index: NDArray[np.int64]
     """(P,) place in the sweep."""
     left_out: tuple[str, ...]
     """Why points were not used, one line each."""
-    suspect: NDArray[np.bool_]
-    """(P,) points that count little, by their flag."""
     many: ManyLines | None = None
     """Of a multisine on all axes whose phases are known: its points excite the rotor at the same time."""
     together: Together | None = None
@@ -52,41 +87,18 @@ class PlanePoints:
         return int(self.U.shape[1])
 
     @cached_property
-    def u(self) -> Complex:
-        """(P, 2) mean over the blocks; so are r, i and y."""
-        return np.asarray(self.U.mean(axis=1))
-
-    @cached_property
     def r(self) -> Complex:
-        """(P, 2) A."""
+        """(P, 2) A, mean over the blocks."""
         return np.asarray(self.R.mean(axis=1))
 
-    @cached_property
-    def i(self) -> Complex | None:
-        """(P, 2) A."""
-        return None if self.I is None else np.asarray(self.I.mean(axis=1))
-
-    @cached_property
-    def y(self) -> Complex:
-        """(P, 2) m."""
-        return np.asarray(self.Y.mean(axis=1))
-
-    def select(self, keep: NDArray[np.bool_]) -> PlanePoints:
+    def select(self, keep: NDArray[np.bool_]) -> Self:
         """Some of the points."""
-        return PlanePoints(
-            self.plane,
-            self.axes,
-            self.omega[keep],
-            self.axis[keep],
-            self.R[keep],
-            self.U[keep],
-            None if self.I is None else self.I[keep],
-            self.Y[keep],
-            self.index[keep],
-            self.left_out,
-            self.suspect[keep],
-            None if self.many is None else self.many.select(keep),
-            None if self.together is None else Together(self.together.group[keep], self.together.kurtosis),
+        return replace(
+            super().select(keep),
+            R=self.R[keep],
+            index=self.index[keep],
+            many=None if self.many is None else self.many.select(keep),
+            together=None if self.together is None else replace(self.together, group=self.together.group[keep]),
         )
 
 
@@ -134,19 +146,19 @@ def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints
     r, u, y = (np.ascontiguousarray(x[keep], dtype=complex) for x in signals[:3])
     i = np.ascontiguousarray(signals[3][keep], dtype=complex) if len(signals) == 4 else None
     return PlanePoints(
-        plane,
-        (axes[pair[0]], axes[pair[1]]),
-        2 * np.pi * sweep.frequency_hz[keep].astype(float),
-        (sweep.axis[keep] - pair[0]).astype(np.int64),
-        r,
-        u,
-        i,
-        y,
-        keep,
-        tuple(left_out),
-        np.array([any(word in flags[p].lower() for word in SUSPECT) for p in keep], dtype=bool),
-        ManyLines.of(sweep, keep),
-        _together(sweep, keep, pair),
+        plane=plane,
+        axes=(axes[pair[0]], axes[pair[1]]),
+        omega=2 * np.pi * sweep.frequency_hz[keep].astype(float),
+        axis=(sweep.axis[keep] - pair[0]).astype(np.int64),
+        R=r,
+        U=u,
+        I=i,
+        Y=y,
+        index=keep,
+        left_out=tuple(left_out),
+        suspect=np.array([any(word in flags[p].lower() for word in SUSPECT) for p in keep], dtype=bool),
+        many=ManyLines.of(sweep, keep),
+        together=_together(sweep, keep, pair),
     )
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from service.identification import amplifier
 from service.identification.force_law import excess_force
-from service.identification.plane_model import Amplitude, Known, Layout, PlaneModel
+from service.identification.plane_model import Amplitude, Known, Layout, PlaneModel, Prediction
 from service.identification.zoh import Complex, Real
 
 if TYPE_CHECKING:
@@ -103,24 +103,6 @@ class TurningPoints:
     """(P,) rad/s."""
     u: Complex
     """(P, 4) A."""
-
-
-@dataclass(frozen=True)
-class TurningPrediction:
-    """What the model says at each point. Gradients are None when they were not asked for."""
-
-    i: Complex
-    """(P, 4) sampled current, A."""
-    y: Complex
-    """(P, 4) sampled displacement at the sensors, m."""
-    coil: Complex
-    """(P, 4) base-band current, A."""
-    x: Complex
-    """(P, 4) displacement at the bearings, m."""
-    d_i: Complex | None = None
-    """(P, 4, size)"""
-    d_y: Complex | None = None
-    """(P, 4, size)"""
 
 
 @dataclass(frozen=True)
@@ -254,9 +236,7 @@ class RotatingModel:
         y = sensor * (q @ m.sensors.T)
         return Motion(s, points.speed, m, closed, q, force + ks * x, x, y, sensor, now, base, excess)
 
-    def predict(
-        self, points: TurningPoints, amplitude: Amplitude | None = None, gradient: bool = False
-    ) -> TurningPrediction:
+    def predict(self, points: TurningPoints, amplitude: Amplitude | None = None, gradient: bool = False) -> Prediction:
         """Currents and displacements at the excited lines.
 
         Parameters
@@ -272,7 +252,7 @@ class RotatingModel:
 
         motion = self.motion(points, amplitude)
         d_i, d_y = gradients(self, points, motion) if gradient else (None, None)
-        return TurningPrediction(motion.i, motion.y, motion.coil, motion.x, d_i, d_y)
+        return Prediction(motion.i, motion.y, motion.coil, motion.x, d_i, d_y)
 
     def _amplifiers(self, points: TurningPoints) -> tuple[Complex, Complex]:
         """Sampled and base-band currents, (P, 4) each."""

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.identification.points import SUSPECT, UNUSABLE
+from service.identification.points import SUSPECT, UNUSABLE, Blocks
 from service.identification.zoh import Complex, Real
 from sim.errors import AmbError
 
@@ -47,59 +48,27 @@ class SynchronousLine:
     left_out: int
 
 
-@dataclass(frozen=True)
-class SpeedPoints:
-    """Fundamentals of all usable points of one sweep at one speed, block by block."""
+@dataclass(frozen=True, kw_only=True)
+class SpeedPoints(Blocks):
+    """All usable points of one sweep at one speed."""
 
     name: str
     speed_rad_s: float
     axes: tuple[str, ...]
-    omega: Real
-    """(P,) rad/s."""
-    axis: NDArray[np.int64]
-    """(P,) the excited axis."""
-    U: Complex
-    """(P, B, n_axes) A; so is I, and Y in m."""
-    I: Complex | None
-    Y: Complex
-    suspect: NDArray[np.bool_]
     lines: tuple[SynchronousLine, ...] = ()
     left_out: tuple[str, ...] = ()
     inflation: Real | None = None
     """(P,) what notching does to the variance of the means; None for nothing."""
 
     @cached_property
-    def u(self) -> Complex:
-        """(P, n_axes) mean over the blocks; so are i and y."""
-        return np.asarray(self.U.mean(axis=1))
-
-    @cached_property
-    def i(self) -> Complex | None:
-        """(P, n_axes) A."""
-        return None if self.I is None else np.asarray(self.I.mean(axis=1))
-
-    @cached_property
-    def y(self) -> Complex:
-        """(P, n_axes) m."""
-        return np.asarray(self.Y.mean(axis=1))
-
-    @cached_property
     def speed(self) -> Real:
         """(P,) rad/s."""
         return np.full(len(self.omega), self.speed_rad_s)
 
-    def select(self, keep: NDArray[np.bool_]) -> SpeedPoints:
+    def select(self, keep: NDArray[np.bool_]) -> Self:
         """Some of the points."""
-        return replace(
-            self,
-            omega=self.omega[keep],
-            axis=self.axis[keep],
-            U=self.U[keep],
-            I=None if self.I is None else self.I[keep],
-            Y=self.Y[keep],
-            suspect=self.suspect[keep],
-            inflation=None if self.inflation is None else self.inflation[keep],
-        )
+        kept = super().select(keep)
+        return replace(kept, inflation=None if self.inflation is None else self.inflation[keep])
 
 
 def speed_points(sweep: Sweep, axes: tuple[str, ...], name: str) -> SpeedPoints:
@@ -125,15 +94,15 @@ def speed_points(sweep: Sweep, axes: tuple[str, ...], name: str) -> SpeedPoints:
     keep = keep[np.lexsort((sweep.axis[keep], sweep.frequency_hz[keep]))]
     u, y, *i = (np.ascontiguousarray(x[keep], dtype=complex) for x in signals)
     points = SpeedPoints(
-        name,
-        float(sweep.speed_rad_s),
-        axes,
-        2 * np.pi * sweep.frequency_hz[keep].astype(float),
-        sweep.axis[keep].astype(np.int64),
-        u,
-        i[0] if i else None,
-        y,
-        np.array([any(word in flags[p].lower() for word in SUSPECT) for p in keep], dtype=bool),
+        name=name,
+        speed_rad_s=float(sweep.speed_rad_s),
+        axes=axes,
+        omega=2 * np.pi * sweep.frequency_hz[keep].astype(float),
+        axis=sweep.axis[keep].astype(np.int64),
+        U=u,
+        I=i[0] if i else None,
+        Y=y,
+        suspect=np.array([any(word in flags[p].lower() for word in SUSPECT) for p in keep], dtype=bool),
     )
     samples = None if sweep.block_samples is None else sweep.block_samples[keep]
     points = without_synchronous(points, samples, 1.0 / sweep.sample_rate_hz)
