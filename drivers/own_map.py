@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -83,6 +83,21 @@ def own_objects(overrides: Mapping[str, Override], source: str) -> dict[str, Obj
             raise MapError(f"{source}: {name} must be absent, for {changed[group]} is not as the CRC takes it to be")
         found[name] = _retyped(name, obj, override, source)
     return found
+
+
+def check_pieces(names: Collection[str], in_one_piece: Callable[[str], bool], source: str) -> None:
+    """Refuse the CRC of a group that is read in several pieces: they come from several moments, which it cannot cover.
+
+    Parameters
+    ----------
+    names
+        Objects that the rig has, as ``group.name``.
+    in_one_piece
+        Whether a group, by its name, is read in one transfer.
+    """
+    for group in GROUPS:
+        if group.access == "ro" and f"{group.name}.crc" in names and not in_one_piece(group.name):
+            raise MapError(f"{source}: {group.name}.crc must be absent, for {group.name} is not in one piece")
 
 
 def _retyped(name: str, obj: Object, override: Override, source: str) -> Object:

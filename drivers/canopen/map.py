@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from drivers.canopen.codec import BEAT_COB, PROGRESS_COB, STOP_COB
 from drivers.errors import MapError
 from drivers.objects import BY_NAME, GROUPS, Group, Object, Type
-from drivers.own_map import Override, own_objects, parsed, read_text
+from drivers.own_map import Override, check_pieces, own_objects, parsed, read_text
 
 RECORD_INDEX = 0x2000
 WHOLE_INDEX = 0x2100
@@ -154,7 +154,8 @@ def parse_map(text: str, source: str = "map.toml") -> ObjectMap:
     _check_process_data(file, source)
     places = {f"{s.group.name}.{s.obj.name}": s for s in reversed(DEFAULT_MAP.subs)}
     subs: list[SubObject] = []
-    for name, obj in own_objects(file.objects, source).items():
+    objects = own_objects(file.objects, source)
+    for name, obj in objects.items():
         default, own = places[name], file.objects.get(name, _Override())
         index = default.index if own.index is None else own.index
         subindex = default.subindex if own.subindex is None else own.subindex
@@ -174,7 +175,7 @@ def parse_map(text: str, source: str = "map.toml") -> ObjectMap:
         file.progress_cob_id,
     )
     _check_places(found, source)
-    _check_pieces(found, source)
+    check_pieces(objects, lambda group: group in found.whole, source)
     return found
 
 
@@ -207,11 +208,3 @@ def _check_places(objects: ObjectMap, source: str) -> None:
             raise MapError(f"{source}: {name} at {place} overlaps {other}")
         taken[sub.index, sub.subindex] = name
         (alone if sub.subindex == 0 else records)[sub.index] = name
-
-
-def _check_pieces(objects: ObjectMap, source: str) -> None:
-    """What is read object by object comes from several moments, which no CRC covers."""
-    for group in GROUPS:
-        has_crc = any(s.obj.name == "crc" for s in objects.of(group.name))
-        if group.access == "ro" and has_crc and group.name not in objects.whole:
-            raise MapError(f"{source}: {group.name}.crc must be absent, for {group.name} is not in one piece")

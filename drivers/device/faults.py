@@ -179,19 +179,12 @@ class SpoiltConversation:
         if time.monotonic() < self._deaf_until:
             return True
         dice, fault = self._dice, self._dice.fault()
+        if (goes_on := self._gone(fault)) is not None:
+            return goes_on
+        request = self._worn(fault, request)
         match fault:
-            case "drop":
-                return True
-            case "delay":
-                time.sleep(dice.delay_s())
-            case "corrupt":
-                request = dice.flipped(request, self._wire.covered_from)
             case "truncate":
                 return not self._wire.connected  # a request that was cut short is no request
-            case "disconnect":
-                return self._lost()
-            case "half_open":
-                return self._deaf()
             case "busy" | "exception":
                 code = 6 if fault == "busy" else 1 + dice.below(4)
                 function = request[self._wire.function_at]
@@ -211,26 +204,36 @@ class SpoiltConversation:
         function = frame[self._wire.function_at]
         pdu = frame[self._wire.function_at : None if self._wire.connected else -2]
         older = self._spoiler.older_answer(function, pdu)
+        if (goes_on := self._gone(fault)) is not None:
+            return goes_on
+        frame = self._worn(fault, frame)
         match fault:
-            case "drop":
-                return True
-            case "delay":
-                time.sleep(dice.delay_s())
-            case "corrupt":
-                frame = dice.flipped(frame, self._wire.covered_from)
             case "duplicate":
                 frame = frame + frame
             case "truncate":
                 self._send(frame[: 1 + dice.below(len(frame) - 1)])
                 return not self._wire.connected
-            case "disconnect":
-                return self._lost()
-            case "half_open":
-                return self._deaf()
             case "stale":
                 frame = self._wire.reply(request, older)
         self._send(frame)
         return True
+
+    def _gone(self, fault: str) -> bool | None:
+        """Whether the connection goes on after a fault that takes a frame away, on either way; None for another."""
+        match fault:
+            case "drop":
+                return True
+            case "disconnect":
+                return self._lost()
+            case "half_open":
+                return self._deaf()
+        return None
+
+    def _worn(self, fault: str, frame: bytes) -> bytes:
+        """A frame that came late or with flipped bits, on either way."""
+        if fault == "delay":
+            time.sleep(self._dice.delay_s())
+        return self._dice.flipped(frame, self._wire.covered_from) if fault == "corrupt" else frame
 
     def _deaf(self) -> bool:
         """Nothing is heard any more; on a serial line, for a while."""

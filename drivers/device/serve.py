@@ -117,15 +117,7 @@ def serve_modbus(device: RigDevice, options: ModbusOptions) -> Served:
     ControllerError
         The address cannot be listened on, or the map is wrong.
     """
-    server = TcpServer(
-        DeviceFront(device, "big"),
-        options.host,
-        options.port,
-        options.unit,
-        _registers(options.map),
-        spoiler=_spoiler(options.faults, options.fault_seed),
-    )
-    return Served(f"modbus://{options.host}:{server.port}?unit={options.unit}", device, server.close)
+    return _serve_tcp(device, options, "modbus")
 
 
 def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
@@ -140,6 +132,10 @@ def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
             context.verify_mode = ssl.CERT_REQUIRED
     except (OSError, ssl.SSLError) as error:
         raise ControllerError(f"cannot use the certificates: {error}") from error
+    return _serve_tcp(device, options, "modbuss", context)
+
+
+def _serve_tcp(device: RigDevice, options: ModbusOptions, scheme: str, context: ssl.SSLContext | None = None) -> Served:
     server = TcpServer(
         DeviceFront(device, "big"),
         options.host,
@@ -149,7 +145,7 @@ def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
         context,
         _spoiler(options.faults, options.fault_seed),
     )
-    return Served(f"modbuss://{options.host}:{server.port}?unit={options.unit}", device, server.close)
+    return Served(f"{scheme}://{options.host}:{server.port}?unit={options.unit}", device, server.close)
 
 
 def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:

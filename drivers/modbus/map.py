@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import MapError
 from drivers.objects import GROUPS, Group, Object
-from drivers.own_map import Override, own_objects, parsed, read_text
+from drivers.own_map import Override, check_pieces, own_objects, parsed, read_text
 from drivers.packing import Order
 
 GROUP_STRIDE = 0x100
@@ -117,7 +117,8 @@ def parse_map(text: str, source: str = "map.toml") -> RegisterMap:
     file = parsed(text, source, _File)
     places = {f"{e.group}.{e.obj.name}": e for e in DEFAULT_MAP.entries}
     entries = []
-    for name, obj in own_objects(file.objects, source).items():
+    objects = own_objects(file.objects, source)
+    for name, obj in objects.items():
         own = file.objects[name].address if name in file.objects else None
         entry = replace(places[name], obj=obj, address=places[name].address if own is None else own)
         if entry.end > 0x10000:
@@ -125,7 +126,7 @@ def parse_map(text: str, source: str = "map.toml") -> RegisterMap:
         entries.append(entry)
     _check_overlaps(entries, source)
     registers = RegisterMap(tuple(entries), file.word_order, file.lockin_address, file.raw_address)
-    _check_pieces(registers, source)
+    check_pieces(objects, lambda group: len(registers.spans(group, MAX_READ)) == 1, source)
     return registers
 
 
@@ -137,11 +138,3 @@ def _check_overlaps(entries: list[Entry], source: str) -> None:
                 f"{source}: {two.group}.{two.obj.name} at {two.address} overlaps {one.group}.{one.obj.name}, "
                 f"which ends at {one.end - 1}"
             )
-
-
-def _check_pieces(registers: RegisterMap, source: str) -> None:
-    """What is read in several requests comes from several moments, which no CRC covers."""
-    for group in GROUPS:
-        has_crc = any(e.obj.name == "crc" for e in registers.of(group.name))
-        if group.access == "ro" and has_crc and len(registers.spans(group.name, MAX_READ)) > 1:
-            raise MapError(f"{source}: {group.name}.crc must be absent, for {group.name} is not in one piece")

@@ -9,10 +9,12 @@ from fastapi import Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from service.api.problems import PreconditionError, PreconditionRequiredError
+from service.api.problems import Documented, PreconditionError, PreconditionRequiredError, documented
+from service.storage.blobs import Blobs
 
 IMMUTABLE = "private, max-age=31536000, immutable"
 REVALIDATE = "private, no-cache"
+JSON, HTML = "application/json", "text/html; charset=utf-8"
 
 
 def quoted(tag: str) -> str:
@@ -44,14 +46,28 @@ def require_match(header: str | None, tag: str) -> None:
         raise PreconditionError(f"this was changed since you read it; its ETag is {quoted(tag)}: read it again")
 
 
+def documented_resource(content: dict[str, Any] | None = None, description: str = "") -> Documented:
+    """Responses of a route that gives one thing with its ETag, for OpenAPI; a content that is no model is described."""
+    whole: Documented = {} if content is None else {200: {"description": description, "content": content}}
+    return documented(404) | {304: {"description": "Not changed"}} | whole
+
+
+def documented_json(description: str) -> Documented:
+    """Responses of a route that gives a stored document."""
+    return documented_resource({JSON: {}}, description)
+
+
+def documented_page() -> Documented:
+    """Responses of a route that gives a stored report."""
+    return documented_resource({"text/html": {"schema": {"type": "string"}}}, "The report")
+
+
 def document(
     shape: BaseModel | dict[str, Any], if_none_match: str | None = None, tag: str | None = None, status: int = 200
 ) -> Response:
     """A document with its ETag: the tag given, or one of its content; 304 when the caller has it."""
     content = shape.model_dump_json().encode() if isinstance(shape, BaseModel) else JSONResponse(shape).body
-    return content_response(
-        bytes(content), "application/json", tag or sha256(content).hexdigest()[:32], if_none_match, status
-    )
+    return content_response(bytes(content), JSON, tag or sha256(content).hexdigest()[:32], if_none_match, status)
 
 
 def content_response(
@@ -70,3 +86,8 @@ def content_response(
     if filename is not None:
         headers["Content-Disposition"] = f'attachment; filename="{filename}"'
     return Response(content, status, headers, media_type)
+
+
+def stored(blobs: Blobs, digest: str, media_type: str, if_none_match: str | None) -> Response:
+    """A file of the store, whose ETag is its digest; 304 when the caller has it."""
+    return content_response(blobs.read(digest), media_type, digest, if_none_match)

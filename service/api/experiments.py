@@ -228,7 +228,7 @@ def list_experiments(
 @router.get(
     "/experiments/{experiment_id}",
     response_model=ExperimentShape,
-    responses=documented(404) | {304: {"description": "Not changed"}},
+    responses=etags.documented_resource(),
 )
 def get_experiment(experiment_id: ExperimentId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """An experiment."""
@@ -240,11 +240,7 @@ def get_experiment(experiment_id: ExperimentId, who: Viewer, api: Api, if_none_m
 @router.get(
     "/experiments/{experiment_id}/file",
     response_class=Response,
-    responses=documented(404)
-    | {
-        200: {"content": {HDF5: {"schema": {"type": "string", "format": "binary"}}}, "description": "The file, HDF5"},
-        304: {"description": "Not changed"},
-    },
+    responses=etags.documented_resource({HDF5: {"schema": {"type": "string", "format": "binary"}}}, "The file, HDF5"),
 )
 def get_experiment_file(
     experiment_id: ExperimentId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None

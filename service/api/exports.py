@@ -6,12 +6,12 @@ import json
 import tempfile
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
 
 from service.api import etags
-from service.api.problems import documented
+from service.api.problems import Documented
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
 from service.experiment import file
@@ -31,12 +31,9 @@ TYPES = {
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
-def _documented(*formats: str) -> dict[int | str, dict[str, Any]]:
+def _documented(*formats: str) -> Documented:
     content = {TYPES[f].partition(";")[0]: ({} if f == "json" else _BINARY) for f in formats}
-    return documented(404) | {
-        200: {"description": "The file", "content": content},
-        304: {"description": "Not changed"},
-    }
+    return etags.documented_resource(content, "The file")
 
 
 Plane = Annotated[Literal["x", "y"], Query(description="Plane of the rig.")]

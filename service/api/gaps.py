@@ -15,7 +15,6 @@ from service.storage import results
 from service.storage.tables import GapRow
 
 router = APIRouter(prefix="/api/v1/gaps", tags=["gaps"])
-NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed"}}
 
 
 class GapShape(Shape):
@@ -75,7 +74,7 @@ def list_gaps(who: Viewer, api: Api, rig: OfRig = None, after: After = None, lim
     return Listed(items=[shape(row) for row in page.items], next=page.next)
 
 
-@router.get("/{gap_id}", response_model=GapShape, responses=documented(404) | NOT_CHANGED)
+@router.get("/{gap_id}", response_model=GapShape, responses=etags.documented_resource())
 def get_gap(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """A diagnosis in short."""
     return etags.document(shape(_row(api, gap_id)), if_none_match)
@@ -84,28 +83,23 @@ def get_gap(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = N
 @router.get(
     "/{gap_id}/gap.json",
     response_class=Response,
-    responses=documented(404)
-    | NOT_CHANGED
-    | {200: {"description": "The diagnosis, amb-gap-report", "content": {"application/json": {}}}},
+    responses=etags.documented_json("The diagnosis, amb-gap-report"),
 )
 def get_gap_document(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The whole diagnosis."""
     row = _row(api, gap_id)
-    return etags.content_response(api.blobs.read(row.gap_sha256), "application/json", row.gap_sha256, if_none_match)
+    return etags.stored(api.blobs, row.gap_sha256, etags.JSON, if_none_match)
 
 
 @router.get(
     "/{gap_id}/report.html",
     response_class=Response,
-    responses=documented(404)
-    | NOT_CHANGED
-    | {200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
+    responses=etags.documented_page(),
 )
 def get_gap_report(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The report of a diagnosis, one page that needs nothing else."""
     row = _row(api, gap_id)
-    content = api.blobs.read(row.report_sha256)
-    return etags.content_response(content, "text/html; charset=utf-8", row.report_sha256, if_none_match)
+    return etags.stored(api.blobs, row.report_sha256, etags.HTML, if_none_match)
 
 
 def _row(api: Api, gap_id: str) -> GapRow:

@@ -17,7 +17,6 @@ from service.storage import results, rigs
 from service.storage.tables import HealthRow
 
 router = APIRouter(prefix="/api/v1", tags=["health"])
-NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed"}}
 TREND = 1000
 """Checks that a trend looks back over."""
 
@@ -108,7 +107,7 @@ def list_health_checks(
     return Listed(items=[HealthShape(**_values(row)) for row in page.items], next=page.next)
 
 
-@router.get("/health-checks/{health_id}", response_model=HealthDocument, responses=documented(404) | NOT_CHANGED)
+@router.get("/health-checks/{health_id}", response_model=HealthDocument, responses=etags.documented_resource())
 def get_health_check(health_id: HealthId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """A health check: which figure drifted, by how much, and how sure that is."""
     with api.database.read() as session:
@@ -119,16 +118,13 @@ def get_health_check(health_id: HealthId, who: Viewer, api: Api, if_none_match: 
 @router.get(
     "/health-checks/{health_id}/report.html",
     response_class=Response,
-    responses=documented(404)
-    | NOT_CHANGED
-    | {200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
+    responses=etags.documented_page(),
 )
 def get_health_report(health_id: HealthId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The report of a check with its trend plots, one page that needs nothing else."""
     with api.database.read() as session:
         row = results.get(session, HealthRow, health_id)
-    content = api.blobs.read(row.report_sha256)
-    return etags.content_response(content, "text/html; charset=utf-8", row.report_sha256, if_none_match)
+    return etags.stored(api.blobs, row.report_sha256, etags.HTML, if_none_match)
 
 
 @router.get("/rigs/{rig_id}/trend", response_model=TrendShape, responses=documented(404))

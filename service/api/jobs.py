@@ -240,7 +240,7 @@ def list_jobs(
     return etags.document(Listed[JobShape](items=[shape(job) for job in page.items], next=page.next))
 
 
-@router.get("/{job_id}", response_model=JobShape, responses=documented(404) | {304: {"description": "Not changed"}})
+@router.get("/{job_id}", response_model=JobShape, responses=etags.documented_resource())
 def get_job(job_id: JobId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """A job, and how far it is."""
     with api.database.read() as session:

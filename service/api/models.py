@@ -28,7 +28,6 @@ from service.storage import results, rigs
 from service.storage.tables import ModelRow
 
 router = APIRouter(prefix="/api/v1", tags=["models"])
-NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed"}}
 
 
 class ModelShape(Shape):
@@ -114,7 +113,7 @@ def list_models(
     return Listed(items=[shape(row) for row in page.items], next=page.next)
 
 
-@router.get("/models/{model_id}", response_model=ModelShape, responses=documented(404) | NOT_CHANGED)
+@router.get("/models/{model_id}", response_model=ModelShape, responses=etags.documented_resource())
 def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """A model's figures, and where the rest of it is."""
     return etags.document(shape(_row(api, model_id)), if_none_match)
@@ -123,43 +122,34 @@ def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMat
 @router.get(
     "/models/{model_id}/result.json",
     response_class=Response,
-    responses=documented(404)
-    | NOT_CHANGED
-    | {200: {"description": "The result, amb-commissioning-result", "content": {"application/json": {}}}},
+    responses=etags.documented_json("The result, amb-commissioning-result"),
 )
 def get_result(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The whole result of the identification."""
     row = _row(api, model_id)
-    content = api.blobs.read(row.result_sha256)
-    return etags.content_response(content, "application/json", row.result_sha256, if_none_match)
+    return etags.stored(api.blobs, row.result_sha256, etags.JSON, if_none_match)
 
 
 @router.get(
     "/models/{model_id}/report.html",
     response_class=Response,
-    responses=documented(404)
-    | NOT_CHANGED
-    | {200: {"description": "The report", "content": {"text/html": {"schema": {"type": "string"}}}}},
+    responses=etags.documented_page(),
 )
 def get_report(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The report, one page that needs nothing else."""
     row = _row(api, model_id)
-    content = api.blobs.read(row.report_sha256)
-    return etags.content_response(content, "text/html; charset=utf-8", row.report_sha256, if_none_match)
+    return etags.stored(api.blobs, row.report_sha256, etags.HTML, if_none_match)
 
 
 @router.get(
     "/models/{model_id}/curves.json",
     response_class=Response,
-    responses=documented(404)
-    | NOT_CHANGED
-    | {200: {"description": "All curves, amb-model-curves", "content": {"application/json": {}}}},
+    responses=etags.documented_json("All curves, amb-model-curves"),
 )
 def get_curves(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """Frequency response, Nyquist and step of every plane, for plotting."""
     row = _row(api, model_id)
-    content = api.blobs.read(row.plots_sha256)
-    return etags.content_response(content, "application/json", row.plots_sha256, if_none_match)
+    return etags.stored(api.blobs, row.plots_sha256, etags.JSON, if_none_match)
 
 
 def _row(api: Api, model_id: str) -> ModelRow:
@@ -183,7 +173,7 @@ def _curve(api: Api, model_id: str, name: str, plane: str | None, if_none_match:
 @router.get(
     "/models/{model_id}/frequency-response",
     response_model=dict[str, Any],
-    responses=documented(404) | NOT_CHANGED,
+    responses=etags.documented_resource(),
 )
 def get_frequency_response(
     model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
@@ -192,7 +182,7 @@ def get_frequency_response(
     return _curve(api, model_id, "frequency_response", plane, if_none_match)
 
 
-@router.get("/models/{model_id}/nyquist", response_model=dict[str, Any], responses=documented(404) | NOT_CHANGED)
+@router.get("/models/{model_id}/nyquist", response_model=dict[str, Any], responses=etags.documented_resource())
 def get_nyquist(
     model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
 ) -> Response:
@@ -200,7 +190,7 @@ def get_nyquist(
     return _curve(api, model_id, "nyquist", plane, if_none_match)
 
 
-@router.get("/models/{model_id}/step", response_model=dict[str, Any], responses=documented(404) | NOT_CHANGED)
+@router.get("/models/{model_id}/step", response_model=dict[str, Any], responses=etags.documented_resource())
 def get_step(
     model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
 ) -> Response:
@@ -208,7 +198,7 @@ def get_step(
     return _curve(api, model_id, "step", plane, if_none_match)
 
 
-@router.get("/models/{model_id}/state-space", response_model=dict[str, Any], responses=documented(404) | NOT_CHANGED)
+@router.get("/models/{model_id}/state-space", response_model=dict[str, Any], responses=etags.documented_resource())
 def get_state_space(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """Plant and amplifiers in state space, continuous time, modal form, by plane."""
     row = _row(api, model_id)

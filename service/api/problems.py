@@ -183,7 +183,11 @@ _PHRASES = {
 }
 
 
-def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
+Documented = dict[int | str, dict[str, Any]]
+"""Responses of a route for OpenAPI, by status."""
+
+
+def documented(*statuses: int) -> Documented:
     """Responses of a route for OpenAPI: these, and those that every route can give."""
     return {
         status: {"description": _PHRASES[status], "content": {MEDIA_TYPE: {"schema": _REFERENCE}}}

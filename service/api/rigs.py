@@ -187,7 +187,7 @@ def list_rigs(
     return Listed(items=items, next=page.next)
 
 
-@router.get("/{rig_id}", response_model=RigShape, responses=documented(404) | {304: {"description": "Not changed"}})
+@router.get("/{rig_id}", response_model=RigShape, responses=etags.documented_resource())
 def get_rig(
     rig_id: RigId,
     who: Viewer,

@@ -227,9 +227,7 @@ def list_schedules(
     return Listed(items=[shape(row) for row in page.items], next=page.next)
 
 
-@router.get(
-    "/{schedule_id}", response_model=ScheduleShape, responses=documented(404) | {304: {"description": "Not changed"}}
-)
+@router.get("/{schedule_id}", response_model=ScheduleShape, responses=etags.documented_resource())
 def get_schedule(schedule_id: ScheduleId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """A schedule."""
     with api.database.read() as session:

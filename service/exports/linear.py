@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from service.exports.documents import VERSION, reading
 from service.exports.errors import ExportError
 from service.identification.combine import StateSpace, series
 
@@ -127,7 +128,7 @@ def document(model: Linear) -> dict[str, Any]:
     """As JSON."""
     return {
         "format": FORMAT,
-        "version": 1,
+        "version": VERSION,
         "name": model.name,
         "comment": model.comment,
         "sample_time_s": 0.0,
@@ -151,9 +152,7 @@ def from_document(found: Mapping[str, Any]) -> Linear:
     ExportError
         It is none, or not whole.
     """
-    if found.get("format") != FORMAT or found.get("version") != 1:
-        raise ExportError(f"this is no {FORMAT} of version 1 (its format is {found.get('format')!r})")
-    try:
+    with reading(found, FORMAT, "state space"):
         names = {k: tuple(str(s) for s in found[k]) for k in ("states", "inputs", "outputs")}
         n, m, p = (len(v) for v in names.values())
         return Linear(
@@ -169,7 +168,3 @@ def from_document(found: Mapping[str, Any]) -> Linear:
             tuple(str(s) for s in found["output_units"]),
             str(found.get("comment", "")),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, ExportError):
-            raise
-        raise ExportError(f"the state space is not whole: {type(error).__name__} {error}") from error

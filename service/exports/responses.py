@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Experiment
+from service.exports.documents import VERSION, reading
 from service.exports.errors import ExportError
 from service.exports.linear import UNITS
 from service.identification.etfe import FrequencyResponse, Path, etfe
@@ -93,7 +94,7 @@ def document(r: Responses) -> dict[str, Any]:
     """As JSON."""
     return {
         "format": FORMAT,
-        "version": 1,
+        "version": VERSION,
         "name": r.name,
         "inputs": list(r.inputs),
         "outputs": list(r.outputs),
@@ -114,16 +115,10 @@ def from_document(found: Mapping[str, Any]) -> Responses:
     ExportError
         It is none, or not whole.
     """
-    if found.get("format") != FORMAT or found.get("version") != 1:
-        raise ExportError(f"this is no {FORMAT} of version 1 (its format is {found.get('format')!r})")
-    try:
+    with reading(found, FORMAT, "frequency response"):
         names = {k: tuple(str(s) for s in found[k]) for k in ("inputs", "outputs", "input_units", "output_units")}
         frequency = np.asarray(found["frequency_hz"], dtype=float)
         shape = (len(frequency), len(names["outputs"]), len(names["inputs"]))
         real, imag = (np.asarray(found[k], dtype=float).reshape(shape) for k in ("real", "imag"))
         std = None if found.get("std") is None else np.asarray(found["std"], dtype=float).reshape(shape)
         return Responses(str(found["name"]), frequency, real + 1j * imag, std, **names)
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, ExportError):
-            raise
-        raise ExportError(f"the frequency response is not whole: {type(error).__name__} {error}") from error

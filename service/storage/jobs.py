@@ -8,10 +8,10 @@ from typing import Any
 from sqlalchemy import CursorResult, delete, func, select, update
 from sqlalchemy.orm import Session
 
-from service.errors import ConflictError, NotFoundError
+from service.errors import ConflictError
 from service.storage.database import now
 from service.storage.ids import new_id
-from service.storage.listing import Page, page
+from service.storage.listing import Page, page, row
 from service.storage.tables import JobRow, JournalPart
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
@@ -61,10 +61,7 @@ def get(session: Session, job_id: str) -> JobRow:
     NotFoundError
         There is none of that id.
     """
-    job = session.get(JobRow, job_id)
-    if job is None:
-        raise NotFoundError(f"there is no job {job_id!r}; list them at /api/v1/jobs")
-    return job
+    return row(session, JobRow, job_id, "job", "at /api/v1/jobs")
 
 
 def listed(

@@ -8,7 +8,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from service.access.keys import KeyRecord, Scope
-from service.errors import NotFoundError
+from service.storage import listing
 from service.storage.database import now
 from service.storage.tables import KeyRow
 
@@ -69,11 +69,9 @@ def revoke(session: Session, key_id: str) -> KeyRow:
     NotFoundError
         There is none of that id.
     """
-    row = session.get(KeyRow, key_id)
-    if row is None:
-        raise NotFoundError(f"there is no key {key_id!r}; list them with ambit keys list")
-    row.revoked_at = row.revoked_at or now()
-    return row
+    found = listing.row(session, KeyRow, key_id, "key", "with ambit keys list")
+    found.revoked_at = found.revoked_at or now()
+    return found
 
 
 def used(session: Session, key_id: str, at: datetime, address: str = "") -> None:

@@ -1,4 +1,7 @@
-"""Pages of a list, newest first: a page begins after the last id of the one before, however much was added."""
+"""One row by its id, and pages of a list, newest first.
+
+A page begins after the last id of the one before, however much was added.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,33 @@ from typing import Any, Generic, TypeVar
 from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
+from service.errors import NotFoundError
 from service.storage.tables import Base
 
 Row = TypeVar("Row", bound=Base)
 
 LARGEST_PAGE = 1000
+
+
+def row(session: Session, table: type[Row], row_id: str, what: str, where: str, for_update: bool = False) -> Row:
+    """The row of an id.
+
+    Parameters
+    ----------
+    what, where
+        What such a row is to a user, and where all of them are listed.
+    for_update
+        Lock it until the transaction ends.
+
+    Raises
+    ------
+    NotFoundError
+        There is none of that id.
+    """
+    found = session.get(table, row_id, with_for_update=for_update or None)
+    if found is None:
+        raise NotFoundError(f"there is no {what} {row_id!r}; list them {where}")
+    return found
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
 from service.errors import NotFoundError
+from service.storage import listing
 from service.storage.listing import Page, page
 from service.storage.tables import Base, ExperimentRow, GapRow, HealthRow, ModelRow, Rig
 
@@ -29,11 +30,8 @@ def get(session: Session, table: type[Row], row_id: str) -> Row:
     NotFoundError
         There is none of that id.
     """
-    found = session.get(table, row_id)
-    if found is None:
-        name, path = _NAMES[table]
-        raise NotFoundError(f"there is no {name} {row_id!r}; list them at /api/v1/{path}")
-    return found
+    name, path = _NAMES[table]
+    return listing.row(session, table, row_id, name, f"at /api/v1/{path}")
 
 
 def keep(session: Session, row: Row) -> Row:

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from service.errors import ConflictError, NotFoundError
 from service.storage.database import now
 from service.storage.ids import new_id
-from service.storage.listing import Page, page
+from service.storage.listing import Page, page, row
 from service.storage.tables import Rig, RigVersion
 
 
@@ -65,10 +65,7 @@ def get(session: Session, rig_id: str, for_update: bool = False) -> Rig:
     NotFoundError
         There is none of that id.
     """
-    rig = session.get(Rig, rig_id, with_for_update=for_update or None)
-    if rig is None:
-        raise NotFoundError(f"there is no rig {rig_id!r}; list them at /api/v1/rigs")
-    return rig
+    return row(session, Rig, rig_id, "rig", "at /api/v1/rigs", for_update)
 
 
 def active(session: Session, rig_id: str) -> Rig:
