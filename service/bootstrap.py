@@ -200,8 +200,10 @@ def diagnose_into(
     said = tell or (lambda phase, percent: None)
     ready_folder(out_dir)
     said("gap diagnosis", 2.0)
-    diagnosis = diagnose(experiment, datasheet, jobs=jobs or os.cpu_count() or 1)
-    said("report", 95.0)
+    diagnosis = diagnose(
+        experiment, datasheet, jobs or os.cpu_count() or 1, lambda percent, words: said(words, 2.0 + 0.94 * percent)
+    )
+    said("writing the report", 97.0)
     document = diagnosis.to_dict()
     files = {
         "gap": write_text(out_dir / GAP, json_text(document)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,6 +27,7 @@ def diagnose(
 ) -> None:
     """Diagnose the gap between a rig's experiment and its twin; write gap.json and gap.html."""
     from service import bootstrap
+    from service.cli.progress import percent_progress
     from service.experiment import file
     from service.output import ready_folder
     from sim.datasheet import read
@@ -35,9 +35,8 @@ def diagnose(
     datasheet = read(rig)
     ready_folder(out)
     measured = file.read(experiment)
-    if sys.stderr.isatty():
-        say("fitting every effect of the catalogue")
-    document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs)
+    with percent_progress("reading the experiment") as tell:
+        document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs, tell)
     if as_json:
         print_json(document | {"files": {k: str(v) for k, v in files.items()}})
         return

@@ -1,4 +1,4 @@
-"""Progress of a campaign: a bar on a terminal, a line now and then in a log."""
+"""Progress of a campaign or a calculation: a bar on a terminal, a line now and then of a campaign in a log."""
 
 from __future__ import annotations
 
@@ -37,6 +37,25 @@ def campaign_progress() -> Iterator[Callable[[Progress], None]]:
             yield show
     else:
         yield _log()
+
+
+@contextmanager
+def percent_progress(first: str) -> Iterator[Callable[[str, float], None] | None]:
+    """A callback for calculations, told words and percent: a bar on a terminal, nothing in a log."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=None), TaskProgressColumn(), TimeElapsedColumn())
+    with Bar(*columns, console=stderr(), transient=True, expand=True) as bar:
+        task = bar.add_task(first, total=100.0)
+
+        def show(words: str, percent: float) -> None:
+            bar.update(task, description=words, completed=percent)
+
+        yield show
 
 
 def line(p: Progress) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -124,9 +124,10 @@ def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
 
 
 class Fitter:
-    """Runs fits, on several processes where ``jobs`` says so."""
+    """Runs fits, on several processes where ``jobs`` says so; ``fitted`` is called after each."""
 
-    def __init__(self, jobs: int = 1) -> None:
+    def __init__(self, jobs: int = 1, fitted: Callable[[], None] = lambda: None) -> None:
+        self._fitted = fitted
         self._pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else None
 
     def __enter__(self) -> Fitter:
@@ -139,7 +140,11 @@ class Fitter:
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
         """Fit all; a candidate that no start leads to a rig for is left out."""
         mapped = self._pool.map(_quietly, tasks) if self._pool else map(_quietly, tasks)
-        return [c for c in mapped if c is not None]
+        found = []
+        for candidate in mapped:
+            self._fitted()
+            found.append(candidate)
+        return [c for c in found if c is not None]
 
 
 def _quietly(task: Task) -> Candidate | None:

@@ -31,6 +31,7 @@ from service.gap.part import Ground, Values, driven_by_current, parts
 from service.gap.search import Explained, explain
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
 from service.gap.significance import significance
+from service.gap.telling import ProgressCallback, Telling
 from service.gap.thin import thinned
 from service.gap.verdict import VISIBLE, Ranked, Verdict
 from service.gap.where import SIGNIFICANT, Where, locate
@@ -38,6 +39,8 @@ from sim.datasheet import Datasheet
 
 CLOSED = 12
 """Best explanations whose closure on the unseen sweep is computed."""
+ONE_SWEEP, FITTED = 80.0, 97.0
+"""Percent that are done when the main sweep is explained, and when every fit is done."""
 UNDERSTOOD = 4.0
 """Significance of what is left of the amplifiers up to which the plant is held against u through them."""
 
@@ -93,8 +96,17 @@ def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
     return main, None, "every other line of sweeps/0"
 
 
-def diagnose(experiment: Experiment, datasheet: Datasheet, jobs: int = 1) -> Diagnosis:
+def diagnose(
+    experiment: Experiment, datasheet: Datasheet, jobs: int = 1, progress: ProgressCallback | None = None
+) -> Diagnosis:
     """Diagnose the gap between a rig's experiment and the twin of its datasheet.
+
+    Parameters
+    ----------
+    jobs
+        Processes that fit.
+    progress
+        Told the percent that are done, and what is done, after every fit.
 
     Raises
     ------
@@ -117,15 +129,18 @@ def diagnose(experiment: Experiment, datasheet: Datasheet, jobs: int = 1) -> Dia
     if o.unsettled > 0.3:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled; their weight is reduced")
     amplitude_dependent = False
-    with Fitter(jobs) as fitter:
-        found = _explained(fitter, nu, (o,), {})
+    telling = Telling(progress)
+    with Fitter(jobs, telling.fitted) as fitter:
+        found = _explained(fitter, nu, (o,), {}, telling, (0.0, FITTED if lines_only else ONE_SWEEP))
         failing = {} if lines_only else {e.part.path: e for e in found if _fails_on(e, unseen)}
         if failing:
             amplitude_dependent = True
             seen, unseen, name = _halves(other, nu, name, hums)
-            found = _explained(fitter, nu, (o, seen), {e.part.path: e for e in found if e.part.path not in failing})
+            known = {e.part.path: e for e in found if e.part.path not in failing}
+            found = _explained(fitter, nu, (o, seen), known, telling, (ONE_SWEEP, FITTED))
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
         fault = log_fault(fitter, found)
+    telling.judging(FITTED)
     whole = with_interference(composed(nu, found), sources)
     null = whole.null.candidate
     closures, gaps = {}, {}
@@ -162,19 +177,27 @@ def diagnose(experiment: Experiment, datasheet: Datasheet, jobs: int = 1) -> Dia
 
 
 def _explained(
-    fitter: Fitter, nu: Nuisance, observations: tuple[Observation, ...], known: dict[str, Explained]
+    fitter: Fitter,
+    nu: Nuisance,
+    observations: tuple[Observation, ...],
+    known: dict[str, Explained],
+    telling: Telling,
+    percent: tuple[float, float],
 ) -> list[Explained]:
     """Every part of the loop explained, each on the ground of those before; ``known`` parts are not looked at again."""
     out: list[Explained] = []
     theta = np.zeros(len(nu))
     named: list[tuple[str, Values]] = []
-    for part in parts(nu, observations):
+    looked_at = parts(nu, observations)
+    for part in looked_at:
         understood = all(e.remaining < UNDERSTOOD for e in out if e.part.path == "amplifier")
         ground = Ground(nu, part, observations, theta, tuple(named))
         if part.path == "plant" and not understood:
             rig = ground.rig(theta)
             driven = tuple(driven_by_current(rig, o) for o in observations)
             ground = replace(ground, observations=driven, from_current=True)
+        if part.path not in known:
+            telling.part(part, [p for p in looked_at if p.path not in known], *percent)
         result = known.get(part.path) or explain(fitter, ground)
         out.append(result)
         chosen = chosen_in(result)

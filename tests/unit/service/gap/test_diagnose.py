@@ -13,11 +13,20 @@ from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 
-def test_a_clean_rig_has_no_gap() -> None:
+def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
     datasheet, truth = known_datasheet(seed=1)
-    d = diagnose(experiment(true_rig(truth)), datasheet)
+    heard: list[tuple[float, str]] = []
+    measured = experiment(true_rig(truth))
+    d = diagnose(measured, datasheet, progress=lambda percent, words: heard.append((percent, words)))
     assert d.verdict.kind == "no_gap"
     assert d.to_dict()["verdict"]["effects"] == []
+    percents = [percent for percent, _ in heard]
+    assert percents == sorted(percents)
+    assert 0 <= percents[0] < 5
+    assert 95 < percents[-1] <= 100
+    assert max(np.diff(percents)) < 25  # the largest is the one over a second pass that was not needed
+    for path in ("controller", "amplifier", "plant"):
+        assert any(words.startswith(f"explaining the {path}") for _, words in heard)
 
 
 @pytest.mark.parametrize(
