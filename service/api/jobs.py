@@ -47,6 +47,11 @@ class JobWanted(Wanted):
         json_schema_extra={
             "examples": [
                 {"kind": "experiment", "rig": examples.RIG, "options": {"profile": "quick", "identify": True}},
+                {
+                    "kind": "experiment",
+                    "rig": examples.RIG,
+                    "options": {"excitation": "multisine", "profile": {"realisations": 4, "to_hz": 800.0}},
+                },
                 {"kind": "identification", "rig": examples.RIG, "experiment": examples.EXPERIMENT},
                 {"kind": "gap", "rig": examples.RIG, "experiment": examples.EXPERIMENT, "priority": 7},
             ]
@@ -61,7 +66,8 @@ class JobWanted(Wanted):
     experiment: str | None = Field(None, max_length=40, description="Id of the experiment: identification, gap.")
     options: dict[str, Any] = Field(
         default_factory=dict,
-        description="experiment: profile (standard, quick, or figures of the plan), identify (true). "
+        description="experiment: excitation (stepped-sine, or multisine on all axes at once in a tenth of the time, "
+        "where the controller plays waveforms), profile (standard, quick, or figures of the plan), identify (true). "
         "health: budget_s. Others have none.",
     )
     priority: int = Field(5, ge=1, le=9, description="1 first, 9 last, among the jobs that wait.")

@@ -33,14 +33,50 @@ class ProfileOptions(BaseModel):
     tries: int = Field(5, ge=1, le=20)
 
 
-class ExperimentOptions(BaseModel):
-    """Options of an experiment."""
+class MultisineProfileOptions(BaseModel):
+    """Figures of the plan of multisines; those left out are as in the standard profile."""
 
     model_config = ConfigDict(extra="forbid")
 
-    profile: Literal["standard", "quick"] | ProfileOptions = "standard"
+    from_hz: float = Field(10.0, gt=0, le=10_000)
+    to_hz: float = Field(1000.0, gt=0, le=20_000)
+    lines: int = Field(220, ge=8, le=2000)
+    period_s: float = Field(1.0, ge=0.05, le=20)
+    periods: int = Field(2, ge=2, le=50)
+    realisations: int = Field(5, ge=2, le=50)
+    settle_s: float = Field(0.8, gt=0, le=60)
+    short_settle_s: float = Field(0.3, gt=0, le=60)
+    validation_realisations: int = Field(2, ge=2, le=50)
+    validation_gain: float = Field(0.6, gt=0, le=10)
+    amplifier_realisations: int = Field(2, ge=2, le=50)
+    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000)
+    amplifier_lines: int = Field(60, ge=8, le=1000)
+    amplifier_period_s: float = Field(0.2, ge=0.02, le=20)
+    displacement_share: float = Field(0.25, gt=0, le=0.5)
+    current_share: float = Field(0.25, gt=0, le=0.5)
+    stiffness_hz: float = Field(100.0, gt=0, le=10_000)
+    seed: int = Field(1, ge=0, le=2**31)
+    tries: int = Field(4, ge=1, le=20)
+
+
+class _ExperimentOptions(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    excitation: Literal["stepped-sine", "multisine"] = "stepped-sine"
     identify: bool = True
     comment: str = Field("", max_length=500)
+
+
+class SteppedSineOptions(_ExperimentOptions):
+    """Options of an experiment with one tone after the other."""
+
+    profile: Literal["standard", "quick"] | ProfileOptions = "standard"
+
+
+class MultisineOptions(_ExperimentOptions):
+    """Options of an experiment with multisines on all axes at once."""
+
+    profile: Literal["standard", "quick"] | MultisineProfileOptions = "standard"
 
 
 class HealthOptions(BaseModel):
@@ -58,11 +94,12 @@ class NoOptions(BaseModel):
 
 
 _BY_KIND: dict[str, type[BaseModel]] = {
-    "experiment": ExperimentOptions,
+    "experiment": SteppedSineOptions,
     "identification": NoOptions,
     "gap": NoOptions,
     "health": HealthOptions,
 }
+_ALTERNATIVES = (ProfileOptions.__name__, MultisineProfileOptions.__name__)
 
 
 def checked_options(kind: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -73,9 +110,11 @@ def checked_options(kind: str, options: dict[str, Any]) -> dict[str, Any]:
     UnprocessableError
         One is unknown or out of range; names it.
     """
+    multisine = kind == "experiment" and options.get("excitation") == "multisine"
+    shape = MultisineOptions if multisine else _BY_KIND[kind]
     try:
-        return _BY_KIND[kind].model_validate(options).model_dump(mode="json", exclude_unset=True)
+        return shape.model_validate(options).model_dump(mode="json", exclude_unset=True)
     except ValidationError as error:
         deepest = max(error.errors(), key=lambda e: len(e["loc"]))  # of alternatives, the one that was meant
-        names = [str(part) for part in deepest["loc"] if "[" not in str(part) and part != "ProfileOptions"]
+        names = [str(part) for part in deepest["loc"] if "[" not in str(part) and part not in _ALTERNATIVES]
         raise UnprocessableError(f"{'.'.join(['options', *names])}: {deepest['msg']}") from error

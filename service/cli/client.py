@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.commission import Excitation
 from service.cli.console import print_json, say, stderr
 
 if TYPE_CHECKING:
@@ -44,6 +45,9 @@ def submit(
         str | None, typer.Option(help="Id of an experiment, or a file that is uploaded: identification, gap.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="experiment: coarse, a third of the time.")] = False,
+    excitation: Annotated[
+        Excitation | None, typer.Option(help="experiment: tone by tone, or multisines on all axes at once.")
+    ] = None,
     option: Annotated[list[str] | None, typer.Option(help="Option of the job, name=value; may be repeated.")] = None,
     priority: Annotated[int, typer.Option(help="1 first, 9 last.", min=1, max=9)] = 5,
     follow: Annotated[bool, typer.Option("--watch", help="Watch it until it has ended.")] = False,
@@ -54,7 +58,7 @@ def submit(
     as_json: Json = False,
 ) -> None:
     """Submit a job to the service; prints its id."""
-    options = _options(option or [], quick, kind)
+    options = _options(option or [], quick, excitation, kind)
     with _client(url, key, ca) as ambit:
         known = _rig(ambit, rig, controller)
         experiment_id = experiment
@@ -112,7 +116,7 @@ def _client(url: str | None, key: str | None, ca: Path | None) -> Client:
     return Client(url, key, ca)
 
 
-def _options(given: Iterable[str], quick: bool, kind: Kind) -> dict[str, Any]:
+def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, kind: Kind) -> dict[str, Any]:
     options: dict[str, Any] = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -122,10 +126,13 @@ def _options(given: Iterable[str], quick: bool, kind: Kind) -> dict[str, Any]:
             options[name] = json.loads(value)
         except ValueError:
             options[name] = value
+    for hint, wanted in (("--quick", quick), ("--excitation", excitation)):
+        if wanted and kind is not Kind.experiment:
+            raise typer.BadParameter("is for an experiment", param_hint=hint)
     if quick:
-        if kind is not Kind.experiment:
-            raise typer.BadParameter("is for an experiment", param_hint="--quick")
         options["profile"] = "quick"
+    if excitation is not None:
+        options["excitation"] = excitation.value
     return options
 
 

@@ -12,6 +12,7 @@ from drivers.errors import BusError, CancelledError, LeaseError, RestartError
 from service import bootstrap
 from service.errors import JobError, StoppedError
 from service.experiment.campaign import EXPERIMENT, JOURNAL, run_campaign
+from service.experiment.multisine_plan import MultisineProfile
 from service.experiment.plan import Profile
 from service.experiment.progress import Progress
 from service.jobs.context import Context
@@ -35,15 +36,17 @@ RECONNECT_S = 1.0
 MEDIA_TYPE = "application/x-hdf5"
 
 
-def profile_of(options: dict[str, Any]) -> Profile:
+def profile_of(options: dict[str, Any]) -> Profile | MultisineProfile:
     """The plan that a job's options ask for."""
-    wanted = options.get("profile", "standard")
-    if wanted == "quick":
-        return bootstrap.quick_profile()
-    return Profile() if wanted == "standard" else Profile(**wanted)
+    excitation, wanted = options.get("excitation", "stepped-sine"), options.get("profile", "standard")
+    if isinstance(wanted, dict):
+        return MultisineProfile(**wanted) if excitation == "multisine" else Profile(**wanted)
+    return bootstrap.profile_for(excitation, wanted == "quick") or Profile()
 
 
-def measure(worker: Context, job: JobRow, control: Control, profile: Profile, purpose: str) -> dict[str, Any]:
+def measure(
+    worker: Context, job: JobRow, control: Control, profile: Profile | MultisineProfile, purpose: str
+) -> dict[str, Any]:
     """Run a campaign to its end and keep its experiment; ``{"experiment": id}``.
 
     What was measured is kept when the job is cancelled or fails, too.
@@ -83,7 +86,7 @@ class _Campaign:
     control: Control
     sheet: Datasheet
     url: str
-    profile: Profile
+    profile: Profile | MultisineProfile
     folder: Path
     percent: float = 0.0
     answered: float = 0.0

@@ -7,7 +7,16 @@ from contextlib import contextmanager
 
 from sqlalchemy.orm import Session
 
-from drivers.controller import Capabilities, Controller, PointResult, Status, Tone
+from drivers.controller import (
+    Capabilities,
+    Controller,
+    PeriodicController,
+    PointResult,
+    Status,
+    Tone,
+    Waveform,
+    WaveformResult,
+)
 from service.access.audit import Action, AuditEvent
 from service.jobs.context import Context
 from service.storage import audit
@@ -61,6 +70,12 @@ class AuditedController:
         """Excite with one tone, wait, measure, and ramp back to zero."""
         self._tones += 1
         return self._controller.measure(tone)
+
+    def measure_periodic(self, waveform: Waveform) -> WaveformResult:
+        """The same with a periodic waveform on all axes, where the capabilities say ``periodic``."""
+        assert isinstance(self._controller, PeriodicController)
+        self._tones += 1
+        return self._controller.measure_periodic(waveform)
 
     def stop(self) -> None:
         """Ramp the excitation to zero."""

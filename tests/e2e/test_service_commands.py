@@ -7,8 +7,10 @@ import select
 import subprocess
 import time
 
+import numpy as np
 import pytest
 
+from service.experiment import file
 from tests.support import command
 from tests.support.service import QUICK, SLOW, reference_sheet, rig_device, service
 
@@ -90,6 +92,24 @@ def test_measured_identified_and_fetched_by_one_command(ambit, running, sheet, t
     assert set(fetched["files"]) == {"datasheet", "experiment", "result", "report"}
 
 
+def test_a_rig_whose_controller_plays_waveforms_is_measured_by_multisines(ambit, running, sheet, tmp_path):
+    few = {"lines": 40, "realisations": 2, "amplifier_lines": 16, "period_s": 0.25, "settle_s": 0.4}
+    done = ambit(
+        *("submit", "experiment", "--rig", sheet, "--controller", "simulated://?seed=1", "--excitation", "multisine"),
+        *("--option", f"profile={json.dumps(few)}", "--option", "identify=false", "--out", tmp_path / "out"),
+    )
+    assert done.returncode == 0, done.stderr
+    measured = file.read(tmp_path / "out" / "experiment.h5")
+    assert {sweep.kind for sweep in measured.sweeps} == {"multisine", "noise"}
+    assert len(np.unique(measured.named("main").frequency_hz)) <= 40
+
+    # one that plays tones only says so, and its rotor has not moved
+    job = ambit(
+        *("submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--excitation", "multisine")
+    ).stdout.strip()
+    assert "plays tones only" in ambit("watch", job).stderr.splitlines()[-1]
+
+
 def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
     slow = f"profile={json.dumps(SLOW)}"
     job = ambit(
@@ -106,6 +126,8 @@ def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
 def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):
     assert "no rig 'nobody'" in command.refusal("submit", "experiment", "--rig", "nobody")
     assert "name=value" in command.refusal("submit", "gap", "--rig", "x", "--option", "a", status=2)
+    wrong_kind = ("submit", "gap", "--rig", "x", "--excitation", "multisine")
+    assert "--excitation" in command.refusal(*wrong_kind, status=2)
     assert "there is no job" in command.refusal("watch", "job_0")
     (tmp_path / "x.h5").write_bytes(b"PK")
     assert "neither an HDF5 nor a MATLAB" in command.refusal(
