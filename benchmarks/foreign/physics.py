@@ -112,6 +112,42 @@ def magnet_force(p, a, i, x, drift_k, drift_gap, swing):
     return f
 
 
+@njit(cache=True, fastmath=FAST, inline="always")
+def _amplifier(p, a, t, s, u, ds):
+    """Current of axis a, driven by what u becomes on its way: crosstalk, hum, dead band, a third pole, a slew limit."""
+    i = s[I0 + a]
+    drive = 0.0
+    for b in range(4):
+        drive += p.u_mix[a, b] * u[b]
+    if p.hum_a[a] != 0.0:
+        drive += p.hum_a[a] * np.cos(2 * np.pi * p.hum_hz * t + p.hum_phase + 0.7 * a)
+    if p.dead_band[a] > 0.0:
+        drive = np.sign(drive) * max(0.0, abs(drive) - p.dead_band[a])
+    drive *= p.amp_gain[a]
+    ds[P0 + a] = 0.0
+    if p.amp_extra[a] > 0.0:
+        ds[P0 + a] = p.amp_extra[a] * (drive - s[P0 + a])
+        drive = s[P0 + a]
+    rate = s[V0 + a]
+    if p.slew[a] < 1e30:
+        rate = min(max(rate, -p.slew[a] - p.slew_resistive[a] * i), p.slew[a] - p.slew_resistive[a] * i)
+    ds[I0 + a] = rate
+    ds[V0 + a] = p.amp_w[a] ** 2 * (drive - i) - 2.0 * p.amp_zeta[a] * p.amp_w[a] * rate
+
+
+@njit(cache=True, fastmath=FAST, inline="always")
+def _restoring(p, s, ds):
+    """Springs and dampers of the modes and housings."""
+    for plane in range(2):
+        for j in range(p.nq):
+            n = plane * NQ + j
+            q, v, w = s[n], s[14 + n], p.w[plane, j]
+            ds[n] = v
+            if w > 0.0:
+                ds[14 + n] -= w * w * q * (1.0 + p.cubic[plane, j] * q * q)
+                ds[14 + n] -= 2.0 * p.zeta[plane, j] * w * v * (1.0 + p.square_damping[plane, j] * q * q)
+
+
 @njit(cache=True, fastmath=FAST)
 def derivative(p, t, s, u, plays, drift_k, drift_gap, ds):
     """ds/dt of the whole plant for a constant u (4,)."""
@@ -170,32 +206,8 @@ def derivative(p, t, s, u, plays, drift_k, drift_gap, ds):
             for j in range(p.nq):
                 xs += p.ts[plane, end, j] * s[plane * NQ + j]
             ds[S0 + a] = p.sensor_w[a] * (xs - s[S0 + a])
-        # amplifier
-        drive = 0.0
-        for b in range(4):
-            drive += p.u_mix[a, b] * u[b]
-        if p.hum_a[a] != 0.0:
-            drive += p.hum_a[a] * np.cos(2 * np.pi * p.hum_hz * t + p.hum_phase + 0.7 * a)
-        if p.dead_band[a] > 0.0:
-            drive = np.sign(drive) * max(0.0, abs(drive) - p.dead_band[a])
-        drive *= p.amp_gain[a]
-        ds[P0 + a] = 0.0
-        if p.amp_extra[a] > 0.0:
-            ds[P0 + a] = p.amp_extra[a] * (drive - s[P0 + a])
-            drive = s[P0 + a]
-        rate = s[V0 + a]
-        if p.slew[a] < 1e30:
-            rate = min(max(rate, -p.slew[a] - p.slew_resistive[a] * i), p.slew[a] - p.slew_resistive[a] * i)
-        ds[I0 + a] = rate
-        ds[V0 + a] = p.amp_w[a] ** 2 * (drive - i) - 2.0 * p.amp_zeta[a] * p.amp_w[a] * rate
-    for plane in range(2):
-        for j in range(p.nq):
-            n = plane * NQ + j
-            q, v, w = s[n], s[14 + n], p.w[plane, j]
-            ds[n] = v
-            if w > 0.0:
-                ds[14 + n] -= w * w * q * (1.0 + p.cubic[plane, j] * q * q)
-                ds[14 + n] -= 2.0 * p.zeta[plane, j] * w * v * (1.0 + p.square_damping[plane, j] * q * q)
+        _amplifier(p, a, t, s, u, ds)
+    _restoring(p, s, ds)
 
 
 @njit(cache=True, fastmath=FAST, inline="always")

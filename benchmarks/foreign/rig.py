@@ -34,6 +34,58 @@ def four(value: float | list | np.ndarray) -> np.ndarray:
     return np.array(np.broadcast_to(value, 4), dtype=float)
 
 
+def _absent() -> dict:
+    """Fields of Plant where nothing but the plain rig is there."""
+    return {
+        "cubic": np.zeros((2, 7)),
+        "square_damping": np.zeros((2, 7)),
+        "offset": np.zeros(4),
+        "saturation": 0,
+        "sat_level": np.ones(4),
+        "sat_power": 2.0,
+        "play_share": np.zeros(4),
+        "play_width": np.zeros(N_PLAYS),
+        "ladder": 0,
+        "ladder_pole": np.ones(N_LADDER),
+        "ladder_gain": np.zeros(N_LADDER),
+        "ladder_direct": 1.0,
+        "force_mix": np.eye(4),
+        "amp_gain": np.ones(4),
+        "amp_extra": np.zeros(4),
+        "slew": four(np.inf),
+        "slew_resistive": np.zeros(4),
+        "u_mix": np.eye(4),
+        "dead_band": np.zeros(4),
+        "stop_gap": four(np.inf),
+        "stop_stiffness": 0.0,
+        "stop_damping": 0.0,
+        "stop_both": 1,
+        "friction": np.zeros(4),
+        "friction_stiffness": 1.0,
+        "ks_swing": 0.0,
+        "ks_swing_hz": 37.0,
+        "hum_a": np.zeros(4),
+        "hum_hz": 50.0,
+        "hum_phase": 0.0,
+        "sensor_w": np.zeros(4),
+    }
+
+
+def _plain_loop() -> dict:
+    """Fields of Loop beside the controllers, likewise."""
+    return {
+        "sample_time": TS,
+        "delay": np.zeros(1),
+        "sensor_delay": 0.0,
+        "sensor_gain": np.ones(4),
+        "sensor_cubic": np.zeros(4),
+        "sensor_step": 0.0,
+        "hum_m": np.zeros(4),
+        "hum_hz": 50.0,
+        "hum_phase": 0.0,
+    }
+
+
 @dataclass
 class Truth:
     """The rig as it is. Modes: (frequency rad/s, zeta, shape at bearings, shape at sensors); both planes alike."""
@@ -71,6 +123,18 @@ class Truth:
 
     def build(self) -> tuple[np.ndarray, Loop]:
         """Plant and loop for the integrator."""
+        values = self._coordinates() | self._magnets() | _absent()
+        for name, value in self.plant.items():
+            values[name] = value(values[name]) if callable(value) else value
+        plant = np.zeros(1, dtype=PLANT)
+        for name, value in values.items():
+            plant[name] = value
+        ba = [pid(**(self.control_by_axis[a] if self.control_by_axis else self.control)) for a in range(4)]
+        filters = {"b": np.array([b for b, _ in ba]), "a": np.array([a for _, a in ba])}
+        return plant, Loop(**(filters | _plain_loop() | self.loop))
+
+    def _coordinates(self) -> dict:
+        """What bearings and sensors see of rigid body, modes and housings, and how these are sprung."""
         tb, ts = np.zeros((2, 2, 7)), np.zeros((2, 2, 7))
         minv, w, zeta = np.zeros((2, 7)), np.zeros((2, 7)), np.zeros((2, 7))
         for plane in range(2):
@@ -89,73 +153,18 @@ class Truth:
                     w[plane, first + end] = 2 * np.pi * h["hz"] * scale
                     seen = slice(end, end + 1) if h["each"] else slice(0, 2)
                     tb[plane, seen, first + end] = ts[plane, seen, first + end] = -1.0
-        gap = self.bias * self.ki / self.ks
         nq = 2 + len(self.modes) + ((2 if self.housing["each"] else 1) if self.housing else 0)
-        values = {
-            "nq": nq,
-            "tb": tb,
-            "ts": ts,
-            "minv": minv,
-            "w": w,
-            "zeta": zeta,
-            "cubic": np.zeros((2, 7)),
-            "square_damping": np.zeros((2, 7)),
+        return {"nq": nq, "tb": tb, "ts": ts, "minv": minv, "w": w, "zeta": zeta}
+
+    def _magnets(self) -> dict:
+        gap = self.bias * self.ki / self.ks
+        return {
             "bias": four(self.bias),
             "gap": gap,
             "k": self.ki * gap**2 / (4 * self.bias),
-            "offset": np.zeros(4),
-            "saturation": 0,
-            "sat_level": np.ones(4),
-            "sat_power": 2.0,
-            "play_share": np.zeros(4),
-            "play_width": np.zeros(N_PLAYS),
-            "ladder": 0,
-            "ladder_pole": np.ones(N_LADDER),
-            "ladder_gain": np.zeros(N_LADDER),
-            "ladder_direct": 1.0,
-            "force_mix": np.eye(4),
             "amp_w": np.array(self.amp_w),
             "amp_zeta": np.array(self.amp_zeta),
-            "amp_gain": np.ones(4),
-            "amp_extra": np.zeros(4),
-            "slew": four(np.inf),
-            "slew_resistive": np.zeros(4),
-            "u_mix": np.eye(4),
-            "dead_band": np.zeros(4),
-            "stop_gap": four(np.inf),
-            "stop_stiffness": 0.0,
-            "stop_damping": 0.0,
-            "stop_both": 1,
-            "friction": np.zeros(4),
-            "friction_stiffness": 1.0,
-            "ks_swing": 0.0,
-            "ks_swing_hz": 37.0,
-            "hum_a": np.zeros(4),
-            "hum_hz": 50.0,
-            "hum_phase": 0.0,
-            "sensor_w": np.zeros(4),
         }
-        for name, value in self.plant.items():
-            values[name] = value(values[name]) if callable(value) else value
-        ba = [pid(**(self.control_by_axis[a] if self.control_by_axis else self.control)) for a in range(4)]
-        loop = {
-            "b": np.array([b for b, _ in ba]),
-            "a": np.array([a for _, a in ba]),
-            "sample_time": TS,
-            "delay": np.zeros(1),
-            "sensor_delay": 0.0,
-            "sensor_gain": np.ones(4),
-            "sensor_cubic": np.zeros(4),
-            "sensor_step": 0.0,
-            "hum_m": np.zeros(4),
-            "hum_hz": 50.0,
-            "hum_phase": 0.0,
-        }
-        loop.update(self.loop)
-        plant = np.zeros(1, dtype=PLANT)
-        for name, value in values.items():
-            plant[name] = value
-        return plant, Loop(**loop)
 
 
 def _in_use(plant: np.void) -> np.ndarray:
