@@ -46,18 +46,19 @@ def demo(
     fetches its files, and ends both.
     """
     from service import bootstrap
+    from service.exclusive import sole_use
     from service.output import ready_folder
     from sim.reference import reference_datasheet, reference_rig
 
     if in_process and keep_serving:
         raise typer.BadParameter("goes with the service, and not with --in-process", param_hint="--keep-serving")
-    ready_folder(out)
-    if in_process:
-        rig = bootstrap.connected(f"simulated://?seed={seed}")
-        commission_directly(rig, reference_datasheet(), out, True, quick, as_json, reference_rig())
-        return
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # both end the demo in good order
-    _through_the_service(out, seed, quick, keep_serving, as_json)
+    with sole_use(ready_folder(out), "another ambit demo", "give this one another folder with --out, or end that one"):
+        if in_process:
+            rig = bootstrap.connected(f"simulated://?seed={seed}")
+            commission_directly(rig, reference_datasheet(), out, True, quick, as_json, reference_rig())
+            return
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # both end the demo in good order
+        _through_the_service(out, seed, quick, keep_serving, as_json)
 
 
 def _through_the_service(out: Path, seed: int, quick: bool, keep_serving: bool, as_json: bool) -> None:

@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from service.experiment import file
-from tests.support.command import Running, wait_until
+from tests.support.command import Running, refusal, wait_until
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux")
 
@@ -71,6 +71,8 @@ def test_a_killed_demo_goes_on_and_can_be_looked_at_in_the_service_until_ctrl_c(
         told = (re.match("report in the service: (http.*)", line) for line in demo.process.stdout)
         url = next(match[1] for match in told if match)
         assert httpx.get(url).text == (tmp_path / "report.html").read_text()
+        for other in ("--quick", "--in-process"):
+            assert f"another ambit demo is at work in {tmp_path}" in refusal("demo", other, "--out", tmp_path)
         started = _started_by(demo.process.pid)
         demo.interrupt()
         assert demo.wait() == 0
