@@ -205,7 +205,7 @@ class Controller(Protocol):
         """Clear a latched trip. Needs the lease."""
 
     def close(self) -> None:
-        """Stop, and give up the link."""
+        """End a lease that is held here, and its excitation, and give up the link; safe twice, and under the lease."""
 
 
 @runtime_checkable

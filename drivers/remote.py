@@ -144,8 +144,7 @@ class RemoteController:
 
     def close(self) -> None:
         """Stop if the lease is held, and give up the link; safe twice."""
-        if self._dialogue.token:
-            self._release()
+        self._release()
         self._dialogue.close()
 
     # ---- lease
@@ -172,6 +171,8 @@ class RemoteController:
 
     def _release(self) -> None:
         token, self._dialogue.token = self._dialogue.token, 0
+        if not token:
+            return  # closed under the lease: a word on it now would open the link again
         heartbeat, self._heartbeat = self._heartbeat, None
         try:
             # A bus that is down cannot be told; then the watchdog ends the excitation and the lease runs out.

@@ -45,13 +45,15 @@ class SimulatedController:
     @contextmanager
     def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
         """Hold the rig; it cannot lapse, for the holder lives in the device's process."""
-        token = self._device.acquire(holder, seconds, attached=True)
-        self._token = token
+        self._token = self._device.acquire(holder, seconds, attached=True)
         try:
             yield
         finally:
-            self._token = NO_TOKEN
-            self._device.release(token)
+            self._release()
+
+    def _release(self) -> None:
+        token, self._token = self._token, NO_TOKEN
+        self._device.release(token)
 
     def measure(self, tone: Tone) -> PointResult:
         """Excite with one tone, measure, ramp back to zero; the result has a bus's word length."""
@@ -70,7 +72,7 @@ class SimulatedController:
         self._device.acknowledge(self._token)
 
     def close(self) -> None:
-        """Stop, and switch the rig off if it was started here."""
-        self.stop()
+        """End the lease that is held here, and switch the rig off if it was started here; safe twice."""
+        self._release()
         if self._own:
             self._device.close()

@@ -229,13 +229,16 @@ def test_stop_of_a_stranger_is_heard(controller: Controller, bench: Bench) -> No
 
 
 def test_stop_is_safe_without_lease_and_twice(controller: Controller) -> None:
+    """Who is not sure presses again; nothing of it lasts into the next tone, or shows as a trip."""
     controller.stop()
     controller.stop()
     with controller.lease("contract"):
         controller.stop()
         controller.stop()
-        controller.measure(TONE)
+        assert controller.measure(TONE).tone == TONE
     controller.stop()
+    status = controller.status()
+    assert (status.trip, status.excitation_a, status.lease_holder) == (TripCause.NONE, 0, "")
 
 
 def test_an_exception_under_the_lease_ends_the_lease(controller: Controller) -> None:
@@ -263,10 +266,16 @@ def test_leaving_the_lease_while_a_tone_plays_ends_it(controller: Controller, be
     assert outcome
 
 
-def test_close_is_safe_twice(bench: Bench) -> None:
-    controller = bench.other()
-    controller.close()
-    controller.close()
+def test_close_gives_the_rig_free_and_is_safe_twice(controller: Controller, bench: Bench) -> None:
+    """A program that ends on an error closes what it has, under the lease too; nobody waits for it to run out."""
+    other = bench.other()
+    with other.lease("ends early", seconds=60):
+        assert controller.status().lease_holder == "ends early"
+        other.close()
+        other.close()
+        assert controller.status().lease_holder == ""
+    with controller.lease("contract"):
+        assert controller.measure(TONE).tone == TONE
 
 
 def test_lease_needs_a_holder_and_a_sensible_time(controller: Controller) -> None:

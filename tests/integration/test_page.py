@@ -213,6 +213,8 @@ def test_cancel_on_the_page_asks_the_service(service, ids):
         page.until("document.querySelector('button.danger')")
         page.run("document.querySelector('button.danger').click()")
         page.until("document.querySelector('.state.cancelled')", 10)
+    with service.services.database.read() as session:
+        assert jobs.get(session, job).state == jobs.CANCELLED
 
 
 @needs_browser

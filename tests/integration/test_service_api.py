@@ -41,6 +41,11 @@ def rig(api, request):
 @pytest.fixture
 def experiment(service, rig):
     """Of this rig; its file does not matter here."""
+    return commissioned(service, rig)
+
+
+def commissioned(service, rig):
+    """The experiment of a rig that has been commissioned."""
     with service.services.database.write() as session:
         row = ExperimentRow(
             id=rig.replace("rig_", "exp_"), rig_id=rig, rig_version=1, source="measured", purpose="commissioning",
@@ -87,11 +92,15 @@ def test_the_same_request_under_a_key_is_done_once(api, service, rig, experiment
     is_problem(api.post("/jobs", json={**body, "priority": 1}, headers=headers), 422, "another request")
 
 
-def test_a_refused_request_may_be_sent_again_under_its_key(api, rig):
+def test_a_refused_request_may_be_sent_again_under_its_key(api, service, rig):
+    """A refusal is not remembered: what stood in its way is removed, and the same request is done."""
     headers = {"Idempotency-Key": f"refused {rig}"}
     body = {"kind": "health", "rig": rig}
     is_problem(api.post("/jobs", json=body, headers=headers), 404, "commission it first")
-    is_problem(api.post("/jobs", json=body, headers=headers), 404)
+    commissioned(service, rig)
+    answer = api.post("/jobs", json=body, headers=headers)
+    assert (answer.status_code, answer.json()["kind"]) == (202, "health"), answer.text
+    assert "idempotent-replayed" not in answer.headers
 
 
 def test_an_upload_that_is_sent_again_is_kept_once(api, rig, tmp_path):
@@ -248,18 +257,19 @@ def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "word"),
     [
-        {"cron": "every day"},
-        {"cron": "* * * * *"},
-        {"timezone": "Mars/Olympus"},
-        {"webhook": {"url": "file:///etc/passwd"}},
-        {"webhook": {"url": "https://h", "secret": "weak"}},
-        {"options": {"budget_s": 1}},
+        ({"cron": "every day"}, "five fields"),
+        ({"cron": "* * * * *"}, "at least 5 minutes"),
+        ({"timezone": "Mars/Olympus"}, "Mars/Olympus"),
+        ({"webhook": {"url": "file:///etc/passwd"}}, "http or https"),
+        ({"webhook": {"url": "https://h", "secret": "weak"}}, "secret"),
+        ({"options": {"budget_s": 1}}, "budget_s"),
     ],
 )
-def test_a_schedule_that_cannot_be_kept_is_refused(api, rig, wrong):
-    is_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422)
+def test_a_schedule_that_cannot_be_kept_is_refused_and_not_kept(api, rig, wrong, word):
+    is_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422, word)
+    assert api.get("/schedules", params={"rig": rig}).json()["items"] == []
 
 
 # ---- live, baseline, audit, operations
