@@ -9,6 +9,7 @@ from service.cli import run
 from service.experiment import file
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.datasheet import to_toml
+from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from tests.support.commissioned import AXES, LAW, SHEET, plan, result
 
@@ -67,6 +68,59 @@ def test_a_history_with_something_else_in_it_is_refused_by_line(tmp_path, capsys
     (tmp_path / "history.jsonl").write_text('{"a": 1}\n{"b": 2}\n')
     assert run(["health", "trend", str(tmp_path / "history.jsonl")]) == 1
     assert "line 1" in capsys.readouterr().err
+
+
+def test_a_person_reads_the_alarm_its_figures_and_how_they_went(baseline, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    out, history = tmp_path / "out", tmp_path / "history.jsonl"
+    found = experiment(tmp_path / "e.h5", 0.97)
+    command = ["health", "compare", found, "--baseline", baseline, "--out", out, "--history", history]
+    assert run([str(c) for c in command]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("ALARM: reference")
+    (changed,) = (line for line in said if line.startswith(" x.kiA"))
+    assert "drifted" in changed
+    assert float(changed.split("±")[0].split()[-1]) == pytest.approx(-3.0, abs=0.3)
+    assert f"report: {out / 'health.html'}" in said
+    assert run(["health", "trend", str(history)]) == 0
+    (went,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith(" x.kiA"))
+    assert float(went.split()[1]) == pytest.approx(-3.0, abs=0.3)
+    assert run(["health", "plan", "--baseline", str(baseline)]) == 0
+    planned = capsys.readouterr().out
+    assert "Hz, every axis; about" in planned
+    assert "x.kiA" in planned
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("health", "trend", "nothing.jsonl"), "run ambit health check first"),
+        (("health", "plan", "--baseline", "nowhere"), "result.json"),
+        (("health", "compare", "nothing.h5", "--baseline", "base", "--out", "out"), "nothing.h5"),
+        (("gap", "diagnose", "nothing.h5", "--rig", "base/rig.toml", "--out", "out"), "nothing.h5"),
+        (("gap", "apply", "base/result.json", "--rig", "base/rig.toml", "--out", "twin.toml"), "amb-gap-report"),
+        (("effects", "magic"), "loop_delay"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_that_says_what_to_give(
+    baseline, tmp_path, capsys, monkeypatch, arguments, said
+):
+    monkeypatch.chdir(tmp_path)
+    assert run(list(arguments)) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
+    assert said in line
+
+
+def test_the_catalogue_of_effects_for_a_person(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert run(["effects"]) == 0
+    listed = capsys.readouterr().out
+    for name in CATALOGUE:
+        assert f" {name} " in listed
+    assert run(["effects", "loop_delay"]) == 0
+    assert "delay_s: " in capsys.readouterr().out
 
 
 def test_plan_and_secret(baseline, capsys):
