@@ -1,0 +1,170 @@
+"""Figures of a plane's result, each with its standard deviation: stiffness, modes, poles, amplifiers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.identification import amplifier as amp
+from service.identification.amplifier_fit import AmplifierFit
+from service.identification.combine import plant_poles
+from service.identification.evidence import Evidence
+from service.identification.noise import block_noise
+from service.identification.plane_model import PlaneModel
+from service.identification.points import PlanePoints
+from service.identification.refine import Data
+from service.identification.result import AmplifierResult, Estimate, ModeResult, PoleResult
+from service.identification.uncertainty import Uncertainty
+from service.identification.validation import nrmse_percent
+from service.identification.zoh import Complex, Real
+from sim.datasheet import Datasheet
+
+
+def stiffness(model: PlaneModel, u: Uncertainty, datasheet: Datasheet, points: PlanePoints) -> dict[str, Estimate]:
+    """Ks (N/m) and ki (N/A) of both bearings beside what the datasheet says."""
+    places = [datasheet.axes.index(a) for a in points.axes]
+    nominal = [datasheet.position_stiffness_n_per_m[k] for k in places]
+    nominal += [datasheet.current_stiffness_n_per_a[k] for k in places]
+    found = estimates(model, u, lambda m: np.concatenate([m.ks, m.ki]), ["N/m", "N/m", "N/A", "N/A"], nominal)
+    return dict(zip(["ksA", "ksB", "kiA", "kiB"], found, strict=True))
+
+
+def modes(model: PlaneModel, u: Uncertainty, points: PlanePoints) -> tuple[ModeResult, ...]:
+    """Flexible modes by natural frequency; a mode that no rotor has is told as beyond the band, or as a patch."""
+    n = model.layout.n_modes
+    if n == 0:
+        return ()
+
+    def figures(m: PlaneModel) -> Real:
+        modes = m.modes
+        levitated = modes[:, 0]
+        return np.concatenate([m.natural_frequencies, m.damping_ratios, levitated, modes[:, 2:6].ravel()])
+
+    units = ["rad/s"] * n + [""] * n + ["rad/s"] * n + ["1/sqrt(kg)"] * (4 * n)
+    found = estimates(model, u, figures, units)
+    out = []
+    for k in range(n):
+        shapes = found[3 * n + 4 * k : 3 * n + 4 * k + 4]
+        w, zeta = found[k].value, found[n + k].value
+        kind = "rotor" if w <= points.omega.max() and 0 < zeta < 0.3 else "beyond" if 0 < zeta < 0.3 else "patch"
+        out.append(
+            ModeResult(found[k], found[n + k], found[2 * n + k], (shapes[0], shapes[1]), (shapes[2], shapes[3]), kind)
+        )
+    return tuple(sorted(out, key=lambda m: m.natural_frequency_rad_s.value))
+
+
+def poles(model: PlaneModel, u: Uncertainty) -> tuple[PoleResult, ...]:
+    """Poles of the levitated plant, rad/s, each with the deviation of its place."""
+    at = plant_poles(model)
+
+    def near(m: PlaneModel) -> Real:
+        moved = plant_poles(m)
+        paired = np.array([moved[np.argmin(np.abs(moved - p))] for p in at])
+        return np.concatenate([paired.real, paired.imag])
+
+    std, _ = u.std(model, near)
+    n = len(at)
+    return tuple(PoleResult(complex(p), float(np.hypot(std[k], std[n + k]))) for k, p in enumerate(at))
+
+
+def amplifiers(
+    model: PlaneModel,
+    u: Uncertainty,
+    data: Data,
+    fits: tuple[AmplifierFit, AmplifierFit] | None,
+    held_out: PlanePoints | None,
+) -> dict[str, AmplifierResult]:
+    """Both amplifiers, their fits in NRMSE percent, and how each order does on currents that no fit has seen."""
+    out = {}
+    scatter = amplifier_scatter(data)
+    delay = model.delay_s + model.known.computing_delay_s
+    for j, (axis, a) in enumerate(zip("AB", model.amplifiers, strict=True)):
+        place = model.layout.amplifiers[j]
+        names = amp.PARAMETER_NAMES[: a.order + 1]
+        units = ["A/A", "rad/s", "", "rad/s"][: a.order + 1]
+
+        def of(m: PlaneModel, place: slice = place) -> Real:
+            return m.theta[place]
+
+        found = estimates(model, u, of, units)
+        fit = first = float("nan")
+        first_order = None
+        if scatter is not None and fits is not None:
+            omega, ratio, _ = scatter[j]
+            t = model.known.sample_time_s
+            fit = nrmse_percent(ratio, amp.sampled(omega, np.array(a.parameters), delay, t)[0])
+            _, low, low_delay = fits[j].fits[0]
+            # the thesis's first-order model has no delay of its own
+            low_delay += model.known.computing_delay_s
+            first = nrmse_percent(ratio, amp.sampled(omega, low, low_delay, t)[0])
+            first_order = (tuple(low.tolist()), low_delay)
+        out[axis] = AmplifierResult(
+            a.order,
+            a.poles,
+            a.dc_gain,
+            dict(zip(names, found, strict=True)),
+            fit,
+            first,
+            _unseen_amplifier(fits[j], j, held_out, model) if fits is not None else (),
+            first_order,
+        )
+    return out
+
+
+def amplifier_scatter(data: Data) -> tuple[tuple[Real, Complex, Real], tuple[Real, Complex, Real]] | None:
+    """Per axis (omega, i/u, std) at the points that excite it."""
+    if data.plant.I is None:
+        return None
+    out = []
+    for j in range(2):
+        omega, ratio, std = [], [], []
+        for points in (data.plant, data.amplifier):
+            if points is None or points.I is None:
+                continue
+            rows = points.axis == j
+            r = points.I[rows, :, j] / points.U[rows, :, j]
+            omega.append(points.omega[rows])
+            ratio.append(r.mean(axis=1))
+            std.append(r.std(axis=1, ddof=1) / np.sqrt(r.shape[1]))
+        w = np.concatenate(omega)
+        order = np.argsort(w)
+        out.append((w[order], np.concatenate(ratio)[order], np.concatenate(std)[order]))
+    return out[0], out[1]
+
+
+def _unseen_amplifier(
+    fit: AmplifierFit, channel: int, points: PlanePoints | None, model: PlaneModel
+) -> tuple[Evidence, ...]:
+    """The evidence on an amplifier's order, with how each order does on currents that no fit has seen."""
+    if points is None or points.I is None or points.i is None or not np.any(points.axis == channel):
+        return fit.evidence
+    own = points.select(points.axis == channel)
+    assert own.I is not None
+    assert own.i is not None
+    ratio = own.i[:, channel] / own.u[:, channel]
+    away = own.I[:, :, channel] - ratio[:, None] * own.U[:, :, channel]
+    sigma = block_noise(away[:, :, None], own.omega).sigma[:, 0]
+    out = []
+    for e, (_, parameters, delay) in zip(fit.evidence, fit.fits, strict=True):
+        late = delay + model.known.computing_delay_s
+        i = amp.sampled(own.omega, parameters, late, model.known.sample_time_s)[0] * own.u[:, channel]
+        out.append(replace(e, unseen_rms=float(np.sqrt(np.mean(np.abs((own.i[:, channel] - i) / sigma) ** 2)))))
+    return tuple(out)
+
+
+def estimates(
+    model: PlaneModel,
+    u: Uncertainty,
+    of: Callable[[PlaneModel], Real],
+    units: Sequence[str],
+    nominal: Sequence[float] | None = None,
+) -> list[Estimate]:
+    """What ``of`` takes from the model, (n,), each with its deviation, all told and from the data alone."""
+    values = of(model)
+    total, data = u.std(model, of)
+    return [
+        Estimate(float(v), float(t), unit, None if nominal is None else float(nominal[k]), float(d))
+        for k, (v, t, d, unit) in enumerate(zip(values, total, data, units, strict=True))
+    ]
