@@ -13,6 +13,7 @@ from drivers.errors import BusError, ControllerError
 from drivers.url import connect
 from sim.reference import reference_rig
 from tests.support.certificates import make_authority
+from tests.support.vendor import works_like_our_own
 
 TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
 VENDOR = """
@@ -55,15 +56,7 @@ def test_vendors_registers_work_like_our_own(vendor_map: Path) -> None:
     served = serve_modbus(RigDevice(reference_rig(), 3), ModbusOptions(port=0, map=vendor_map))
     controller = connect(f"{served.url}&map={vendor_map}")
     try:
-        assert controller.capabilities().max_amplitude_a == 6.0
-        with controller.lease("host"):
-            point = controller.measure(TONE)
-            raw = controller.measure(Tone(axis=0, amplitude_a=0.02, periods=1, samples=4500, blocks=1, raw=True))
-        np.testing.assert_allclose(point.R[:, 1, 1], 0.1)
-        assert np.abs(point.Y[:, 1, 1]).min() > 1e-7
-        assert raw.records is not None
-        assert raw.records["y"].shape == (4500, 4)
-        assert controller.status().state is State.DONE
+        works_like_our_own(controller, TONE, raw_samples=4500)
     finally:
         controller.close()
         served.close()
