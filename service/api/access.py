@@ -6,19 +6,21 @@ The application keeps its `Gate` as ``app.state.gate``; ``request.state.identity
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from functools import cache
-from typing import Annotated
+from collections.abc import Callable, Coroutine
+from functools import cache, partial
+from typing import Annotated, Any
 
 from fastapi import Request, Security
+from fastapi.concurrency import run_in_threadpool
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.access import keys
 from service.access.errors import UnauthorisedError
-from service.access.keys import LOCAL, Identity, Scope
+from service.access.keys import LOCAL, Identity, KeyRecord, Scope
 from service.access.loopback import must_be_this_machine
 from service.access.rate import Limiter, Rate
+from service.api.kept import Kept
 from service.storage import keys as rows
 from service.storage.database import Database, now
 
@@ -50,8 +52,10 @@ class Gate:
         self._limiter = Limiter(rate)
         self._failures = Limiter(FAILURES)
         self._noted: dict[str, float] = {}
+        self._records: Kept[KeyRecord | None] = Kept(database)
+        self._any_key: Kept[bool] = Kept(database)
 
-    def identity(self, key: str | None, address: str | None, request: Request | None = None) -> Identity:
+    async def identity(self, key: str | None, address: str | None, request: Request | None = None) -> Identity:
         """Whoever shows this key, or sits at a service without keys.
 
         Raises
@@ -62,34 +66,46 @@ class Gate:
             Too many requests by this key, or too many wrong keys from this address.
         """
         try:
-            who = self._local(address, request) if key is None else self._holder(key, address or "")
+            who = await (self._local(address, request) if key is None else self._holder(key, address or ""))
         except UnauthorisedError:
             self._failures.take(f"wrong {address}")
             raise
         self._limiter.take(who.key_id)
         return who
 
-    def _local(self, address: str | None, request: Request | None) -> Identity:
-        with self._database.read() as session:
-            if rows.any_key(session):
-                raise UnauthorisedError(f"this needs a key; {keys.REMEDY}")
+    async def _local(self, address: str | None, request: Request | None) -> Identity:
+        if await self._any_key.get("", self._read_any_key):
+            raise UnauthorisedError(f"this needs a key; {keys.REMEDY}")
         must_be_this_machine(address, {} if request is None else request.headers)
         return LOCAL
 
-    def _holder(self, key: str, address: str) -> Identity:
-        key_id = keys.id_of(key)
+    def _read_any_key(self) -> bool:
         with self._database.read() as session:
-            row = rows.find(session, key_id) if key_id else None
-        who = keys.verify(key, None if row is None else rows.record(row), now())
-        self._note(who.key_id, address)
+            return rows.any_key(session)
+
+    async def _holder(self, key: str, address: str) -> Identity:
+        key_id = keys.id_of(key)
+        record = await self._records.get(key_id, partial(self._read_record, key_id)) if key_id else None
+        who = keys.verify(key, record, now())
+        if self._to_be_noted(who.key_id):
+            await run_in_threadpool(self._note, who.key_id, address)
         return who
 
-    def _note(self, key_id: str, address: str) -> None:
-        """Note the use of a key now and then; a database that is busy with better things is left alone."""
+    def _read_record(self, key_id: str) -> KeyRecord | None:
+        with self._database.read() as session:
+            row = rows.find(session, key_id)
+            return None if row is None else rows.record(row)
+
+    def _to_be_noted(self, key_id: str) -> bool:
+        """Whether the use of a key was not noted for a while; whoever asks then does."""
         at = time.monotonic()
         if at - self._noted.get(key_id, -NOTED_EVERY_S) < NOTED_EVERY_S:
-            return
+            return False
         self._noted[key_id] = at
+        return True
+
+    def _note(self, key_id: str, address: str) -> None:
+        """Note the use of a key; a database that is busy with better things is left alone."""
         try:
             with self._database.write() as session:
                 rows.used(session, key_id, now(), address)
@@ -98,16 +114,18 @@ class Gate:
 
 
 @cache
-def require(scope: Scope) -> Callable[..., Identity]:
+def require(scope: Scope) -> Callable[..., Coroutine[Any, Any, Identity]]:
     """Dependency of a route: the identity of whoever asks, if its scope reaches so far.
 
     ``who: Annotated[Identity, Depends(require(Scope.operator))]``; answers 401, 403 or 429 otherwise.
     """
 
-    def allowed(request: Request, given: Annotated[HTTPAuthorizationCredentials | None, Security(_scheme)]) -> Identity:
+    async def allowed(
+        request: Request, given: Annotated[HTTPAuthorizationCredentials | None, Security(_scheme)]
+    ) -> Identity:
         gate: Gate = request.app.state.gate
         key = given.credentials if given is not None else _other_scheme(request)
-        who = gate.identity(key, request.client.host if request.client else None, request)
+        who = await gate.identity(key, request.client.host if request.client else None, request)
         request.state.identity = who
         return who.must_reach(scope)
 

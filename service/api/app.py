@@ -31,6 +31,7 @@ from service.api import (
     rigs,
     schedules,
 )
+from service.api.kept import Kept
 from service.api.middleware import Around
 from service.api.state import Services
 from service.bootstrap import product_version
@@ -60,7 +61,7 @@ def create_app(settings: Settings) -> FastAPI:
     settings.work.mkdir(parents=True, exist_ok=True)
     database = Database(settings.database, pool_size=THREADS)
     upgrade(database)
-    services = Services(settings, database, Blobs(settings.store), Dispatcher(settings))
+    services = Services(settings, database, Blobs(settings.store), Dispatcher(settings), Kept(database))
     app = FastAPI(
         title="ambit",
         version=product_version(),

@@ -22,6 +22,11 @@ def quoted(tag: str) -> str:
     return f'"{tag}"'
 
 
+def of_content(content: bytes) -> str:
+    """Tag of a content that has no version of its own."""
+    return sha256(content).hexdigest()[:32]
+
+
 def matches(header: str | None, tag: str) -> bool:
     """Whether If-Match or If-None-Match names the tag."""
     if header is None:
@@ -66,8 +71,8 @@ def document(
     shape: BaseModel | dict[str, Any], if_none_match: str | None = None, tag: str | None = None, status: int = 200
 ) -> Response:
     """A document with its ETag: the tag given, or one of its content; 304 when the caller has it."""
-    content = shape.model_dump_json().encode() if isinstance(shape, BaseModel) else JSONResponse(shape).body
-    return content_response(bytes(content), JSON, tag or sha256(content).hexdigest()[:32], if_none_match, status)
+    content = shape.model_dump_json().encode() if isinstance(shape, BaseModel) else bytes(JSONResponse(shape).body)
+    return content_response(content, JSON, tag or of_content(content), if_none_match, status)
 
 
 def content_response(
@@ -89,5 +94,6 @@ def content_response(
 
 
 def stored(blobs: Blobs, digest: str, media_type: str, if_none_match: str | None) -> Response:
-    """A file of the store, whose ETag is its digest; 304 when the caller has it."""
-    return content_response(blobs.read(digest), media_type, digest, if_none_match)
+    """A file of the store, whose ETag is its digest; 304 when the caller has it, and then nothing is read."""
+    content = b"" if matches(if_none_match, digest) else blobs.read(digest)
+    return content_response(content, media_type, digest, if_none_match)

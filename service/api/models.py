@@ -6,6 +6,7 @@ import json
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
+from fastapi.concurrency import run_in_threadpool
 from pydantic import ConfigDict
 
 from service.api import etags, examples
@@ -22,9 +23,10 @@ from service.api.shapes import (
     Time,
     Viewer,
 )
-from service.api.state import Api
+from service.api.state import Api, KeptModel, Services
 from service.errors import NotFoundError
 from service.storage import results, rigs
+from service.storage.blobs import Blobs
 from service.storage.tables import ModelRow
 
 router = APIRouter(prefix="/api/v1", tags=["models"])
@@ -114,9 +116,10 @@ def list_models(
 
 
 @router.get("/models/{model_id}", response_model=ModelShape, responses=etags.documented_resource())
-def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+async def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """A model's figures, and where the rest of it is."""
-    return etags.document(shape(_row(api, model_id)), if_none_match)
+    model = await _kept(api, model_id)
+    return etags.content_response(model.document, etags.JSON, model.tag, if_none_match)
 
 
 @router.get(
@@ -124,10 +127,10 @@ def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMat
     response_class=Response,
     responses=etags.documented_json("The result, amb-commissioning-result"),
 )
-def get_result(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+async def get_result(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The whole result of the identification."""
-    row = _row(api, model_id)
-    return etags.stored(api.blobs, row.result_sha256, etags.JSON, if_none_match)
+    row = (await _kept(api, model_id)).row
+    return await _stored(api.blobs, row.result_sha256, etags.JSON, if_none_match)
 
 
 @router.get(
@@ -135,10 +138,10 @@ def get_result(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMa
     response_class=Response,
     responses=etags.documented_page(),
 )
-def get_report(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+async def get_report(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The report, one page that needs nothing else."""
-    row = _row(api, model_id)
-    return etags.stored(api.blobs, row.report_sha256, etags.HTML, if_none_match)
+    row = (await _kept(api, model_id)).row
+    return await _stored(api.blobs, row.report_sha256, etags.HTML, if_none_match)
 
 
 @router.get(
@@ -146,13 +149,29 @@ def get_report(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMa
     response_class=Response,
     responses=etags.documented_json("All curves, amb-model-curves"),
 )
-def get_curves(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
+async def get_curves(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """Frequency response, Nyquist and step of every plane, for plotting."""
-    row = _row(api, model_id)
-    return etags.stored(api.blobs, row.plots_sha256, etags.JSON, if_none_match)
+    row = (await _kept(api, model_id)).row
+    return await _stored(api.blobs, row.plots_sha256, etags.JSON, if_none_match)
 
 
-def _row(api: Api, model_id: str) -> ModelRow:
+async def _stored(blobs: Blobs, digest: str, media_type: str, if_none_match: str | None) -> Response:
+    """A file of the store: at once when it is in memory, else in a thread."""
+    if blobs.at_hand(digest) is not None:
+        return etags.stored(blobs, digest, media_type, if_none_match)
+    return await run_in_threadpool(etags.stored, blobs, digest, media_type, if_none_match)
+
+
+async def _kept(api: Services, model_id: str) -> KeptModel:
+    def read() -> KeptModel:
+        row = _row(api, model_id)
+        document = shape(row).model_dump_json().encode()
+        return KeptModel(row, document, etags.of_content(document))
+
+    return await api.models.get(model_id, read)
+
+
+def _row(api: Services, model_id: str) -> ModelRow:
     with api.database.read() as session:
         return results.get(session, ModelRow, model_id)
 

@@ -106,6 +106,13 @@ class Blobs:
         except FileNotFoundError as error:
             raise _missing(sha256) from error
 
+    def at_hand(self, sha256: str) -> bytes | None:
+        """A content that is in memory; None for another one, and nothing waits."""
+        with self._lock:
+            if (found := self._cache.get(sha256)) is not None:
+                self._cache.move_to_end(sha256)
+            return found
+
     def read(self, sha256: str) -> bytes:
         """A content, whole. What is read often is kept in memory.
 
@@ -114,10 +121,8 @@ class Blobs:
         NotFoundError
             It is not there.
         """
-        with self._lock:
-            if (found := self._cache.get(sha256)) is not None:
-                self._cache.move_to_end(sha256)
-                return found
+        if (found := self.at_hand(sha256)) is not None:
+            return found
         try:
             content: bytes = self._fs.cat_file(self._path(sha256))
         except FileNotFoundError as error:

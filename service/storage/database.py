@@ -15,6 +15,7 @@ from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlch
 from sqlalchemy.orm import Session, sessionmaker
 
 from service.errors import StorageError
+from service.storage.changes import Changes
 
 T = TypeVar("T")
 
@@ -79,8 +80,10 @@ class Database:
 
     def __init__(self, url: str, pool_size: int = 10) -> None:
         self.is_sqlite = url.startswith("sqlite")
+        self._changes: Changes | None = None
         if (path := sqlite_file(url)) is not None:
             use_wal(path)
+            self._changes = Changes(path)
         if url.startswith("postgresql:"):
             url = "postgresql+psycopg:" + url.removeprefix("postgresql:")
         arguments: dict[str, Any] = {"timeout": 30, "check_same_thread": False} if self.is_sqlite else _POSTGRESQL
@@ -143,6 +146,13 @@ class Database:
                 time.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE_S)
 
+    def mark(self) -> int | None:
+        """A number that differs once anyone has committed anything; None where that cannot be told: PostgreSQL.
+
+        What was read after a mark was taken still holds while the mark is the same.
+        """
+        return None if self._changes is None else self._changes.mark()
+
     def check(self) -> None:
         """Raise SQLAlchemyError when the database does not answer."""
         with self.engine.connect() as connection:
@@ -151,6 +161,8 @@ class Database:
     def close(self) -> None:
         """Give up every connection."""
         self.engine.dispose()
+        if self._changes is not None:
+            self._changes.close()
 
 
 def connection_lost(error: SQLAlchemyError) -> bool:
