@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.remember import remembered
 from sim.rig import SHORTEST_LAG_S, Amplifiers, Array
 
 Complex = NDArray[np.complex128]
 
 
+@remembered(32)
 def continuous(amplifiers: Amplifiers, omega_rad_s: Array) -> Complex:
     """i/u per axis without delay or crosstalk, (F, n)."""
     s = 1j * np.asarray(omega_rad_s)[:, None]
@@ -54,6 +56,7 @@ def _step_response(amplifiers: Amplifiers, t: Array) -> Array:
     return np.asarray(amplifiers.gain * np.where(t > 0, response.real, 0.0))
 
 
+@remembered(16)
 def sampled(amplifiers: Amplifiers, omega_rad_s: Array, sample_time_s: float, delay_s: Array) -> Complex:
     """Exact i/u at the sample instants when u is held, per axis without crosstalk, (F, n).
 

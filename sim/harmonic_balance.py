@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import actuator, amplifier, sensor
+from sim import actuator, amplifier, periodic, sensor
 from sim.actuator import OperatingPoint
 from sim.rig import Array, Rig
 from sim.twin import LinearModel, force_rotation, linear_model
@@ -27,10 +27,6 @@ STATIC_HZ = 1e-2
 
 SLEW_STEPS = 256
 """Fewest time steps of a period in which a supply's voltage limit is followed."""
-SLEW_PERIODS = 40
-"""Most periods for it to settle: a current loop that winds up is slow."""
-SETTLED = 1e-4
-"""Change from period to period, relative to the largest swing that the limit lets through, that counts as settled."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +157,7 @@ class Responder:
         x_t = _samples(x, h, n_time)
         effective = i_t
         if plays and rig.magnets.hysteresis_width_a:
-            effective = self._one_play(actuator.play_share(rig.magnets), rig.magnets.hysteresis_width_a, i_t)
+            effective = i_t + actuator.play_share(rig.magnets) * periodic.play(i_t, rig.magnets.hysteresis_width_a)
         elif plays:
             effective = self._rayleigh(actuator.rayleigh_coefficient(rig.magnets), i_t)
         total = actuator.force(rig.magnets, effective, x_t)
@@ -175,17 +171,6 @@ class Responder:
             depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
             excess = excess - np.where(x_t > 0, above, -below) * depth
         return _amplitudes(excess, h)
-
-    @staticmethod
-    def _one_play(share: Array, width: float, i_t: Array) -> Array:
-        """Current with one play about the middle of its swing; the second period is the steady one."""
-        middle = (i_t.max(axis=1) + i_t.min(axis=1)) / 2
-        i = np.ascontiguousarray((i_t - middle[:, None]).transpose(1, 0, 2))
-        position, out = np.zeros_like(middle), np.empty_like(i)
-        for t in range(-len(i), len(i)):
-            position = np.minimum(np.maximum(position, i[t] - width), i[t] + width)
-            out[t] = position
-        return np.asarray(i_t + share * out.transpose(1, 0, 2))
 
     @staticmethod
     def _rayleigh(alpha: Array, i_t: Array) -> Array:
@@ -234,31 +219,15 @@ class Responder:
     def _slewing(self, v_linear: Complex, omega: Array) -> Complex:
         """What the limit takes off the slope of the current, (P, H, n), in the steady state.
 
-        Stepped through time, as it has more harmonics than are asked for and a loop that winds up: with what the
-        limit changes, i' = v + dv, v' = -w^2 i - 2 zeta w (v + seen dv), or v = -w i for a first-order amplifier.
+        Stepped through time, as it has more harmonics than are asked for and a loop that winds up.
         """
         amp = self.rig.amplifiers
         w, limit = amp.natural_frequency_rad_s, amp.slew_limit_a_per_s
         steps = int(np.clip(8 * w.max() / omega.min(), SLEW_STEPS, 8 * SLEW_STEPS))
-        dt = 2 * np.pi / omega[:, None] / steps
-        asked = np.ascontiguousarray(_samples(v_linear, self.harmonics, steps).transpose(1, 0, 2))
-        i, v = np.zeros_like(asked[0]), np.zeros_like(asked[0])
-        taken = np.empty_like(asked)
-        damping = None if amp.damping_ratio is None else 2 * amp.damping_ratio * w
-        for _ in range(SLEW_PERIODS):
-            begun = i
-            for t in range(steps):
-                slope = asked[t] + (v if damping is not None else -w * i)
-                taken[t] = dv = np.clip(slope, -limit, limit) - slope
-                if damping is None:
-                    i = (i + dt * dv) / (1 + dt * w)
-                else:  # implicit in the amplifier's own loop, so that no step is too long for it
-                    pull = w**2 * (i + dt * dv) + damping * amp.slew_seen * dv
-                    v = (v - dt * pull) / (1 + dt * damping + (dt * w) ** 2)
-                    i = i + dt * (v + dv)
-            if np.all(np.abs(i - begun) < SETTLED * np.max(limit) / omega[:, None]):
-                break
-        return _amplitudes(taken.transpose(1, 0, 2), self.harmonics)
+        damping = np.zeros_like(w) if amp.damping_ratio is None else 2 * amp.damping_ratio * w
+        asked = np.ascontiguousarray(_samples(v_linear, self.harmonics, steps))
+        taken = periodic.slewing(asked, 2 * np.pi / omega / steps, w, damping, float(amp.slew_seen), limit)
+        return _amplitudes(taken, self.harmonics)
 
 
 def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> tuple[Complex, Answer]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sim import actuator, amplifier, control_law, rotor, sensor
 from sim.actuator import force_rotation as force_rotation
 from sim.datasheet import Datasheet
+from sim.remember import remembered
 from sim.rig import (
     Amplifiers,
     Array,
@@ -163,6 +164,7 @@ def current_per_control(rig: Rig, frequency_hz: Array) -> Complex:
     return np.asarray(own[:, :, None] * rig.amplifiers.crosstalk)
 
 
+@remembered(16)
 def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     """Exact small-signal responses of the sampled rig, at its operating point.
 

@@ -64,7 +64,7 @@ class Knowledge:
     def __init__(self, noise: NoiseSpectra, n_axes: int) -> None:
         self.noise = noise
         self._axes = [_Axis() for _ in range(n_axes)]
-        self.slew_a_per_s = np.inf
+        self._distorted_a_per_s, self._clean_a_per_s = np.inf, 0.0
         """Rate of change at which a current was distorted; amplifiers of one rig are alike. Infinite if none was."""
 
     def knows(self, axis: int) -> bool:
@@ -135,9 +135,22 @@ class Knowledge:
         """A tone of that axis did not trip: the next ones take a little more again."""
         self._axes[axis].caution = min(1.0, 1.1 * self._axes[axis].caution)
 
+    @property
+    def slew_a_per_s(self) -> float:
+        """How fast a current may change, A/s: what a supply's voltage limit distorts, but never less than was clean.
+
+        A stop or a magnet distorts a current, too, through the controller; it does so at low frequency as well, where
+        the current changes slowly, and is then no reason to keep fast currents small.
+        """
+        return max(self._distorted_a_per_s, self._clean_a_per_s)
+
     def saturated(self, slew_a_per_s: float) -> None:
-        """A current was distorted when it had to change that fast, as a supply's voltage limit does."""
-        self.slew_a_per_s = min(self.slew_a_per_s, slew_a_per_s)
+        """A current was distorted when it had to change that fast."""
+        self._distorted_a_per_s = min(self._distorted_a_per_s, slew_a_per_s)
+
+    def followed(self, slew_a_per_s: float) -> None:
+        """A current changed that fast without distortion."""
+        self._clean_a_per_s = max(self._clean_a_per_s, slew_a_per_s)
 
     def settle_s(self, axis: int, frequency_hz: float) -> float:
         """Settling time to start with: what the nearest points on either side needed, a little less; 0 without any."""

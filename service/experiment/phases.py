@@ -281,9 +281,8 @@ class Phases:
             self.knowledge.add(request.axis, outcome.frequency_hz, *outcome.per_ampere(), waited)
             verdict = judge(outcome, self.knowledge, aim, self.limits, before)
             a = min(verdict.better_amplitude_a, ceiling)
-            if verdict.saturated:
-                slew = 2 * math.pi * outcome.frequency_hz * abs(outcome.I[:, 1, request.axis].mean())
-                self.knowledge.saturated(float(slew))
+            slew = 2 * math.pi * outcome.frequency_hz * float(abs(outcome.I[:, 1, request.axis].mean()))
+            (self.knowledge.saturated if verdict.saturated else self.knowledge.followed)(slew)
             if verdict.saturated and tries > 1:
                 _mark(flags, "repeated at lower amplitude: the current was distorted")
                 request = request.with_amplitude(a)

@@ -23,6 +23,8 @@ from sim.datasheet import Datasheet
 Real = NDArray[np.float64]
 
 MAINS_HZ = (50.0, 60.0)
+SMALLEST_A = 1e-5
+"""Smallest amplitude of a tone that is asked for: ten steps of the controllers' scale, which moves no rotor."""
 CLEARANCE_HZ = 4.0
 """Most that a tone keeps off a line: less than half the distance between the two mains frequencies."""
 
@@ -311,7 +313,7 @@ def amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim: Aim, se
         first = math.sqrt(float(density["i"][axis] + density["u"][axis])) / aim.accuracy
         return min(first, aim.current_a / 20, limits.max_amplitude_a)
     wanted = needed_amplitude(knowledge, axis, frequency_hz, aim, seconds)
-    return min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits))
+    return max(min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits)), SMALLEST_A)
 
 
 def tones(

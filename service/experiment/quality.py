@@ -29,6 +29,10 @@ STEP_UP = 4.0
 """An amplitude is raised that much at once: what holds at a small amplitude need not at a large one."""
 
 
+VISIBLE = 5.0
+"""Standard deviations of noise above which a current is large enough for its shape to mean something."""
+
+
 @dataclass(frozen=True)
 class Judgement:
     """What a point lacks; all False for a good one."""
@@ -67,12 +71,17 @@ def _group(signals: list[tuple[Complex, Real]], aim: Aim) -> Agreement:
     )
 
 
+def visible(point: Point, knowledge: Knowledge, sample_rate_hz: float) -> bool:
+    """Whether the excited axis's current stands out of the noise and of its converter's steps, so can be judged."""
+    axis, seconds = point.request.axis, point.request.samples / sample_rate_hz
+    noise = knowledge.noise.mean_variance(point.frequency_hz, seconds, point.request.blocks)["i"][axis]
+    return bool(abs(point.I[:, 1, axis].mean()) > VISIBLE * np.sqrt(noise))
+
+
 def distortion(point: Point, knowledge: Knowledge, sample_rate_hz: float) -> float:
     """Largest harmonic of the excited axis's current over its fundamental, less what the rig does at rest there."""
     axis = point.request.axis
     current = point.I[:, :, axis].mean(axis=0)
-    if current[1] == 0:
-        return 0.0
     seconds = point.request.samples / sample_rate_hz
     largest = 0.0
     for h in range(2, len(current)):
@@ -99,7 +108,9 @@ def judge(point: Point, knowledge: Knowledge, aim: Aim, limits: Limits, before: 
     seconds = point.request.blocks * point.request.samples / limits.sample_rate_hz
     largest = largest_amplitude(knowledge, axis, f, aim, limits)
     wanted = min(largest, needed_amplitude(knowledge, axis, f, aim, seconds))
-    saturated = distortion(point, knowledge, limits.sample_rate_hz) > DISTORTION or compressed(point, before)
+    saturated = visible(point, knowledge, limits.sample_rate_hz) and (
+        distortion(point, knowledge, limits.sample_rate_hz) > DISTORTION or compressed(point, before)
+    )
     too_large = a > OVERSHOOT * largest
     too_small = WEAKNESS * a < wanted and not saturated
     return Judgement(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.evidence import occam
-from service.gap.fit import COARSE, EXACT, MIDDLE, Fit, Problem, Stage
+from service.gap.fit import COARSE, EXACT, MIDDLE, Fit, Problem, Stage, slow_to_compute
 from service.gap.part import Ground, Values
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
@@ -58,7 +58,7 @@ def fit_task(task: Task) -> Candidate:
     if task.held is None:
         return _fitted(task)
     held = task.held
-    fixed = {name: v for name, v in zip(held.effects, held.fit.values, strict=True) if CATALOGUE[name].nonlinear}
+    fixed = {name: v for name, v in zip(held.effects, held.fit.values, strict=True) if slow_to_compute(name)}
     rest = [k for k, name in enumerate(task.effects) if name not in fixed]
     free = replace(
         task,

@@ -24,6 +24,8 @@ Complex = NDArray[np.complex128]
 
 LISTED = 12
 """Explanations of a part that are put together with those of the others."""
+IMPLAUSIBLE = 5.0
+"""Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
 NEGLIGIBLE = 0.02
 """Share of all parts' excess up to which a part that nothing explains does not change the verdict."""
 
@@ -126,12 +128,18 @@ def verdict_of(found: Sequence[Explained], closures: Mapping[str, float | None],
         there, z = on_sweep(e, e.null.candidate, unseen)
         significant = max(e.significance, significance(z, there))
         own[e.part.path] = decide(e.order, e.remaining, closures[e.part.path], significant)
+        if own[e.part.path].kind != "no_gap" and (reason := other_rig(e)):
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,))
     by_size = sorted(found, key=lambda e: -_excess(e))
     total = sum(_excess(e) for e in found)
-    for e in by_size:
-        v = own[e.part.path]
-        if v.kind == "none_of_these" and (e.null.candidate.fit.chi_square > NEGLIGIBLE * total):
-            return replace(v, reasons=tuple(f"{e.part.path}: {reason}" for reason in v.reasons))
+    unknown = [
+        e
+        for e in by_size
+        if own[e.part.path].kind == "none_of_these" and e.null.candidate.fit.chi_square > NEGLIGIBLE * total
+    ]
+    if unknown:
+        reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in own[e.part.path].reasons)
+        return replace(own[unknown[0].part.path], reasons=reasons)
     named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
     if not named:
         return max(own.values(), key=lambda v: -v.probability)
@@ -146,6 +154,17 @@ def verdict_of(found: Sequence[Explained], closures: Mapping[str, float | None],
         float(np.prod([v.probability for v in named])),
         (),
     )
+
+
+def other_rig(e: Explained) -> str | None:
+    """Why the datasheet cannot be this rig's, in words: even beside the best explanation its values are far off."""
+    fit, names = chosen_in(e).fit, e.ground.nuisance.names
+    k = len(fit.active)
+    if fit.penalty <= k + IMPLAUSIBLE * np.sqrt(2 * k):
+        return None
+    worst = sorted(fit.active, key=lambda j: -abs(fit.theta[j]))[:3]
+    told = ", ".join(f"{names[j]} by {abs(fit.theta[j]):.1f}" for j in worst)
+    return f"the datasheet seems to be of another rig; its values would be off by many tolerances ({told}): check it"
 
 
 def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:

@@ -24,11 +24,12 @@ from service.gap.document import gap_document
 from service.gap.interference import hums_hz, interference, scatter_shrinkage
 from service.gap.log import log_fault
 from service.gap.loop import loop_figures
+from service.gap.modes import with_identified_modes
 from service.gap.next_experiment import next_experiment
 from service.gap.nuisance import Nuisance, nuisance
 from service.gap.observation import GapError, Observation, observe
 from service.gap.part import Ground, Values, driven_by_current, parts
-from service.gap.search import Explained, explain
+from service.gap.search import MOST, Explained, explain, plain_twin
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
 from service.gap.significance import significance
 from service.gap.telling import ProgressCallback, Telling
@@ -115,9 +116,12 @@ def diagnose(
     """
     if experiment.axes != datasheet.axes:
         raise GapError(f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}")
-    nu = nuisance(datasheet)
     main, other, name = sweeps_for(experiment)
     notes = _notes(main, other, datasheet)
+    if not datasheet.modes:
+        datasheet, note = with_identified_modes(experiment, datasheet)
+        notes.append(note)
+    nu = nuisance(datasheet)
     lines_only = other is None
     if other is None:
         line = np.unique(main.frequency_hz, return_inverse=True)[1]
@@ -131,15 +135,15 @@ def diagnose(
     amplitude_dependent = False
     telling = Telling(progress)
     with Fitter(jobs, telling.fitted) as fitter:
-        found = _explained(fitter, nu, (o,), {}, telling, (0.0, FITTED if lines_only else ONE_SWEEP))
-        failing = {} if lines_only else {e.part.path: e for e in found if _fails_on(e, unseen)}
+        aloud = bool(sources)
+        found, fault = _explained(fitter, nu, (o,), {}, aloud, telling, (0.0, FITTED if lines_only else ONE_SWEEP))
+        failing = {} if lines_only or fault else {e.part.path: e for e in found if _fails_on(e, unseen)}
         if failing:
             amplitude_dependent = True
             seen, unseen, name = _halves(other, nu, name, hums)
             known = {e.part.path: e for e in found if e.part.path not in failing}
-            found = _explained(fitter, nu, (o, seen), known, telling, (ONE_SWEEP, FITTED))
+            found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED))
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
-        fault = log_fault(fitter, found)
     telling.judging(FITTED)
     whole = with_interference(composed(nu, found), sources)
     null = whole.null.candidate
@@ -151,7 +155,7 @@ def diagnose(
         gaps[r.candidate.effects] = relative_gap(r.candidate.fit.rig, unseen)
     verdict = verdict_of(found, {e.part.path: held_out_closure(e, unseen) for e in found}, unseen)
     verdict = heard_too(verdict, sources)
-    if fault is not None and not sources:
+    if fault is not None:
         verdict = Verdict("none_of_these", (), (), 0.9, (fault,))
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     shrunk = shrinkage(null.fit.rig, chosen.fit.rig, unseen, name) if verdict.effects else before
@@ -181,11 +185,17 @@ def _explained(
     nu: Nuisance,
     observations: tuple[Observation, ...],
     known: dict[str, Explained],
+    aloud: bool,
     telling: Telling,
     percent: tuple[float, float],
-) -> list[Explained]:
-    """Every part of the loop explained, each on the ground of those before; ``known`` parts are not looked at again."""
+) -> tuple[list[Explained], str | None]:
+    """Every part of the loop explained, each on the ground of those before, and what is wrong with the log.
+
+    ``known`` parts are not looked at again. Where interference is ``aloud``, it and not the log is at fault. With a
+    log at fault no mixtures are looked for: their effects would not be there.
+    """
     out: list[Explained] = []
+    fault: str | None = None
     theta = np.zeros(len(nu))
     named: list[tuple[str, Values]] = []
     looked_at = parts(nu, observations)
@@ -198,12 +208,17 @@ def _explained(
             ground = replace(ground, observations=driven, from_current=True)
         if part.path not in known:
             telling.part(part, [p for p in looked_at if p.path not in known], *percent)
-        result = known.get(part.path) or explain(fitter, ground)
+        result = known.get(part.path)
+        if result is None:
+            plain = plain_twin(fitter, ground)
+            if part.path == "plant" and not aloud:
+                fault = log_fault(fitter, out, ground, plain)
+            result = explain(fitter, ground, plain, most=1 if fault else MOST)
         out.append(result)
         chosen = chosen_in(result)
         theta = chosen.fit.theta
         named += zip(chosen.effects, chosen.fit.values, strict=True)
-    return out
+    return out, fault
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:
@@ -252,6 +267,4 @@ def _notes(main: Sweep, other: Sweep | None, datasheet: Datasheet) -> list[str]:
         notes.append("two axes only: effects that couple x and y cannot be seen")
     if not datasheet.tolerance_stated:
         notes.append("the datasheet states no tolerances: this product's defaults are assumed")
-    if not datasheet.modes:
-        notes.append("the datasheet knows no flexible mode: add the identified ones before the gap is diagnosed")
     return notes

@@ -18,6 +18,7 @@ from service.gap.observation import Observation
 from service.gap.part import Ground
 from service.gap.predict import answer, at_speed_of, centred, control, current, displacement, measured_signal, weight
 from sim.effect import Effect, Parameter
+from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model
 
@@ -109,7 +110,7 @@ class Problem:
         self.low: Real = np.array([self._inner(p, p.low) for _, p in self.parameters], dtype=float) / self.scale
         self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
-        self.nonlinear = any(e.nonlinear or e.id in CHANGING for e in effects)
+        self.nonlinear = any(slow_to_compute(e.id) for e in effects)
         self._a, self._signal = len(self.active), ground.part.signal
 
     @staticmethod
@@ -326,6 +327,11 @@ class Problem:
         nothing = [np.zeros((*o.U.shape[:2], 0), dtype=complex) for o in self.observations]
         carried = [self.beyond_linear(fit.rig, o) for o in self.observations] if self._signal == "y" else nothing
         return self._state(self.vector(fit), EXACT, self._weights(EXACT), carried, prior).residuals
+
+
+def slow_to_compute(name: str) -> bool:
+    """Whether an effect's force has to be evaluated in time; it is held where it hardly changes."""
+    return CATALOGUE[name].nonlinear or name in CHANGING
 
 
 def _scale(p: Parameter) -> float:

@@ -21,7 +21,8 @@ from sim.rig import Rig
 
 Real = NDArray[np.float64]
 
-MAINS_HZ = (50.0, 60.0)
+MAINS_HZ = tuple(mains * k for k in (1, 2, 3, 6) for mains in (50.0, 60.0))
+"""The mains, and what rectifiers make of them."""
 MULTIPLES = (1, 2, 3, 5)
 NEAR = 0.06
 """Relative distance up to which a harmonic is near an interference."""

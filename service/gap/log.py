@@ -10,13 +10,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.gap.candidates import Fitter, Task
+from service.gap.candidates import Candidate, Fitter, Task
 from service.gap.fit import COARSE, EXACT, MIDDLE, Fit
 from service.gap.observation import Observation
 from service.gap.part import Ground, parts
-from service.gap.search import Explained
+from service.gap.search import Explained, gap_significance
 from sim import control_law
+
+Complex = NDArray[np.complex128]
 
 SIGNIFICANT = 5.0
 """Significance from which a part has a gap."""
@@ -24,22 +27,34 @@ CURED = 0.1
 """Share of the plant's excess that may be left once the signal is worked out."""
 
 
-def log_fault(fitter: Fitter, found: Sequence[Explained]) -> str | None:
-    """What is wrong with the log, in words, or None; ``found`` are the parts as effects explain them."""
-    gap = {e.part.path: e for e in found if e.significance > SIGNIFICANT}
-    plant = gap.get("plant")
-    if plant is None:
+def log_fault(
+    fitter: Fitter, before: Sequence[Explained], ground: Ground, plain: tuple[Candidate, tuple[Complex, ...]]
+) -> str | None:
+    """What is wrong with the log, in words, or None.
+
+    Parameters
+    ----------
+    before
+        The parts ahead of the plant, as effects explain them.
+    ground, plain
+        The plant's, and its plain twin with what that leaves.
+    """
+    gap = {e.part.path: e for e in before if e.significance > SIGNIFICANT}
+    if not gap or gap_significance(plain[1], ground.observations) <= SIGNIFICANT:
         return None
     if "controller" in gap and "logging_offset" not in gap["controller"].order[0].candidate.effects:
-        worked_out = tuple(as_the_controller_saw(plant.ground, o) for o in plant.ground.observations)
-        if _cured(fitter, plant, replace(plant.ground, observations=worked_out)):
+        worked_out = tuple(as_the_controller_saw(ground, o) for o in ground.observations)
+        as_uncertain = tuple(replace(o, sd_y=w.sd_y) for o, w in zip(ground.observations, worked_out, strict=True))
+        cured = _plain_excess(fitter, replace(ground, observations=worked_out))
+        # Worked out, the displacement is less certain; a gap that only that hides is not cured.
+        if cured < CURED * _plain_excess(fitter, replace(ground, observations=as_uncertain)):
             return "the logged displacement is not the one that the controller used"
     if "amplifier" in gap:
-        before = gap["amplifier"].ground
-        silent = tuple(replace(o, I=None) for o in before.observations)
-        through = next(part for part in parts(before.nuisance, silent) if part.from_control)
-        ground = Ground(before.nuisance, through, silent, before.theta, before.found)
-        if _cured(fitter, plant, ground):
+        driven = gap["amplifier"].ground
+        silent = tuple(replace(o, I=None) for o in driven.observations)
+        through = next(part for part in parts(driven.nuisance, silent) if part.from_control)
+        silent_ground = Ground(driven.nuisance, through, silent, driven.theta, driven.found)
+        if _plain_excess(fitter, silent_ground) < CURED * _excess(plain[0].fit):
             return "the logged coil current is not the one that moves the rotor"
     return None
 
@@ -58,10 +73,9 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
     return replace(o, Y=Y, sd_y=sd_y)
 
 
-def _cured(fitter: Fitter, plant: Explained, ground: Ground) -> bool:
-    """Whether on another ground the plain twin explains the plant."""
-    plain = fitter.run([Task(ground, (), ((),), ground.theta, (COARSE, MIDDLE, EXACT))])[0]
-    return _excess(plain.fit) < CURED * _excess(plant.null.candidate.fit)
+def _plain_excess(fitter: Fitter, ground: Ground) -> float:
+    """What the plain twin, refitted, leaves of the plant on another ground."""
+    return _excess(fitter.run([Task(ground, (), ((),), ground.theta, (COARSE, MIDDLE, EXACT))])[0].fit)
 
 
 def _excess(fit: Fit) -> float:

@@ -99,15 +99,22 @@ def weights(o: Observation) -> Real:
 
 
 def centred(e: Complex, w: Real, o: Observation) -> Complex:
-    """``e`` (P, H, 3 n, ...) with the weighted mean of harmonic 0 taken out: static loads are nobody's effect."""
+    """``e`` (P, H, 3 n, ...) with each line's weighted mean of harmonic 0 taken out: static loads are nobody's effect.
+
+    They wander, as magnets keep some of their flux after a large swing and as rigs warm up; what counts is how the mean
+    differs with the axis that is excited.
+    """
     if 0 not in o.harmonics:
         return e
     k = o.harmonics.index(0)
     power = w[:, k] ** 2
     power = power.reshape(*power.shape, *(1,) * (e.ndim - 3))
-    mean = (e[:, k] * power).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    total = np.zeros((len(o.frequency_hz), *e.shape[2:]), dtype=e.dtype)
+    weight_of_line = np.zeros((len(o.frequency_hz), *power.shape[1:]))
+    np.add.at(total, o.line, e[:, k] * power)
+    np.add.at(weight_of_line, o.line, power)
     e = e.copy()
-    e[:, k] -= mean
+    e[:, k] -= (total / np.maximum(weight_of_line, 1e-300))[o.line]
     return e
 
 

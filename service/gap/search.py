@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.candidates import Candidate, Fitter, Task
-from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE, Problem, Stage
+from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE, Problem, Stage, slow_to_compute
+from service.gap.observation import Observation
 from service.gap.part import Ground, Part
 from service.gap.significance import significance
 from service.gap.starts import starts
@@ -26,10 +27,13 @@ REFINED = 6
 """Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
 WITHIN = 30.0
 """Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
-MOST_EFFECTS = 3
+MOST = 3
 """Largest mixture within one part."""
 REMAINS = 4.0
 """Significance of what an explanation leaves from which another effect beside it is looked for."""
+HOPEFUL = 0.75
+"""Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
+a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
 SHARP = ("touchdown_contact",)
 """Effects whose start is good and whose valley is narrow: a rough fit would lose it."""
 
@@ -58,11 +62,8 @@ class Explained:
 
     @property
     def significance(self) -> float:
-        """Of the gap that the plain twin leaves at the excited frequency, over bands and channels."""
-        return max(
-            significance(z[:, [o.fundamental]], o, bound=np.inf)
-            for z, o in zip(self.plain, self.ground.observations, strict=True)
-        )
+        """Of the gap that the plain twin leaves."""
+        return gap_significance(self.plain, self.ground.observations)
 
     @property
     def remaining(self) -> float:
@@ -70,18 +71,42 @@ class Explained:
         return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
 
 
-def explain(fitter: Fitter, ground: Ground) -> Explained:
-    """Fit the plain twin, every single effect of the part, and mixtures where one effect leaves too much."""
+def gap_significance(plain: Sequence[Complex], observations: Sequence[Observation]) -> float:
+    """Significance of what the plain twin leaves at the excited frequency, over bands and channels."""
+    return max(significance(z[:, [o.fundamental]], o, bound=np.inf) for z, o in zip(plain, observations, strict=True))
+
+
+def plain_twin(fitter: Fitter, ground: Ground) -> tuple[Candidate, tuple[Complex, ...]]:
+    """The plain twin, the datasheet's values of the part refitted, and what it leaves, (P, H, n) per sweep."""
     null = fitter.run([Task(ground, (), ((),), ground.theta, (*_rough(ground), EXACT))])[0]
-    plain = _residuals(ground, null)
+    return null, _residuals(ground, null)
+
+
+def explain(
+    fitter: Fitter, ground: Ground, plain_fit: tuple[Candidate, tuple[Complex, ...]] | None = None, most: int = MOST
+) -> Explained:
+    """Fit the plain twin, every single effect of the part, and mixtures where one effect leaves too much.
+
+    Parameters
+    ----------
+    plain_fit
+        What `plain_twin` returned, where that was asked before.
+    most
+        Largest mixture to look at.
+    """
+    null, plain = plain_fit or plain_twin(fitter, ground)
     probed = fitter.run(_with(name, null, null, plain, ground, ground.theta) for name in ground.part.effects)
     found = _refined(fitter, ground, null, probed)
     order, left = ranked(null, found), plain
-    for size in range(1, MOST_EFFECTS + 1):
+    fewer = next(r for r in order if r.candidate is null)
+    for size in range(1, most + 1):
         best = order[0]
         left = _residuals(ground, best.candidate)
-        if len(best.candidate.effects) < size or size == MOST_EFFECTS or not _leaves_something(best, left, ground):
+        if len(best.candidate.effects) < size or size == most or not _leaves_something(best, left, ground):
             break
+        if not any(now < HOPEFUL * before for now, before in zip(best.shares, fewer.shares, strict=True)):
+            break
+        fewer = best
         larger = _refined(fitter, ground, null, fitter.run(_larger(order, size, left, ground)))
         found = [*found, *larger]
         everything = ranked(null, found)
@@ -101,7 +126,7 @@ def _rough(ground: Ground) -> tuple[Stage, ...]:
 def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex], ground: Ground, theta: Real) -> Task:
     """Task to fit one more effect beside those of ``first``, which leaves ``left``, from deviations ``theta``."""
     beginnings, effects = _starts(first, name, left, ground), (*first.effects, name)
-    held = first if any(CATALOGUE[e].nonlinear for e in first.effects) else None
+    held = first if any(slow_to_compute(e) for e in first.effects) else None
     if name in SHARP:
         return Task(ground, effects, beginnings, first.fit.theta, (PROBE,), held, null.occam)
     return Task(ground, effects, beginnings, theta, (*_rough(ground), PROBE), held, null.occam)

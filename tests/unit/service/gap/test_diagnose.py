@@ -1,5 +1,6 @@
 """A diagnosis names what is there, says nothing where nothing is, and refuses what it cannot do."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -103,3 +104,29 @@ def test_a_report_without_effect_cannot_be_applied() -> None:
     empty = {"format": "amb-gap-report", "rig": datasheet.name, "verdict": {"kind": "no_gap", "effects": []}}
     with pytest.raises(GapError, match="no_gap"):
         applied(datasheet, empty)
+
+
+def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
+    datasheet, truth = known_datasheet(seed=8)
+    unknown = replace(datasheet, modes=())
+    rig = true_rig(truth)
+    clean = diagnose(experiment(rig), unknown)
+    assert clean.verdict.kind == "no_gap"
+    (told,) = [note for note in clean.notes if "identified from this experiment" in note]
+    first, second = (float(f) for f in re.findall(r"([\d.]+) Hz", told))
+    assert (first, second) == pytest.approx([m.frequency_hz for m in truth.modes], rel=1e-3)
+    late = diagnose(experiment(with_effects(rig, {"loop_delay": {"delay_s": 3e-5}})), unknown)
+    assert late.verdict.effects == ("loop_delay",)
+
+
+def test_the_datasheet_of_another_rig_is_said_to_be_one() -> None:
+    datasheet, truth = known_datasheet(seed=9)
+    other = replace(
+        datasheet,
+        mass_kg=0.3 * datasheet.mass_kg,
+        modes=tuple(replace(m, frequency_hz=0.7 * m.frequency_hz) for m in datasheet.modes),
+    )
+    measured = experiment(true_rig(truth))
+    d = diagnose(replace(measured, sweeps=measured.sweeps[:1]), other)
+    assert d.verdict.kind == "none_of_these"
+    assert "of another rig" in " ".join(d.to_dict()["verdict"]["reasons"])

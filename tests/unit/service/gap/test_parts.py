@@ -121,3 +121,22 @@ def test_a_rotor_that_hardly_moves_is_diagnosed_too() -> None:
     small = experiment(true_rig(truth), amplitude_a=0.004)
     assert max(np.abs(s.Y[:, :, 1]).max() for s in small.sweeps) < 1e-6
     assert diagnose(small, datasheet).verdict.kind == "no_gap"
+
+
+def test_a_drift_beside_a_controller_that_differs_is_no_fault_of_the_log() -> None:
+    """Worked out from a controller that is not the rig's, y is so uncertain that it would hide a small drift."""
+    datasheet, truth = known_datasheet(seed=18)
+    both = {
+        "controller_mismatch": {"gain_change": -0.03, "derivative_change": 0.0, "lag_samples": 0.0},
+        "thermal_drift": {"ki_change": -0.013, "ks_change": -0.02, "duration_s": 300.0},
+    }
+    d = diagnose(experiment(with_effects(true_rig(truth), both)), datasheet)
+    assert set(d.verdict.effects) == set(both)
+
+
+def test_the_hum_of_a_rectifier_is_heard_too() -> None:
+    datasheet, truth = known_datasheet(seed=15)
+    measured = experiment(true_rig(truth))
+    loud = replace(measured, sweeps=tuple(hummed(s, 100.0, 30e-9, seed=k) for k, s in enumerate(measured.sweeps)))
+    heard = interference(loud.sweeps[0], nuisance(datasheet).rig)
+    assert [(s.effect, s.frequency_hz) for s in heard] == [("mains_interference", 100.0)]

@@ -1,0 +1,65 @@
+"""Flexible modes for a datasheet that knows none: those that the experiment itself shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Experiment
+from service.identification.fit import identify
+from service.identification.result import ModeResult
+from sim.datasheet import Datasheet, Mode
+from sim.errors import AmbError
+
+SHAPE_TOLERANCE = 0.2
+"""Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors
+by up to 14 % (measured on rigs of an independent program)."""
+SAME = 0.02
+"""Relative difference of frequency up to which modes of the two planes are one mode of the rotor."""
+
+
+def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple[Datasheet, str]:
+    """The datasheet with the rotor's modes as identified from the experiment, and a note on it.
+
+    What lies near a mode and looks like one, a resonant support above all, cannot be told from it then.
+    """
+    try:
+        result = identify(experiment, datasheet)
+    except AmbError as error:
+        return datasheet, f"the datasheet knows no flexible mode, and none could be identified: {error}"
+    of_planes = [[m for m in plane.modes if m.kind == "rotor"] for plane in result.planes.values()]
+    modes = [_mean([mode, *_same(mode, of_planes[1:])]) for mode in of_planes[0]]
+    if not modes:
+        return datasheet, "the datasheet knows no flexible mode, and the experiment shows none"
+    tolerance = replace(datasheet.tolerance, mode_shape=max(datasheet.tolerance.mode_shape, SHAPE_TOLERANCE))
+    told = " and ".join(f"{mode.frequency_hz:.1f} Hz" for mode in modes)
+    return (
+        replace(datasheet, modes=tuple(modes), tolerance=tolerance),
+        f"the datasheet knows no flexible mode: {told} were identified from this experiment; "
+        "a resonance of the support or another mode cannot be told from them",
+    )
+
+
+def _same(mode: ModeResult, others: Sequence[Sequence[ModeResult]]) -> list[ModeResult]:
+    """The mode as the other planes have it."""
+    w = mode.natural_frequency_rad_s.value
+    return [m for plane in others for m in plane if abs(m.natural_frequency_rad_s.value / w - 1) < SAME]
+
+
+def _mean(modes: Sequence[ModeResult]) -> Mode:
+    shapes = np.mean([_shape(m) for m in modes], axis=0)
+    return Mode(
+        float(np.mean([m.natural_frequency_rad_s.value for m in modes]) / (2 * np.pi)),
+        float(np.mean([m.damping_ratio.value for m in modes])),
+        (float(shapes[0]), float(shapes[1])),
+        (float(shapes[2]), float(shapes[3])),
+    )
+
+
+def _shape(mode: ModeResult) -> NDArray[np.float64]:
+    """(4,) at bearings and sensors, A and B each; of one sign for all planes."""
+    shape = np.array([e.value for e in (*mode.shape_at_bearings, *mode.shape_at_sensors)])
+    return np.asarray(shape * np.sign(shape[np.argmax(np.abs(shape))]))

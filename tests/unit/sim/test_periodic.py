@@ -1,0 +1,44 @@
+"""Steady states of plays and of amplifiers at their slew limit, against what is known in closed form."""
+
+import numpy as np
+import pytest
+
+from sim.periodic import play, slewing
+
+T = 2048
+PHASE = 2 * np.pi * np.arange(T) / T
+
+
+def fundamental(x):
+    return 2 / T * np.sum(x * np.exp(-1j * PHASE))
+
+
+def test_a_play_at_half_the_swing_lags_as_the_literature_says():
+    """Its fundamental at twice its width is (1/2 - j/pi) A (Krasnosel'skii and Pokrovskii 1989, chapter 2)."""
+    i = np.cos(PHASE)[None, :, None] * np.array([1.0, 3.0]) + 5.0
+    out = play(i, 0.5)
+    assert fundamental(out[0, :, 0]) == pytest.approx(0.5 - 1j / np.pi, abs=2e-3)
+    assert abs(out[0, :, 0]).max() == pytest.approx(0.5, abs=1e-3)
+    assert abs(out[0, :, 1]).max() == pytest.approx(2.5, abs=1e-3), "each axis has its own swing"
+
+
+def test_a_play_that_is_never_crossed_does_not_move():
+    assert np.all(play(0.3 * np.cos(PHASE)[None, :, None], 0.5) == 0.0)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1.6 * 9244.0])
+def test_far_beyond_its_limit_an_amplifier_makes_a_triangle(damping):
+    """A current that slews all the time is a triangle of slope s: amplitude s T / 4, fundamental 8/pi^2 of it."""
+    hz, w, limit = 2000.0, 9244.0, np.array([1000.0])
+    asked = 6.0 * limit[0] * np.cos(PHASE)[None, :, None]
+    taken = slewing(asked, np.array([1 / hz / T]), np.array([w]), np.array([damping]), 0.0, limit)
+    s = 2j * np.pi * hz
+    per_slew = (s + damping) / (s**2 + damping * s + w**2) if damping else 1 / (s + w)
+    i = fundamental(asked[0, :, 0]) / s + per_slew * fundamental(taken[0, :, 0])
+    assert abs(i) == pytest.approx(limit[0] / (4 * hz) * 8 / np.pi**2, rel=0.02)
+
+
+def test_below_its_limit_nothing_is_taken():
+    asked = 900.0 * np.cos(PHASE)[None, :, None]
+    dt = np.array([1 / 200.0 / T])
+    assert np.all(slewing(asked, dt, np.array([9244.0]), np.array([1.6 * 9244.0]), 0.5, np.array([1000.0])) == 0.0)

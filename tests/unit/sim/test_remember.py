@@ -1,0 +1,41 @@
+"""Kept results are those of the same contents, and nobody can spoil them for the next caller."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.reference import reference_rig
+from sim.remember import remembered
+from sim.twin import linear_model
+
+
+def test_equal_contents_are_computed_once_and_others_anew():
+    calls = []
+
+    @remembered(4)
+    def doubled(x: np.ndarray, factor: float = 2.0) -> np.ndarray:
+        calls.append(factor)
+        return factor * x
+
+    a = np.arange(3.0)
+    assert doubled(a).tolist() == doubled(a.copy()).tolist() == [0.0, 2.0, 4.0]
+    assert len(calls) == 1
+    a[0] = 7.0  # the same object with other contents is another question
+    assert doubled(a).tolist() == [14.0, 2.0, 4.0]
+    assert doubled(a, factor=3.0).tolist() == [21.0, 3.0, 6.0]
+    assert len(calls) == 3
+
+
+def test_a_kept_response_cannot_be_written_to():
+    model = linear_model(reference_rig(), np.array([10.0, 100.0]))
+    with pytest.raises(ValueError, match="read-only"):
+        model.y_per_u[0] = 0.0
+
+
+def test_a_rig_that_differs_in_one_value_has_its_own_response():
+    rig, f = reference_rig(), np.array([10.0, 100.0])
+    before = linear_model(rig, f).y_per_u
+    heavier = replace(rig, rotor=replace(rig.rotor, mass_kg=rig.rotor.mass_kg * 1.001))
+    assert not np.allclose(linear_model(heavier, f).y_per_u, before, rtol=1e-6)
+    assert np.array_equal(linear_model(reference_rig(), f.copy()).y_per_u, before)
