@@ -57,7 +57,11 @@ def etfe(points: PlanePoints, path: Path) -> FrequencyResponse:
     x, z = signals[source], signals[target]
     if x is None or z is None:
         raise AmbError(f"plane {points.plane}: {path} needs the coil currents, which this experiment does not log")
-    return _estimate(x, z, points.omega, points.axis, f"plane {points.plane}", points.axes, path)
+    more = None
+    if points.unsettled is not None and target in "iy":
+        variances = np.einsum("pcc->pc", points.unsettled).real
+        more = variances[:, -2:] if target == "y" else variances[:, :2]
+    return _estimate(x, z, points.omega, points.axis, f"plane {points.plane}", points.axes, path, more)
 
 
 def etfe_all(sweep: Sweep, axes: tuple[str, ...], path: Path) -> FrequencyResponse:
@@ -75,8 +79,16 @@ def etfe_all(sweep: Sweep, axes: tuple[str, ...], path: Path) -> FrequencyRespon
 
 
 def _estimate(
-    x: Complex, z: Complex, omega: Real, axis: NDArray[np.int64], where: str, axes: tuple[str, ...], path: str
+    x: Complex,
+    z: Complex,
+    omega: Real,
+    axis: NDArray[np.int64],
+    where: str,
+    axes: tuple[str, ...],
+    path: str,
+    more: Real | None = None,
 ) -> FrequencyResponse:
+    """``more``: (P, n_out) variance of the means beside that of the noise."""
     n_in = x.shape[2]
     mean_x, mean_z = x.mean(axis=1), z.mean(axis=1)
     groups = [g for g in same_frequency(omega) if len(np.unique(axis[g])) == n_in]
@@ -104,6 +116,8 @@ def _estimate(
     noise = block_noise((z - gain)[used], omega[used], correlated=False, magnitude=np.abs(gain[used].mean(axis=1)))
     variance = np.zeros((len(omega), z.shape[2]))
     variance[used] = np.asarray(noise.sigma) ** 2
+    if more is not None:
+        variance += more
     std = np.empty(value.shape)
     for k, g in enumerate(groups):
         std[k] = np.sqrt(variance[g].T @ np.abs(inverses[k]) ** 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from service.identification.rotating import speeds_of, turned
 from service.identification.selection import Selected, choose_modes
 from service.identification.split import Knowledge
 from service.identification.staged import StagedFit, staged_fit
+from service.identification.tolerances import Tolerances
+from service.identification.transient import Transient, settled, told
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 
@@ -35,6 +37,9 @@ class Options:
     datasheet_modes: bool = True
     """Whether the datasheet's modes, where it has any, tell how shapes split between bearings and sensors. Nothing else
     of them is used."""
+    priors: bool = False
+    """Whether the datasheet's values count as priors, as wide as its tolerances (`tolerances.Tolerances`). By default
+    its ki, ks, amplifiers and modes are not trusted at all."""
 
 
 def identify(experiment: Experiment, datasheet: Datasheet, options: Options | None = None) -> CommissioningResult:
@@ -46,7 +51,8 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
         The main sweep is fitted; one with comment "amplifier" helps with the amplifiers; the first other one is kept
         for cross-validation and no step of any fit sees it.
     datasheet
-        Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted.
+        Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted unless
+        ``options`` ask for them as priors.
 
     Raises
     ------
@@ -122,10 +128,12 @@ class FittedPlane:
     amplifiers: tuple[AmplifierFit, AmplifierFit] | None
     staged: StagedFit
     selected: Selected
+    transients: tuple[Transient, ...] = ()
+    """What was still ringing in the points and was taken out."""
 
     def result(self, datasheet: Datasheet) -> PlaneResult:
         """Figures with uncertainty, validation, curves."""
-        return assemble(
+        found = assemble(
             datasheet,
             self.data,
             self.held_out,
@@ -135,6 +143,10 @@ class FittedPlane:
             self.staged,
             self.selected,
         )
+        more = [told(t) for t in self.transients]
+        if self.data.prior is not None:
+            more += self.data.prior.strained(found.model)
+        return replace(found, warnings=(*found.warnings, *more))
 
 
 def fit_plane(
@@ -150,11 +162,26 @@ def fit_plane(
     options = options or Options()
     points = plane_points(main, axes, plane)
     check_excitation(points)
-    u_to_y = etfe(points, "u->y")
-    amplifier_points = _amplifier_points(amplifier_sweep, axes, plane)
-    data = Data(points, amplifier_points)
+    prior = Tolerances.of(datasheet, points.axes) if options.priors else None
+    data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior)
+    found = _fit_points(data, datasheet, axes, options)
+    if main.kind == "stepped-sine" and not main.speed_rad_s:
+        controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+        block_s = None if main.block_samples is None else main.block_samples[points.index] / main.sample_rate_hz
+        model = found.selected.refined.model
+        data, transients = settled(data, model, found.selected.refined.fit.free, controller, block_s)
+        if transients:
+            found = replace(_fit_points(data, datasheet, axes, options), transients=transients)
+    held_out = None if validation is None else plane_points(validation, axes, plane)
+    if held_out is not None and len(held_out.omega) == 0:
+        held_out = None
+    return replace(found, held_out=held_out)
 
-    start, fits = start_model(datasheet, plane, axes, data)
+
+def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options: Options) -> FittedPlane:
+    points = data.plant
+    u_to_y = etfe(points, "u->y")
+    start, fits = start_model(datasheet, points.plane, axes, data)
     gain = start.amplifier_response(u_to_y.omega)
     plant = FrequencyResponse(u_to_y.omega, u_to_y.value / gain[:, None, :], u_to_y.std / np.abs(gain)[:, None, :])
     staged = staged_fit(start, points, plant)
@@ -162,10 +189,7 @@ def fit_plane(
     selected = choose_modes(
         staged.rigid_model, data, plant, staged.search, staged.n_modes, staged.lowest_mode_rad_s, knowledge
     )
-    held_out = None if validation is None else plane_points(validation, axes, plane)
-    if held_out is not None and len(held_out.omega) == 0:
-        held_out = None
-    return FittedPlane(data, held_out, u_to_y, plant, fits, staged, selected)
+    return FittedPlane(data, None, u_to_y, plant, fits, staged, selected)
 
 
 def split_knowledge(datasheet: Datasheet, options: Options) -> Knowledge:

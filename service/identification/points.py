@@ -80,6 +80,9 @@ class PlanePoints(Blocks):
     """Of a multisine on all axes whose phases are known: its points excite the rotor at the same time."""
     together: Together | None = None
     """Of a multisine whose phases are not."""
+    unsettled: Complex | None = None
+    """(P, c, c) what is not known of the transients that were taken out of the means of i and y, or of y alone: a
+    covariance beside that of the noise."""
 
     @property
     def n_blocks(self) -> int:
@@ -99,6 +102,7 @@ class PlanePoints(Blocks):
             index=self.index[keep],
             many=None if self.many is None else self.many.select(keep),
             together=None if self.together is None else replace(self.together, group=self.together.group[keep]),
+            unsettled=None if self.unsettled is None else self.unsettled[keep],
         )
 
 

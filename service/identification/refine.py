@@ -17,6 +17,7 @@ from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude, PlaneModel, Points, Prediction
 from service.identification.points import PlanePoints
 from service.identification.split import Split, split_rows
+from service.identification.tolerances import Tolerances
 from service.identification.zoh import Complex, Real
 
 
@@ -26,6 +27,8 @@ class Data:
 
     plant: PlanePoints
     amplifier: PlanePoints | None = None
+    prior: Tolerances | None = None
+    """What the datasheet says, where it is asked to tell beside the data."""
 
 
 @dataclass(frozen=True)
@@ -77,16 +80,17 @@ def predicted_blocks(model: PlaneModel, points: PlanePoints, amplitude: Amplitud
 
 
 def noise_of(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> NoiseModel:
-    """Noise of the residuals under a model."""
+    """Noise of the residuals under a model, with what is not known of transients that were taken out."""
     i, y = predicted_blocks(model, points, amplitude)
     size = y if points.I is None else np.concatenate([i, y], axis=2)
-    return block_noise(
+    noise = block_noise(
         residual_blocks(points, i, y),
         points.omega,
         magnitude=np.abs(size.mean(axis=1)),
         suspect=points.suspect,
         sparse=points.many is not None,
     )
+    return noise if points.unsettled is None else replace(noise, covariance=noise.covariance + points.unsettled)
 
 
 def weights_of(
@@ -121,7 +125,7 @@ def residuals(
     Returns
     -------
     residual, jacobian
-        (N,) and (N, size): plant's points first, real parts then imaginary ones.
+        (N,) and (N, size): plant's points first, real parts then imaginary ones; what the datasheet says last.
     """
     points = data.plant
     p = model.predict(Points(points.omega, points.u), amplitude, gradient)
@@ -139,6 +143,10 @@ def residuals(
         rows.append(_stacked(np.einsum("pab,pb->pa", weights.amplifier, e)))
         if gradient:
             jacobians.append(-_stacked(weights.amplifier @ d_e))
+    if data.prior is not None:
+        e_prior, d_prior = data.prior.rows(model)
+        rows.append(e_prior)
+        jacobians.append(d_prior)
     return np.concatenate(rows), np.concatenate(jacobians) if gradient else None
 
 

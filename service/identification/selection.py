@@ -97,7 +97,10 @@ def choose_modes(
         Pole-residue models with 1, 2, ... modes, and which number to begin with.
     lowest_rad_s
         No mode is looked for below.
+
+    The datasheet's word, where it is asked for, counts in the last fit: modes are chosen by the data alone.
     """
+    asked, data = data, replace(data, prior=None)
     modes = modes_from(coarse[n_start - 1], start.ki) if n_start else np.empty((0, N_MODE))
     modes = modes[[is_visible(m[0], m[1], data.plant.omega) for m in modes]]
     n_start = len(modes)
@@ -139,8 +142,8 @@ def choose_modes(
     candidates = tuple(r.model for _, r in sorted(tried.items()))
     if _rms(tried[now], data) > ADEQUATE:
         wrong = _forgiving(with_modes(start, modes), data, knowledge)
-        return Selected(*_finished(wrong, data, knowledge), evidence, candidates)
-    return Selected(*_finished(tried[now], data, knowledge), evidence, candidates)
+        return Selected(*_finished(wrong, asked, knowledge), evidence, candidates)
+    return Selected(*_finished(tried[now], asked, knowledge), evidence, candidates)
 
 
 def _forgiving(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
@@ -166,7 +169,11 @@ def _finished(refined: Refined, data: Data, knowledge: Knowledge) -> tuple[Refin
     """Joint fit with the splits at the mean of what is known of them, and that knowledge."""
     n_modes = refined.model.layout.n_modes
     if n_modes == 0:
-        return refined, None
+        if data.prior is None:
+            return refined, None
+        free = _free(refined.model, data)
+        told = refine(refined.model, data, free, relative=refined.relative, weights=refined.weights)
+        return replace(told, noise=refined.noise), None
     now, ratios = refined, log_ratios(refined.model)
     known = Posterior(ratios, np.eye(n_modes))
     for _ in range(SPLIT_ROUNDS):

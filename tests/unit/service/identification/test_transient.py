@@ -1,0 +1,141 @@
+"""Tones that had not settled: what was still ringing is taken out, and nothing is touched where nothing rang."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Sweep
+from service.identification.closed_loop import companion, sampled
+from service.identification.fit import fit_plane, identify
+from service.identification.points import plane_points
+from service.identification.refine import Data, noise_of
+from service.identification.synthetic import plane_model_of, synthetic_experiment
+from service.identification.transient import settled
+from sim.reference import reference_datasheet, reference_rig
+
+SHEET = reference_datasheet()
+TRUTH = plane_model_of(reference_rig(), "x")
+CONTROLLER = (np.array(SHEET.numerator), np.array(SHEET.denominator))
+BLOCKS, RATE = 6, 10_000.0
+AXES = ("xA", "xB")
+HZ = np.unique(np.concatenate([np.geomspace(12, 980, 26), 495 + np.linspace(-12, 12, 9), 907 + np.linspace(-9, 9, 7)]))
+
+
+def run(settle_s: float, told: bool = True, seed: int = 0) -> Sweep:
+    """The sampled linear loop from rest, tone by tone, step by step in time; y is 20 nm noisy, i 2 mA."""
+    plant = sampled(TRUTH)
+    see_i = np.zeros((2, len(plant.A)))
+    at = 0
+    for k, a in enumerate(TRUTH.amplifiers):
+        c = companion(a.poles, a.dc_gain)[2]
+        see_i[k, at : at + c.shape[1]] = c[0]
+        at += c.shape[1]
+    b, a = (np.asarray(x) / CONTROLLER[1][0] for x in CONTROLLER)
+    periods = np.maximum(1, np.round(HZ * 0.05)).astype(int)
+    samples = np.round(periods * RATE / HZ).astype(int)
+    hz, n = np.tile(periods * RATE / samples, 2), np.tile(samples, 2)
+    axis = np.repeat([0, 1], len(HZ))
+    size = np.where(abs(hz / 497 - 1) < 0.03, 0.03, 0.12)
+    start = round(settle_s * RATE)
+    rng = np.random.default_rng(seed)
+    x = np.zeros((len(plant.A), len(hz), 1))[:, :, 0]
+    memory = np.zeros((len(a) - 1, 2, len(hz)))  # of the controller, transposed direct form
+    sums = {name: np.zeros((len(hz), BLOCKS, 2), dtype=complex) for name in "ruiy"}
+    for k in range(start + BLOCKS * int(n.max())):
+        y = plant.C @ x + 20e-9 * rng.standard_normal((2, len(hz)))
+        i = see_i @ x + 2e-3 * rng.standard_normal((2, len(hz)))
+        out = b[0] * -y + memory[0]
+        memory = np.concatenate([memory[1:], np.zeros((1, 2, len(hz)))]) + b[1:, None, None] * -y
+        memory -= a[1:, None, None] * out
+        r = np.zeros((2, len(hz)))
+        r[axis, np.arange(len(hz))] = size * np.cos(2 * np.pi * hz * k / RATE)
+        u = out + r
+        block = (k - start) // n
+        on = (k >= start) & (block < BLOCKS)
+        turn = 2 / n * np.exp(-2j * np.pi * hz * k / RATE)
+        for name, signal in (("r", r), ("u", u), ("i", i), ("y", y)):
+            sums[name][on, block[on]] += (turn * signal).T[on]
+        x = plant.A @ x + plant.B @ u
+    return Sweep(
+        kind="stepped-sine",
+        frequency_hz=hz,
+        axis=axis,
+        amplitude_a=size,
+        harmonics=(1,),
+        **{name.upper(): value[:, :, None, :] for name, value in sums.items()},
+        sample_rate_hz=RATE,
+        block_samples=n if told else None,
+    )
+
+
+def sheet():
+    two = {
+        name: getattr(SHEET, name)[:2]
+        for name in (
+            "current_stiffness_n_per_a",
+            "position_stiffness_n_per_m",
+            "bias_current_a",
+            "amplifier_gain",
+            "amplifier_natural_frequency_hz",
+            "amplifier_damping_ratio",
+            "sensor_gain",
+        )
+    }
+    return replace(SHEET, axes=AXES, **two)
+
+
+@pytest.fixture(scope="module")
+def hasty() -> Sweep:
+    return run(0.25)
+
+
+def check(plane) -> None:
+    for mode, w, zeta in zip(plane.modes, TRUTH.natural_frequencies, TRUTH.damping_ratios, strict=True):
+        assert mode.damping_ratio.value == pytest.approx(zeta, rel=0.02)
+        assert abs(mode.damping_ratio.value - zeta) < 4 * mode.damping_ratio.std
+        assert mode.natural_frequency_rad_s.value == pytest.approx(w, rel=5e-4)
+    found = plane.stiffness
+    for key, value in zip(("ksA", "ksB", "kiA", "kiB"), [*TRUTH.ks, *TRUTH.ki], strict=True):
+        assert found[key].value == pytest.approx(value, rel=2e-3)
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["length of blocks told", "length not told"])
+def test_damping_is_right_though_the_tones_were_recorded_before_they_settled(hasty: Sweep, told: bool) -> None:
+    """The loop damps mode 1 with 5.6 1/s: after 0.25 s a quarter of what the start made rings on."""
+    sweep = hasty if told else replace(hasty, block_samples=None)
+    plane = identify(synthetic_experiment(sweep, axes=AXES), sheet()).planes["x"]
+    check(plane)
+    assert plane.adequate
+    assert any("500.5 Hz mode of the closed loop still rang" in w for w in plane.warnings)
+
+
+def test_without_it_the_damping_would_be_off(hasty: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That the test above tests something."""
+    monkeypatch.setattr("service.identification.fit.settled", lambda data, *_: (data, ()))
+    plane = identify(synthetic_experiment(hasty, axes=AXES), sheet()).planes["x"]
+    assert abs(plane.modes[0].damping_ratio.value / TRUTH.damping_ratios[0] - 1) > 0.03
+
+
+def test_settled_points_are_left_as_they_are() -> None:
+    sweep = run(2.0, seed=1)
+    found = fit_plane(sweep, None, None, AXES, "x", sheet())
+    assert found.transients == ()
+    points = plane_points(sweep, AXES, "x")
+    assert np.array_equal(found.data.plant.Y, points.Y)
+    assert found.data.plant.unsettled is None
+
+
+def test_what_is_not_known_of_a_transient_is_in_the_noise(hasty: Sweep) -> None:
+    """At the peak a transient looks most like the settled motion: such points count for less, others as before."""
+    points = plane_points(hasty, AXES, "x")
+    block_s = hasty.block_samples[points.index] / RATE
+    data, found = settled(Data(points), TRUTH, TRUTH.layout.free(), CONTROLLER, block_s)
+    assert abs(found[0].pole.imag) == pytest.approx(3144.9, abs=2)
+    plain = noise_of(TRUTH, replace(data.plant, unsettled=None), None).sigma[:, -2:]
+    whole = noise_of(TRUTH, data.plant, None).sigma[:, -2:]
+    near = abs(points.omega - 3144.9) < 20
+    far = abs(points.omega - 3144.9) > 1500
+    assert np.all(whole >= plain)
+    assert np.max(whole[near] / plain[near]) > 1.5
+    assert np.median(whole[far] / plain[far]) < 1.02
