@@ -35,10 +35,13 @@ export function nothing(text) {
   return h("p", { class: "empty" }, text);
 }
 
+// A time on this machine's clock, in one order of day and month for every reader.
 export function when(iso) {
   if (!iso) return "–";
   const date = new Date(iso);
-  return h("time", { datetime: iso, title: iso }, date.toLocaleString([], { dateStyle: "short", timeStyle: "short" }));
+  const two = (n) => String(n).padStart(2, "0");
+  const day = date.getFullYear() + "-" + two(date.getMonth() + 1) + "-" + two(date.getDate());
+  return h("time", { datetime: iso, title: iso }, day + " " + two(date.getHours()) + ":" + two(date.getMinutes()));
 }
 
 export function duration(seconds) {

@@ -61,16 +61,27 @@ export function bode(place, plane, out, source) {
   }));
 }
 
+function deviation(series, k) {
+  return Math.hypot(series.std_percent[k], series.baseline_std_percent);
+}
+
+// The checks that knew the change of a figure better than by the figure itself.
+export function known(series) {
+  return [...series.std_percent.keys()].filter((k) => deviation(series, k) < 100);
+}
+
 // Change of one figure over the checks, percent, with one standard deviation.
 export function trend(place, name, series) {
-  const wide = series.std_percent.map((s) => Math.hypot(s, series.baseline_std_percent));
-  const marker = { color: series.drifted.map((d) => (d ? BAD : MODEL)), size: 5 };
+  const shown = known(series);
+  const of = (values) => shown.map((k) => values[k]);
+  const marker = { color: of(series.drifted).map((d) => (d ? BAD : MODEL)), size: 5 };
   draw(place, [{
-    x: series.at, y: series.change_percent, mode: "markers", marker,
-    error_y: { type: "data", array: wide, thickness: 1, width: 0, color: "#9aa5b1" },
+    x: of(series.at), y: of(series.change_percent), mode: "markers", marker,
+    error_y: { type: "data", array: shown.map((k) => deviation(series, k)), thickness: 1, width: 0, color: "#9aa5b1" },
   }], layout({
-    title: { text: name, font: { size: 12 }, x: 0.02, y: 0.97 }, margin: { l: 58, r: 10, t: 24, b: 40 }, showlegend: false,
-    xaxis: axis({ type: "date", nticks: 3 }), yaxis: axis({ nticks: 5, ticksuffix: " %", exponentformat: "none" }),
+    title: { text: name, font: { size: 12 }, x: 0.02, y: 0.97 }, margin: { l: 20, r: 10, t: 24, b: 40 }, showlegend: false,
+    xaxis: axis({ type: "date", nticks: 3 }),
+    yaxis: axis({ nticks: 5, ticksuffix: " %", exponentformat: "none", automargin: true }),
     shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 0, y1: 0, line: { color: "#9aa5b1", width: 1, dash: "dot" } }],
   }), { responsive: true, displayModeBar: false });
 }
@@ -79,10 +90,10 @@ export function trend(place, name, series) {
 export function candidates(place, found) {
   const shown = found.slice(0, 6).reverse();
   draw(place, [{
-    type: "bar", orientation: "h", y: shown.map((c) => c.effect), x: shown.map((c) => 100 * c.probability),
+    type: "bar", orientation: "h", y: shown.map((c) => c.effect.replaceAll("_", " ").replaceAll("+", " + ")), x: shown.map((c) => 100 * c.probability),
     marker: { color: MODEL }, hovertemplate: "%{x:.1f} %<extra></extra>",
   }], layout({
-    margin: { l: 170, r: 14, t: 8, b: 40 }, showlegend: false,
-    xaxis: axis({ range: [0, 100], title: { text: "probability, %" } }), yaxis: axis({ gridcolor: "#fff" }),
+    margin: { l: 20, r: 14, t: 8, b: 40 }, showlegend: false,
+    xaxis: axis({ range: [0, 100], title: { text: "probability, %" } }), yaxis: axis({ gridcolor: "#fff", automargin: true }),
   }));
 }

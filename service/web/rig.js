@@ -69,17 +69,19 @@ async function model(found, context) {
     if (!rows.has(name)) rows.set(name, [name, ...planes.map(() => "–"), nominal]);
     rows.get(name)[1 + planes.indexOf(plane)] = value;
   };
-  for (const plane of planes) {
-    const p = found.summary.planes[plane];
+  const each = (what) => planes.forEach((plane) => what(plane, found.summary.planes[plane]));
+  each((plane, p) => {
     for (const [name, e] of Object.entries(p.stiffness)) put(name + ", " + e.unit, plane, figures(e.value, e.std), number(e.nominal, 7));
-    p.modes.forEach((m, k) => {
-      const w = m.natural_frequency_rad_s, z = m.damping_ratio;
-      put("wn" + (k + 1) + ", rad/s", plane, figures(w.value, w.std));
-      put("zeta" + (k + 1), plane, figures(z.value, z.std));
-    });
+  });
+  each((plane, p) => p.modes.forEach((m, k) => { // planes may differ in how many they have
+    const w = m.natural_frequency_rad_s, z = m.damping_ratio;
+    put("wn" + (k + 1) + ", rad/s", plane, figures(w.value, w.std));
+    put("zeta" + (k + 1), plane, figures(z.value, z.std));
+  }));
+  each((plane, p) => {
     const peaks = Object.values(p.sensitivity_peak || {}).map((v) => v.toFixed(2)).join(" / ");
     put("sensitivity peak A / B, zone", plane, h("span", {}, peaks + ", ", state(p.iso_14839_3_zone)));
-  }
+  });
   const place = h("div", { class: "plot bode", id: "bode" });
   const entries = Object.entries(response).flatMap(([plane, p]) => p.axes.flatMap((out, a) => p.axes.map((source, b) => [plane, a, b, "y " + out + " / u " + source])));
   const choice = h("select", { id: "entry" }, entries.map((e, k) => h("option", { value: k }, e[3])));
@@ -120,9 +122,10 @@ async function gap(found, context) {
 function health(found, trend, context) {
   if (!found) return [nothing("Not checked yet.")];
   const places = h("div", { class: "plots", id: "trend" });
+  const [followed, unknown] = [true, false].map((yes) => Object.entries(trend.series).filter(([, s]) => plots.known(s).length > 0 === yes));
   const steady = Object.entries(trend.series).filter(([, s]) => s.drifting).map(([name]) => name);
   context.then(() => {
-    for (const [name, series] of Object.entries(trend.series)) {
+    for (const [name, series] of followed) {
       const place = h("div", { class: "plot" });
       places.append(place);
       plots.trend(place, name, series);
@@ -133,6 +136,7 @@ function health(found, trend, context) {
     h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + " checks · ",
       documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html")),
     steady.length ? h("p", { class: "note" }, "Changes steadily: " + steady.join(", ")) : "",
+    unknown.length ? h("p", { class: "note" }, "Known too badly to be followed: " + unknown.map(([name]) => name).join(", ")) : "",
     places,
   ];
 }
