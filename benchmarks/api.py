@@ -197,7 +197,7 @@ def workers(folder: Path, seconds: float) -> None:
 
 def _all_ended(found: Service) -> None:
     while any(found.get("/jobs", params={"state": s, "limit": 1})["items"] for s in ("queued", "running")):
-        time.sleep(0.1)
+        time.sleep(0.25)  # what asks takes time from what works
 
 
 NAMES = {"reads": reads, "list": listing, "start": start, "workers": workers}

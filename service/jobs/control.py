@@ -16,11 +16,13 @@ from service.storage import jobs
 
 POLL_S = 0.15
 """Together with the campaign's own watch, a cancelled tone ends well within a second."""
+UNHURRIED_POLL_S = 0.5
+"""Of a job that moves nothing: many of them at a time leave the database alone."""
 log = logging.getLogger(__name__)
 
 
 class Control:
-    """Writes progress and asks for cancellation, several times a second, from a thread of its own.
+    """Writes progress and asks for cancellation, again and again, from a thread of its own.
 
     Parameters
     ----------
@@ -28,13 +30,18 @@ class Control:
         Of the claim: when another worker has begun since, this one is superseded, and shall end.
     journal
         File whose growth is kept in the database too, so that another machine can go on.
+    period_s
+        Time from one turn to the next.
     """
 
-    def __init__(self, context: Context, job_id: str, attempt: int, journal: Path | None = None) -> None:
+    def __init__(
+        self, context: Context, job_id: str, attempt: int, journal: Path | None = None, period_s: float = POLL_S
+    ) -> None:
         self._context = context
         self._job_id = job_id
         self._attempt = attempt
         self._journal = journal
+        self._period_s = period_s
         self._shipped = 0
         self._pending: dict[str, Any] = {}
         self._lock = threading.Lock()
@@ -93,7 +100,7 @@ class Control:
         self._shipped = shipped
 
     def _watch(self) -> None:
-        while not self._over.wait(POLL_S):
+        while not self._over.wait(self._period_s):
             self._turn()
 
     def _turn(self) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 from service import logs, tracing
 from service.errors import JobError, StoppedError
 from service.jobs.context import Context, context
-from service.jobs.control import Control
+from service.jobs.control import POLL_S, UNHURRIED_POLL_S, Control
 from service.storage import jobs, results, rigs
 from service.storage.tables import ExperimentRow, JobRow, RigVersion
 from sim.errors import AmbError
@@ -54,10 +54,12 @@ def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id:
         return outcome(jobs.CANCELLED, {})
     if job.cancel_requested:
         return outcome(jobs.CANCELLED, {})
+    journal = worker.folder(job_id) / "experiment.journal"
+    period_s = POLL_S if job.kind in jobs.ON_RIG else UNHURRIED_POLL_S
     with (
         logs.bound(job=job_id, rig=job.rig_id),
         tracing.span(f"job.{job.kind}", job=job_id, rig=job.rig_id, attempt=job.attempt),
-        Control(worker, job_id, job.attempt, worker.folder(job_id) / "experiment.journal") as control,
+        Control(worker, job_id, job.attempt, journal, period_s) as control,
     ):
         log.info("a step of the %s begins, attempt %d", job.kind, job.attempt)
         try:
