@@ -24,6 +24,14 @@ def verdict_path(d: Diagnosis) -> str:
     return d.where.path
 
 
+def _blamed(d: Diagnosis) -> str:
+    """All blocks of the loop that hold an effect of the verdict, in words."""
+    from sim.effects import CATALOGUE
+
+    paths = dict.fromkeys(CATALOGUE[effect].path for effect in d.verdict.effects)
+    return " and the ".join("signals" if path == "additive" else path for path in paths)
+
+
 def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
     c = r.candidate
     parameters: dict[str, Any] = {}
@@ -114,6 +122,6 @@ def sentence(d: Diagnosis) -> str:
     others = [e.replace("_", " ") for group in v.indistinguishable for e in group if e not in v.effects]
     unsure = f", not told apart from {', '.join(others)}" if others else ""
     return (
-        f"The rig differs from its twin by {gap} in the {verdict_path(d)}: {words}{unsure} "
+        f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} "
         f"(probability {100 * v.probability:.0f} %), which closes {100 * s.closure:.0f} % of the gap on unseen data."
     )

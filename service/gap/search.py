@@ -31,6 +31,8 @@ MOST = 3
 """Largest mixture within one part."""
 REMAINS = 4.0
 """Significance of what an explanation leaves from which another effect beside it is looked for."""
+LOST = 2.0
+"""Cost above the plain twin's from which a probe has not found its valley."""
 HOPEFUL = 0.75
 """Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
 a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
@@ -129,7 +131,9 @@ def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex],
     held = first if any(slow_to_compute(e) for e in first.effects) else None
     if name in SHARP:
         return Task(ground, effects, beginnings, first.fit.theta, (PROBE,), held, null.occam)
-    return Task(ground, effects, beginnings, theta, (*_rough(ground), PROBE), held, null.occam)
+    # Without rough stages a probe would end far from the valley; the plant alone is costly.
+    last = PROBE if ground.part.path == "plant" else EXACT
+    return Task(ground, effects, beginnings, theta, (*_rough(ground), last), held, null.occam)
 
 
 def _starts(
@@ -166,11 +170,21 @@ def _larger(order: Sequence[Ranked], size: int, left: Sequence[Complex], ground:
 
 
 def _refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:
-    """The probed candidates, those that may win fitted to the end."""
+    """The probed candidates, those that may win fitted to the end.
+
+    One that does worse than the plain twin, which it contains, is lost: it begins again at the plain twin.
+    """
+    lost = [c for c in probed if _cost(c) > _cost(null) + LOST and not any(map(slow_to_compute, c.effects))]
+    again = fitter.run(Task(ground, c.effects, (c.fit.values,), null.fit.theta, (EXACT,)) for c in lost)
+    probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
     tasks = [Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in near]
     return [*fitter.run(tasks), *(r.candidate for r in order if r.candidate not in near)]
+
+
+def _cost(c: Candidate) -> float:
+    return c.fit.chi_square + c.fit.penalty
 
 
 def _worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:

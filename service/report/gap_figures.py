@@ -241,8 +241,8 @@ def candidate_figure(d: Diagnosis, document: dict[str, object], most: int = 8) -
     best = found[:most]
     if not best:
         return None
-    names = [c["effect"].replace("_", " ").replace("+", " + ") for c in best]
-    height = 96 + 26 * len(best)
+    names = [_in_lines(c["effect"].replace("_", " ").split("+")) for c in best]
+    height = 96 + 30 * len(best)
     fig = Figure("candidates", 1, 2, height, titles=["probability", "closure on unseen data"], legend=False)
     fig.layout["margin"]["l"] = 210
     probability = np.array([100 * c["probability"] for c in best])
@@ -269,6 +269,17 @@ def candidate_figure(d: Diagnosis, document: dict[str, object], most: int = 8) -
         ticks = {"tickvals": list(range(len(best))), "ticktext": names, "showticklabels": column == 0}
         fig.y(0, column, range=[len(best) - 0.4, -0.6], showgrid=False, **ticks)
     return fig
+
+
+def _in_lines(effects: list[str], widest: int = 34) -> str:
+    """Effects joined by +, on as many lines as the width of the labels asks for."""
+    lines = [effects[0]]
+    for effect in effects[1:]:
+        if len(lines[-1]) + len(effect) + 3 > widest:
+            lines.append(f"+ {effect}")
+        else:
+            lines[-1] += f" + {effect}"
+    return "<br>".join(lines)
 
 
 def _said(percent: float) -> str:
