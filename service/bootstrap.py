@@ -134,6 +134,7 @@ def identify_into(
     out_dir: Path,
     experiment_name: str = EXPERIMENT,
     announce: Callable[[str], None] | None = None,
+    priors: bool = False,
 ) -> Commissioned:
     """Identify an experiment, and write result.json and report.html.
 
@@ -143,23 +144,26 @@ def identify_into(
         How result.json refers to the experiment.
     announce
         Told what begins, in words.
+    priors
+        Whether the datasheet's values count as priors, as wide as its tolerances.
 
     Raises
     ------
     AmbError
         The experiment cannot be identified, or the folder not be written.
     """
-    from service.identification.fit import identify
+    from service.identification.fit import Options, identify
     from service.report.commissioning import commissioning_page
 
     say = announce or (lambda _: None)
     ready_folder(out_dir)
     say("identifying")
     began = time.monotonic()
-    result = identify(experiment, datasheet)
+    result = identify(experiment, datasheet, Options(priors=priors))
     identified = time.monotonic()
     document = result.document(experiment_name)
     document["provenance"]["product"] = f"amb-commissioning {product_version()}"
+    document["provenance"]["priors"] = priors
     files = {"result": write_text(out_dir / RESULT, json_text(document))}
     say("writing the report")
     page = commissioning_page(result, experiment, datasheet)

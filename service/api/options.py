@@ -64,6 +64,7 @@ class _ExperimentOptions(BaseModel):
 
     excitation: Literal["stepped-sine", "multisine"] = "stepped-sine"
     identify: bool = True
+    priors: bool = False
     comment: str = Field("", max_length=500)
 
 
@@ -77,6 +78,15 @@ class MultisineOptions(_ExperimentOptions):
     """Options of an experiment with multisines on all axes at once."""
 
     profile: Literal["standard", "quick"] | MultisineProfileOptions = "standard"
+
+
+class IdentificationOptions(BaseModel):
+    """Options of an identification."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    priors: bool = False
+    """Whether the datasheet's values count as priors, as wide as its tolerances."""
 
 
 class HealthOptions(BaseModel):
@@ -95,7 +105,7 @@ class NoOptions(BaseModel):
 
 _BY_KIND: dict[str, type[BaseModel]] = {
     "experiment": SteppedSineOptions,
-    "identification": NoOptions,
+    "identification": IdentificationOptions,
     "gap": NoOptions,
     "health": HealthOptions,
 }

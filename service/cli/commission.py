@@ -38,6 +38,14 @@ How = Annotated[
         "controller can play them."
     ),
 ]
+Priors = Annotated[
+    bool,
+    typer.Option(
+        "--priors",
+        help="Let the datasheet's ki, ks, amplifiers and modes count as priors, as wide as its [tolerance] says. "
+        "Without it they are not trusted at all.",
+    ),
+]
 STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
 
 
@@ -50,6 +58,7 @@ def commission(
     ] = True,
     quick: Quick = False,
     excitation: How = Excitation.STEPPED_SINE,
+    priors: Priors = False,
     as_json: Json = False,
 ) -> None:
     """Measure a rig through its controller, identify it, and write result.json and report.html."""
@@ -59,7 +68,9 @@ def commission(
 
     datasheet = read(rig)
     ready_folder(out)
-    commission_directly(bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None, excitation)
+    commission_directly(
+        bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None, excitation, priors
+    )
 
 
 def identify(
@@ -70,6 +81,7 @@ def identify(
         list[Path] | None,
         typer.Option(help="A further experiment of the same rig, at another speed; may be given again."),
     ] = None,
+    priors: Priors = False,
     as_json: Json = False,
 ) -> None:
     """Identify a rig from an experiment file, and write result.json and report.html.
@@ -87,7 +99,7 @@ def identify(
     paths = [experiment, *(also or [])]
     measured = merged([file.read(p) for p in paths], [str(p) for p in paths])
     announce = say if sys.stderr.isatty() else None  # a log wants no word before the result or the error
-    done = bootstrap.identify_into(measured, datasheet, out, str(experiment), announce)
+    done = bootstrap.identify_into(measured, datasheet, out, str(experiment), announce, priors)
     show(done.document, done.files, done.seconds, measured, as_json)
 
 
@@ -100,6 +112,7 @@ def commission_directly(
     as_json: bool,
     truth: Rig | None,
     excitation: Excitation = Excitation.STEPPED_SINE,
+    priors: bool = False,
 ) -> None:
     """Campaign with a bar and an orderly Ctrl-C; then the rest, in which nothing moves any more.
 
@@ -114,7 +127,7 @@ def commission_directly(
     with asked_to_stop(STOPPING) as cancelled, connection as controller, campaign_progress() as progress:
         experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
     measured = time.monotonic() - began
-    done = bootstrap.identify_into(experiment, datasheet, out, announce=say)
+    done = bootstrap.identify_into(experiment, datasheet, out, announce=say, priors=priors)
     files = {**done.files, "experiment": out / bootstrap.EXPERIMENT, "datasheet": out / bootstrap.DATASHEET}
     show(done.document, files, {"experiment": measured, **done.seconds}, experiment, as_json, truth)
 

@@ -24,7 +24,9 @@ def silent(phase: str, percent: float) -> None:
     """Tell nobody."""
 
 
-def identification(experiment: str, rig: str, out: str, name: str, tell: Tell = silent) -> dict[str, Any]:
+def identification(
+    experiment: str, rig: str, out: str, name: str, priors: bool = False, tell: Tell = silent
+) -> dict[str, Any]:
     """Identify an experiment; result.json, report.html and plots.json are in ``out``.
 
     Parameters
@@ -33,6 +35,8 @@ def identification(experiment: str, rig: str, out: str, name: str, tell: Tell = 
         Paths of the experiment file, the datasheet and the folder.
     name
         How the result refers to the experiment.
+    priors
+        Whether the datasheet's values count as priors.
     tell
         Told how far it is.
 
@@ -46,7 +50,7 @@ def identification(experiment: str, rig: str, out: str, name: str, tell: Tell = 
     percents = {"identifying": ("identification", 5.0), "writing the report": ("report", 90.0)}
     sheet = datasheet.read(Path(rig))
     measured = file.read(Path(experiment))
-    done = bootstrap.identify_into(measured, sheet, Path(out), name, lambda begins: tell(*percents[begins]))
+    done = bootstrap.identify_into(measured, sheet, Path(out), name, lambda begins: tell(*percents[begins]), priors)
     write_text(Path(out) / PLOTS, json_text(curves(done.result, sheet)))
     return model_summary(done.document)
 

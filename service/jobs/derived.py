@@ -21,7 +21,13 @@ def identify(worker: Context, job: JobRow, control: Control, experiment_id: str)
     _, rig = datasheet_file(worker, job)
     control.report(phase="identification")
     out = worker.folder(job.id) / "model"
-    arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "name": f"{experiment_id}/{row.file_name}"}
+    arguments = {
+        "experiment": str(path),
+        "rig": str(rig),
+        "out": str(out),
+        "name": f"{experiment_id}/{row.file_name}",
+        "priors": bool(job.options.get("priors", False)),
+    }
     alone = job.kind == "identification"  # after an experiment, the percent are the experiment's
 
     def tell(phase: str, percent: float) -> None:
