@@ -102,8 +102,17 @@ def lock_in(x: np.ndarray, periods: int, samples: int, start: int) -> np.ndarray
     return out
 
 
-def measure(truth: Truth, sweeps: tuple, rng: np.random.Generator, settle_s: float = 0.3, substeps: int = 3) -> list:
+def measure(
+    truth: Truth,
+    sweeps: tuple,
+    rng: np.random.Generator,
+    settle_s: float = 0.3,
+    substeps: int = 3,
+    records: bool = False,
+) -> list:
     """Run the sweeps, input after input; a list of dicts in the layout of the experiment file.
+
+    With ``records`` the settled signals themselves instead of their complex amplitudes.
 
     Raises
     ------
@@ -119,6 +128,7 @@ def measure(truth: Truth, sweeps: tuple, rng: np.random.Generator, settle_s: flo
     for tones in sweeps:
         p = 4 * len(tones.samples)
         data = {name: np.empty((p, BLOCKS, HARMONICS, 4), dtype=np.complex64) for name in "RUIY"}
+        logged: dict[str, list[np.ndarray]] = {name: [] for name in "ruiy"}
         data["axis"] = np.repeat(np.arange(4), len(tones.samples)).astype(np.int8)
         data["frequency_hz"], data["amplitude_a"] = np.tile(tones.frequency, 4), np.tile(tones.amplitude, 4)
         for row in range(p):
@@ -148,9 +158,14 @@ def measure(truth: Truth, sweeps: tuple, rng: np.random.Generator, settle_s: flo
                 raise LeftLimits(f"tone {row} at {tones.frequency[k]:.1f} Hz, {1e6 * abs(y[lasted]).max():.0f} um")
             u, i, y = spoil(truth.log, u, i, y, share)
             for name, x in zip("RUIY", (r, u, i, y), strict=True):
+                logged[name.lower()].append(x[start : start + BLOCKS * n])
                 data[name][row] = lock_in(x, int(tones.periods[k]), n, start)
             if "phase" in truth.log:
                 data["Y"][row, :, 1:, truth.log["phase"][0]] *= np.exp(1j * truth.log["phase"][1])
             done, clock = done + 1, clock + length * TS
+        if records:
+            data = {name: x for name, x in data.items() if name not in "RUIY"}
+            data |= {name: np.concatenate(parts) for name, parts in logged.items()}
+            data["sample_start"] = np.cumsum([0] + [len(x) for x in logged["r"]])
         out.append(data)
     return out
