@@ -112,7 +112,8 @@ def _fit(columns: Complex, response: Complex, deviation: Real) -> tuple[Complex,
     projected = np.conj(np.swapaxes(q, -1, -2)) @ target
     rest = (target - q @ projected)[..., 0]
     residual: Real = np.sqrt(np.mean(np.abs(rest) ** 2, axis=(1, 2)))
-    return np.linalg.solve(r, projected)[..., 0], residual
+    # Not solve: where the rotor touches, an entry may be all noise, and its columns depend on each other.
+    return (np.linalg.pinv(r) @ projected)[..., 0], residual
 
 
 def peaks(frequency_hz: Real, response: Complex, deviation: Real, floor: float) -> list[Peak]:

@@ -141,8 +141,9 @@ def verdict_of(found: Sequence[Explained], closures: Mapping[str, float | None],
         reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in own[e.part.path].reasons)
         return replace(own[unknown[0].part.path], reasons=reasons)
     named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
+    probability = float(np.prod([v.probability for v in own.values() if v.kind != "none_of_these"]))
     if not named:
-        return max(own.values(), key=lambda v: -v.probability)
+        return Verdict("no_gap", (), (), probability, ())
     effects = tuple(name for v in named for name in v.effects)
     classes = tuple(group for v in named for group in v.indistinguishable)
     if not any(o.speed_rad_s for e in found for o in e.ground.observations):
@@ -151,7 +152,7 @@ def verdict_of(found: Sequence[Explained], closures: Mapping[str, float | None],
         "effect" if len(effects) == 1 else "effects",
         effects,
         classes,
-        float(np.prod([v.probability for v in named])),
+        probability,
         (),
     )
 

@@ -46,9 +46,12 @@ class TamperedSimulation(Simulation):
 
     def advance(self, r: Array, check_limits: bool = True) -> Record:
         """As `Simulation.advance`, through the law."""
-        record = super().advance(self._tampering.excite(r), check_limits)
+        excited = self._tampering.excite(r)
+        record = super().advance(excited, check_limits)
         logged = self._tampering.log(record, self.time_s / self._campaign_s)
-        return replace(logged, r=np.ascontiguousarray(r[: len(record)], dtype=float))
+        if excited is r:
+            return logged
+        return replace(logged, r=np.ascontiguousarray(r[: len(record)], dtype=float))  # as it was commanded
 
 
 @dataclass

@@ -51,6 +51,7 @@ class Verdict:
     effects: tuple[str, ...]
     indistinguishable: tuple[tuple[str, ...], ...]
     probability: float
+    """that exactly these are there, each or one of its class"""
     reasons: tuple[str, ...]
 
 
@@ -139,4 +140,6 @@ def decide(order: Sequence[Ranked], remaining: float, closure: float | None, sig
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     group = alike(best, order) if len(effects) == 1 else ()
     classes = (group,) if len(group) > 1 else ()
-    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, best.probability, ())
+    singles = [r for r in order if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
+    probability = sum(r.probability for r in singles) if classes else best.probability
+    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, float(probability), ())
