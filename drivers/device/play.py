@@ -131,10 +131,12 @@ class Player:
     ) -> tuple[T | None, Interruption | None]:
         before = self._moment()
         try:
+            # A host takes r as it asked for it, so a record begins where the logged r does, however late its log is.
+            late = max(0, round(self._rig.logging_offset_samples))
             self._segment(run, State.SETTLING, -settle - ramp, ramp, 0.0, 1.0)
-            self._segment(run, State.SETTLING, -settle, settle, 1.0, 1.0)
-            self._segment(run, State.RECORDING, 0, record, 1.0, 1.0, keep=True)
-            self._segment(run, State.RECORDING, record, ramp, 1.0, 0.0)
+            self._segment(run, State.SETTLING, -settle, settle + late, 1.0, 1.0)
+            self._segment(run, State.RECORDING, late, record, 1.0, 1.0, keep=True)
+            self._segment(run, State.RECORDING, late + record, ramp, 1.0, 0.0)
         except Interrupted as early:
             if early.interruption.cause != TripCause.NONE:
                 self._latch(early.interruption)
