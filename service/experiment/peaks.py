@@ -32,6 +32,10 @@ FLANK = 2.0
 """Beyond the half-power width the distance from the peak grows by this factor from point to point."""
 
 
+SMALLEST = 1e-9
+"""Smallest deviation that is allowed for, relative to the largest response."""
+
+
 @dataclass(frozen=True)
 class Peak:
     """A pole of the response near the imaginary axis."""
@@ -139,7 +143,10 @@ def peaks(frequency_hz: Real, response: Complex, deviation: Real, floor: float) 
     if len(frequency_hz) < WINDOW:
         return []
     size = np.linalg.norm(response, axis=1, keepdims=True)
-    allowed = np.hypot(deviation, floor * size / np.sqrt(response.shape[1]))
+    if not np.any(size):
+        return []
+    # A log of few bits may show nothing at all where the rotor hardly moves: no exact nought either.
+    allowed = np.maximum(np.hypot(deviation, floor * size / np.sqrt(response.shape[1])), SMALLEST * size.max())
     f = np.lib.stride_tricks.sliding_window_view(frequency_hz, WINDOW)
     windows = (np.lib.stride_tricks.sliding_window_view(a, WINDOW, axis=0) for a in (response, allowed))
     fit = local_poles(f, *windows)

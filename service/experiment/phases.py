@@ -187,6 +187,9 @@ class Phases:
     def _missing_at_peaks(self) -> list[tuple[float, float]]:
         """Frequencies that peaks of the plant still need, each with how closely it must be met."""
         f, U, Y = responses(self.done["main"], self.limits.n_axes)
+        # Where the rotor stands against a stop a tone may move nothing, and U has no inverse.
+        usable = np.isfinite(U).all(axis=(1, 2)) & (np.linalg.matrix_rank(np.nan_to_num(U)) == U.shape[-1])
+        f, U, Y = f[usable], U[usable], Y[usable]
         if not len(f):
             return []
         G = Y @ np.linalg.inv(U)
