@@ -17,7 +17,8 @@ independent program that had no effect there, the largest advantage by chance wa
 UNEXPLAINED = 0.25
 """Share of the gap that may be left by another law of the same effect; more is something else."""
 UNEXPLAINED_BY_SEVERAL = 0.05
-"""The same for several effects in one part: together they bend to many things that they are not."""
+"""The same for several effects in one part, or for one whose strength is at the end of its range: they bend to many
+things that they are not."""
 MIXED = 0.02
 """Share of the gap that a first effect must leave for a second one, of another kind, to be looked for."""
 VISIBLE = 1.5
@@ -117,6 +118,16 @@ def alike(best: Ranked, order: Sequence[Ranked]) -> tuple[str, ...]:
     return tuple(r.candidate.effects[0] for r in singles if close(r))[:LARGEST_CLASS]
 
 
+def at_the_end_of_its_range(candidate: Candidate) -> bool:
+    """Whether the strength of an effect would have to be one that such effects do not have."""
+    return any(
+        p.strength and (values[p.name] <= p.low * 1.001 or values[p.name] >= p.high * 0.999)
+        for effect, values in zip(candidate.effects, candidate.fit.values, strict=True)
+        for p in CATALOGUE[effect].parameters
+        if p.scale == "log"
+    )
+
+
 def decide(order: Sequence[Ranked], remaining: float, closure: float | None, significant: float) -> Verdict:
     """Verdict on one part of the loop, from its ranked explanations.
 
@@ -133,7 +144,8 @@ def decide(order: Sequence[Ranked], remaining: float, closure: float | None, sig
         return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
     closed = 1 - best.unexplained if closure is None else closure
-    allowed = UNEXPLAINED if len(effects) == 1 else UNEXPLAINED_BY_SEVERAL
+    bent = len(effects) > 1 or at_the_end_of_its_range(best.candidate)
+    allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
     if remaining > 6.0 and (best.unexplained > allowed or closed < 1 - 1.2 * UNEXPLAINED):
         share = max(best.unexplained, 1 - closed)
         reason = f"the best explanation, {' + '.join(effects)}, leaves {100 * share:.0f} % of the gap"
