@@ -11,8 +11,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from service.gap.blind_trial import Diagnose, checked, run_case, summary
 from service.gap.seal import SealError
 from service.gap.unlisted_laws import TamperedSimulation
 from service.gap.withheld import Case, described, draw
+from service.pool import workers
 from sim.datasheet import Datasheet, to_toml
 from sim.errors import AmbError
 
@@ -172,8 +172,7 @@ def _finished(
         for number in range(cases):
             yield number, run_one(number, seed, out_dir, engine)
         return
-    # forked processes would inherit locks of the compiled code's threads
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+    pool = workers(jobs)
     try:
         waiting = {pool.submit(run_one, k, seed, out_dir, engine): k for k in range(cases)}
         for future in as_completed(waiting):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 import sys
 
 import typer
@@ -44,11 +42,6 @@ INTERRUPTED = 130
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """The matrices here are small: threads of linear algebra only wait for one another, and long on a busy machine."""
-
-
-if multiprocessing.current_process().name != "MainProcess":
-    # a worker of a command: Ctrl-C reaches it too, and only the command itself shall speak of it
-    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 from service.gap.evidence import occam
 from service.gap.fit import COARSE, EXACT, MIDDLE, Fit, Problem, Stage, slow_to_compute
 from service.gap.part import Ground, Values
+from service.pool import workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
@@ -128,14 +127,14 @@ class Fitter:
 
     def __init__(self, jobs: int = 1, fitted: Callable[[], None] = lambda: None) -> None:
         self._fitted = fitted
-        self._pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else None
+        self._pool = workers(jobs) if jobs > 1 else None
 
     def __enter__(self) -> Fitter:
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._pool:
-            self._pool.shutdown()
+            self._pool.shutdown(cancel_futures=True)
 
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
         """Fit all; a candidate that no start leads to a rig for is left out."""
