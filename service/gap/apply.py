@@ -4,11 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
+
+from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 
 from service.gap.observation import GapError
 from sim.datasheet import Datasheet
 from sim.effects import effect
+
+
+class _Verdict(BaseModel):
+    kind: str
+    effects: list[str]
+
+
+class _Parameter(BaseModel):
+    value: FiniteFloat
+
+
+class _Candidate(BaseModel):
+    effect: str = ""
+    effects: list[str] = []
+    parameters: dict[str, _Parameter]
+
+    @model_validator(mode="after")
+    def _names(self) -> Self:
+        self.effects = self.effects or self.effect.split("+")
+        return self
+
+
+class _Report(BaseModel):
+    """What is read of a gap.json; the rest may be anything."""
+
+    format: str = ""
+    rig: str = ""
+    verdict: _Verdict
+    candidates: list[_Candidate] = []
 
 
 def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
@@ -20,25 +51,41 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     Raises
     ------
     GapError
-        The report names no effect, is of another rig, or adds an effect that the twin has already.
+        The report lacks a field, names no effect, is of another rig, or adds an effect that the twin has already.
     """
     if document.get("format") != "amb-gap-report":
         raise GapError('this is no gap report: its "format" is not "amb-gap-report"')
-    if document.get("rig") != datasheet.name:
-        raise GapError(f"the report is of rig {document.get('rig')!r}, the datasheet of {datasheet.name!r}")
-    names = tuple(document["verdict"]["effects"])
+    report = _read(document)
+    if report.rig != datasheet.name:
+        raise GapError(f"the report is of rig {report.rig!r}, the datasheet of {datasheet.name!r}")
+    names = report.verdict.effects
     if not names:
-        raise GapError(f"the report's verdict is {document['verdict']['kind']}: there is no effect to add")
+        raise GapError(f"the report's verdict is {report.verdict.kind}: there is no effect to add")
     present = {name for name, _ in datasheet.effects}
     if present & set(names):
         raise GapError(f"the twin has {', '.join(sorted(present & set(names)))} already; apply to the first datasheet")
-    fitted = next((c for c in document["candidates"] if tuple(c["effects"]) == names), None)
+    fitted = next((c.parameters for c in report.candidates if c.effects == names), None)
     if fitted is None:
         raise GapError(f"the report lists no parameters of {' + '.join(names)}")
-    added = []
-    for name in names:
-        prefix = f"{name}." if len(names) > 1 else ""
-        known = [p.name for p in effect(name).parameters]
-        values = tuple((p, float(fitted["parameters"][prefix + p]["value"])) for p in known)
-        added.append((name, values))
+    added = tuple((name, _values(name, f"{name}." if len(names) > 1 else "", fitted)) for name in names)
     return replace(datasheet, effects=(*datasheet.effects, *added))
+
+
+def _read(document: Mapping[str, Any]) -> _Report:
+    try:
+        return _Report.model_validate(dict(document))
+    except ValidationError as error:
+        problem = error.errors()[0]
+        where = ".".join(map(str, problem["loc"]))
+        wrong = f'has no "{where}"' if problem["type"] == "missing" else f'has a wrong "{where}": {problem["msg"]}'
+        raise GapError(f"the gap report {wrong}; diagnose again, which writes a whole gap.json") from error
+
+
+def _values(name: str, prefix: str, fitted: Mapping[str, _Parameter]) -> tuple[tuple[str, float], ...]:
+    known = [p.name for p in effect(name).parameters]
+    missing = [p for p in known if prefix + p not in fitted]
+    if missing:
+        raise GapError(
+            f"the gap report gives {name} no {' and no '.join(missing)}; diagnose again, which writes a whole gap.json"
+        )
+    return tuple((p, fitted[prefix + p].value) for p in known)

@@ -99,13 +99,6 @@ def test_axes_that_do_not_match_are_refused() -> None:
         diagnose(measured, datasheet)
 
 
-def test_a_report_without_effect_cannot_be_applied() -> None:
-    datasheet, _ = known_datasheet()
-    empty = {"format": "amb-gap-report", "rig": datasheet.name, "verdict": {"kind": "no_gap", "effects": []}}
-    with pytest.raises(GapError, match="no_gap"):
-        applied(datasheet, empty)
-
-
 def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     datasheet, truth = known_datasheet(seed=8)
     unknown = replace(datasheet, modes=())
