@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
@@ -236,7 +237,7 @@ class Player:
         )
 
 
-class _Run(Generic[T]):
+class _Run(ABC, Generic[T]):
     """What an excitation is, and what it has gathered so far."""
 
     def __init__(self, amplitude_a: float) -> None:
@@ -248,13 +249,13 @@ class _Run(Generic[T]):
         self._peak_y = self._peak_i = 0.0
         self._chunks: list[Array] = []
 
+    @abstractmethod
     def wave(self, first: int, count: int) -> Array:
         """r at full level from sample ``first`` on, (count, n_axes); sample 0 starts the record."""
-        raise NotImplementedError
 
+    @abstractmethod
     def result(self, sequence: int, sample_rate_hz: float) -> T:
         """What an excitation that was played to its end gave."""
-        raise NotImplementedError
 
     def add(self, r: Array, u: Array, i: Array, y: Array, keep: bool) -> None:
         """Take over a chunk; (M, n_axes) each."""

@@ -31,49 +31,52 @@ class Trip:
     message: str
 
 
-class Answer(Protocol):
+class Played(Protocol):
+    """What the rig gives for whatever it played."""
+
+    @property
+    def peak_displacement_m(self) -> float:
+        """Largest |y|, ramps included."""
+
+    @property
+    def peak_current_a(self) -> float:
+        """Largest |i|, ramps included."""
+
+    @property
+    def rig_seconds(self) -> float:
+        """Rig time that it took, s."""
+
+
+class Answer(Played, Protocol):
     """What the rig gave for a tone: the fields of `drivers.controller.PointResult` that are kept."""
 
     @property
     def R(self) -> NDArray[np.complex128]:
-        """(blocks, H, n_axes), A; so are U, I, and Y in m."""
+        """Excitation, (blocks, H, n_axes), A."""
 
     @property
-    def U(self) -> NDArray[np.complex128]: ...  # noqa: D102
+    def U(self) -> NDArray[np.complex128]:
+        """Control current, shape as `R`, A."""
 
     @property
-    def I(self) -> NDArray[np.complex128]: ...  # noqa: D102, E743
+    def I(self) -> NDArray[np.complex128]:  # noqa: E743
+        """Coil current, shape as `R`, A."""
 
     @property
-    def Y(self) -> NDArray[np.complex128]: ...  # noqa: D102
+    def Y(self) -> NDArray[np.complex128]:
+        """Displacement, shape as `R`, m."""
 
     @property
-    def peak_displacement_m(self) -> float: ...  # noqa: D102
-
-    @property
-    def peak_current_a(self) -> float: ...  # noqa: D102
-
-    @property
-    def rig_seconds(self) -> float: ...  # noqa: D102
-
-    @property
-    def records(self) -> dict[str, NDArray[np.float64]] | None: ...  # noqa: D102
+    def records(self) -> dict[str, NDArray[np.float64]] | None:
+        """Signals by name, (N, n_axes) each; None when they were not asked for."""
 
 
-class PeriodicAnswer(Protocol):
+class PeriodicAnswer(Played, Protocol):
     """What the rig gave for a waveform: the fields of `drivers.controller.WaveformResult` that are kept."""
 
     @property
-    def records(self) -> dict[str, NDArray[np.float64]]: ...  # noqa: D102
-
-    @property
-    def peak_displacement_m(self) -> float: ...  # noqa: D102
-
-    @property
-    def peak_current_a(self) -> float: ...  # noqa: D102
-
-    @property
-    def rig_seconds(self) -> float: ...  # noqa: D102
+    def records(self) -> dict[str, NDArray[np.float64]]:
+        """Signals by name, (N, n_axes) each."""
 
 
 class Recorder:

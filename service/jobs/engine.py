@@ -16,7 +16,7 @@ from service.storage.jobs import ON_RIG
 from service.storage.tables import JobRow
 
 if TYPE_CHECKING:
-    from dbos import DBOSClient, DBOSConfig
+    from dbos import DBOSClient, DBOSConfig, EnqueueOptions
 
 APPLICATION = "ambit"
 VERSION = "jobs-1"
@@ -97,7 +97,7 @@ class Dispatcher:
         Exception
             Whatever the engine's database raises; try again later.
         """
-        options = {
+        options: EnqueueOptions = {
             "workflow_name": workflow_name(job.kind),
             "queue_name": RIGS if job.kind in ON_RIG else CPU,
             "workflow_id": workflow_id(job.id, job.run),
@@ -106,7 +106,7 @@ class Dispatcher:
         }
         if job.kind in ON_RIG:
             options["queue_partition_key"] = job.rig_id
-        self._connected().enqueue(options, job.id, job.run)  # type: ignore[arg-type]
+        self._connected().enqueue(options, job.id, job.run)
 
     def notify(self, delivery_id: str) -> None:
         """Hand over a message to a webhook; a second time changes nothing."""

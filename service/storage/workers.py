@@ -70,10 +70,8 @@ def _lives(row: WorkerRow) -> bool:
 
 def beat(session: Session, name: str, instance: str) -> bool:
     """Give a sign of life; False when another process has the name."""
-    changed = session.execute(
-        update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance).values(beat_at=now())
-    )
-    return bool(changed.rowcount)  # type: ignore[attr-defined]
+    mine = update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance)
+    return session.scalar(mine.values(beat_at=now()).returning(WorkerRow.name)) is not None
 
 
 def sign_off(session: Session, name: str, instance: str) -> None:

@@ -121,7 +121,7 @@ def test_excitation_ends_in_a_ramp_and_not_in_a_step(device: RigDevice) -> None:
         seen.extend(record.r[:, 0].tolist())
         return record
 
-    device._simulation.advance = spy  # type: ignore[method-assign]
+    device._simulation.advance = spy
     token = device.acquire("host", attached=True)
     device.measure(Tone(axis=0, amplitude_a=0.05, periods=10, samples=1000, blocks=1), token)
     threading.Timer(0.02, device.stop, [token]).start()

@@ -16,7 +16,7 @@ QUIET = reference_rig(noise=Noise())
 FS = 1 / QUIET.controller.sample_time_s
 
 
-def steady(rig, amplitude_a: float, periods: int = 30, samples: int = 250):  # type: ignore[no-untyped-def]
+def steady(rig, amplitude_a: float, periods: int = 30, samples: int = 250):
     """Amplitudes of u, i and y of one tone on axis xA, harmonics 0 to 3, (4, n) each, and its frequency."""
     k = np.arange(periods * samples)
     r = np.zeros((len(k), rig.n_axes))
@@ -36,7 +36,7 @@ def steady(rig, amplitude_a: float, periods: int = 30, samples: int = 250):  # t
         ("touchdown_contact", {"side": 1.0, **{f"clearance_{a}_m": 4e-6 for a in QUIET.axes}}, 0.1),
     ],
 )
-def test_the_change_that_a_law_makes_is_the_time_simulations(name, values, tolerance) -> None:  # type: ignore[no-untyped-def]
+def test_the_change_that_a_law_makes_is_the_time_simulations(name, values, tolerance) -> None:
     rig = effect(name).on(QUIET, **values)
     hz, (u, _, y) = steady(rig, 0.3)
     answers = [

@@ -64,7 +64,7 @@ def test_an_unknown_law_is_not_explained_away() -> None:
     datasheet, truth = known_datasheet(seed=5)
     measured = experiment(true_rig(truth))
 
-    def bent(sweep):  # type: ignore[no-untyped-def]
+    def bent(sweep):
         Y, f = sweep.Y.copy(), sweep.harmonics.index(1)
         size = np.abs(Y[:, :, f, 0])
         Y[:, :, f, 0] *= 1 / (1 + (size / 8e-6) ** 2)

@@ -15,7 +15,7 @@ from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 
-def spoiled(measured: Experiment, change) -> Experiment:  # type: ignore[no-untyped-def]
+def spoiled(measured: Experiment, change) -> Experiment:
     return replace(measured, sweeps=tuple(change(s) for s in measured.sweeps))
 
 

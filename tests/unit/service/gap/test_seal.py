@@ -59,7 +59,7 @@ def test_a_truth_that_is_no_object_is_refused(text: str, message: str) -> None:
         opened({"nonce": "ab", "truth": text}, commitment_to("ab", text))
 
 
-def test_the_device_opens_the_same_seals(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_device_opens_the_same_seals(tmp_path) -> None:
     """`ambit rig serve --withheld` and the trial seal alike, so one tool checks both."""
     sealed = seal({"effect": "loop_delay", "values": {"delay_s": 2e-5}})
     path = tmp_path / "withheld.json"
