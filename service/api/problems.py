@@ -147,6 +147,8 @@ def _http(request: Request, error: Exception) -> Response:
     detail = error.detail if error.detail != HTTPStatus(error.status_code).phrase else ""
     if error.status_code == 404 and not detail:
         detail = "there is nothing at this address; the addresses are in /openapi.json"
+    elif error.status_code == 405 and not detail:
+        detail = f"{request.method} means nothing at this address; what does is in /openapi.json"
     return problem(request, error.status_code, detail, headers=error.headers)
 
 

@@ -183,8 +183,8 @@ def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
 
 def test_requests_that_are_no_requests(api):
     is_problem(api.get("/nothing"), 404, "/openapi.json")
-    is_problem(api.patch("/jobs"), 405)
-    is_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422)
+    is_problem(api.patch("/jobs"), 405, "PATCH", "/openapi.json")
+    is_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422, "JSON")
     is_problem(api.post("/rigs", content=b"x" * 2_000_000), 413, "1,000,000")
     is_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
     is_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")

@@ -109,6 +109,8 @@ def test_a_dead_process_of_this_machine_holds_no_name(database):
         workers.sign_on(session, "w1", "wrk_1")
         session.execute(update(WorkerRow).values(process=2**22 - 1))
         workers.sign_on(session, "w1", "wrk_2")
+        assert not workers.beat(session, "w1", "wrk_1")
+        assert workers.beat(session, "w1", "wrk_2")
 
 
 def test_files_are_named_by_their_content(tmp_path):
