@@ -1,7 +1,8 @@
 """Blind trials run for real: the campaign on a simulated controller, files as they are published, cases in parallel.
 
 ``OUT/case-0001/`` gets, in this order: experiment.h5 and rig.toml (all that the diagnosis may see), commitment.json,
-sealed.json (readable by its owner only), gap.json. ``OUT/trial.json`` has every case and the scores.
+sealed.json (readable by its owner only), gap.json, case.json (all of it, opened). ``OUT/trial.json`` has every case and
+the scores. A trial that was stopped keeps what it has: measured.json beside an experiment says that it is whole.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 from drivers.device.machine import RigDevice
 from drivers.simulated.driver import SimulatedController
 from service.experiment import file
-from service.experiment.campaign import run_campaign
+from service.experiment.campaign import EXPERIMENT, run_campaign
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
 from service.experiment.plan import Profile
@@ -46,8 +47,14 @@ PROFILE = Profile(
 """A compact campaign: four axes in some five minutes of rig time, at amplitudes where magnets are not quite linear."""
 CAMPAIGN_S = 300.0
 """Rig time that it takes, about."""
+KEPT = "case.json"
+"""A case that was run and opened, as it stands in trial.json."""
+MEASURED = "measured.json"
+"""Says that a case's experiment is whole, and which of the rigs drawn for it was measured."""
 TRIES = 5
 """Rigs drawn anew for a case whose campaign cannot be run: they trip, or do not come to rest."""
+ANEW = 1_000_003
+"""From the seed of one drawing to that of the next."""
 
 
 def measure(case: Case, out_dir: Path) -> Experiment:
@@ -83,7 +90,7 @@ def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) 
     AmbError
         No rig could be measured, or the diagnosis refused the experiment.
     """
-    folder = out_dir / f"case-{number + 1:04d}"
+    folder = _folder(number, out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     case, experiment = _measured(number, seed, folder)
     (folder / "rig.toml").write_text(to_toml(case.datasheet), encoding="utf-8")
@@ -99,25 +106,64 @@ def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) 
             raise SealError(f"{folder / 'sealed.json'} cannot be read any more: {error}") from error
 
     # the diagnosis gets what the file holds, as anyone who reads it would
-    seen = file.read(folder / "experiment.h5")
-    return run_case(case, lambda _: experiment, lambda _, sheet: engine(seen, sheet), publish, reopen).document()
+    seen = file.read(folder / EXPERIMENT)
+    trial = run_case(case, lambda _: experiment, lambda _, sheet: engine(seen, sheet), publish, reopen)
+    done = {"seed": seed, **trial.document()}
+    _write(folder / KEPT, done, private=True)
+    return done
+
+
+def _kept(number: int, seed: int, out_dir: Path) -> dict[str, Any] | None:
+    """Case ``number`` as an earlier run of the same trial left it, whole and with its seal unbroken."""
+    path = _folder(number, out_dir) / KEPT
+    if not path.exists():
+        return None
+    try:
+        document = dict(json.loads(path.read_text(encoding="utf-8")))
+        same = document["seed"] == seed and checked(document).case == number
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise AmbError(f"{path} cannot be read: {error}; remove the file and its case is run again") from error
+    if not same:
+        raise AmbError(f"{path} is of another trial than seed {seed}; give another folder")
+    return document
+
+
+def _folder(number: int, out_dir: Path) -> Path:
+    return out_dir / f"case-{number + 1:04d}"
 
 
 def _measured(number: int, seed: int, folder: Path) -> tuple[Case, Experiment]:
+    done = folder / MEASURED
+    if (attempt := _attempt(done, seed)) is not None:
+        return draw(number, seed + ANEW * attempt), file.read(folder / EXPERIMENT)
     problem: CampaignError | None = None
     for attempt in range(TRIES):
-        case = draw(number, seed + 1_000_003 * attempt)
+        case = draw(number, seed + ANEW * attempt)
         try:
-            return case, measure(case, folder)
+            experiment = measure(case, folder)
         except CampaignError as error:
             problem = error
+        else:
+            _write(done, {"seed": seed, "attempt": attempt}, private=True)
+            return case, experiment
     raise AmbError(f"case {number} of seed {seed}: no rig of {TRIES} could be measured: {problem}")
+
+
+def _attempt(done: Path, seed: int) -> int | None:
+    """Which drawing of a case an earlier run measured to the end."""
+    try:
+        document = json.loads(done.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    return int(document["attempt"]) if document["seed"] == seed else None
 
 
 def run_blind_trial(
     cases: int, seed: int, out_dir: Path, progress: Progress | None = None, jobs: int = 2, engine: Diagnose = diagnose
 ) -> dict[str, Any]:
     """Run a blind trial and write ``out_dir/trial.json``; returns what it holds.
+
+    A trial that was stopped goes on where it was, with the cases that the folder holds.
 
     Parameters
     ----------
@@ -167,14 +213,17 @@ def _told(document: Mapping[str, Any]) -> str:
 def _finished(
     cases: int, seed: int, out_dir: Path, jobs: int, engine: Diagnose
 ) -> Iterator[tuple[int, dict[str, Any]]]:
-    """(number, case) as they come to an end."""
+    """(number, case) as they come to an end, those of an earlier run first."""
+    kept = {number: _kept(number, seed, out_dir) for number in range(cases)}
+    yield from ((number, document) for number, document in kept.items() if document is not None)
+    missing = [number for number, document in kept.items() if document is None]
     if jobs <= 1:
-        for number in range(cases):
+        for number in missing:
             yield number, run_one(number, seed, out_dir, engine)
         return
     pool = workers(jobs)
     try:
-        waiting = {pool.submit(run_one, k, seed, out_dir, engine): k for k in range(cases)}
+        waiting = {pool.submit(run_one, k, seed, out_dir, engine): k for k in missing}
         for future in as_completed(waiting):
             yield waiting[future], future.result()
     finally:

@@ -18,12 +18,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.gap.detectability import detectability, quiet, replay
+from service.gap.detectability import Replayed, detectability, duration_s, quiet, replay
 from service.gap.scoring import Outcome, score
 from service.gap.seal import SealError, opened, seal
 from service.gap.unlisted_laws import TamperedSimulation
 from service.gap.withheld import Case
 from sim.datasheet import Datasheet
+from sim.rig import Rig
 from sim.stepping import Simulation
 
 FORMAT = "amb-gap-trial"
@@ -117,16 +118,20 @@ def detectability_of(case: Case, experiment: Experiment) -> float:
         return 0.0
     sweeps = plant_sweeps(experiment)
     took = float(experiment.attributes.get("rig_seconds", "nan"))
-    plain = Simulation(quiet(case.plain))
-    without = [replay(plain, s) for s in sweeps]
-    replayed = plain.time_s
+
+    def replayed(plain: Rig) -> list[Replayed]:
+        simulation = Simulation(quiet(plain))
+        return [replay(simulation, s) for s in sweeps]
+
     rig = case.rig
+    replay_s = sum(duration_s(s, 1 / rig.controller.sample_time_s) for s in sweeps)
     if rig.drift is not None and np.isfinite(took):  # the replay takes less time than the campaign did
-        rig = replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replayed / took))
+        rig = replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replay_s / took))
     coarse = rig.noise.displacement_step_m != case.plain.noise.displacement_step_m
-    changed = TamperedSimulation(quiet(rig, steps=coarse), 0, copy.deepcopy(case.tampering), replayed)
+    changed = TamperedSimulation(quiet(rig, steps=coarse), 0, copy.deepcopy(case.tampering), replay_s)
     with_it = [replay(changed, s) for s in sweeps]
-    return detectability(case.plain, case.datasheet.tolerance, list(zip(sweeps, with_it, without, strict=True)))
+    pairs = list(zip(sweeps, with_it, strict=True))
+    return detectability(case.plain, case.datasheet.tolerance, pairs, replayed)
 
 
 def checked(document: Mapping[str, Any]) -> Outcome:

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from service.experiment.data import Sweep
+from service.gap.observation import MODEL_FLOOR
 from sim import control_law
 from sim.datasheet import Tolerance
 from sim.rig import Array, FlexibleMode, Noise, Rig
@@ -28,6 +30,13 @@ BLOCKS = 2
 SETTLE_S = 0.3
 RAMP_S = 0.1
 BLOCK_S = 0.05
+STEP = 1e-3
+"""Of a datasheet value, in its standard deviations, for derivatives."""
+ROUNDS = 20
+REPLAYS, CLOSER = 4, 0.8
+"""Replays of the nearest rig within the tolerances, and the share of the change that one must get below to go on."""
+MEDIAN = 0.87
+"""Median of a variance of some six blocks over its expectation."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,6 @@ class Replayed:
     U: Complex
     I: Complex
     Y: Complex
-    rig_s: float
 
 
 def quiet(rig: Rig, steps: bool = False) -> Rig:
@@ -52,7 +60,6 @@ def replay(simulation: Simulation, sweep: Sweep) -> Replayed:
     """Play a sweep's tones, in order, and demodulate them over whole periods."""
     fs, n = 1 / simulation.rig.controller.sample_time_s, simulation.n_axes
     out: dict[str, list[Complex]] = {name: [] for name in "RUIY"}
-    started = simulation.time_s
     for f, axis, amplitude in zip(sweep.frequency_hz, sweep.axis, sweep.amplitude_a, strict=True):
         periods, samples = _block(float(f), fs)
         settle, ramp = round(SETTLE_S * fs), round(RAMP_S * fs)
@@ -67,8 +74,13 @@ def replay(simulation: Simulation, sweep: Sweep) -> Replayed:
         for name, x in zip("RUIY", (record.r, record.u, record.i, record.y), strict=True):
             basis = [np.exp(-2j * np.pi * h * periods * t / samples) * (2 if h else 1) / end for h in sweep.harmonics]
             out[name].append(np.asarray(np.array(basis) @ x[taken]))
-    stacked = {name: np.array(rows) for name, rows in out.items()}
-    return Replayed(**stacked, rig_s=simulation.time_s - started)
+    return Replayed(**{name: np.array(rows) for name, rows in out.items()})
+
+
+def duration_s(sweep: Sweep, sample_rate_hz: float) -> float:
+    """Time on the rig that `replay` takes."""
+    blocks = sum(BLOCKS * _block(float(f), sample_rate_hz)[1] for f in sweep.frequency_hz)
+    return blocks / sample_rate_hz + sweep.n_points * (SETTLE_S + 2 * RAMP_S)
 
 
 def _block(frequency_hz: float, sample_rate_hz: float) -> tuple[int, int]:
@@ -176,21 +188,30 @@ def _model(rig: Rig, sweep: Sweep, lines: Array, at: NDArray[np.int64]) -> Compl
     return np.asarray(response[at, :, sweep.axis] * sweep.amplitude_a[:, None])
 
 
-def _whitening(blocks: Complex, at: NDArray[np.int64], n_lines: int) -> Complex:
-    """(P, 3n, 3n): covariance of the mean over blocks, pooled over inputs and neighbouring lines."""
+def _whitening(blocks: Complex, size: Array, at: NDArray[np.int64], n_lines: int) -> Complex:
+    """(P, 3n, 3n): root of the inverse covariance of the mean over blocks, pooled over inputs and neighbouring lines.
+
+    Of signals of ``size`` (P, 3n) no twin is trusted beyond `MODEL_FLOOR`.
+    """
     noise = blocks - blocks.mean(axis=1, keepdims=True)
-    n_blocks, size = blocks.shape[1:]
-    per_line = np.empty((n_lines, size, size), dtype=complex)
+    n_blocks, n = blocks.shape[1:]
+    per_line = np.empty((n_lines, n, n), dtype=complex)
     for line in range(n_lines):
         near = np.abs(at - line) <= 1
-        e = noise[near].reshape(-1, size)
+        e = noise[near].reshape(-1, n)
         scale = np.sqrt((np.abs(e) ** 2).mean(axis=0)) + 1e-300
         cov = (e / scale).T @ (e / scale).conj() / (near.sum() * (n_blocks - 1)) / n_blocks
-        per_line[line] = np.linalg.inv(np.linalg.cholesky(cov + 1e-3 * np.eye(size) / n_blocks)) / scale
+        floor = MODEL_FLOOR * np.sqrt((size[near] ** 2).mean(axis=0)) / scale
+        per_line[line] = np.linalg.inv(np.linalg.cholesky(cov + np.diag(1e-3 / n_blocks + floor**2))) / scale
     return per_line[at]
 
 
-def detectability(plain: Rig, tolerance: Tolerance, sweeps: Sequence[tuple[Sweep, Replayed, Replayed]]) -> float:
+def detectability(
+    plain: Rig,
+    tolerance: Tolerance,
+    sweeps: Sequence[tuple[Sweep, Replayed]],
+    replayed: Callable[[Rig], Sequence[Replayed]],
+) -> float:
     """Standard deviations by which what is withheld stands out of noise and the datasheet's tolerances.
 
     Parameters
@@ -199,64 +220,83 @@ def detectability(plain: Rig, tolerance: Tolerance, sweeps: Sequence[tuple[Sweep
         Without what is withheld.
     tolerance : Tolerance
     sweeps
-        (as measured, replayed with what is withheld, replayed without it).
+        (as measured, replayed with what is withheld).
+    replayed
+        The same sweeps replayed on any rig without what is withheld.
     """
     parts = uncertain_values(plain, tolerance)
-    n, step = len(parts), 1e-3
-    changes: list[Complex] = []
-    roots: list[Complex] = []
-    grids: list[tuple[Array, NDArray[np.int64]]] = []
-    beyond = 0.0
-    for sweep, with_it, without in sweeps:
-        lines, at = np.unique(sweep.frequency_hz, return_inverse=True)
-        C = control_law.response(plain.controller, 2 * np.pi * sweep.frequency_hz)[:, None]
-        I = sweep.U if sweep.I is None else sweep.I
-        f = sweep.harmonic(1)
-        blocks = _signals(sweep.R[:, :, f], sweep.U[:, :, f], I[:, :, f], sweep.Y[:, :, f], C[:, None])
-        dR, dU, dI, dY = (getattr(with_it, name) - getattr(without, name) for name in "RUIY")
-        changes.append(_signals(dR[:, f], dU[:, f], dI[:, f], dY[:, f], C))
-        roots.append(_whitening(blocks, at, len(lines)))
-        grids.append((lines, at))
-        for k, h in enumerate(sweep.harmonics):
-            if h != 1:
-                for X, d in ((I, dI), (sweep.Y, dY)):
-                    variance = np.median(X[:, :, k].var(axis=1, ddof=1), axis=0) / X.shape[1] / 0.87
-                    beyond += float((np.abs(d[:, k]) ** 2 / (variance + 1e-300)).sum())
+    grids = [np.unique(s.frequency_hz, return_inverse=True) for s, _ in sweeps]
+    laws = [control_law.response(plain.controller, 2 * np.pi * s.frequency_hz)[:, None] for s, _ in sweeps]
+    roots = [_noise(s, C, at, len(f)) for (s, _), C, (f, at) in zip(sweeps, laws, grids, strict=True)]
+
+    def moved(theta: Array) -> Rig:
+        rig = plain
+        for (move, sigma), x in zip(parts, theta, strict=True):
+            rig = move(rig, sigma * x) if x else rig
+        return rig
 
     def whitened(x: Sequence[Complex]) -> Array:
         y = np.concatenate([np.einsum("pab,pb->pa", w, e).ravel() for w, e in zip(roots, x, strict=True)])
         return np.asarray(np.sqrt(2) * np.concatenate([y.real, y.imag]))
 
-    def model(theta: Array) -> list[Complex]:
-        rig = plain
-        for (move, sigma), x in zip(parts, theta, strict=True):
-            rig = move(rig, sigma * x) if x else rig
-        return [_model(rig, s, *g) for (s, _, _), g in zip(sweeps, grids, strict=True)]
+    def model(theta: Array) -> Array:
+        return whitened([_model(moved(theta), s, *g) for (s, _), g in zip(sweeps, grids, strict=True)])
 
-    nominal = model(np.zeros(n))
-    columns = [whitened([(m - m0) / step for m, m0 in zip(model(step * e), nominal, strict=True)]) for e in np.eye(n)]
-    least = _least(np.array(columns).T, whitened(changes), lambda theta: whitened(_minus(model(theta), nominal)))
-    return float(np.sqrt(least + 2 * beyond))
+    def change(theta: Array) -> tuple[Array, float]:
+        pairs = [(s, with_it, w) for (s, with_it), w in zip(sweeps, replayed(moved(theta)), strict=True)]
+        first = whitened([_fundamental(s, C, *both) for (s, *both), C in zip(pairs, laws, strict=True)])
+        return first, sum(_harmonics(*pair) for pair in pairs)
 
-
-def _minus(a: Sequence[Complex], b: Sequence[Complex]) -> list[Complex]:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
-def _least(J: Array, change: Array, moved: Callable[[Array], Array], rounds: int = 15) -> float:
-    """Smallest |change - moved(theta)|^2 + |theta|^2, by Levenberg's method with the Jacobian of theta = 0."""
-    normal, n = J.T @ J, J.shape[1]
-    theta, left, damping = np.zeros(n), change, 1e-3
-    best = float(change @ change)
-    for _ in range(rounds):
-        step = np.linalg.solve(normal + np.eye(n) + damping * np.diag(np.diag(normal)), J.T @ left - theta)
-        trial = change - moved(theta + step)
-        cost = float(trial @ trial + (theta + step) @ (theta + step))
-        if not cost < best:
-            damping *= 8
-            continue
-        done = best - cost < 1e-3 * best + 0.1
-        best, theta, left, damping = cost, theta + step, trial, damping / 4
-        if done:
+    # The linear model says where to look for a rig within the tolerances that does the same; how near it comes is
+    # seen in a replay, whose magnets are not linear.
+    theta, least = np.zeros(len(parts)), np.inf
+    for _ in range(REPLAYS):
+        first, others = change(theta)
+        cost = float(first @ first + theta @ theta) + others
+        nearer, least = cost < CLOSER * least, min(cost, least)
+        if not nearer:
             break
-    return best
+        theta = _nearest(first, model, theta)
+    return float(np.sqrt(least))
+
+
+def _nearest(change: Array, model: Callable[[Array], Array], theta: Array) -> Array:
+    """Deviations from the datasheet that take off most of a change seen at ``theta``, at their own price."""
+    nominal, n = model(theta), len(theta)
+
+    def left(x: Array) -> Array:
+        return np.concatenate([change - (model(x) - nominal), x])
+
+    def slope(x: Array) -> Array:
+        here = left(x)
+        return np.array([(left(x + STEP * e) - here) / STEP for e in np.eye(n)]).T
+
+    # near a resonance the model is anything but linear within the tolerances
+    return np.asarray(least_squares(left, theta, slope, ftol=1e-3, max_nfev=ROUNDS).x)
+
+
+def _noise(sweep: Sweep, C: Complex, at: NDArray[np.int64], n_lines: int) -> Complex:
+    """Whitening of a sweep's signals, (P, 3n, 3n)."""
+    f, I = sweep.harmonic(1), sweep.U if sweep.I is None else sweep.I
+    R, U, I, Y = (X[:, :, f] for X in (sweep.R, sweep.U, I, sweep.Y))
+    size = np.abs(np.concatenate([X.mean(axis=1) for X in (U, I, Y)], axis=-1))
+    return _whitening(_signals(R, U, I, Y, C[:, None]), size, at, n_lines)
+
+
+def _fundamental(sweep: Sweep, C: Complex, with_it: Replayed, without: Replayed) -> Complex:
+    """Change of a sweep's signals at the excited frequency, (P, 3n)."""
+    f = sweep.harmonic(1)
+    dR, dU, dI, dY = (getattr(with_it, name)[:, f] - getattr(without, name)[:, f] for name in "RUIY")
+    return _signals(dR, dU, dI, dY, C)
+
+
+def _harmonics(sweep: Sweep, with_it: Replayed, without: Replayed) -> float:
+    """Squared norm of the change of the other harmonics, in standard deviations of their noise."""
+    I, total = sweep.U if sweep.I is None else sweep.I, 0.0
+    for k, h in enumerate(sweep.harmonics):
+        if h == 1:
+            continue
+        for X, d in ((I, with_it.I - without.I), (sweep.Y, with_it.Y - without.Y)):
+            variance = np.median(X[:, :, k].var(axis=1, ddof=1), axis=0) / X.shape[1] / MEDIAN
+            total += float((np.abs(d[:, k]) ** 2 / (variance + 1e-300)).sum())
+    return 2 * total

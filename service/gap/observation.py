@@ -47,6 +47,10 @@ OWN_SCATTER = 3.0
 """Ratio of a point's variance to its neighbours' beyond which it counts as its own: 1 in 1000 for six blocks."""
 
 
+WELL_DRIVEN = 100.0
+"""Condition of the signals of a line, one column for each driven axis, up to which they tell a response."""
+
+
 class GapError(AmbError):
     """The data do not allow a diagnosis; the message says what is missing."""
 
@@ -120,33 +124,59 @@ def _smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
 
 
 def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
-    """Variance of the mean over blocks of what a twin leaves of u, i and y, (P, H, n) each, A^2 and m^2.
+    """Variance of the mean over blocks of what a model leaves of u, i and y, (P, H, n) each, A^2 and m^2.
 
-    ``rig`` (any reasonable twin) only serves to take the feedback out; i is zero where it was not logged.
+    Feedback carries the noise of y round; a model of what lies between two signals takes that part out. At the
+    excited frequency the data give it where every axis was driven, whatever the rig is. Elsewhere it is that of
+    ``rig`` (any reasonable twin). i is zero where it was not logged.
     """
     frequency, line = time_points(sweep.frequency_hz)
-    U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
+    blocks = sweep.Y.shape[1]
     of_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
     of_y, of_u = np.zeros_like(of_i), np.zeros_like(of_i)
     for k, h in enumerate(sweep.harmonics):
         model = linear_model(rig, np.maximum(h * frequency, 1e-2))
-        dU = U[:, :, k] - U[:, :, k].mean(axis=1, keepdims=True)
+        R, U, Y = sweep.R[:, :, k], sweep.U[:, :, k], sweep.Y[:, :, k]
+        C = np.broadcast_to(-model.controller[:, None, None] * np.eye(rig.n_axes), model.y_per_u.shape)
 
-        def scatter(X: Complex, G: Complex, dX: Complex = dU, k: int = k, h: int = h) -> Real:
-            direct = X[:, :, k] - X[:, :, k].mean(axis=1, keepdims=True)
-            e = direct - np.einsum("pij,pbj->pbi", G[line], dX)
+        def scatter(X: Complex, V: Complex, twin: Complex, cause: Complex, effect: Complex, h: int = h) -> Real:
+            e = _deviation(X) - np.einsum("pij,pbj->pbi", twin[line], _deviation(V))
             power = np.mean(np.abs(e) ** 2, axis=1)
             if h:  # near a sharp peak the twin may be far off; the direct scatter then bounds the noise
-                power = np.minimum(power, np.mean(np.abs(direct) ** 2, axis=1))
+                power = np.minimum(power, np.mean(np.abs(_deviation(X)) ** 2, axis=1))
+            if h == 1:
+                measured, known = _response(effect, cause, line, len(frequency))
+                e = _deviation(X) - np.einsum("pij,pbj->pbi", measured[line], _deviation(V))
+                power = np.where(known[line, None], np.mean(np.abs(e) ** 2, axis=1), power)
             return np.asarray(power / (blocks - 1))
 
-        of_y[:, k] = scatter(Y, model.y_per_u)
-        dY = Y[:, :, k] - Y[:, :, k].mean(axis=1, keepdims=True)
-        C = -model.controller[:, None, None] * np.eye(rig.n_axes)
-        of_u[:, k] = scatter(U, C, dY)
+        of_y[:, k] = scatter(Y, U, model.y_per_u, U, Y)
+        of_u[:, k] = scatter(U, Y, C, Y, U - R)
         if sweep.I is not None:
-            of_i[:, k] = scatter(sweep.I, model.i_per_u)
+            I = sweep.I[:, :, k]
+            of_i[:, k] = scatter(I, U, model.i_per_u, U, I)
     return of_u, of_i, of_y
+
+
+def _deviation(X: Complex) -> Complex:
+    """Blocks (P, B, n) less their mean."""
+    return np.asarray(X - X.mean(axis=1, keepdims=True))
+
+
+def _response(
+    effect: Complex, cause: Complex, line: NDArray[np.int64], lines: int
+) -> tuple[Complex, NDArray[np.bool_]]:
+    """Response (F, n, n) of one signal to another, blocks (P, B, n), and which lines tell it, (F,)."""
+    n = effect.shape[2]
+    E, C = (np.zeros((lines, n, n), dtype=complex) for _ in range(2))
+    known = np.bincount(line, minlength=lines) == n
+    of = np.flatnonzero(known[line])
+    order = of[np.argsort(line[of], kind="stable")].reshape(-1, n)
+    E[known], C[known] = effect.mean(axis=1)[order].swapaxes(1, 2), cause.mean(axis=1)[order].swapaxes(1, 2)
+    known[known] = np.linalg.cond(C[known]) < WELL_DRIVEN
+    G = np.zeros_like(E)
+    G[known] = E[known] @ np.linalg.inv(C[known])
+    return G, known
 
 
 def observe(

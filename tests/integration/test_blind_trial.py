@@ -1,6 +1,7 @@
 """A blind trial on the simulated rig, through the campaign and the diagnosis that the service has."""
 
 import json
+import shutil
 import stat
 from collections.abc import Mapping
 from pathlib import Path
@@ -84,6 +85,29 @@ def test_a_report_changed_after_the_seal_was_opened_is_caught(trial: tuple[Path,
     forged = {**case, "report": {**case["report"], "rig": "another"}}
     with pytest.raises(SealError, match="report"):
         checked(forged)
+
+
+def test_a_trial_that_was_stopped_goes_on_with_what_it_has(trial: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    out, result = trial
+    kept = tmp_path / "trial"
+    shutil.copytree(out, kept)
+    (kept / "case-0002" / "case.json").unlink()  # stopped while this one was diagnosed
+    asked: list[int] = []
+
+    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+        asked.append(1)
+        return _report()
+
+    again = run_blind_trial(CASES, SEED, kept, jobs=1, engine=engine)
+    assert len(asked) == 1
+    assert [again["cases"][k] for k in (0, 2)] == [result["cases"][k] for k in (0, 2)]
+    assert again["cases"][1]["report"]["verdict"]["probability"] == 0.9
+
+
+def test_a_folder_of_another_trial_is_refused(trial: tuple[Path, dict[str, Any]]) -> None:
+    out, _ = trial
+    with pytest.raises(AmbError, match="another trial"):
+        run_blind_trial(CASES, SEED + 1, out, jobs=1)
 
 
 def _report(kind: str = "no_gap") -> Any:
