@@ -95,7 +95,7 @@ def ready(api: Api) -> Response:
         if migrate.revision(api.database) != migrate.head():
             database = "of another version; run ambit db upgrade"
         with api.database.read() as session:
-            if not workers.anyone(session):
+            if not workers.count_alive(session):
                 worker = "none is alive: jobs wait"
     except SQLAlchemyError:
         database, worker = "does not answer", "unknown"

@@ -21,7 +21,7 @@ from service.errors import ConflictError
 from service.jobs import steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
-from service.jobs.engine import CPU, CPU_POLL_S, NOTICES, RIGS, RIGS_POLL_S, Dispatcher, engine_config
+from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls
 from service.storage import idempotency, jobs, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now
@@ -55,6 +55,7 @@ class Worker:
             settings, Database(settings.database), Blobs(settings.store), Calculator(), Dispatcher(settings)
         )
         self._lost_name = False
+        self._polls_shared_by = 1
         self._believes_silence_at = 0.0
 
     def start(self) -> None:
@@ -77,9 +78,9 @@ class Worker:
         import_module("service.jobs.workflows")  # registers them
         DBOS(config=engine_config(self.settings))
         DBOS.launch()
-        DBOS.register_queue(RIGS, partition_concurrency=1, polling_interval_sec=RIGS_POLL_S)
-        DBOS.register_queue(CPU, worker_concurrency=self.settings.cpu_jobs, polling_interval_sec=CPU_POLL_S)
-        DBOS.register_queue(NOTICES, polling_interval_sec=1.0)
+        DBOS.register_queue(RIGS, partition_concurrency=1, polling_interval_sec=poll_s(RIGS, 1))
+        DBOS.register_queue(CPU, worker_concurrency=self.settings.cpu_jobs, polling_interval_sec=poll_s(CPU, 1))
+        DBOS.register_queue(NOTICES, polling_interval_sec=poll_s(NOTICES, 1))
         self.context.calculator.warm()
         log.info("worker %s is ready", self.settings.worker)
 
@@ -102,6 +103,7 @@ class Worker:
             (BEAT_S, self._beat),
             (1.0, self._hand_over),
             (1.0, self._keep_schedules),
+            (2.0, self._share_polls),
             (min(5.0, self.settings.worker_timeout_s / 3), self._take_over),
             (3600.0, self._tidy),
         ]
@@ -132,6 +134,14 @@ class Worker:
 
     def _keep_schedules(self) -> None:
         timetable.keep(self.context.database)
+
+    def _share_polls(self) -> None:
+        """Look into the queues the less often the more workers do; whoever comes or goes is noticed by all."""
+        with self.context.database.read() as session:
+            alive = workers.count_alive(session)
+        if alive != self._polls_shared_by:
+            share_polls(alive)
+            self._polls_shared_by = alive
 
     def _take_over(self) -> None:
         """Give the jobs of workers that are silent back to the queue.

@@ -6,7 +6,7 @@ import os
 import socket
 from datetime import timedelta
 
-from sqlalchemy import select, update
+from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from service.errors import ConflictError
@@ -92,8 +92,8 @@ def listed(session: Session) -> list[WorkerRow]:
     return list(session.scalars(select(WorkerRow).order_by(WorkerRow.name)))
 
 
-def anyone(session: Session) -> bool:
-    """Whether a worker is alive."""
+def count_alive(session: Session) -> int:
+    """How many workers gave a sign of life just now."""
     limit = now() - timedelta(seconds=ALIVE_S)
-    query = select(WorkerRow.name).where(WorkerRow.beat_at >= limit, WorkerRow.stopped_at.is_(None)).limit(1)
-    return session.scalar(query) is not None
+    query = select(func.count()).select_from(WorkerRow)
+    return session.scalar(query.where(WorkerRow.beat_at >= limit, WorkerRow.stopped_at.is_(None))) or 0
