@@ -47,8 +47,8 @@ class Settings(BaseModel):
     worker_name: str = Field("", max_length=60)
     """Stable and unique per worker; empty for the host's name."""
     cpu_jobs: int = Field(1, ge=1, le=64)
-    """Identifications and diagnoses that one worker calculates at a time. The engine keeps one number for all workers of
-    a database: that of the worker that started last."""
+    """Identifications and diagnoses that one worker calculates at a time. The engine keeps one number for all workers
+    of a database: that of the worker that started last."""
     worker_timeout_s: float = Field(30.0, gt=1.0)
     """A worker that was silent for so long has lost its jobs to the others."""
     lease_s: float = Field(10.0, ge=1.0, le=60.0)
