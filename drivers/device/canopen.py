@@ -139,6 +139,7 @@ class CanopenNode:
             self._closing.set()
             self._keeper.join(timeout=5.0)
             _leave(self._network)
+            self._front.close()
 
     # ---- the bus
 

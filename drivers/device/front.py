@@ -56,7 +56,7 @@ class DeviceFront:
         self._outcome = Outcome.DONE
         self._finished: _Finished | None = None
         self._window = 0
-        self._tones: queue.SimpleQueue[tuple[Callable[[], PointResult], int]] = queue.SimpleQueue()
+        self._tones: queue.SimpleQueue[tuple[Callable[[], PointResult], int] | None] = queue.SimpleQueue()
         self._player: threading.Thread | None = None
         self._listeners: list[Callable[[], None]] = []
         self._writers: dict[str, Callable[[Values], None]] = {
@@ -223,9 +223,13 @@ class DeviceFront:
         # to a thread that waits: starting one would keep the bus waiting for its answer
         self._tones.put((play, command))
 
+    def close(self) -> None:
+        """No tone is played any more, after one that plays now; for whoever serves these objects, at its end."""
+        self._tones.put(None)
+
     def _play_what_comes(self) -> None:
-        while True:
-            self._run(*self._tones.get())
+        while (tone := self._tones.get()) is not None:
+            self._run(*tone)
 
     def _run(self, play: Callable[[], PointResult], command: int) -> None:
         self._tell()

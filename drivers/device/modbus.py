@@ -76,6 +76,7 @@ class TcpServer:
         for connection in list(self._connections):
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
+        self._front.close()
 
     def _accept(self) -> None:
         while not self._closing.is_set():
@@ -163,7 +164,7 @@ class RtuServer:
         registers: RegisterMap = DEFAULT_MAP,
         spoiler: ModbusSpoiler | None = None,
     ) -> None:
-        self._fd, self._unit = fd, unit
+        self._front, self._fd, self._unit = front, fd, unit
         self._session = RegisterSession(front, registers)
         self._spoilt: SpoiltConversation | None = None
         if spoiler is not None:
@@ -177,6 +178,7 @@ class RtuServer:
         """Stop answering; the port stays open. Safe twice."""
         self._closing.set()
         self._thread.join(timeout=2.0)
+        self._front.close()
 
     def _run(self) -> None:
         buffer = bytearray()

@@ -294,6 +294,13 @@ def test_same_seed_same_result(bench: Bench) -> None:
     np.testing.assert_array_equal(results[0].Y, results[1].Y)
 
 
+def test_a_device_that_left_its_bus_leaves_nothing_running(bench: Bench) -> None:
+    before = set(threading.enumerate())
+    with bench.fresh(seed=5) as controller, controller.lease("contract"):
+        controller.measure(TONE)
+    _wait_until(lambda: set(threading.enumerate()) <= before)
+
+
 def _stop_when_exciting(bench: Bench, controller: Controller) -> None:
     _wait_until(lambda: bench.device.status().excitation_a > 0)
     controller.stop()
