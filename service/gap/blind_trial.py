@@ -12,6 +12,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -24,6 +25,8 @@ from service.gap.seal import SealError, opened, seal
 from service.gap.unlisted_laws import TamperedSimulation
 from service.gap.withheld import Case
 from sim.datasheet import Datasheet
+from sim.effects import CATALOGUE
+from sim.errors import LevitationError
 from sim.rig import Rig
 from sim.stepping import Simulation
 
@@ -94,7 +97,7 @@ def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish,
         The sealed document was changed while the diagnosis ran.
     """
     experiment = measure(case)
-    kept = seal(case.truth() | {"detectability": detectability_of(case, experiment)})
+    kept = seal(case.truth() | detectability_of(case, experiment))
     publish("commitment", {"case": case.number, "sha256": kept.commitment})
     publish("sealed", kept.document())
     started = time.perf_counter()
@@ -112,26 +115,40 @@ def plant_sweeps(experiment: Experiment) -> list[Sweep]:
     return [s.select((s.amplitude_a > 0) & (np.abs(s.R).max(axis=(1, 2, 3)) > 0)) for s in wanted]
 
 
-def detectability_of(case: Case, experiment: Experiment) -> float:
-    """How plainly the case's secret shows in its experiment; 0 for a clean rig."""
+def detectability_of(case: Case, experiment: Experiment) -> dict[str, Any]:
+    """How plainly the case's secret shows in its experiment: in all, and each effect of a mixture beside the others."""
     if case.kind == "clean":
-        return 0.0
+        return {"detectability": 0.0, "each": {}}
     sweeps = plant_sweeps(experiment)
-    took = float(experiment.attributes.get("rig_seconds", "nan"))
+    rig = _shortened(case.rig, experiment, sweeps)
+    coarse = rig.noise.displacement_step_m != case.plain.noise.displacement_step_m
+    replay_s = sum(duration_s(s, 1 / rig.controller.sample_time_s) for s in sweeps)
+    changed = TamperedSimulation(quiet(rig, steps=coarse), 0, copy.deepcopy(case.tampering), replay_s)
+    pairs = [(s, replay(changed, s)) for s in sweeps]
 
     def replayed(plain: Rig) -> list[Replayed]:
-        simulation = Simulation(quiet(plain))
+        simulation = Simulation(quiet(_shortened(plain, experiment, sweeps)))
         return [replay(simulation, s) for s in sweeps]
 
-    rig = case.rig
+    tolerance = case.datasheet.tolerance
+    each = {}
+    if len(case.effects) > 1:
+        for hidden, _ in case.effects:
+            others = case.plain
+            for name, values in case.effects:
+                others = CATALOGUE[name].on(others, **dict(values)) if name != hidden else others
+            with suppress(LevitationError):  # without it the rig would not be there to be compared with
+                each[hidden] = detectability(others, tolerance, pairs, replayed)
+    return {"detectability": detectability(case.plain, tolerance, pairs, replayed), "each": each}
+
+
+def _shortened(rig: Rig, experiment: Experiment, sweeps: Sequence[Sweep]) -> Rig:
+    """The rig with its drift in the time that a replay takes, which is less than the campaign took."""
+    took = float(experiment.attributes.get("rig_seconds", "nan"))
+    if rig.drift is None or not np.isfinite(took):
+        return rig
     replay_s = sum(duration_s(s, 1 / rig.controller.sample_time_s) for s in sweeps)
-    if rig.drift is not None and np.isfinite(took):  # the replay takes less time than the campaign did
-        rig = replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replay_s / took))
-    coarse = rig.noise.displacement_step_m != case.plain.noise.displacement_step_m
-    changed = TamperedSimulation(quiet(rig, steps=coarse), 0, copy.deepcopy(case.tampering), replay_s)
-    with_it = [replay(changed, s) for s in sweeps]
-    pairs = list(zip(sweeps, with_it, strict=True))
-    return detectability(case.plain, case.datasheet.tolerance, pairs, replayed)
+    return replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replay_s / took))
 
 
 def checked(document: Mapping[str, Any]) -> Outcome:
@@ -154,6 +171,7 @@ def checked(document: Mapping[str, Any]) -> Outcome:
         detectability=truth["detectability"],
         report=document["report"],
         seconds=document["seconds"],
+        each=truth.get("each", {}),
     )
 
 

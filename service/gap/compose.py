@@ -205,10 +205,14 @@ def with_interference(whole: Composition, sources: Sequence[Interference]) -> Co
 def heard_too(verdict: Verdict, sources: Sequence[Interference]) -> Verdict:
     """The verdict with the interference that was heard beside it.
 
-    What else nothing explains is then laid to the interference: it disturbs the means too.
+    What else nothing explains is then laid to the interference: it disturbs the means too, where it could not be
+    taken off.
     """
     if not sources:
         return verdict
+    if verdict.kind == "none_of_these" and all(s.heard_hz for s in sources):
+        told = tuple(f"{s.effect} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
+        return replace(verdict, reasons=(*verdict.reasons, *told))
     effects = (*verdict.effects, *(s.effect for s in sources))
     kind = "effect" if len(effects) == 1 else "effects"
     return replace(verdict, kind=kind, effects=effects, reasons=())

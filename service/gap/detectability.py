@@ -35,6 +35,8 @@ STEP = 1e-3
 ROUNDS = 20
 REPLAYS, CLOSER = 4, 0.8
 """Replays of the nearest rig within the tolerances, and the share of the change that one must get below to go on."""
+PLAIN = 1e9
+"""Of what decides whether the rig levitates at all."""
 MEDIAN = 0.87
 """Median of a variance of some six blocks over its expectation."""
 
@@ -253,11 +255,11 @@ def detectability(
     for _ in range(REPLAYS):
         first, others = change(theta)
         cost = float(first @ first + theta @ theta) + others
-        nearer, least = cost < CLOSER * least, min(cost, least)
-        if not nearer:
+        if not cost < CLOSER * least:  # nor where the moved rig does not levitate
             break
+        least = cost
         theta = _nearest(first, model, theta)
-    return float(np.sqrt(least))
+    return float(np.sqrt(min(least, PLAIN**2)))
 
 
 def _nearest(change: Array, model: Callable[[Array], Array], theta: Array) -> Array:

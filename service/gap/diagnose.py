@@ -135,7 +135,7 @@ def diagnose(
     amplitude_dependent = False
     telling = Telling(progress)
     with Fitter(jobs, telling.fitted) as fitter:
-        aloud = bool(sources)
+        aloud = not all(s.heard_hz for s in sources)
         found, fault = _explained(fitter, nu, (o,), {}, aloud, telling, (0.0, FITTED if lines_only else ONE_SWEEP))
         failing = {} if lines_only or fault else {e.part.path: e for e in found if _fails_on(e, unseen)}
         if failing:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.gap.coherent import left_in_mean
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
@@ -189,16 +190,14 @@ def observe(
     rig
         Any reasonable twin: it only serves to take the feedback out of the block scatter.
     hums_hz
-        Frequencies of interference, near which the blocks of a point are not independent.
+        Frequencies of interference, which leaves something in the mean over a point's blocks.
     """
     sweep = usable(sweep)
     frequency, line = time_points(sweep.frequency_hz)
     U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
     scatter = block_scatter(sweep, rig)
-    hummed = near_hum(sweep, hums_hz)[..., None]
-    sd_u, sd_i, sd_y = (
-        np.sqrt(_smooth_variance(v, sweep.frequency_hz)) * np.where(hummed, np.sqrt(blocks), 1.0) for v in scatter
-    )
+    sds = tuple(np.sqrt(_smooth_variance(v, sweep.frequency_hz)) for v in scatter)
+    sd_u, sd_i, sd_y = _with_hum(sds, sweep, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
     mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
@@ -236,6 +235,27 @@ def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...]) -> Real:
     relative[harmonics.index(1)] = MODEL_FLOOR
     smallest = SMALLEST_SHARE * np.abs(mean).max()  # a coarse converter may not scatter at all
     return np.asarray(np.maximum(np.hypot(sd, relative[:, None] * np.abs(mean)), smallest))
+
+
+def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[float]) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with what hums leave in the means of both ends of each part of the loop."""
+    if sweep.block_samples is None:  # as if the blocks were one
+        one = np.where(near_hum(sweep, hums_hz)[..., None], np.sqrt(sweep.Y.shape[1]), 1.0)
+        return tuple(sd * one for sd in sds)
+    u, i, y = (left_in_mean(sweep, X, hums_hz) for X in (sweep.U, sweep.U if sweep.I is None else sweep.I, sweep.Y))
+    of_u, of_i, of_y = (sd.copy() for sd in sds)
+    frequency, line = time_points(sweep.frequency_hz)
+    for k, h in enumerate(sweep.harmonics):
+        model = linear_model(rig, np.maximum(h * frequency, 1e-2))
+
+        def through(G: Complex, x: Real, k: int = k) -> Real:
+            return np.asarray(np.sqrt(np.einsum("pij,pj->pi", np.abs(G[line]) ** 2, x[:, k] ** 2)))
+
+        C = model.controller[:, None, None] * np.eye(rig.n_axes)
+        of_u[:, k] = np.sqrt(of_u[:, k] ** 2 + u[:, k] ** 2 + through(C, y) ** 2)
+        of_i[:, k] = np.sqrt(of_i[:, k] ** 2 + i[:, k] ** 2 + through(model.i_per_u, u) ** 2)
+        of_y[:, k] = np.sqrt(of_y[:, k] ** 2 + y[:, k] ** 2 + through(model.y_per_u, u) ** 2)
+    return of_u, of_i, of_y
 
 
 def near_hum(sweep: Sweep, hums_hz: Sequence[float], width: float = HUMMED) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,8 @@ class Outcome:
     report: Mapping[str, Any]
     """gap.json."""
     seconds: float
+    each: Mapping[str, float] = field(default_factory=dict)
+    """Detectability of every effect of a mixture beside the others; where it is not known, that of all together."""
 
     @property
     def verdict(self) -> Mapping[str, Any]:
@@ -78,7 +80,13 @@ class Outcome:
             return bool(kind == "none_of_these" or (kind == "no_gap" and not self.detectable))
         if kind == "no_gap":
             return not self.detectable
-        return len(self.named) == len(self.effects) and all(self.answers(e) for e in self.effects)
+        true = all(any(self.answers(e, (name,)) for e in self.effects) for name in self.named)
+        return bool(self.named) and true and all(self.answers(e) for e in self.visible)
+
+    @property
+    def visible(self) -> tuple[str, ...]:
+        """True effects that stand out enough to be asked for, each beside the others."""
+        return tuple(e for e in self.effects if self.each.get(e, self.detectability) > DETECTABLE)
 
     def candidate(self, effects: Iterable[str]) -> Mapping[str, Any] | None:
         """The report's candidate with exactly those effects."""
@@ -105,6 +113,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     known = by_kind["single"] + by_kind["mixture"]
     seen = [o for o in by_kind["single"] if o.detectable]
     mixed = [o for o in by_kind["mixture"] if o.detectable]
+    both = [o for o in mixed if len(o.visible) == len(o.effects)]
     return {
         "cases": {k: len(v) for k, v in by_kind.items()},
         "detectable": {k: sum(o.detectable for o in v) for k, v in by_kind.items()},
@@ -116,7 +125,9 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
             "by_effect": _by_effect(by_kind["single"]),
         },
         "mixture": {
-            "both_found": _share(all(o.answers(e) for e in o.effects) for o in mixed),
+            "all_visible": len(both),
+            "both_found": _share(all(o.answers(e) for e in o.effects) for o in both),
+            "both_found_of_all": _share(all(o.answers(e) for e in o.effects) for o in mixed),
             "one_found": _share(any(o.answers(e) for e in o.effects) for o in mixed),
         },
         "unlisted": _unlisted(by_kind["unlisted"], [o for o in known if o.detectable]),

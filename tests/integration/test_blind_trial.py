@@ -50,7 +50,9 @@ def test_the_published_files_alone_prove_the_trial(trial: tuple[Path, dict[str, 
         folder = out / f"case-{k + 1:04d}"
         commitment = json.loads((folder / "commitment.json").read_text())["sha256"]
         truth = opened(json.loads((folder / "sealed.json").read_text()), commitment)
-        assert truth == {**draw(k, SEED).truth(), "detectability": truth["detectability"]}
+        drawn = draw(k, SEED).truth()
+        assert truth == {**drawn, "detectability": truth["detectability"], "each": truth["each"]}
+        assert set(truth["each"]) == (set(drawn["effects"]) if drawn["kind"] == "mixture" else set())
         assert truth["kind"] == "clean" or truth["detectability"] > 0
         assert result["cases"][k]["commitment"] == commitment
     again = summary(result["cases"], SEED)

@@ -1,6 +1,7 @@
 """Scores say what happened: each is checked on outcomes whose score is known by hand."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -88,7 +89,19 @@ def test_a_mixture_needs_both() -> None:
     both = outcome("mixture", effects, said="effects", named=effects[::-1])
     half = outcome("mixture", effects, said="effect", named=effects[:1])
     mixture = score([both, half])["mixture"]
-    assert mixture == {"both_found": 0.5, "one_found": 1.0}
+    assert mixture == {"all_visible": 2, "both_found": 0.5, "both_found_of_all": 0.5, "one_found": 1.0}
+    assert (both.right, half.right) == (True, False)
+
+
+def test_what_a_datasheets_tolerance_hides_beside_the_other_effect_is_not_asked_for() -> None:
+    effects = ("loop_delay", "sensor_position")
+    faint = {"loop_delay": 300.0, "sensor_position": 2.0}
+    one = replace(outcome("mixture", effects, said="effect", named=effects[:1]), each=faint)
+    wrong = replace(outcome("mixture", effects, said="effects", named=("loop_delay", "eddy_currents")), each=faint)
+    other = replace(outcome("mixture", effects, said="effect", named=effects[1:]), each=faint)
+    assert (one.right, wrong.right, other.right) == (True, False, False)
+    mixture = score([one, wrong, other])["mixture"]
+    assert mixture == {"all_visible": 0, "both_found": None, "both_found_of_all": 0.0, "one_found": 1.0}
 
 
 def test_unknown_laws_are_recalled_and_known_ones_not_abstained_from() -> None:

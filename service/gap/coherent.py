@@ -1,0 +1,137 @@
+"""Hum told from noise by its phase: from block to block it advances by its own frequency times the block's length.
+
+The blocks of a point follow one another, so a hum of f hertz leaks into block b of T seconds as a exp(2 pi i f T b),
+with an amplitude of its own in every signal. Noise has no such pattern: of the blocks' deviations from their mean, in
+B - 1 complex dimensions, it has 1/(B - 1) in that one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+MAIN_LOBE, LOBES = 1.0, 3.0
+"""Distance in resolutions of a block, 1/T, up to which a hum leaks most, and up to which its size is taken from."""
+TURNS = 1.0
+"""Smallest advance of the phase from block to block, rad, that is no slow drift."""
+
+
+def coherence(sweep: Sweep, signal: Complex, frequency_hz: float) -> tuple[float, float]:
+    """How much of a signal's scatter near a frequency has the pattern of a hum there.
+
+    Parameters
+    ----------
+    sweep
+        With the length of its blocks; at least 3 of them a point.
+    signal
+        (P, B, H, n) i or y of the sweep.
+    frequency_hz
+
+    Returns
+    -------
+    tuple
+        Mean share, and by how many standard deviations it is above that of noise; (0, 0) where too few points are near.
+    """
+    blocks = signal.shape[1]
+    pattern = _pattern(sweep, frequency_hz)[:, :, 1]
+    turning = _deviation(pattern)
+    norm = np.maximum((np.abs(turning) ** 2).sum(axis=1), 1e-12)
+    deviation = _deviation(signal)
+    in_it = (np.abs(np.einsum("pb,pbhn->phn", turning.conj(), deviation)) ** 2).sum(axis=-1) / norm[:, None]
+    share = in_it / np.maximum((np.abs(deviation) ** 2).sum(axis=(1, 3)), 1e-300)
+    x = share[_near(sweep, frequency_hz, MAIN_LOBE)]
+    if len(x) < 4 or blocks < 3:
+        return 0.0, 0.0
+    of_noise = 1 / (blocks - 1)
+    # the share of noise is beta distributed with 1 and B - 2; channels are counted as one, as a mode may join them
+    spread = np.sqrt(of_noise * (1 - of_noise) / blocks / len(x))
+    return float(x.mean()), float((x.mean() - of_noise) / spread)
+
+
+def hum_amplitudes(sweep: Sweep, signal: Complex, frequency_hz: float) -> Complex:
+    """Amplitudes of a hum where its leakage is large, (K, n), leakage allowed for; each point with a phase of its own.
+
+    The same K points for every signal of a sweep.
+    """
+    near = _near(sweep, frequency_hz, MAIN_LOBE / 2)
+    apart = (sweep.frequency_hz[:, None] * np.array(sweep.harmonics) - frequency_hz) * _block_s(sweep)[:, None]
+    found = _coefficients(_pattern(sweep, frequency_hz), signal)[:, 1]
+    return np.asarray((found / np.sinc(apart)[..., None])[near])
+
+
+def without_hum(sweep: Sweep, frequency_hz: float) -> Sweep:
+    """The sweep with one hum taken off its blocks, wherever it can be told from the response."""
+    where = (_turning(sweep, frequency_hz) > TURNS)[:, None]
+    U, Y = (_less(sweep, X, frequency_hz, where) for X in (sweep.U, sweep.Y))
+    return replace(sweep, U=U, I=None if sweep.I is None else _less(sweep, sweep.I, frequency_hz, where), Y=Y)
+
+
+def left_in_mean(sweep: Sweep, signal: Complex, frequencies_hz: Sequence[float]) -> Real:
+    """Amplitude that hums leave in a signal's mean over the blocks, rms over their phases, (P, H, n)."""
+    at, whole_s = sweep.frequency_hz[:, None] * np.array(sweep.harmonics), signal.shape[1] * _block_s(sweep)[:, None]
+    power = np.zeros((*at.shape, signal.shape[3]))
+    for f in frequencies_hz:
+        leaks = sum(np.sinc((at + way * f) * whole_s) ** 2 for way in (-1, 1))
+        power += leaks[..., None] * _size(sweep, signal, f) ** 2
+    return np.asarray(np.sqrt(power))
+
+
+def _size(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
+    """Amplitude of a hum in each channel, (n,), from wherever it leaks to."""
+    near = _near(sweep, frequency_hz, LOBES)
+    leaked = _coefficients(_pattern(sweep, frequency_hz), signal)[:, 1][near]
+    at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
+    share = np.sinc((at - frequency_hz) * _block_s(sweep)[:, None])[near]
+    return np.asarray(np.sqrt((np.abs(leaked) ** 2).sum(axis=0) / max(float((share**2).sum()), 1.0)))
+
+
+def _less(sweep: Sweep, signal: Complex, frequency_hz: float, where: Mask) -> Complex:
+    pattern, blocks = _pattern(sweep, frequency_hz), signal.shape[1]
+    found = _coefficients(pattern, signal)
+    rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
+    # three of the dimensions are fitted, and the constant is less certain than a mean
+    spread = blocks * (np.abs(np.linalg.pinv(pattern)[:, 0]) ** 2).sum(axis=1)
+    rest *= np.sqrt(spread * (blocks - 1) / (blocks - 3))[:, None, None, None]
+    return np.where(where[:, None, :, None], found[:, :1] + rest, signal)
+
+
+def _deviation(blocks: Complex) -> Complex:
+    return np.asarray(blocks - blocks.mean(axis=1, keepdims=True))
+
+
+def _pattern(sweep: Sweep, frequency_hz: float) -> Complex:
+    """What a response and a hum leave in the blocks, (P, B, 3): a constant, and the hum's phase turning either way."""
+    phase = 2 * np.pi * frequency_hz * _block_s(sweep)[:, None] * np.arange(sweep.Y.shape[1])
+    return np.stack([np.ones_like(phase), np.exp(1j * phase), np.exp(-1j * phase)], axis=-1)
+
+
+def _coefficients(pattern: Complex, signal: Complex) -> Complex:
+    """Least squares, (P, 3, H, n); what cannot be told apart is shared."""
+    return np.asarray(np.einsum("pkb,pbhn->pkhn", np.linalg.pinv(pattern), signal))
+
+
+def _near(sweep: Sweep, frequency_hz: float, resolutions: float) -> Mask:
+    """Harmonics of points within so many resolutions of a frequency, whose phase advances enough, (P, H)."""
+    turns = (_turning(sweep, frequency_hz) > TURNS)[:, None] & (np.array(sweep.harmonics) > 0)
+    at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
+    return np.asarray(turns & (np.abs(at - frequency_hz) * _block_s(sweep)[:, None] < resolutions))
+
+
+def _turning(sweep: Sweep, frequency_hz: float) -> Real:
+    """Advance of a hum's phase from block to block but for whole turns, (P,), rad."""
+    advance = 2 * np.pi * frequency_hz * _block_s(sweep)
+    return np.asarray(np.abs((advance + np.pi) % (2 * np.pi) - np.pi))
+
+
+def _block_s(sweep: Sweep) -> Real:
+    assert sweep.block_samples is not None
+    return np.asarray(sweep.block_samples / sweep.sample_rate_hz)

@@ -1,0 +1,76 @@
+"""Hum in blocks that follow one another: heard by its phase, taken off, and never found in noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Sweep
+from service.gap.coherent import coherence, hum_amplitudes, left_in_mean, without_hum
+
+BLOCKS, AXES, HARMONICS, RATE_HZ = 6, 4, (0, 1, 2, 3), 10_000.0
+NOISE_M = 1e-9
+
+
+def played(hum_m: float, hum_hz: float, seed: int) -> tuple[Sweep, Sweep]:
+    """A sweep of samples with a response and noise, demodulated block by block: (with a hum on y, without)."""
+    rng = np.random.default_rng(seed)
+    frequency = np.repeat(np.geomspace(12, 300, 40), 2)
+    periods = np.ceil(frequency * 0.05)
+    samples = np.round(periods * RATE_HZ / frequency).astype(int)
+    frequency = periods * RATE_HZ / samples
+    clean = np.zeros((len(frequency), BLOCKS, len(HARMONICS), AXES), dtype=complex)
+    hum = np.zeros_like(clean)
+    for p, (k, n) in enumerate(zip(periods, samples, strict=True)):
+        t = np.arange(BLOCKS * n)
+        noise = NOISE_M * np.sqrt(n / 2) * rng.standard_normal((len(t), AXES))
+        tone = 1e-6 * np.cos(2 * np.pi * k * t / n + rng.uniform(0, 6))[:, None] * rng.uniform(0.3, 1, AXES)
+        added = hum_m * np.cos(2 * np.pi * hum_hz * t / RATE_HZ + rng.uniform(0, 6))[:, None] * np.ones(AXES)
+        for j, h in enumerate(HARMONICS):
+            basis = np.exp(-2j * np.pi * h * k * t / n) * (2 if h else 1) / n
+            clean[p, :, j] = (basis[:, None] * (tone + noise)).reshape(BLOCKS, n, AXES).sum(axis=1)
+            hum[p, :, j] = (basis[:, None] * added).reshape(BLOCKS, n, AXES).sum(axis=1)
+    zero = np.zeros_like(clean)
+    without = Sweep(
+        "stepped-sine", frequency, np.tile([0, 1], 40), np.ones(len(frequency)), HARMONICS, zero, zero, zero, clean,
+        sample_rate_hz=RATE_HZ, block_samples=samples,
+    )  # fmt: skip
+    return replace(without, Y=clean + hum), without
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 27.3, 50.0, 60.0, 120.0])
+def test_a_hum_is_heard_where_it_is_and_as_loud_as_it_is(hum_hz: float) -> None:
+    loud, _ = played(5e-9, hum_hz, seed=1)
+    share, deviate = coherence(loud, loud.Y, hum_hz)
+    assert share > 0.5
+    assert deviate > 8
+    heard = np.sqrt(np.mean(np.abs(hum_amplitudes(loud, loud.Y, hum_hz)) ** 2))
+    assert heard == pytest.approx(5e-9, rel=0.15)
+
+
+def test_noise_alone_is_no_hum() -> None:
+    deviates = [
+        coherence(quiet, quiet.Y, f)[1] for seed in range(8) for _, quiet in [played(0.0, 50.0, seed)]
+        for f in (15.1, 50.0, 60.0, 100.0, 150.0)
+    ]  # fmt: skip
+    assert max(deviates) < 6
+    assert abs(np.mean(deviates)) < 1, "the share of noise is known"
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 50.0, 110.0])
+def test_what_it_leaves_in_a_mean_is_foretold(hum_hz: float) -> None:
+    """A hum of a thousand times the noise leaks into every point, into most of their means hardly."""
+    loud, quiet = played(1e-6, hum_hz, seed=2)
+    left = np.abs(loud.Y.mean(axis=1) - quiet.Y.mean(axis=1))
+    foretold = left_in_mean(loud, loud.Y, [hum_hz])
+    assert np.mean(left**2) == pytest.approx(np.mean(foretold**2), rel=0.5)
+    assert np.mean(left > 3 * np.hypot(foretold, 0.1 * NOISE_M)) < 0.02
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 50.0, 110.0])
+def test_without_it_the_scatter_is_that_of_the_noise(hum_hz: float) -> None:
+    loud, quiet = played(1e-7, hum_hz, seed=3)
+    turning = np.abs((hum_hz * loud.block_samples / RATE_HZ + 0.5) % 1 - 0.5) > 0.2
+    before, after, noise = (np.mean(s.select(turning).Y.var(axis=1)) for s in (loud, without_hum(loud, hum_hz), quiet))
+    assert before > 20 * noise
+    assert 0.7 * noise < after < 2 * noise
