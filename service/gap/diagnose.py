@@ -128,8 +128,9 @@ def diagnose(
         main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)
     sources = interference(main, nu.rig)
     hums = hums_hz(sources)
-    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums)
-    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums)
+    span_s = _span_s(main, other)
+    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span_s)
+    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span_s)
     if o.unsettled > 0.3:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled; their weight is reduced")
     amplitude_dependent = False
@@ -140,7 +141,7 @@ def diagnose(
         failing = {} if lines_only or fault else {e.part.path: e for e in found if _fails_on(e, unseen)}
         if failing:
             amplitude_dependent = True
-            seen, unseen, name = _halves(other, nu, name, hums)
+            seen, unseen, name = _halves(other, nu, name, hums, span_s)
             known = {e.part.path: e for e in found if e.part.path not in failing}
             found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED))
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
@@ -227,17 +228,28 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
     return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
 
 
-def _halves(other: Sweep, nu: Nuisance, name: str, hums: Sequence[float]) -> tuple[Observation, Observation, str]:
+def _span_s(*sweeps: Sweep) -> tuple[float, float] | None:
+    """When the first point of all was measured and when the last, s; None where the file does not tell."""
+    times = [s.time_s for s in sweeps if s.time_s is not None and np.isfinite(s.time_s).all() and s.n_points]
+    if len(times) < len(sweeps):
+        return None
+    first, last = min(float(t.min()) for t in times), max(float(t.max()) for t in times)
+    return (first, last) if last > first else None
+
+
+def _halves(
+    other: Sweep, nu: Nuisance, name: str, hums: Sequence[float], span_s: tuple[float, float] | None
+) -> tuple[Observation, Observation, str]:
     """The other sweep in two: even lines to fit, odd lines unseen."""
     line = np.unique(other.frequency_hz, return_inverse=True)[1]
     seen, unseen = (
-        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums)
+        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums, span_s)
         if (line % 2 == k).sum() * 2 > 16
         else None
         for k in (0, 1)
     )
     if seen is None or unseen is None:
-        whole = observe(thinned(other), nu.rig, (0.8, 1.0), hums)
+        whole = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span_s)
         return whole, whole, name + " (fitted too)"
     return seen, unseen, name + ", every other line"
 

@@ -76,7 +76,7 @@ class Observation:
     sd_i: Real
     sd_y: Real
     progress: Real
-    """(P,) order of measurement, 0 to 1"""
+    """(P,) when each was measured, 0 to 1 over the sweeps looked at"""
     unsettled: float
     """Share of points that still drift from their first block to their last."""
     speed_rad_s: float
@@ -181,7 +181,11 @@ def _response(
 
 
 def observe(
-    sweep: Sweep, rig: Rig, progress: tuple[float, float] = (0.0, 1.0), hums_hz: Sequence[float] = ()
+    sweep: Sweep,
+    rig: Rig,
+    progress: tuple[float, float] = (0.0, 1.0),
+    hums_hz: Sequence[float] = (),
+    span_s: tuple[float, float] | None = None,
 ) -> Observation:
     """Prepare a sweep.
 
@@ -189,6 +193,10 @@ def observe(
     ----------
     rig
         Any reasonable twin: it only serves to take the feedback out of the block scatter.
+    progress
+        Of the first point and of the last, which are taken to be measured in order and at even intervals...
+    span_s
+        ... unless this gives the times, s, of progress 0 and 1, and the sweep those of its points.
     hums_hz
         Frequencies of interference, which leaves something in the mean over a point's blocks.
     """
@@ -223,7 +231,7 @@ def observe(
         sd_u,
         sd_i,
         sd_y,
-        np.linspace(*progress, sweep.n_points),
+        _progress(sweep, progress, span_s),
         unsettled,
         sweep.speed_rad_s,
     )
@@ -235,6 +243,12 @@ def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...]) -> Real:
     relative[harmonics.index(1)] = MODEL_FLOOR
     smallest = SMALLEST_SHARE * np.abs(mean).max()  # a coarse converter may not scatter at all
     return np.asarray(np.maximum(np.hypot(sd, relative[:, None] * np.abs(mean)), smallest))
+
+
+def _progress(sweep: Sweep, even: tuple[float, float], span_s: tuple[float, float] | None) -> Real:
+    if span_s is None or sweep.time_s is None:
+        return np.linspace(*even, sweep.n_points)
+    return np.asarray((sweep.time_s - span_s[0]) / (span_s[1] - span_s[0]))
 
 
 def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[float]) -> tuple[Real, ...]:
