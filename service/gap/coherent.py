@@ -43,11 +43,11 @@ def coherence(sweep: Sweep, signal: Complex, frequency_hz: float) -> tuple[float
     """
     blocks = signal.shape[1]
     pattern = _pattern(sweep, frequency_hz)[:, :, 1]
-    turning = _deviation(pattern)
+    turning = deviation(pattern)
     norm = np.maximum((np.abs(turning) ** 2).sum(axis=1), 1e-12)
-    deviation = _deviation(signal)
-    in_it = (np.abs(np.einsum("pb,pbhn->phn", turning.conj(), deviation)) ** 2).sum(axis=-1) / norm[:, None]
-    share = in_it / np.maximum((np.abs(deviation) ** 2).sum(axis=(1, 3)), 1e-300)
+    scatter = deviation(signal)
+    in_it = (np.abs(np.einsum("pb,pbhn->phn", turning.conj(), scatter)) ** 2).sum(axis=-1) / norm[:, None]
+    share = in_it / np.maximum((np.abs(scatter) ** 2).sum(axis=(1, 3)), 1e-300)
     x = share[_near(sweep, frequency_hz, MAIN_LOBE)]
     if len(x) < 4 or blocks < 3:
         return 0.0, 0.0
@@ -100,11 +100,12 @@ def _less(sweep: Sweep, signal: Complex, frequency_hz: float, where: Mask) -> Co
     rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
     # three of the dimensions are fitted, and the constant is less certain than a mean
     spread = blocks * (np.abs(np.linalg.pinv(pattern)[:, 0]) ** 2).sum(axis=1)
-    rest *= np.sqrt(spread * (blocks - 1) / (blocks - 3))[:, None, None, None]
+    rest *= np.sqrt(spread * (blocks - 1) / max(blocks - 3, 1))[:, None, None, None]
     return np.where(where[:, None, :, None], found[:, :1] + rest, signal)
 
 
-def _deviation(blocks: Complex) -> Complex:
+def deviation(blocks: Complex) -> Complex:
+    """Blocks, (P, B, ...), less their mean."""
     return np.asarray(blocks - blocks.mean(axis=1, keepdims=True))
 
 

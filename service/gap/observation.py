@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.coherent import left_in_mean
+from service.gap.coherent import deviation, left_in_mean
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
@@ -141,13 +141,13 @@ def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
         C = np.broadcast_to(-model.controller[:, None, None] * np.eye(rig.n_axes), model.y_per_u.shape)
 
         def scatter(X: Complex, V: Complex, twin: Complex, cause: Complex, effect: Complex, h: int = h) -> Real:
-            e = _deviation(X) - np.einsum("pij,pbj->pbi", twin[line], _deviation(V))
+            e = deviation(X) - np.einsum("pij,pbj->pbi", twin[line], deviation(V))
             power = np.mean(np.abs(e) ** 2, axis=1)
             if h:  # near a sharp peak the twin may be far off; the direct scatter then bounds the noise
-                power = np.minimum(power, np.mean(np.abs(_deviation(X)) ** 2, axis=1))
+                power = np.minimum(power, np.mean(np.abs(deviation(X)) ** 2, axis=1))
             if h == 1:
                 measured, known = _response(effect, cause, line, len(frequency))
-                e = _deviation(X) - np.einsum("pij,pbj->pbi", measured[line], _deviation(V))
+                e = deviation(X) - np.einsum("pij,pbj->pbi", measured[line], deviation(V))
                 power = np.where(known[line, None], np.mean(np.abs(e) ** 2, axis=1), power)
             return np.asarray(power / (blocks - 1))
 
@@ -157,11 +157,6 @@ def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
             I = sweep.I[:, :, k]
             of_i[:, k] = scatter(I, U, model.i_per_u, U, I)
     return of_u, of_i, of_y
-
-
-def _deviation(X: Complex) -> Complex:
-    """Blocks (P, B, n) less their mean."""
-    return np.asarray(X - X.mean(axis=1, keepdims=True))
 
 
 def _response(
