@@ -254,8 +254,9 @@ def detectability(
     theta, least = np.zeros(len(parts)), np.inf
     for _ in range(REPLAYS):
         first, others = change(theta)
-        cost = float(first @ first + theta @ theta) + others
-        if not cost < CLOSER * least:  # nor where the moved rig does not levitate
+        with np.errstate(over="ignore", invalid="ignore"):  # the moved rig may not levitate
+            cost = float(first @ first + theta @ theta) + others
+        if not cost < CLOSER * least:
             break
         least = cost
         theta = _nearest(first, model, theta)
