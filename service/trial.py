@@ -222,12 +222,23 @@ def _finished(
             yield number, run_one(number, seed, out_dir, engine)
         return
     pool = workers(jobs)
+    failed: dict[int, AmbError] = {}
     try:
         waiting = {pool.submit(run_one, k, seed, out_dir, engine): k for k in missing}
         for future in as_completed(waiting):
-            yield waiting[future], future.result()
+            try:
+                document = future.result()
+            except SealError:
+                raise
+            except AmbError as error:  # the others may still be run
+                failed[waiting[future]] = error
+            else:
+                yield waiting[future], document
     finally:
         pool.shutdown(cancel_futures=True)
+    if failed:
+        told = "; ".join(f"case {k + 1}: {error}" for k, error in sorted(failed.items()))
+        raise AmbError(f"{told}; the other cases are kept in {out_dir}, where the trial can go on")
 
 
 def _write(path: Path, document: Mapping[str, Any], private: bool = False) -> None:
