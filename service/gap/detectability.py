@@ -34,8 +34,8 @@ BLOCK_S = 0.05
 STEP = 1e-3
 """Of a datasheet value, in its standard deviations, for derivatives."""
 ROUNDS = 20
-REPLAYS, CLOSER = 4, 0.8
-"""Replays of the nearest rig within the tolerances, and the share of the change that one must get below to go on."""
+REPLAYS, CLOSER = 10, 0.8
+"""Most replays of the nearest rig within the tolerances, and the share of the change that one must get below to go on."""
 PLAIN = 1e9
 """Of what decides whether the rig levitates at all."""
 MEDIAN = 0.87

@@ -30,10 +30,12 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @pytest.fixture
 def controller(bench: Bench) -> Iterator[Controller]:
     controller = bench.connect()
-    yield controller
-    with controller.lease("clean-up"):
-        controller.acknowledge()
-    controller.close()
+    try:
+        yield controller
+        with controller.lease("clean-up"):
+            controller.acknowledge()
+    finally:
+        controller.close()  # a serial line has but one host: one left open would fail every test after it
 
 
 def test_driver_is_a_controller(controller: Controller) -> None:
