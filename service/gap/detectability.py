@@ -35,7 +35,7 @@ STEP = 1e-3
 """Of a datasheet value, in its standard deviations, for derivatives."""
 ROUNDS = 20
 REPLAYS, CLOSER = 10, 0.8
-"""Most replays of the nearest rig within the tolerances, and the share of the change that one must get below to go on."""
+"""Most replays of the nearest rig within the tolerances, and the share of the change to get below for one more."""
 PLAIN = 1e9
 """Of what decides whether the rig levitates at all."""
 MEDIAN = 0.87
