@@ -21,6 +21,8 @@ Mask = NDArray[np.bool_]
 
 MAIN_LOBE, LOBES = 1.0, 3.0
 """Distance in resolutions of a block, 1/T, up to which a hum leaks most, and up to which its size is taken from."""
+PATTERNS = 3
+"""What is told apart in the blocks of a point: a response, and the hum turning either way."""
 TURNS = 1.0
 """Smallest advance of the phase from block to block, rad, that is no slow drift."""
 
@@ -76,12 +78,18 @@ def without_hum(sweep: Sweep, frequency_hz: float) -> Sweep:
 
 
 def left_in_mean(sweep: Sweep, signal: Complex, frequencies_hz: Sequence[float]) -> Real:
-    """Amplitude that hums leave in a signal's mean over the blocks, rms over their phases, (P, H, n)."""
+    """Amplitude that hums leave in a signal's mean over the blocks, rms over their phases, (P, H, n).
+
+    The loudest first: what it leaks is not taken for one of the others, and `without_hum` has taken it off.
+    """
     at, whole_s = sweep.frequency_hz[:, None] * np.array(sweep.harmonics), signal.shape[1] * _block_s(sweep)[:, None]
     power = np.zeros((*at.shape, signal.shape[3]))
-    for f in frequencies_hz:
+    for k, f in enumerate(frequencies_hz):
         leaks = sum(np.sinc((at + way * f) * whole_s) ** 2 for way in (-1, 1))
-        power += leaks[..., None] * _size(sweep, signal, f) ** 2
+        told_apart = (_turning(sweep, f) > TURNS)[:, None]
+        left = ~told_apart if k == 0 and signal.shape[1] > PATTERNS else np.ones_like(told_apart)
+        power += (leaks * left)[..., None] * _size(sweep, signal, f) ** 2
+        signal = _less(sweep, signal, f, told_apart)
     return np.asarray(np.sqrt(power))
 
 
@@ -98,9 +106,9 @@ def _less(sweep: Sweep, signal: Complex, frequency_hz: float, where: Mask) -> Co
     pattern, blocks = _pattern(sweep, frequency_hz), signal.shape[1]
     found = _coefficients(pattern, signal)
     rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
-    # three of the dimensions are fitted, and the constant is less certain than a mean
+    # so many of the dimensions are fitted, and the constant is less certain than a mean
     spread = blocks * (np.abs(np.linalg.pinv(pattern)[:, 0]) ** 2).sum(axis=1)
-    rest *= np.sqrt(spread * (blocks - 1) / max(blocks - 3, 1))[:, None, None, None]
+    rest *= np.sqrt(spread * (blocks - 1) / max(blocks - PATTERNS, 1))[:, None, None, None]
     return np.where(where[:, None, :, None], found[:, :1] + rest, signal)
 
 

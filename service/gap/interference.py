@@ -206,5 +206,5 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
 
 
 def hums_hz(sources: Sequence[Interference]) -> tuple[float, ...]:
-    """Frequencies at which the sources are to be expected."""
+    """Frequencies at which the sources are to be expected, each source's own first."""
     return tuple(k * s.frequency_hz for s in sources for k in MULTIPLES)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.coherent import deviation, left_in_mean
+from service.gap.coherent import PATTERNS, deviation, left_in_mean, without_hum
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
@@ -193,14 +193,18 @@ def observe(
     span_s
         ... unless this gives the times, s, of progress 0 and 1, and the sweep those of its points.
     hums_hz
-        Frequencies of interference, which leaves something in the mean over a point's blocks.
+        Frequencies of interference, the loudest first; it leaves something in the mean over a point's blocks.
     """
     sweep = usable(sweep)
     frequency, line = time_points(sweep.frequency_hz)
     U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
+    heard = sweep
+    if hums_hz and sweep.block_samples is not None and blocks > PATTERNS:
+        sweep = without_hum(sweep, hums_hz[0])
+        U, Y = sweep.U, sweep.Y
     scatter = block_scatter(sweep, rig)
     sds = tuple(np.sqrt(_smooth_variance(v, sweep.frequency_hz)) for v in scatter)
-    sd_u, sd_i, sd_y = _with_hum(sds, sweep, rig, hums_hz) if hums_hz else sds
+    sd_u, sd_i, sd_y = _with_hum(sds, heard, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
     mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
