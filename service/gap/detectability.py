@@ -142,16 +142,18 @@ def uncertain_values(rig: Rig, tolerance: Tolerance) -> list[tuple[Move, float]]
     out.append((rotor_value("mass_kg"), tolerance.mass))
     out.append((rotor_value("transverse_inertia_kgm2"), tolerance.transverse_inertia))
     out += [(sensor(end), tolerance.sensor_position_m) for end in (0, 1)]
-    for k in range(len(rig.rotor.modes[0])):
-        out += _mode_values(k, tolerance)
+    for plane, modes in enumerate(rig.rotor.modes):  # a datasheet's mode is that of either plane within its tolerance
+        for k in range(len(modes)):
+            out += _mode_values(plane, k, tolerance)
     return out
 
 
-def _mode_values(k: int, t: Tolerance) -> list[tuple[Move, float]]:
+def _mode_values(plane: int, k: int, t: Tolerance) -> list[tuple[Move, float]]:
     def moved(change: Callable[[FlexibleMode, float], FlexibleMode]) -> Move:
         def move(r: Rig, x: float) -> Rig:
-            modes = tuple(tuple(change(m, x) if j == k else m for j, m in enumerate(p)) for p in r.rotor.modes)
-            return replace(r, rotor=replace(r.rotor, modes=modes))
+            modes = [list(p) for p in r.rotor.modes]
+            modes[plane][k] = change(modes[plane][k], x)
+            return replace(r, rotor=replace(r.rotor, modes=tuple(map(tuple, modes))))
 
         return move
 
