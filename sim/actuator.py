@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from sim.errors import LevitationError
 from sim.rig import Array, Contact, Magnets, Rig
@@ -95,6 +94,8 @@ def operating_point(rig: Rig) -> OperatingPoint:
         saturated_share = m.flux_share**m.flux_power
         slope = 1 - m.flux_power * saturated_share / (2 * (1 + saturated_share))
         return OperatingPoint(np.zeros(n), np.zeros(n), m.ki * slope, m.ks * slope)
+    from scipy.optimize import brentq  # takes a while, and only a rig with a static load needs it
+
     weight, turned = static_load(rig), force_rotation(rig)
     pull = force(m, np.zeros(n), np.zeros(n))
     load = weight - turned @ pull

@@ -14,8 +14,6 @@ from service.api import etags
 from service.api.problems import Documented
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
-from service.experiment import file
-from service.exports import files, linear, responses
 from service.exports.errors import ExportError
 from service.storage import results
 from service.storage.tables import ExperimentRow, ModelRow
@@ -55,6 +53,8 @@ def export_state_space(
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """A plane's state space, continuous time, with the names and units of its signals."""
+    from service.exports import files, linear  # what reads and writes files of other tools loads for a second
+
     with api.database.read() as session:
         row = results.get(session, ModelRow, model_id)
     model = linear.of_result(json.loads(api.blobs.read(row.result_sha256)), plane, part)
@@ -82,6 +82,9 @@ def export_responses(
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """A plane's measured frequency response with its standard deviation."""
+    from service.experiment import file
+    from service.exports import files, responses
+
     with api.database.read() as session:
         row = results.get(session, ExperimentRow, experiment_id)
     name = f"{plane}-{path.replace('->', '-to-')}.{format}"

@@ -52,7 +52,7 @@ def read(path: Path | str) -> Experiment:
         if path.with_suffix(".journal").exists():
             remedy = "an interrupted campaign lies beside it: resume that"
         raise ExperimentFileError(f"{path} does not exist; {remedy}") from error
-    except (OSError, RuntimeError, KeyError, EOFError, matlab.MatReadError) as error:
+    except (OSError, RuntimeError, KeyError, EOFError, matlab.DamagedError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ExperimentFileError(
             f"{path} cannot be read, it may be truncated or damaged ({reason}); copy it again from where it was made"

@@ -13,12 +13,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-import scipy.io
-from scipy.io.matlab import MatReadError
 
 from service.experiment.contract import FORMAT, VERSION
-
-__all__ = ["MatReadError", "made_by_matlab", "version_5", "version_73"]
 
 ATTRIBUTES = ("kind", "speed_rad_s", "sample_rate_hz", "comment")
 VECTORS = ("frequency_hz", "axis", "amplitude_a", "harmonics", "sample_start", "block_samples", "time_s")
@@ -27,12 +23,25 @@ DEFAULTS: dict[str, Any] = {"kind": "stepped-sine", "speed_rad_s": 0.0, "comment
 DEFAULT_AXES = {2: '["xA", "xB"]', 4: '["xA", "xB", "yA", "yB"]'}
 
 
+class DamagedError(Exception):
+    """A file that begins as MATLAB's cannot be read."""
+
+
 def version_5(path: Path) -> dict[str, Any]:
-    """Tree of a v5 file, for `service.experiment.file`."""
+    """Tree of a v5 file, for `service.experiment.file`.
+
+    Raises
+    ------
+    DamagedError
+        The file is not complete.
+    """
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
     try:
-        content = scipy.io.loadmat(path, simplify_cells=True, chars_as_strings=True)
-    except (ValueError, TypeError, IndexError) as error:
-        raise MatReadError(f"not a complete MATLAB v5 file: {error}") from error
+        content = loadmat(path, simplify_cells=True, chars_as_strings=True)
+    except (MatReadError, ValueError, TypeError, IndexError) as error:
+        raise DamagedError(f"not a complete MATLAB v5 file: {error}") from error
     return _tree(path.stem, {k: v for k, v in content.items() if not k.startswith("__")})
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from service.distributions import normal_tail
 from service.gap.candidates import Candidate
 from service.gap.jacobian import answer_and_jacobian
 from service.gap.nuisance import Nuisance
@@ -126,7 +126,7 @@ def next_experiment(nuisance: Nuisance, candidates: Sequence[Candidate], o: Obse
         "experiment": option.name,
         "description": option.description,
         "distance_sd": distance,
-        "odds_of_telling_apart": float(norm.cdf(distance / 2)),
+        "odds_of_telling_apart": float(normal_tail(-distance / 2)),
         "speed_rad_s": option.speed_rad_s,
         "set_point_share_of_gap": option.offset_m,
         "tones": [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from service.distributions import normal_above, normal_tail
 from service.gap.observation import Observation
 
 Complex = NDArray[np.complex128]
@@ -35,5 +35,5 @@ def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OU
     worst = float(values.max())
     if worst > 30:
         return worst
-    p = min(1.0, float(norm.sf(worst)) * len(values))
-    return float(max(norm.isf(p), 0.0)) if p < 1 else 0.0
+    p = min(1.0, float(normal_tail(worst)) * len(values))
+    return float(max(normal_above(p), 0.0)) if p < 1 else 0.0

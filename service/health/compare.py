@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
+from service.distributions import chi2_above
 from service.errors import DocumentError
 from service.experiment.data import Experiment
 from service.health.fit import PlaneNow, plane_now
@@ -164,7 +164,7 @@ def _measured_peaks(now: PlaneNow) -> tuple[float, float] | None:
 def _unexplained(saved: SavedPlane, now: PlaneNow, level: float) -> bool:
     """Whether the residuals are larger than the noise, and than they were, beyond what chance explains."""
     usual = max(1.0, saved.rms_over_sigma) ** 2 * ESTIMATED_WEIGHTS
-    return bool(now.rms**2 > usual * chi2.isf(level, now.freedom) / now.freedom)
+    return bool(now.rms**2 > usual * chi2_above(level, now.freedom) / now.freedom)
 
 
 def _rig_seconds(experiment: Experiment) -> float | None:

@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from scipy.stats import norm
-
+from service.distributions import normal_above
 from service.health.monitored import Monitored
 from service.identification.margins import zone
 from service.identification.zoh import Real
+
+NORMAL_95 = float(normal_above(0.025))
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ class HealthResult:
                 f"{p.plane}{axis}": {
                     "value": c.now,
                     "std": c.std_now,
-                    "interval_95": [c.now - norm.ppf(0.975) * c.std_now, c.now + norm.ppf(0.975) * c.std_now],
+                    "interval_95": [c.now - NORMAL_95 * c.std_now, c.now + NORMAL_95 * c.std_now],
                     "measured": None if p.measured_peak is None else p.measured_peak["AB".index(axis)],
                     "zone": zone(c.now, self.zones),
                 }

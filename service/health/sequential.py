@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t as student
 
+from service.distributions import student_above, student_tail
 from service.identification.zoh import Real
 from sim.errors import AmbError
 
@@ -65,7 +65,7 @@ class Policy:
         >>> round(Policy().threshold(0, 30, 500.0), 2)
         4.48
         """
-        return float(student.isf(0.5 * self.level(tests_made, n_figures), freedom))
+        return float(student_above(0.5 * self.level(tests_made, n_figures), freedom))
 
 
 def p_values(change: ArrayLike, std: ArrayLike, freedom: float) -> Real:
@@ -79,4 +79,4 @@ def p_values(change: ArrayLike, std: ArrayLike, freedom: float) -> Real:
         Degrees of freedom of the standard deviations.
     """
     z = np.abs(np.asarray(change, dtype=float)) / np.maximum(np.asarray(std, dtype=float), 1e-300)
-    return np.asarray(2 * student.sf(z, freedom), dtype=np.float64)
+    return np.asarray(2 * student_tail(z, freedom), dtype=np.float64)

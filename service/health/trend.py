@@ -12,8 +12,8 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from service.distributions import student_above
 from service.health.sequential import Policy
 from service.identification.zoh import Real
 
@@ -92,7 +92,7 @@ def _series(name: str, checks: list[Checked], level: float) -> Series:
     if len(checks) >= FEWEST and np.ptp(days) > 0:
         slope, slope_std, freedom = _slope(days, change, std)
         significance = slope / slope_std if slope_std > 0 else None
-        limit = float(student.isf(level / 2, freedom))
+        limit = float(student_above(level / 2, freedom))
         drifting = significance is not None and abs(significance) > limit
         slope, slope_std = 365.25 * slope, 365.25 * slope_std
     return Series(

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from service.distributions import chi2_above
 from service.experiment.data import Sweep
 from service.identification.noise import block_noise
 from service.identification.points import PlanePoints, same_frequency
@@ -38,7 +38,7 @@ class FrequencyResponse:
 
     def radius(self, level: float = 0.99) -> Real:
         """Radius of the circle that holds the true entry with that probability, (F, n_out, n_in)."""
-        return np.asarray(self.std * np.sqrt(0.5 * chi2.ppf(level, 2)))
+        return np.asarray(self.std * np.sqrt(0.5 * chi2_above(1 - level, 2)))
 
 
 def etfe(points: PlanePoints, path: Path) -> FrequencyResponse:

@@ -9,8 +9,8 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from service.distributions import chi2_above
 from service.identification.least_squares import Fit, covariance_of
 from service.identification.plane_model import PlaneModel
 from service.identification.split import HELD, Posterior
@@ -102,7 +102,7 @@ def uncertainty_of(refined: Fitted, splits: Posterior | None, level: float = 0.9
     chi = float(rest @ rest)
     scale = np.sqrt(chi / dof)
     from_data = covariance_of(jacobian)
-    adequate = refined.relative == 0 and chi < ESTIMATED_WEIGHTS * chi2.ppf(level, dof)
+    adequate = refined.relative == 0 and chi < ESTIMATED_WEIGHTS * chi2_above(1 - level, dof)
     reported, widening = from_data, 1.0
     if not adequate:
         scaled = from_data * max(scale, 1.0) ** 2

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
 
+from service.distributions import chi2_tail, normal_above
 from service.identification.zoh import Complex, Real
 
 LEVEL = 0.99
@@ -99,8 +99,8 @@ def independence(name: str, residual: Complex, direction: Complex, max_lag: int 
 
 
 def _test(name: str, lags: Real, rho: Complex, n: int, statistic: float, dof: int) -> CorrelationTest:
-    bound = float(norm.ppf(0.5 + LEVEL / 2) / math.sqrt(2 * n))
-    return CorrelationTest(name, lags, np.asarray(rho.real), bound, statistic, dof, float(chi2.sf(statistic, dof)))
+    bound = float(normal_above(0.5 - LEVEL / 2) / math.sqrt(2 * n))
+    return CorrelationTest(name, lags, np.asarray(rho.real), bound, statistic, dof, float(chi2_tail(statistic, dof)))
 
 
 def all_pass(tests: list[CorrelationTest], level: float = LEVEL) -> bool:

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from service.distributions import chi2_above
 from service.experiment.data import Experiment
 from service.identification import amplifier
 from service.identification.etfe import FrequencyResponse, etfe
@@ -33,7 +33,7 @@ from sim.errors import AmbError
 
 Complex = NDArray[np.complex128]
 
-RADIUS_99 = math.sqrt(0.5 * chi2.ppf(0.99, 2))
+RADIUS_99 = math.sqrt(0.5 * chi2_above(0.01, 2))
 """Radius of the 99 % region of a complex value in units of its standard deviation, E|e|^2 = std^2."""
 MICRO = 1e6
 MEASURED_NAME, MODEL_NAME, UNSEEN_NAME = "measured", "model", "unseen sweep"

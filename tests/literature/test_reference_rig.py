@@ -127,3 +127,14 @@ def test_the_ratio_of_the_errors_of_ks_and_ki_tells_where_they_come_from(ratio, 
     values[ratio] *= 1 + 1e-6
     ki, ks = factors(*values.values()) - before
     assert ks / ki == pytest.approx(change, rel=1e-3)
+
+
+def test_the_controller_is_discretised_by_tustins_rule() -> None:
+    """At every frequency, the discrete controller is the continuous one at 2/T tan(w T/2)."""
+    wf, wn, period = 2 * np.pi * 3e3, 2 * np.pi * 750.0, 1e-4
+    b, a = pid_with_biquad(18e3, 36e3, 80.0, 3e3, 750.0, (0.2, 0.7), period)
+    omega = 2 * np.pi * np.geomspace(1.0, 4900.0, 40)
+    z, s = np.exp(1j * omega * period), 2j / period * np.tan(omega * period / 2)
+    pid = 18e3 + 36e3 / s + 80.0 * s * wf / (s + wf)
+    notch = (s**2 + 0.4 * wn * s + wn**2) / (s**2 + 1.4 * wn * s + wn**2)
+    np.testing.assert_allclose(np.polyval(b, z) / np.polyval(a, z), pid * notch, rtol=1e-7)
