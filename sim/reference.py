@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.signal import bilinear
 
 from sim.datasheet import Datasheet
 from sim.rig import Amplifiers, Array, ControlLaw, FlexibleMode, Magnets, Noise, Rig, Rotor, Sensors
@@ -39,21 +40,8 @@ def pid_with_biquad(
     )
     numerator = np.polymul(pid, [1.0, 2 * notch_damping[0] * wn, wn**2])
     denominator = np.polymul([1.0, wf, 0.0], [1.0, 2 * notch_damping[1] * wn, wn**2])
-    b, a = (_tustin(np.asarray(x, dtype=float), sample_time_s) for x in (numerator, denominator))
-    return b / a[0], a / a[0]
-
-
-def _tustin(polynomial: Array, sample_time_s: float) -> Array:
-    """A polynomial of degree n in s with s = 2/T (z - 1)/(z + 1), times (z + 1)^n.
-
-    What `scipy.signal.bilinear` computes; importing that takes half of the time in which a simulated rig starts.
-    """
-    n = len(polynomial) - 1
-    discrete = np.zeros(n + 1)
-    for k, coefficient in enumerate(polynomial[::-1]):
-        term = np.poly([1.0] * k + [-1.0] * (n - k))
-        discrete += coefficient * (2 / sample_time_s) ** k * term
-    return discrete
+    b, a = bilinear(numerator, denominator, 1 / sample_time_s)
+    return np.asarray(b, dtype=float), np.asarray(a, dtype=float)
 
 
 def reference_datasheet() -> Datasheet:
