@@ -95,6 +95,9 @@ def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
     from service.experiment import file
     from service.experiment.errors import ExperimentFileError
 
+    if kind == "MATLAB 5":
+        import scipy.io.matlab  # noqa: F401  the reader's own loading is no fault of the file
+
     cpu_seconds(limits.read_seconds(decoded))
     try:
         experiment = file.read(path)

@@ -21,27 +21,45 @@ def rig(tmp_path):
     device.end()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "terminated"])
-def test_an_interrupted_campaign_is_kept_and_resumed(rig, tmp_path, number):
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def command(rig, out):
     url, datasheet = rig
-    out = tmp_path / "out"
-    command = ("commission", "--controller", url, "--rig", datasheet, "--out", out, "--quick")
+    return ("commission", "--controller", url, "--rig", datasheet, "--out", out, "--quick")
 
+
+def interrupted(command, out, number):
+    """What a campaign had measured that was ended in its main sweep; it said so in one line."""
     first = Running(*command)
-    wait_until(lambda: any(line.startswith("main sweep") for line in first.said), "the main sweep")
-    first.interrupt(number)
-    assert first.wait() == 1
-    last = first.said[-1]
-    assert last.startswith("ambit: ")
-    assert "kept" in last
-    assert "Traceback" not in "".join(first.said)
-    first.end()
-
+    try:
+        wait_until(lambda: any(line.startswith("main sweep") for line in first.said), "the main sweep")
+        first.interrupt(number)
+        assert first.wait() == 1
+        last = first.said[-1]
+        assert last.startswith("ambit: ")
+        assert "kept" in last
+        assert "Traceback" not in "".join(first.said)
+    finally:
+        first.end()
     kept = file.read(out / "experiment.h5")
     assert (out / "experiment.journal").exists()
     assert not (out / "result.json").exists()
     assert sum(s.n_points for s in kept.sweeps) > 20
-    assert not _excited(url)
+    return kept
+
+
+def test_a_terminated_campaign_is_kept_and_its_rig_at_rest(rig, command, out):
+    interrupted(command, out, signal.SIGTERM)
+    assert not _excited(rig[0])
+
+
+def test_a_campaign_ended_by_ctrl_c_is_kept_and_resumed(rig, command, out):
+    kept = interrupted(command, out, signal.SIGINT)
+    assert not _excited(rig[0])
 
     again = ambit(*command, "--json", timeout_s=240)
     assert again.returncode == 0, again.stderr
