@@ -9,6 +9,7 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 from drivers.controller import PointResult, State, Tone
 from drivers.device.machine import RigDevice
@@ -23,10 +24,11 @@ from drivers.errors import (
 from drivers.link import RefusedError
 from drivers.objects import BY_NAME, PROTOCOL_VERSION, Outcome, Refusal
 from drivers.packing import Order, Value, Values, check_crc, with_crc
+from drivers.pages import PAGE_BYTES, SEGMENT_PAGES, paged
 from drivers.payload import encode_lockin, encode_raw, payload_crc
 
-SEGMENT_BYTES = 96_000
-"""Part of a raw record that the data area shows at once."""
+SEGMENT_BYTES = SEGMENT_PAGES * PAGE_BYTES
+"""Part of a raw record's pages that the data area shows at once."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,11 @@ class _Finished:
     boot_id: int
     lockin: bytes
     raw: bytes
+
+    @cached_property
+    def pages(self) -> bytes:
+        """The raw record in pages."""
+        return paged(self.point.sequence, self.raw)
 
 
 class DeviceFront:
@@ -152,9 +159,11 @@ class DeviceFront:
         return b"" if self._finished is None else self._finished.raw
 
     def raw_part(self, start: int, size: int) -> bytes:
-        """Bytes from ``start`` of the segment that was chosen with the group ``window``; shorter at its end."""
+        """Bytes from ``start`` of the segment of pages that was chosen with ``window``; shorter at its end."""
+        if self._finished is None:
+            return b""
         first = self._window * SEGMENT_BYTES + start
-        return self.raw_record()[first : min(first + size, (self._window + 1) * SEGMENT_BYTES)]
+        return self._finished.pages[first : min(first + size, (self._window + 1) * SEGMENT_BYTES)]
 
     # ---- writing
 
@@ -259,7 +268,7 @@ class DeviceFront:
     def _select(self, values: Values) -> None:
         f = self._finished
         segment = int(_number(values["segment"]))
-        if f is None or values["result"] != f.point.sequence or segment * SEGMENT_BYTES >= max(len(f.raw), 1):
+        if f is None or values["result"] != f.point.sequence or segment * SEGMENT_BYTES >= max(len(f.pages), 1):
             raise LimitError("this result has no such segment")
         self._window = segment
 

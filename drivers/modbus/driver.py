@@ -22,11 +22,13 @@ from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_re
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, check_crc, with_crc
+from drivers.pages import PAGE_BYTES, SEGMENT_PAGES, page_data, paged_bytes
 
 Client = Any  # ModbusTcpClient or ModbusSerialClient, which are only partly typed
+Keep = Callable[[int, bytes], bytes]
 TIMEOUT_S = 0.3
 URGENT_TIMEOUT_S = 0.08
-SEGMENT_REGISTERS = 48_000
+SEGMENT_BYTES = SEGMENT_PAGES * PAGE_BYTES
 BLOCK_TRIES = 4
 
 # pymodbus writes every time-out to the log as an error; here they are raised, and counted, by those who retry.
@@ -91,15 +93,16 @@ class ModbusLink:
 
     def lockin_payload(self, size: int) -> bytes:
         """Lock-in payload from the data area."""
-        return self._data(self._map.lockin_address, size)
+        return self._data(self._map.lockin_address, size, _as_it_is)
 
     def raw_record(self, result: int, size: int) -> bytes:
-        """Raw record, segment by segment through the data area."""
+        """Raw record, segment by segment through the data area; the CRC of every page is checked."""
         parts = []
-        for segment in range(-(-size // (2 * SEGMENT_REGISTERS))):
+        left = paged_bytes(size)
+        for segment in range(-(-left // SEGMENT_BYTES)):
             self.write("window", {"result": result, "segment": segment})
-            left = size - 2 * SEGMENT_REGISTERS * segment
-            parts.append(self._data(self._map.raw_address, min(left, 2 * SEGMENT_REGISTERS)))
+            shown = min(left - SEGMENT_BYTES * segment, SEGMENT_BYTES)
+            parts.append(self._data(self._map.raw_address, shown, _page_from(result, SEGMENT_PAGES * segment)))
         return b"".join(parts)
 
     def wait_for_change(self, seconds: float) -> int | None:
@@ -117,10 +120,11 @@ class ModbusLink:
 
     # ---- inside
 
-    def _data(self, address: int, size: int) -> bytes:
+    def _data(self, address: int, size: int, keep: Keep) -> bytes:
         """Bytes of a data area, block by block. A block that fails is asked for again, and not all that went before it.
 
         On a bus that loses one frame in a hundred, a record of a thousand blocks would never come through whole.
+        ``keep`` is given each block and its number, and says what is kept of it.
         """
         registers = size // 2
         blocks = [(address + at, min(MAX_READ, registers - at)) for at in range(0, registers, MAX_READ)]
@@ -129,7 +133,7 @@ class ModbusLink:
         with self._turn:
             while len(parts) < len(blocks):
                 try:
-                    self._read_on(blocks, parts)
+                    self._read_on(blocks, parts, keep)
                 except (BusError, RefusedError):
                     failures = failures + 1 if failed_at == len(parts) else 1
                     failed_at = len(parts)
@@ -137,17 +141,17 @@ class ModbusLink:
                         raise
         return b"".join(parts)
 
-    def _read_on(self, blocks: list[tuple[int, int]], parts: list[bytes]) -> None:
+    def _read_on(self, blocks: list[tuple[int, int]], parts: list[bytes], keep: Keep) -> None:
         """Read the blocks that are missing."""
         client = self._connected()
         if isinstance(client, ModbusSerialClient):
             for address, count in blocks[len(parts) :]:
-                parts.append(self._block(address, count))
+                parts.append(keep(len(parts), self._block(address, count)))
             return
         try:
             _set_kernel_timeout(client.socket, client.comm_params.timeout_connect)
             for address, count in blocks[len(parts) :]:
-                parts.append(self._fast_block(client.socket, address, count))
+                parts.append(keep(len(parts), self._fast_block(client.socket, address, count)))
         except (OSError, BusError) as error:
             self.close()
             raise BusError(f"reading data failed: {error}") from error
@@ -204,6 +208,15 @@ class ModbusLink:
     def _fail(self, message: str) -> Any:
         self.close()
         raise BusError(message)
+
+
+def _as_it_is(number: int, block: bytes) -> bytes:
+    return block
+
+
+def _page_from(result: int, first: int) -> Keep:
+    """Blocks that are the pages of a raw record from this one on."""
+    return lambda number, block: page_data(result, first + number, block)
 
 
 def _set_kernel_timeout(connection: socket.socket, seconds: float) -> None:

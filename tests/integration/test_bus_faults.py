@@ -168,6 +168,27 @@ def test_all_faults_together_let_no_wrong_value_through(bus, rate: float) -> Non
     check(device, tones, results)
 
 
+@pytest.mark.parametrize("bus", [faulty_modbus, faulty_modbus_rtu])
+def test_a_long_record_comes_through_although_some_part_of_it_is_always_wrong(bus) -> None:
+    """Five hundred frames, one in fifty of which is corrupted or an older one: never all of them right at once."""
+    device = Witness(seed=9)
+    tone = Tone(axis=0, amplitude_a=0.02, periods=10, samples=1280, blocks=1, raw=True)
+    with bus(device, FaultPlan(3, {"corrupt": 0.01, "stale": 0.01})) as (url, dice):
+        controller = connect_patiently(url)
+        try:
+            ([point], _) = run_points(controller, [tone])
+        finally:
+            dice.on = False
+            controller.close()
+        assert dice.struck["corrupt"] > 1
+        assert dice.struck["stale"] > 1
+    assert point.records is not None
+    truth = device.truth[point.sequence].records
+    assert truth is not None
+    np.testing.assert_allclose(point.records["y"], truth["y"], rtol=1e-6)
+    np.testing.assert_allclose(point.records["i"], truth["i"], rtol=1e-6)
+
+
 def connect_patiently(url: str) -> Controller:
     for _ in range(20):
         try:
