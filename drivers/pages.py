@@ -16,6 +16,7 @@ PAGE_BYTES = 250
 DATA_BYTES = PAGE_BYTES - 4
 SEGMENT_PAGES = 384
 """So many are in the registers at once; which ones, the host chooses."""
+SEGMENT_BYTES = SEGMENT_PAGES * PAGE_BYTES
 _NUMBERS = struct.Struct(">II")
 _CRC = struct.Struct(">I")
 

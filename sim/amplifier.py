@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.remember import remembered
-from sim.rig import SHORTEST_LAG_S, Amplifiers, Array
+from sim.rig import Amplifiers, Array
 
 Complex = NDArray[np.complex128]
 
@@ -31,7 +31,7 @@ def poles(amplifiers: Amplifiers) -> Complex:
         root = np.sqrt(zeta**2 - 1)
         root = np.where(np.abs(root) < 1e-6, 1e-6, root)
         own = [w * (-zeta + root), w * (-zeta - root)]
-    if amplifiers.lag_s > SHORTEST_LAG_S:
+    if amplifiers.lag_s > 0:
         lag = np.full(len(w), -1 / amplifiers.lag_s + 0j)
         for p in own:
             lag = np.where(np.abs(lag / p - 1) < 1e-5, lag * (1 + 1e-5), lag)

@@ -57,6 +57,8 @@ class Effect:
     needs_speed: bool = False
     nonlinear: bool = False
     """True when the response is not proportional to the excitation."""
+    restated: Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]] = lambda values, like: values
+    """(values, like) -> the same effect as ``values``, its redundant parameters chosen as those of ``like`` are."""
 
     def on(self, rig: Rig, **values: float) -> Rig:
         """Rig with this effect; parameters not given keep their typical value.

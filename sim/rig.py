@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SHORTEST_LAG_S = 1e-9
-"""A first-order lag below this is none: it would only make the equations stiff."""
+"""A first-order lag below this is none in the time domain: it would only make the equations stiff."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 from drivers.canopen.bus import open_network
 from drivers.canopen.codec import Progress, beat_bytes, progress_of, stop_bytes
 from drivers.canopen.dictionary import object_dictionary
-from drivers.canopen.map import DEFAULT_MAP, WHOLE_INDEX, ObjectMap
+from drivers.canopen.map import DEFAULT_MAP, RAW_SEGMENT_BYTES, WHOLE_INDEX, ObjectMap
 from drivers.canopen.upload import UploadingSdoClient
 from drivers.errors import BusError
 from drivers.link import Link, RefusedError
@@ -27,6 +27,7 @@ T = TypeVar("T")
 SDO_TIMEOUT_S = 0.3
 PROGRESS_TIMEOUT_S = 0.3
 """After this long without a progress frame the status is read: the frame may have been lost."""
+SEGMENT_TRIES = 8
 BLOCK_BYTES = 56
 """From this size on a block upload needs fewer frames than a segmented one."""
 STOP_COPIES = 3
@@ -164,6 +165,21 @@ class _SdoLink:
         return self._block(self._objects.lockin_index, size)
 
     def raw_record(self, result: int, size: int) -> bytes:
+        """Segment by segment: the whole as one transfer, with one CRC, would never come through a bad bus."""
+        parts = []
+        for segment in range(-(-size // RAW_SEGMENT_BYTES)):
+            shown = min(size - RAW_SEGMENT_BYTES * segment, RAW_SEGMENT_BYTES)
+            parts.append(self._segment(result, segment, shown))
+        return b"".join(parts)
+
+    def _segment(self, result: int, segment: int, size: int) -> bytes:
+        for _ in range(SEGMENT_TRIES - 1):
+            with suppress(BusError, RefusedError):
+                return self._segment_once(result, segment, size)
+        return self._segment_once(result, segment, size)
+
+    def _segment_once(self, result: int, segment: int, size: int) -> bytes:
+        self.write("window", {"result": result, "segment": segment})
         return self._block(self._objects.raw_index, size)
 
     def wait_for_change(self, seconds: float) -> int | None:

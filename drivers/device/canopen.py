@@ -33,7 +33,7 @@ from drivers.canopen.codec import (
     stop_of,
 )
 from drivers.canopen.dictionary import object_dictionary
-from drivers.canopen.map import DEFAULT_MAP, WHOLE_INDEX, ObjectMap, SubObject
+from drivers.canopen.map import DEFAULT_MAP, RAW_SEGMENT_BYTES, WHOLE_INDEX, ObjectMap, SubObject
 from drivers.controller import TripCause
 from drivers.device.front import DeviceFront
 from drivers.errors import BusError, ControllerError
@@ -183,7 +183,7 @@ class CanopenNode:
             if index == self._objects.lockin_index:
                 return self._front.lockin_payload()
             if index == self._objects.raw_index:
-                return self._front.raw_record()
+                return self._front.raw_segment(RAW_SEGMENT_BYTES)
             if (index, subindex) in self._subs:
                 return self._read_one(self._subs[index, subindex])
             if (group := self._whole(index)) is not None:

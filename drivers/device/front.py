@@ -24,11 +24,8 @@ from drivers.errors import (
 from drivers.link import RefusedError
 from drivers.objects import BY_NAME, PROTOCOL_VERSION, Outcome, Refusal
 from drivers.packing import Order, Value, Values, check_crc, with_crc
-from drivers.pages import PAGE_BYTES, SEGMENT_PAGES, paged
+from drivers.pages import paged
 from drivers.payload import encode_lockin, encode_raw, payload_crc
-
-SEGMENT_BYTES = SEGMENT_PAGES * PAGE_BYTES
-"""Part of a raw record's pages that the data area shows at once."""
 
 
 @dataclass(frozen=True)
@@ -154,16 +151,18 @@ class DeviceFront:
         """Lock-in payload of the last result, empty when there is none."""
         return b"" if self._finished is None else self._finished.lockin
 
-    def raw_record(self) -> bytes:
-        """Raw record of the last result, empty when there is none."""
-        return b"" if self._finished is None else self._finished.raw
+    def raw_segment(self, size: int, in_pages: bool = False) -> bytes:
+        """The part of the last result's raw record, or of its pages, that was chosen with ``window``.
 
-    def raw_part(self, start: int, size: int) -> bytes:
-        """Bytes from ``start`` of the segment of pages that was chosen with ``window``; shorter at its end."""
+        Parameters
+        ----------
+        size
+            Bytes that this bus shows at once.
+        """
         if self._finished is None:
             return b""
-        first = self._window * SEGMENT_BYTES + start
-        return self._finished.pages[first : min(first + size, (self._window + 1) * SEGMENT_BYTES)]
+        whole = self._finished.pages if in_pages else self._finished.raw
+        return whole[self._window * size : (self._window + 1) * size]
 
     # ---- writing
 
@@ -267,10 +266,9 @@ class DeviceFront:
 
     def _select(self, values: Values) -> None:
         f = self._finished
-        segment = int(_number(values["segment"]))
-        if f is None or values["result"] != f.point.sequence or segment * SEGMENT_BYTES >= max(len(f.pages), 1):
-            raise LimitError("this result has no such segment")
-        self._window = segment
+        if f is None or values["result"] != f.point.sequence:
+            raise LimitError("this is not the last result")
+        self._window = int(_number(values["segment"]))
 
     def exciting(self) -> bool:
         """Whether a tone is armed, playing or ramping down."""

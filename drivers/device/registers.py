@@ -16,6 +16,7 @@ from drivers.modbus.codec import entry_bytes, entry_value
 from drivers.modbus.map import MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Value
+from drivers.pages import SEGMENT_BYTES
 
 ILLEGAL_FUNCTION = 1
 DEVICE_FAILURE = 4
@@ -85,7 +86,8 @@ class RegisterSession:
         if not 1 <= count <= MAX_READ:
             raise RefusedError(Refusal.LIMIT, "too many registers")
         if address >= self._map.raw_address:
-            part = self._front.raw_part(2 * (address - self._map.raw_address), 2 * count)
+            start = 2 * (address - self._map.raw_address)
+            part = self._front.raw_segment(SEGMENT_BYTES, in_pages=True)[start : start + 2 * count]
         else:
             start = 2 * (address - self._map.lockin_address)
             part = self._front.lockin_payload()[start : start + 2 * count] if start >= 0 else b""

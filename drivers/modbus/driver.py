@@ -22,13 +22,12 @@ from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_re
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, check_crc, with_crc
-from drivers.pages import PAGE_BYTES, SEGMENT_PAGES, page_data, paged_bytes
+from drivers.pages import SEGMENT_BYTES, SEGMENT_PAGES, page_data, paged_bytes
 
 Client = Any  # ModbusTcpClient or ModbusSerialClient, which are only partly typed
 Keep = Callable[[int, bytes], bytes]
 TIMEOUT_S = 0.3
 URGENT_TIMEOUT_S = 0.08
-SEGMENT_BYTES = SEGMENT_PAGES * PAGE_BYTES
 BLOCK_TRIES = 4
 
 # pymodbus writes every time-out to the log as an error; here they are raised, and counted, by those who retry.

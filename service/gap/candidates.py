@@ -105,20 +105,27 @@ def _fitted(task: Task) -> Candidate:
 
 
 def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
-    """Standard deviation of each effect parameter: the data's, widened where more than noise is left, and the law's."""
+    """Standard deviation of each effect parameter: the data's, widened where more than noise is left, and the law's.
+
+    A strength that is fitted by its logarithm counts in its own unit here: near nothing its logarithm moves nothing,
+    and would seem to leave no room for another parameter that trades against it.
+    """
     k = len(problem.active)
-    width = problem.high - problem.low
+    value = np.array([fit.values[which][p.name] for which, p in problem.parameters], dtype=float)
+    logarithmic = np.array([p.scale == "log" for _, p in problem.parameters], dtype=bool)
+    strength = np.array([p.strength for _, p in problem.parameters], dtype=bool)
+    ranges = np.array([p.high - p.low for _, p in problem.parameters], dtype=float)
+    unit = np.where(logarithmic & strength, value, 1.0)  # of the fit's, in the parameter's own or its logarithm's
+    width = np.where(logarithmic & strength, ranges, problem.high - problem.low)
     prior = np.concatenate([np.ones(k), 12.0 / np.maximum(width, 1e-12) ** 2])
-    covariance = np.linalg.inv(fit.curvature + np.diag(prior))
+    per = np.concatenate([np.ones(k), 1.0 / unit])
+    covariance = np.linalg.inv(fit.curvature * np.outer(per, per) + np.diag(prior))
     widened = max(1.0, fit.chi_square / fit.n_residuals)
-    scaled = np.sqrt(np.maximum(np.diag(covariance)[k:], 0) * widened) * problem.scale
-    strength = np.array([LAW_ERROR * abs(fit.values[which][p.name]) for which, p in problem.parameters])
-    logarithmic = np.array([p.scale == "log" for _, p in problem.parameters])
-    scaled = np.hypot(scaled, np.where(logarithmic, LAW_ERROR, strength))
+    sd = np.sqrt(np.maximum(np.diag(covariance)[k:], 0) * widened) * problem.scale
+    sd = np.hypot(np.where(logarithmic & ~strength, value * sd, sd), LAW_ERROR * np.abs(value))
     out: list[dict[str, float]] = [{} for _ in problem.effects]
-    for (which, p), sd in zip(problem.parameters, scaled, strict=True):
-        value = fit.values[which][p.name]
-        out[which][p.name] = float(sd * value) if p.scale == "log" else float(sd)
+    for (which, p), s in zip(problem.parameters, sd, strict=True):
+        out[which][p.name] = float(s)
     return tuple(out)
 
 

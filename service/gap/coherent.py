@@ -59,15 +59,22 @@ def coherence(sweep: Sweep, signal: Complex, frequency_hz: float) -> tuple[float
     return float(x.mean()), float((x.mean() - of_noise) / spread)
 
 
-def hum_amplitudes(sweep: Sweep, signal: Complex, frequency_hz: float) -> Complex:
-    """Amplitudes of a hum where its leakage is large, (K, n), leakage allowed for; each point with a phase of its own.
+def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
+    """Squared amplitude of a hum where its leakage is large, (K, n), leakage and noise allowed for; it may be negative.
 
-    The same K points for every signal of a sweep.
+    The same K points for every signal of a sweep, each with a phase of its own.
     """
+    blocks = signal.shape[1]
     near = _near(sweep, frequency_hz, MAIN_LOBE / 2)
     apart = (sweep.frequency_hz[:, None] * np.array(sweep.harmonics) - frequency_hz) * _block_s(sweep)[:, None]
-    found = _coefficients(_pattern(sweep, frequency_hz), signal)[:, 1]
-    return np.asarray((found / np.sinc(apart)[..., None])[near])
+    pattern = _pattern(sweep, frequency_hz)
+    found = _coefficients(pattern, signal)
+    power = np.abs(found[:, 1]) ** 2
+    if blocks > PATTERNS:
+        rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
+        scatter = (np.abs(rest) ** 2).sum(axis=1) / (blocks - PATTERNS)
+        power -= scatter * (np.abs(np.linalg.pinv(pattern)[:, 1]) ** 2).sum(axis=1)[:, None, None]
+    return np.asarray((power / np.sinc(apart)[..., None] ** 2)[near])
 
 
 def without_hum(sweep: Sweep, frequency_hz: float) -> Sweep:

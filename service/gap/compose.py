@@ -19,6 +19,7 @@ from service.gap.shrinkage import closure_of
 from service.gap.significance import significance
 from service.gap.verdict import VISIBLE, Ranked, Verdict, decide
 from sim.effects import CATALOGUE
+from sim.rig import Rig
 
 Complex = NDArray[np.complex128]
 
@@ -200,6 +201,29 @@ def with_interference(whole: Composition, sources: Sequence[Interference]) -> Co
         effects, replace(c.fit, effects=effects, values=values, rig=rig), c.occam, (*c.standard_deviations, *spread)
     )
     return Composition((replace(best, candidate=heard), *whole.order))
+
+
+def dated(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Composition:
+    """The same twins, a drift that was found stated over the time that the experiment took, s.
+
+    A fit knows a point's share of the campaign only. Where the file does not tell the time, or the datasheet has a
+    drift already, the time stays as it is.
+    """
+    if campaign_s is None or datasheet.drift is not None:
+        return whole
+
+    def restated(r: Ranked) -> Ranked:
+        c = r.candidate
+        if "thermal_drift" not in c.effects:
+            return r
+        at = c.effects.index("thermal_drift")
+        values, spread = ([dict(v) for v in of] for of in (c.fit.values, c.standard_deviations))
+        values[at]["duration_s"], spread[at]["duration_s"] = campaign_s, 0.0
+        drift = None if c.fit.rig.drift is None else replace(c.fit.rig.drift, duration_s=campaign_s)
+        fit = replace(c.fit, values=tuple(values), rig=replace(c.fit.rig, drift=drift))
+        return replace(r, candidate=replace(c, fit=fit, standard_deviations=tuple(spread)))
+
+    return Composition(tuple(restated(r) for r in whole.order))
 
 
 def heard_too(verdict: Verdict, sources: Sequence[Interference]) -> Verdict:

@@ -14,6 +14,7 @@ from service.gap.compose import (
     Composition,
     chosen_in,
     composed,
+    dated,
     heard_too,
     held_out_closure,
     on_sweep,
@@ -21,7 +22,7 @@ from service.gap.compose import (
     with_interference,
 )
 from service.gap.document import gap_document
-from service.gap.interference import hums_hz, interference, scatter_shrinkage
+from service.gap.interference import hums_hz, interference, measured_by, scatter_shrinkage
 from service.gap.log import log_fault
 from service.gap.loop import loop_figures
 from service.gap.modes import with_identified_modes
@@ -29,6 +30,7 @@ from service.gap.next_experiment import next_experiment
 from service.gap.nuisance import Nuisance, nuisance
 from service.gap.observation import GapError, Observation, observe
 from service.gap.part import Ground, Values, driven_by_current, parts
+from service.gap.predict import at_speed_of
 from service.gap.search import MOST, Explained, explain, plain_twin
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
 from service.gap.significance import significance
@@ -146,7 +148,10 @@ def diagnose(
             found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED))
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
     telling.judging(FITTED)
-    whole = with_interference(composed(nu, found), sources)
+    whole = dated(composed(nu, found), nu.rig, None if span_s is None else span_s[1] - span_s[0])
+    fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
+    sources = [measured_by(s, main, fitted) if s.heard_hz else s for s in sources]
+    whole = with_interference(whole, sources)
     null = whole.null.candidate
     closures, gaps = {}, {}
     before = shrinkage(null.fit.rig, null.fit.rig, unseen, name)

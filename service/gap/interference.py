@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.coherent import coherence, hum_amplitudes, without_hum
+from service.gap.candidates import LAW_ERROR
+from service.gap.coherent import coherence, hum_power, without_hum
 from service.gap.observation import HUMMED, block_scatter, near_hum, usable
 from service.gap.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of
 from sim.rig import Rig
@@ -99,7 +100,7 @@ def _told_by_phase(sweep: Sweep, rig: Rig, effect: str, frequencies_hz: Sequence
         if not at:
             continue
         f = max(at, key=lambda f: loud[name, f])
-        amplitude, spread, own = _amplitude(sweep, rig, signals[name], name, f)
+        amplitude, spread, own = _amplitude(sweep, rig, name, f)
         if name == "i" and own < OWN:  # what the controller makes of the sensors' hum
             continue
         ratio = 1 / max(1 - heard[name, f][0], 1e-6)
@@ -110,16 +111,27 @@ def _told_by_phase(sweep: Sweep, rig: Rig, effect: str, frequencies_hz: Sequence
     return None
 
 
-def _amplitude(sweep: Sweep, rig: Rig, signal: Complex, name: str, frequency_hz: float) -> tuple[float, float, float]:
+def _amplitude(sweep: Sweep, rig: Rig, signal: str, frequency_hz: float) -> tuple[float, float, float]:
     """Amplitude of a signal's own hum, its standard deviation, and its share of the hum there is."""
     model = linear_model(rig, np.array([frequency_hz]))
-    G = (model.i_per_u if name == "i" else model.y_per_u)[0]
-    of_x, of_u = (hum_amplitudes(sweep, X, frequency_hz) for X in (signal, sweep.U))
-    own = np.abs(of_x - of_u @ G.T) ** 2
-    mean = float(own.mean())
-    amplitude = np.sqrt(mean)
-    spread = float(own.mean(axis=1).std() / np.sqrt(len(own)) / (2 * amplitude)) if mean else 0.0
-    return float(amplitude), spread, float(np.sqrt(mean / max(float((np.abs(of_x) ** 2).mean()), 1e-300)))
+    G, X = (model.i_per_u[0], sweep.I) if signal == "i" and sweep.I is not None else (model.y_per_u[0], sweep.Y)
+    own, whole = (hum_power(sweep, Z, frequency_hz) for Z in (X - sweep.U @ G.T, X))
+    power = max(float(own.mean()), 0.0)
+    amplitude = float(np.sqrt(power))
+    spread = float(own.mean(axis=1).std() / np.sqrt(len(own)) / (2 * amplitude)) if power else 0.0
+    return amplitude, spread, float(np.sqrt(power / max(float(whole.mean()), 1e-300)))
+
+
+def measured_by(source: Interference, sweep: Sweep, rig: Rig) -> Interference:
+    """A source heard by its phase, with the amplitude that a twin fitted to the sweep tells.
+
+    Feedback makes most of a hum that there is; what is left as a signal's own is only as good as the loop is known.
+    """
+    amplitude, spread, _ = _amplitude(usable(sweep), rig, source.signal, source.frequency_hz)
+    if not amplitude:
+        return source
+    parameters = _parameters(source.effect, source.frequency_hz, source.signal, amplitude)
+    return replace(source, parameters=parameters, std=float(np.hypot(spread, LAW_ERROR * amplitude)))
 
 
 def _heard(

@@ -221,25 +221,28 @@ def calibration(forecasts: Sequence[tuple[float, bool]]) -> dict[str, Any]:
 
 
 def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
-    """Errors of the true effects' strengths, and how often their 95 % intervals hold the truth."""
+    """Errors of the strengths of true effects that were named, and how often their 95 % intervals hold the truth."""
     from sim.effects import CATALOGUE
 
     errors, covered, within = [], [], []
     for o in right:
         found = o.candidate(o.effects)
-        if found is None:
+        if found is None or not set(o.effects) <= set(o.named):
             continue
-        for effect, values in o.parameters.items():
-            for p in CATALOGUE[effect].parameters:
-                told = found["parameters"].get(p.name if len(o.effects) == 1 else f"{effect}.{p.name}")
-                true = values.get(p.name, p.null)
-                if told is None or not p.strength or true == p.null:
+        for name, values in o.parameters.items():
+            effect, prefix = CATALOGUE[name], "" if len(o.effects) == 1 else f"{name}."
+            told = {p.name: found["parameters"].get(f"{prefix}{p.name}") for p in effect.parameters}
+            true = {p.name: values.get(p.name, p.null) for p in effect.parameters}
+            true = dict(effect.restated(true, true | {k: float(t["value"]) for k, t in told.items() if t}))
+            for p in effect.parameters:
+                here = told[p.name]
+                if not here or not p.strength or true[p.name] == p.null:
                     continue
-                error = abs(float(told["value"]) - true)
-                errors.append(error / abs(true - p.null))
+                error = abs(float(here["value"]) - true[p.name])
+                errors.append(error / abs(true[p.name] - p.null))
                 within.append(errors[-1] <= 0.15)
-                if told.get("std") is not None:
-                    covered.append(error <= 1.96 * float(told["std"]))
+                if here.get("std") is not None:
+                    covered.append(error <= 1.96 * float(here["std"]))
     return {
         "values": len(errors),
         "relative_error_median": _median(errors),

@@ -18,6 +18,14 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     return replace(rig, rotor=replace(rig.rotor, modes=modes))
 
 
+def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
+    """The same mode, its shape with the other sign where that is nearer: a mode shape has none of its own."""
+    shape = [name for name in values if name.endswith("_per_sqrt_kg")]
+    if sum(values[name] * like[name] for name in shape) >= 0:
+        return values
+    return {**values, **{name: -values[name] for name in shape}}
+
+
 EFFECT = Effect(
     id="extra_flexible_mode",
     path="plant",
@@ -48,6 +56,7 @@ EFFECT = Effect(
         ),
     ),
     apply=_apply,
+    restated=_restated,
     law="+ phi_s phi_b^T/(s^2 + 2 z w s + w^2) in the receptance of each plane",
     signature="one more peak of y/i with a residue of rank one, which may be negative where sensor and bearing differ",
     aliases=("support_resonance",),

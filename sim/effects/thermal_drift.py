@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from sim.effect import Effect, Parameter
 from sim.rig import Drift, Rig
 
@@ -13,6 +15,19 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         ki += rig.drift.ki_change * duration / rig.drift.duration_s
         ks += rig.drift.ks_change * duration / rig.drift.duration_s
     return replace(rig, drift=Drift(ki, ks, duration, p["curvature"]) if ki or ks else None)
+
+
+def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
+    """The same drift, stated over another time: what has changed when that time has passed."""
+    longer = like["duration_s"] / values["duration_s"]
+    drift = Drift(values["ki_change"], values["ks_change"], values["duration_s"], values["curvature"])
+    share = float(drift.progress(np.array(longer)))
+    return {
+        "ki_change": values["ki_change"] * share,
+        "ks_change": values["ks_change"] * share,
+        "duration_s": like["duration_s"],
+        "curvature": values["curvature"] * longer,
+    }
 
 
 EFFECT = Effect(
@@ -34,6 +49,7 @@ EFFECT = Effect(
         ),
     ),
     apply=_apply,
+    restated=_restated,
     law="ki (1 + dki g), ks (1 + dks g), g = (1 - exp(-c t/T)) / (1 - exp(-c)), t/T for c = 0",
     signature="error of y/i grows with the time of the point, not with its frequency or amplitude",
     aliases=("off_centre_rotor",),

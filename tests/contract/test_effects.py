@@ -302,6 +302,23 @@ def test_applying_it_leaves_the_rig_that_was_given_alone(one):
     assert all(isinstance(m, FlexibleMode) for plane in rig.rotor.modes for m in plane)
 
 
+@every_effect
+def test_an_effect_restated_is_the_same_effect(one):
+    """What another set of its parameters suggests changes the words, not the rig."""
+    values = {p.name: p.typical for p in one.parameters}
+    other = {p.name: float(np.clip(-p.typical, min(p.low, p.null), max(p.high, p.null))) for p in one.parameters}
+    again = one.restated(values, other)
+    rig = rig_for(one)
+    a, b = (linear_model(one.on(rig, **v), TONES_HZ) for v in (values, again))
+    assert differences(a.y_per_u, b.y_per_u).max() < 1e-9
+    a, b = (one.on(rig, **v).drift for v in (values, again))
+    if a is not None and b is not None:
+        passed_s = np.array([10.0, 100.0, 1000.0])
+        for change in ("ki_change", "ks_change"):
+            gone = [getattr(d, change) * d.progress(passed_s / d.duration_s) for d in (a, b)]
+            assert gone[0] == pytest.approx(gone[1], rel=1e-9)
+
+
 def test_effects_of_a_twin_add_up():
     both = with_effects(reference_rig(), {"loop_delay": {"delay_s": 1e-5}, "rotor_inertia": {"mass_change": 0.1}})
     assert both.amplifiers.delay_s[0] == 1e-5

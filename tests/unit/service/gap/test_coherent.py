@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.coherent import coherence, hum_amplitudes, left_in_mean, without_hum
+from service.gap.coherent import coherence, hum_power, left_in_mean, without_hum
 
 BLOCKS, AXES, HARMONICS, RATE_HZ = 6, 4, (0, 1, 2, 3), 10_000.0
 NOISE_M = 1e-9
@@ -44,7 +44,7 @@ def test_a_hum_is_heard_where_it_is_and_as_loud_as_it_is(hum_hz: float) -> None:
     share, deviate = coherence(loud, loud.Y, hum_hz)
     assert share > 0.5
     assert deviate > 8
-    heard = np.sqrt(np.mean(np.abs(hum_amplitudes(loud, loud.Y, hum_hz)) ** 2))
+    heard = np.sqrt(np.mean(hum_power(loud, loud.Y, hum_hz)))
     assert heard == pytest.approx(5e-9, rel=0.15)
 
 

@@ -185,6 +185,33 @@ def test_parameters_of_a_mixture_carry_the_effect_in_their_name() -> None:
     assert found["coverage_95"] == 1.0
 
 
+def test_a_drift_is_compared_over_the_same_time() -> None:
+    told = {"ki_change": (-0.02, 1e-3), "ks_change": (-0.01, 1e-3), "duration_s": (300.0, 0.0), "curvature": (0.0, 0.1)}
+    o = outcome(
+        "single",
+        ("thermal_drift",),
+        said="effect",
+        named=("thermal_drift",),
+        candidates=(candidate("thermal_drift", **told),),
+        parameters={"thermal_drift": {"ki_change": -0.04, "ks_change": -0.02, "duration_s": 600.0, "curvature": 0.0}},
+    )
+    found = score([o])["parameters"]
+    assert found["values"] == 2
+    assert found["relative_error_median"] == pytest.approx(0.0, abs=1e-9)
+    assert found["coverage_95"] == 1.0
+
+
+def test_parameters_of_an_effect_that_was_not_named_are_not_counted() -> None:
+    o = outcome(
+        *SINGLE,
+        candidates=(candidate("loop_delay", delay_s=(9e-5, 1e-6)),),
+        parameters={"loop_delay": {"delay_s": 2e-7}},
+        detectability=1.0,
+    )
+    assert o.right
+    assert score([o])["parameters"]["values"] == 0
+
+
 def test_scores_stand_beside_detectability() -> None:
     cases = [
         outcome(*SINGLE, said="no_gap", detectability=1.0),

@@ -134,6 +134,22 @@ def test_drifts_add_their_rates():
     assert (twice.drift.ki_change, twice.drift.ks_change, twice.drift.duration_s) == pytest.approx((-0.2, 0.04, 200.0))
 
 
+def test_a_drift_that_levels_off_is_restated_over_half_its_time():
+    """1 - exp(-c t/T) at T/2 for c = 2: (1 - 1/e) / (1 - 1/e^2) of the change, which levels off half as much by then."""
+    values = {"ki_change": -0.1, "ks_change": 0.05, "duration_s": 200.0, "curvature": 2.0}
+    half = effect("thermal_drift").restated(values, {**values, "duration_s": 100.0})
+    share = 1 / (1 + np.exp(-1.0))
+    assert half == pytest.approx(
+        {"ki_change": -0.1 * share, "ks_change": 0.05 * share, "duration_s": 100.0, "curvature": 1.0}
+    )
+
+
+def test_a_mode_shape_takes_the_sign_of_another():
+    p = {q.name: q.typical for q in effect("extra_flexible_mode").parameters}
+    flipped = {k: -v if k.endswith("sqrt_kg") else v for k, v in p.items()}
+    assert effect("extra_flexible_mode").restated(flipped, p) == p
+
+
 def test_a_rig_has_one_support_and_one_contact():
     with pytest.raises(EffectError, match="already has a resonant support"):
         effect("support_resonance").on(effect("support_resonance").on(RIG))
