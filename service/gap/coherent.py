@@ -26,6 +26,9 @@ PATTERNS = 3
 TURNS = 1.0
 """Smallest advance of the phase from block to block, rad, that is no slow drift."""
 
+SAME = 0.02
+"""Ratio of singular values below which two patterns are one: half a turn from block to block is the same either way."""
+
 
 def coherence(sweep: Sweep, signal: Complex, frequency_hz: float) -> tuple[float, float]:
     """How much of a signal's scatter near a frequency has the pattern of a hum there.
@@ -68,12 +71,14 @@ def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
     near = _near(sweep, frequency_hz, MAIN_LOBE / 2)
     apart = (sweep.frequency_hz[:, None] * np.array(sweep.harmonics) - frequency_hz) * _block_s(sweep)[:, None]
     pattern = _pattern(sweep, frequency_hz)
-    found = _coefficients(pattern, signal)
-    power = np.abs(found[:, 1]) ** 2
+    found, inverse = _coefficients(pattern, signal), _inverse(pattern)
+    alike = _alike(inverse, pattern)[:, None, None]  # turning either way is the same: both hold half of it
+    power = np.abs(np.where(alike, found[:, 1] + found[:, 2], found[:, 1])) ** 2
     if blocks > PATTERNS:
         rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
-        scatter = (np.abs(rest) ** 2).sum(axis=1) / (blocks - PATTERNS)
-        power -= scatter * (np.abs(np.linalg.pinv(pattern)[:, 1]) ** 2).sum(axis=1)[:, None, None]
+        rows = np.where(alike[..., 0], inverse[:, 1] + inverse[:, 2], inverse[:, 1])
+        scatter = (np.abs(rest) ** 2).sum(axis=1) / (blocks - PATTERNS + alike)
+        power -= scatter * (np.abs(rows) ** 2).sum(axis=1)[:, None, None]
     return np.asarray((power / np.sinc(apart)[..., None] ** 2)[near])
 
 
@@ -114,7 +119,7 @@ def _less(sweep: Sweep, signal: Complex, frequency_hz: float, where: Mask) -> Co
     found = _coefficients(pattern, signal)
     rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
     # so many of the dimensions are fitted, and the constant is less certain than a mean
-    spread = blocks * (np.abs(np.linalg.pinv(pattern)[:, 0]) ** 2).sum(axis=1)
+    spread = blocks * (np.abs(_inverse(pattern)[:, 0]) ** 2).sum(axis=1)
     rest *= np.sqrt(spread * (blocks - 1) / max(blocks - PATTERNS, 1))[:, None, None, None]
     return np.where(where[:, None, :, None], found[:, :1] + rest, signal)
 
@@ -132,7 +137,16 @@ def _pattern(sweep: Sweep, frequency_hz: float) -> Complex:
 
 def _coefficients(pattern: Complex, signal: Complex) -> Complex:
     """Least squares, (P, 3, H, n); what cannot be told apart is shared."""
-    return np.asarray(np.einsum("pkb,pbhn->pkhn", np.linalg.pinv(pattern), signal))
+    return np.asarray(np.einsum("pkb,pbhn->pkhn", _inverse(pattern), signal))
+
+
+def _inverse(pattern: Complex) -> Complex:
+    return np.asarray(np.linalg.pinv(pattern, rcond=SAME))
+
+
+def _alike(inverse: Complex, pattern: Complex) -> Mask:
+    """Points where the hum turning either way leaves the same in the blocks, (P,)."""
+    return np.asarray(np.trace(inverse @ pattern, axis1=1, axis2=2).real < PATTERNS - 0.5)
 
 
 def _near(sweep: Sweep, frequency_hz: float, resolutions: float) -> Mask:

@@ -69,9 +69,7 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "magnetic_hysteresis":
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
         return [base, {**base, "width_a": 0.25 * flux}, {**base, "width_a": 0.6 * flux}]
-    if (
-        effect.id == "thermal_drift" and rig.drift is not None
-    ):  # stated over the same time
+    if effect.id == "thermal_drift" and rig.drift is not None:  # stated over the same time
         return [{**base, "duration_s": rig.drift.duration_s}]
     if effect.id == "off_centre_rotor":
         return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]
