@@ -27,7 +27,7 @@ T = TypeVar("T")
 SDO_TIMEOUT_S = 0.3
 PROGRESS_TIMEOUT_S = 0.3
 """After this long without a progress frame the status is read: the frame may have been lost."""
-SEGMENT_TRIES = 8
+SEGMENT_TRIES = 5
 BLOCK_BYTES = 56
 """From this size on a block upload needs fewer frames than a segmented one."""
 STOP_COPIES = 3

@@ -4,7 +4,7 @@
 0x2000 + k     record of group k: sub-index 1 and on, one object each, for any CANopen tool
 0x2100 + k     the same group whole, a DOMAIN, little-endian: one atomic transfer
 0x2200         lock-in payload of the last result, DOMAIN
-0x2201         raw record of the last result, DOMAIN
+0x2201         raw record of the last result, the segment that was chosen with the group window, DOMAIN
 RPDO 1         heartbeat: token, count          COB-ID 0x200 + node
 RPDO 2         stop: token                      COB-ID 0x300 + node
 TPDO 1         state, command, outcome          COB-ID 0x180 + node, when a tone begins and ends
@@ -46,6 +46,8 @@ RECORD_INDEX = 0x2000
 WHOLE_INDEX = 0x2100
 LOCKIN_INDEX = 0x2200
 RAW_INDEX = 0x2201
+RAW_SEGMENT_BYTES = 4 * 127 * 7
+"""Four blocks of an SDO upload: long enough for choosing it to cost little, short enough for a bad bus."""
 FIRST_INDEX, LAST_INDEX, LAST_SUBINDEX = 0x2000, 0x9FFF, 0xFE
 PROGRESS_OBJECTS = ("state", "command", "outcome")
 """Of the group status, in the order of TPDO 1."""

@@ -183,7 +183,8 @@ class CanopenNode:
             if index == self._objects.lockin_index:
                 return self._front.lockin_payload()
             if index == self._objects.raw_index:
-                return self._front.raw_segment(RAW_SEGMENT_BYTES)
+                first = RAW_SEGMENT_BYTES * self._front.window
+                return self._front.raw_record()[first : first + RAW_SEGMENT_BYTES]
             if (index, subindex) in self._subs:
                 return self._read_one(self._subs[index, subindex])
             if (group := self._whole(index)) is not None:

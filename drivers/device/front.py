@@ -151,18 +151,18 @@ class DeviceFront:
         """Lock-in payload of the last result, empty when there is none."""
         return b"" if self._finished is None else self._finished.lockin
 
-    def raw_segment(self, size: int, in_pages: bool = False) -> bytes:
-        """The part of the last result's raw record, or of its pages, that was chosen with ``window``.
+    def raw_record(self) -> bytes:
+        """Raw record of the last result, empty when there is none."""
+        return b"" if self._finished is None else self._finished.raw
 
-        Parameters
-        ----------
-        size
-            Bytes that this bus shows at once.
-        """
-        if self._finished is None:
-            return b""
-        whole = self._finished.pages if in_pages else self._finished.raw
-        return whole[self._window * size : (self._window + 1) * size]
+    def raw_pages(self) -> bytes:
+        """The same in pages."""
+        return b"" if self._finished is None else self._finished.pages
+
+    @property
+    def window(self) -> int:
+        """Which segment of it a host wants to see; how long one is, is the bus's affair."""
+        return self._window
 
     # ---- writing
 

@@ -108,7 +108,7 @@ class TcpServer:
         session = RegisterSession(self._front, self._map)
         spoilt = self._spoilt(connection, session) if self._spoiler else None
         buffer = b""
-        while chunk := connection.recv(65536):
+        while chunk := connection.recv(4096):
             buffer = buffer + chunk if buffer else chunk
             while len(buffer) >= 7:
                 _, protocol, length, _ = _HEADER.unpack_from(buffer)

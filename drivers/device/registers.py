@@ -86,8 +86,9 @@ class RegisterSession:
         if not 1 <= count <= MAX_READ:
             raise RefusedError(Refusal.LIMIT, "too many registers")
         if address >= self._map.raw_address:
-            start = 2 * (address - self._map.raw_address)
-            part = self._front.raw_segment(SEGMENT_BYTES, in_pages=True)[start : start + 2 * count]
+            window = self._front.window
+            first = SEGMENT_BYTES * window + 2 * (address - self._map.raw_address)
+            part = self._front.raw_pages()[first : min(first + 2 * count, SEGMENT_BYTES * (window + 1))]
         else:
             start = 2 * (address - self._map.lockin_address)
             part = self._front.lockin_payload()[start : start + 2 * count] if start >= 0 else b""

@@ -22,7 +22,6 @@ from service.uploads import (
 from service.uploads.limits import MIB
 from tests.support.uploads import HOSTILE, good, good_matlab, very_many_points
 
-
 PATIENT = Limits(check_cpu_s=10.0, read_cpu_s=10.0, wall_s=60.0)
 """Which reason a file is refused for must not depend on how fast the machine is; time has tests of its own."""
 
