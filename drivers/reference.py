@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from drivers.canopen import map as canopen
-from drivers.canopen.map import LOCKIN_INDEX, RAW_INDEX, RAW_SEGMENT_BYTES, RECORD_INDEX, WHOLE_INDEX
+from drivers.canopen.map import LOCKIN_INDEX, RAW_INDEX, RECORD_INDEX, SEGMENT_BYTES, SEGMENT_INDEX, WHOLE_INDEX
 from drivers.modbus.map import DEFAULT_MAP, LOCKIN_ADDRESS, RAW_ADDRESS
 from drivers.objects import GROUPS, PROTOCOL_VERSION, Group, Object, Refusal, Type
 from drivers.pages import DATA_BYTES, PAGE_BYTES, SEGMENT_PAGES
@@ -42,11 +42,11 @@ wrong CRC is refused, an answer with a wrong one is asked for again.
   For u, i, y in turn (block, part, axis); the parts are the mean, then real and imaginary part of harmonics 1, 2, 3.
   From five blocks on, a shorter form may come (its length tells): the mean over the blocks (part, axis), then what
   each block differs from it, 24-bit floats: 32-bit ones without their last byte.
-- **Raw record**: (sample, signal u i y, axis), a part of it at a time; which one, `window` says.
-  CANopen 0x{RAW_INDEX:04X}, DOMAIN: {RAW_SEGMENT_BYTES} bytes of the record, or what is left of it.
-  Modbus input registers from {RAW_ADDRESS}: {SEGMENT_PAGES} pages of {PAGE_BYTES // 2} registers. A page is {DATA_BYTES}
-  bytes of the record, or what is left of it, and their CRC-32, which covers the result's number, the page's number
-  from 0 on (32 bits each, big-endian) and these bytes.
+- **Raw record**: (sample, signal u i y, axis). CANopen 0x{RAW_INDEX:04X}, DOMAIN, and in parts at
+  0x{SEGMENT_INDEX:04X}: {SEGMENT_BYTES} bytes of it, or what is left of it.
+  Modbus input registers from {RAW_ADDRESS}: {SEGMENT_PAGES} pages of {PAGE_BYTES // 2} registers. A page has
+  {DATA_BYTES} bytes of the record, or what is left of it, and their CRC-32, which covers the result's number, the
+  page's number from 0 on (32 bits each, big-endian) and these bytes. Which part is shown, `window` says.
 
 Complex amplitudes: x(t) = Re(X exp(j h w t)), the time origin such that r at harmonic 1 is real and positive. r itself
 is the tone that was asked for, its amplitude a whole number of microamperes, and is not sent. The payload's CRC-32

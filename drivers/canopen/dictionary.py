@@ -56,6 +56,7 @@ def object_dictionary(node_id: int = 1, objects: ObjectMap = DEFAULT_MAP) -> Obj
             od.add_object(_variable(f"{group.name} whole", whole, 0, datatypes.DOMAIN, group.access))
     od.add_object(_variable("lock-in payload", objects.lockin_index, 0, datatypes.DOMAIN, "ro"))
     od.add_object(_variable("raw record", objects.raw_index, 0, datatypes.DOMAIN, "ro"))
+    od.add_object(_variable("raw record, segment", objects.segment_index, 0, datatypes.DOMAIN, "ro"))
     return od
 
 

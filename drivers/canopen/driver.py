@@ -16,7 +16,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 from drivers.canopen.bus import open_network
 from drivers.canopen.codec import Progress, beat_bytes, progress_of, stop_bytes
 from drivers.canopen.dictionary import object_dictionary
-from drivers.canopen.map import DEFAULT_MAP, RAW_SEGMENT_BYTES, WHOLE_INDEX, ObjectMap
+from drivers.canopen.map import DEFAULT_MAP, SEGMENT_BYTES, WHOLE_INDEX, ObjectMap
 from drivers.canopen.upload import UploadingSdoClient
 from drivers.errors import BusError
 from drivers.link import Link, RefusedError
@@ -117,6 +117,7 @@ class _SdoLink:
         self._links = links
         self._objects = links.objects
         self._failures = 0
+        self._in_segments = False
 
     def read(self, group: str) -> dict[str, Value]:
         of = BY_NAME[group]
@@ -165,22 +166,23 @@ class _SdoLink:
         return self._block(self._objects.lockin_index, size)
 
     def raw_record(self, result: int, size: int) -> bytes:
-        """Segment by segment: the whole as one transfer, with one CRC, would never come through a bad bus."""
-        parts = []
-        for segment in range(-(-size // RAW_SEGMENT_BYTES)):
-            shown = min(size - RAW_SEGMENT_BYTES * segment, RAW_SEGMENT_BYTES)
-            parts.append(self._segment(result, segment, shown))
-        return b"".join(parts)
+        """The whole in one transfer; on a bus on which that has failed, segment by segment, each with its own CRC."""
+        if not self._in_segments:
+            with suppress(BusError, RefusedError):
+                return self._block(self._objects.raw_index, size)
+            self._in_segments = True
+        segments = range(-(-size // SEGMENT_BYTES))
+        return b"".join(self._segment(result, k, min(size - SEGMENT_BYTES * k, SEGMENT_BYTES)) for k in segments)
 
     def _segment(self, result: int, segment: int, size: int) -> bytes:
-        for _ in range(SEGMENT_TRIES - 1):
-            with suppress(BusError, RefusedError):
-                return self._segment_once(result, segment, size)
-        return self._segment_once(result, segment, size)
-
-    def _segment_once(self, result: int, segment: int, size: int) -> bytes:
-        self.write("window", {"result": result, "segment": segment})
-        return self._block(self._objects.raw_index, size)
+        for tries_left in reversed(range(SEGMENT_TRIES)):
+            try:
+                self.write("window", {"result": result, "segment": segment})
+                return self._block(self._objects.segment_index, size)
+            except (BusError, RefusedError):
+                if not tries_left:
+                    raise
+        raise AssertionError("at least one try")
 
     def wait_for_change(self, seconds: float) -> int | None:
         if not self._links.changed.wait(max(seconds, PROGRESS_TIMEOUT_S)):

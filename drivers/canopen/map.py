@@ -4,7 +4,8 @@
 0x2000 + k     record of group k: sub-index 1 and on, one object each, for any CANopen tool
 0x2100 + k     the same group whole, a DOMAIN, little-endian: one atomic transfer
 0x2200         lock-in payload of the last result, DOMAIN
-0x2201         raw record of the last result, the segment that was chosen with the group window, DOMAIN
+0x2201         raw record of the last result, DOMAIN
+0x2202         the segment of it that was chosen with the group window, DOMAIN
 RPDO 1         heartbeat: token, count          COB-ID 0x200 + node
 RPDO 2         stop: token                      COB-ID 0x300 + node
 TPDO 1         state, command, outcome          COB-ID 0x180 + node, when a tone begins and ends
@@ -46,8 +47,9 @@ RECORD_INDEX = 0x2000
 WHOLE_INDEX = 0x2100
 LOCKIN_INDEX = 0x2200
 RAW_INDEX = 0x2201
-RAW_SEGMENT_BYTES = 4 * 127 * 7
-"""Four blocks of an SDO upload: long enough for choosing it to cost little, short enough for a bad bus."""
+SEGMENT_INDEX = 0x2202
+SEGMENT_BYTES = 4 * 127 * 7
+"""Of a raw record: four blocks of an SDO upload, which come through a bus on which the whole never does."""
 FIRST_INDEX, LAST_INDEX, LAST_SUBINDEX = 0x2000, 0x9FFF, 0xFE
 PROGRESS_OBJECTS = ("state", "command", "outcome")
 """Of the group status, in the order of TPDO 1."""
@@ -84,6 +86,7 @@ class ObjectMap:
     """Groups that are carried whole, by a DOMAIN each."""
     lockin_index: int = LOCKIN_INDEX
     raw_index: int = RAW_INDEX
+    segment_index: int = SEGMENT_INDEX
     beat_cob_id: int = BEAT_COB
     stop_cob_id: int = STOP_COB
     progress_cob_id: int = PROGRESS_COB
@@ -133,6 +136,7 @@ class _File(BaseModel):
     whole_groups: bool = True
     lockin_index: _Index = LOCKIN_INDEX
     raw_index: _Index = RAW_INDEX
+    segment_index: _Index = SEGMENT_INDEX
     beat_cob_id: _CobId = BEAT_COB
     stop_cob_id: _CobId = STOP_COB
     progress_cob_id: _CobId = PROGRESS_COB
@@ -172,6 +176,7 @@ def parse_map(text: str, source: str = "map.toml") -> ObjectMap:
         whole,
         file.lockin_index,
         file.raw_index,
+        file.segment_index,
         file.beat_cob_id,
         file.stop_cob_id,
         file.progress_cob_id,
@@ -195,7 +200,11 @@ def _check_process_data(file: _File, source: str) -> None:
 def _check_places(objects: ObjectMap, source: str) -> None:
     """No two objects in one place; sub-index 0 belongs to a record, unless its object stands alone."""
     taken = {(WHOLE_INDEX + BY_NAME[g].index, 0): f"{g} whole" for g in objects.whole}
-    for index, what in ((objects.lockin_index, "the lock-in payload"), (objects.raw_index, "the raw record")):
+    for index, what in (
+        (objects.lockin_index, "the lock-in payload"),
+        (objects.raw_index, "the raw record"),
+        (objects.segment_index, "a segment of the raw record"),
+    ):
         if (index, 0) in taken:
             raise MapError(f"{source}: {what} at 0x{index:04X} overlaps {taken[index, 0]}")
         taken[index, 0] = what

@@ -33,7 +33,7 @@ from drivers.canopen.codec import (
     stop_of,
 )
 from drivers.canopen.dictionary import object_dictionary
-from drivers.canopen.map import DEFAULT_MAP, RAW_SEGMENT_BYTES, WHOLE_INDEX, ObjectMap, SubObject
+from drivers.canopen.map import DEFAULT_MAP, SEGMENT_BYTES, WHOLE_INDEX, ObjectMap, SubObject
 from drivers.controller import TripCause
 from drivers.device.front import DeviceFront
 from drivers.errors import BusError, ControllerError
@@ -183,8 +183,10 @@ class CanopenNode:
             if index == self._objects.lockin_index:
                 return self._front.lockin_payload()
             if index == self._objects.raw_index:
-                first = RAW_SEGMENT_BYTES * self._front.window
-                return self._front.raw_record()[first : first + RAW_SEGMENT_BYTES]
+                return self._front.raw_record()
+            if index == self._objects.segment_index:
+                first = SEGMENT_BYTES * self._front.window
+                return self._front.raw_record()[first : first + SEGMENT_BYTES]
             if (index, subindex) in self._subs:
                 return self._read_one(self._subs[index, subindex])
             if (group := self._whole(index)) is not None:
