@@ -42,7 +42,7 @@ Priors = Annotated[
     bool,
     typer.Option(
         "--priors",
-        help="Let the datasheet's ki, ks, amplifiers and modes count as priors, as wide as its [tolerance] says. "
+        help="Let the datasheet's ki, ks, amplifiers and modes count as priors, as wide as its \\[tolerance] says. "
         "Without it they are not trusted at all.",
     ),
 ]

@@ -12,7 +12,7 @@ from service.cli.console import print_json, stdout
 
 
 def check_controller(
-    controller: Annotated[Path, typer.Argument(help="TOML file with a [controller] section, as in rig.toml.")],
+    controller: Annotated[Path, typer.Argument(help="TOML file with a \\[controller] section, as in rig.toml.")],
     baseline: Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")],
     zones: Annotated[
         str, typer.Option(help="Upper limits of the zones, dB, rising; the last zone has none.")

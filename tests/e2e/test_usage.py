@@ -34,6 +34,15 @@ def test_help(command):
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize(
+    ("command", "word"),
+    [("commission", "[tolerance]"), ("identify", "[tolerance]"), ("check-controller", "[controller]")],
+)
+def test_help_names_the_tables_of_the_datasheet(command, word):
+    """Brackets would be taken for colours."""
+    assert word in ambit(command, "--help").stdout
+
+
 def test_help_needs_none_of_the_heavy_libraries():
     code = (
         "import sys, service.cli; service.cli.run(['--help']); "
