@@ -16,6 +16,7 @@ from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.validation import nrmse_percent
 from service.identification.zoh import Complex, Real
+from sim.errors import AmbError
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,21 @@ def integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:
 
 
 def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Complex:
-    """Eigenvalues of the sampled loop u = C(z)(-y), the same law in both axes; stable within the unit circle."""
-    plant = sampled(model)
+    """Eigenvalues of the sampled loop u = C(z)(-y), the same law in both axes; stable within the unit circle.
+
+    Raises
+    ------
+    AmbError
+        The model is none of a rotor: a fit that ended anywhere.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        plant = sampled(model)
+    if not np.isfinite(plant.A).all():
+        fastest = float(np.abs(model.modes[:, 0]).max(initial=0.0)) / (2 * np.pi)
+        raise AmbError(
+            f"the joint fit ended far from any rotor (a mode at {fastest:.2g} Hz): the points do not tell the modes; "
+            "measure more of them, above all around the peaks"
+        )
     numerator, denominator = (np.trim_zeros(np.asarray(x, dtype=float), "f") for x in controller)
     if not len(numerator):
         numerator = np.zeros(1)

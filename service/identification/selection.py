@@ -29,6 +29,9 @@ SPLIT_ROUNDS = 6
 ADEQUATE = 1.5
 """Residual over noise below which a model counts as agreeing with the data while modes are counted."""
 
+LOST = 10.0
+"""The same beyond which a fit is taken to have begun with the wrong modes."""
+
 
 @dataclass(frozen=True)
 class Selected:
@@ -101,10 +104,8 @@ def choose_modes(
     The datasheet's word, where it is asked for, counts in the last fit: modes are chosen by the data alone.
     """
     asked, data = data, replace(data, prior=None)
-    modes = modes_from(coarse[n_start - 1], start.ki) if n_start else np.empty((0, N_MODE))
-    modes = modes[[is_visible(m[0], m[1], data.plant.omega) for m in modes]]
+    modes, first = _begun(start, data, coarse[:n_start], knowledge)
     n_start = len(modes)
-    first = _joint(with_modes(start, modes), data, knowledge)
     weights = first.weights
     tried: dict[int, Refined] = {n_start: first}
     # fewer: leave out the mode that matters least, while that is no loss
@@ -144,6 +145,25 @@ def choose_modes(
         wrong = _forgiving(with_modes(start, modes), data, knowledge)
         return Selected(*_finished(wrong, asked, knowledge), evidence, candidates)
     return Selected(*_finished(tried[now], asked, knowledge), evidence, candidates)
+
+
+def _begun(start: PlaneModel, data: Data, coarse: list[PoleResidue], knowledge: Knowledge) -> tuple[Real, Refined]:
+    """The modes to begin with and the joint fit from them.
+
+    On coarse data the search takes one peak for several, and another has too few lines to be believed. Then the fit
+    is lost, and the searches with fewer poles are believed instead, all of them.
+    """
+    modes = modes_from(coarse[-1], start.ki) if coarse else np.empty((0, N_MODE))
+    modes = modes[[is_visible(m[0], m[1], data.plant.omega) for m in modes]]
+    found = _joint(with_modes(start, modes), data, knowledge)
+    for fewer in reversed(coarse[:-1]):
+        if _rms(found, data) < LOST:
+            break
+        others = modes_from(fewer, start.ki)
+        other = _joint(with_modes(start, others), data, knowledge)
+        if _data_cost(other, data) < 0.5 * _data_cost(found, data):
+            modes, found = others, other
+    return modes, found
 
 
 def _forgiving(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
