@@ -34,6 +34,8 @@ CHECKS = (
     "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,"
     "response_schema_conformance"
 )
+HANGS_S = 1200
+"""The number of requests bounds the run; this is for one that hangs, on a machine however busy."""
 ROOT = Path(__file__).parents[2]
 
 
@@ -136,6 +138,7 @@ def test_the_client_reads_one_of_everything(described, tmp_path):
         client.rigs.stop(ids["rig_id"])
 
 
+@pytest.mark.timeout(HANGS_S + 60)
 def test_the_api_is_what_its_description_says(described, tmp_path):
     pytest.importorskip("schemathesis", reason="schemathesis is not installed")
     service, key, ids = described
@@ -143,7 +146,7 @@ def test_the_api_is_what_its_description_says(described, tmp_path):
         [
             *(sys.executable, "-m", "schemathesis.cli", "run", f"{service.url}/openapi.json"),
             *("--checks", CHECKS, "--phases", "examples,coverage,fuzzing", "--max-examples", EXAMPLES),
-            *("--header", f"Authorization: Bearer {key}", "--request-timeout", "20", "--generation-deterministic"),
+            *("--header", f"Authorization: Bearer {key}", "--request-timeout", "60", "--generation-deterministic"),
             *("--no-shrink", "--continue-on-failure", "--suppress-health-check", "all", "--warnings", "off"),
             *("--no-color", "--output-truncate", "true"),
         ],
@@ -152,7 +155,7 @@ def test_the_api_is_what_its_description_says(described, tmp_path):
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=HANGS_S,
         check=False,
     )
     assert done.returncode == 0, done.stdout[-20_000:] + done.stderr[-2000:]
