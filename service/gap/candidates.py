@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,8 @@ from sim.errors import AmbError
 Real = NDArray[np.float64]
 
 
+GOES_ON = 2
+"""Beginnings that go on after each rough stage of a fit."""
 LAW_ERROR = 0.01
 """Relative error of a parameter that no data remove: two programs' laws of one effect agree no better (loop delays of
 an independent program are found 0.25 us short)."""
@@ -80,19 +83,11 @@ def fit_task(task: Task) -> Candidate:
 def _fitted(task: Task) -> Candidate:
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects])
     active, rough = task.ground.part.active, [s for s in task.stages if s.closed]
-    begun: list[tuple[float, Real]] = []
-    for values in task.starts:
-        x, cost = np.concatenate([task.theta[active], problem.scaled(values)]), np.inf
-        try:
-            for stage in rough:
-                fit = problem.run(x, stage)
-                x, cost = problem.vector(fit), fit.chi_square + fit.penalty
-        except (AmbError, np.linalg.LinAlgError):
-            continue  # this start leads to a rig that cannot be; another may not
-        begun.append((cost, x))
-    begun.sort(key=lambda b: b[0])
+    begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]
+    for stage in rough:
+        begun = _best_of(problem, begun, stage)
     best: Fit | None = None
-    for _, x in begun[:2] if rough else begun:
+    for x in begun:
         try:
             fit = problem.run(x, task.stages[-1])
         except (AmbError, np.linalg.LinAlgError):
@@ -102,6 +97,16 @@ def _fitted(task: Task) -> Candidate:
     if best is None:
         raise AmbError(f"no start of {' + '.join(task.effects) or 'the plain twin'} leads to a rig")
     return Candidate(task.effects, best, occam(problem, best), _deviations(problem, best))
+
+
+def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real]:
+    """Where a rough stage leads from each beginning, the best ones."""
+    led: list[tuple[float, Real]] = []
+    for x in begun:
+        with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to a rig that cannot be; another may not
+            fit = problem.run(x, stage)
+            led.append((fit.chi_square + fit.penalty, problem.vector(fit)))
+    return [x for _, x in sorted(led, key=lambda one: one[0])[:GOES_ON]]
 
 
 def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
@@ -135,6 +140,8 @@ class Fitter:
     def __init__(self, jobs: int = 1, fitted: Callable[[], None] = lambda: None) -> None:
         self._fitted = fitted
         self._pool = workers(jobs) if jobs > 1 else None
+        for _ in range(jobs if self._pool else 0):
+            self._pool.submit(_load)  # type: ignore[union-attr]
 
     def __enter__(self) -> Fitter:
         return self
@@ -145,12 +152,31 @@ class Fitter:
 
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
         """Fit all; a candidate that no start leads to a rig for is left out."""
-        mapped = self._pool.map(_quietly, tasks) if self._pool else map(_quietly, tasks)
-        found = []
-        for candidate in mapped:
+        tasks = list(tasks)
+        order = sorted(
+            range(len(tasks)), key=lambda k: -_labour(tasks[k])
+        )  # the longest first: none is waited for alone
+        mapped = self._mapped([tasks[k] for k in order])
+        found: dict[int, Candidate | None] = {}
+        for k in order:
+            found[k] = next(mapped)
             self._fitted()
-            found.append(candidate)
-        return [c for c in found if c is not None]
+        return [c for k in range(len(tasks)) if (c := found[k]) is not None]
+
+    def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:
+        # Only the plant is worth a way to another process, which at first still loads its libraries.
+        if self._pool and any(t.ground.part.path == "plant" for t in tasks):
+            return iter(self._pool.map(_quietly, tasks))
+        return map(_quietly, tasks)
+
+
+def _load() -> None:
+    """Done as soon as a process has loaded what it fits with, by finding this."""
+
+
+def _labour(task: Task) -> int:
+    """What a fit costs, roughly."""
+    return len(task.starts) * (5 if any(map(slow_to_compute, task.effects)) else 1)
 
 
 def _quietly(task: Task) -> Candidate | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -145,7 +145,7 @@ def diagnose(
             amplitude_dependent = True
             seen, unseen, name = _halves(other, nu, name, hums, span_s)
             known = {e.part.path: e for e in found if e.part.path not in failing}
-            found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED))
+            found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED), failing)
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
     telling.judging(FITTED)
     whole = dated(composed(nu, found), nu.rig, None if span_s is None else span_s[1] - span_s[0])
@@ -194,11 +194,13 @@ def _explained(
     aloud: bool,
     telling: Telling,
     percent: tuple[float, float],
+    before: Mapping[str, Explained] | None = None,
 ) -> tuple[list[Explained], str | None]:
     """Every part of the loop explained, each on the ground of those before, and what is wrong with the log.
 
     ``known`` parts are not looked at again. Where interference is ``aloud``, it and not the log is at fault. With a
-    log at fault no mixtures are looked for: their effects would not be there.
+    log at fault no mixtures are looked for: their effects would not be there. ``before`` is what fewer sweeps told of
+    the others.
     """
     out: list[Explained] = []
     fault: str | None = None
@@ -216,10 +218,11 @@ def _explained(
             telling.part(part, [p for p in looked_at if p.path not in known], *percent)
         result = known.get(part.path)
         if result is None:
-            plain = plain_twin(fitter, ground)
+            sooner = (before or {}).get(part.path)
+            plain = plain_twin(fitter, ground, sooner)
             if part.path == "plant" and not aloud:
                 fault = log_fault(fitter, out, ground, plain)
-            result = explain(fitter, ground, plain, most=1 if fault else MOST)
+            result = explain(fitter, ground, plain, 1 if fault else MOST, sooner)
         out.append(result)
         chosen = chosen_in(result)
         theta = chosen.fit.theta

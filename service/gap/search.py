@@ -27,6 +27,8 @@ REFINED = 6
 """Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
 WITHIN = 30.0
 """Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
+ALIASES = 2
+"""Known aliases of the best that are fitted to the end whatever a probe makes of them: to be told apart takes both."""
 MOST = 3
 """Largest mixture within one part."""
 REMAINS = 4.0
@@ -78,14 +80,26 @@ def gap_significance(plain: Sequence[Complex], observations: Sequence[Observatio
     return max(significance(z[:, [o.fundamental]], o, bound=np.inf) for z, o in zip(plain, observations, strict=True))
 
 
-def plain_twin(fitter: Fitter, ground: Ground) -> tuple[Candidate, tuple[Complex, ...]]:
-    """The plain twin, the datasheet's values of the part refitted, and what it leaves, (P, H, n) per sweep."""
-    null = fitter.run([Task(ground, (), ((),), ground.theta, (*_rough(ground), EXACT))])[0]
+def plain_twin(
+    fitter: Fitter, ground: Ground, before: Explained | None = None
+) -> tuple[Candidate, tuple[Complex, ...]]:
+    """The plain twin, the datasheet's values of the part refitted, and what it leaves, (P, H, n) per sweep.
+
+    ``before`` is what was found on fewer sweeps.
+    """
+    if before is None:
+        null = fitter.run([Task(ground, (), ((),), ground.theta, (*_rough(ground), EXACT))])[0]
+    else:
+        null = fitter.run([Task(ground, (), ((),), before.null.candidate.fit.theta, (EXACT,))])[0]
     return null, _residuals(ground, null)
 
 
 def explain(
-    fitter: Fitter, ground: Ground, plain_fit: tuple[Candidate, tuple[Complex, ...]] | None = None, most: int = MOST
+    fitter: Fitter,
+    ground: Ground,
+    plain_fit: tuple[Candidate, tuple[Complex, ...]] | None = None,
+    most: int = MOST,
+    before: Explained | None = None,
 ) -> Explained:
     """Fit the plain twin, every single effect of the part, and mixtures where one effect leaves too much.
 
@@ -95,9 +109,17 @@ def explain(
         What `plain_twin` returned, where that was asked before.
     most
         Largest mixture to look at.
+    before
+        What was found on fewer sweeps: effects in proportion to the excitation go on from there.
     """
     null, plain = plain_fit or plain_twin(fitter, ground)
-    probed = fitter.run(_with(name, null, null, plain, ground, ground.theta) for name in ground.part.effects)
+    known = {} if before is None else {c.effects: c for c in (r.candidate for r in before.order)}
+    probed = fitter.run(
+        Task(ground, (name,), (known[name,].fit.values,), known[name,].fit.theta, (PROBE,))
+        if (name,) in known and not CATALOGUE[name].nonlinear
+        else _with(name, null, null, plain, ground, ground.theta)
+        for name in ground.part.effects
+    )
     found = _refined(fitter, ground, null, probed)
     order, left = ranked(null, found), plain
     fewer = next(r for r in order if r.candidate is null)
@@ -179,8 +201,15 @@ def _refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
+    near += [r.candidate for r in order if r.candidate not in near and _aliases(r.candidate, near[0])][:ALIASES]
     tasks = [Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in near]
     return [*fitter.run(tasks), *(r.candidate for r in order if r.candidate not in near)]
+
+
+def _aliases(a: Candidate, b: Candidate) -> bool:
+    """Whether two explanations are the same but for one effect that looks like the other's."""
+    one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
+    return len(one) == len(other) == 1 and bool(other & set(CATALOGUE[next(iter(one))].aliases))
 
 
 def _cost(c: Candidate) -> float:

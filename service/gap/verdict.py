@@ -16,6 +16,8 @@ DETECTED = 5.0
 independent program that had no effect there, the largest advantage by chance was 2.2, with a tail like exp(-x)."""
 UNEXPLAINED = 0.25
 """Share of the gap that may be left by another law of the same effect; more is something else."""
+CLOSES = 1 - 1.2 * UNEXPLAINED
+"""Closure on unseen data below which an explanation is none."""
 UNEXPLAINED_BY_SEVERAL = 0.05
 """The same for several effects in one part, or for one whose strength is at the end of its range: they bend to many
 things that they are not."""
@@ -41,7 +43,7 @@ class Ranked:
     unexplained: float
     """share of the plain twin's excess chi-square that is left"""
     shares: tuple[float, ...] = ()
-    """the same for the fundamental and for the harmonics of each sweep; 0 where there was no gap"""
+    """the same for the fundamental and for the harmonics of each sweep in turn; 0 where there was no gap"""
 
 
 @dataclass(frozen=True)
@@ -146,8 +148,9 @@ def decide(order: Sequence[Ranked], remaining: float, closure: float | None, sig
     closed = 1 - best.unexplained if closure is None else closure
     bent = len(effects) > 1 or at_the_end_of_its_range(best.candidate)
     allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
-    if remaining > 6.0 and (best.unexplained > allowed or closed < 1 - 1.2 * UNEXPLAINED):
-        share = max(best.unexplained, 1 - closed)
+    of_one_sweep = max(best.shares[::2], default=0.0)  # one that explains another sweep only explains neither
+    if remaining > 6.0 and (max(best.unexplained / allowed, of_one_sweep / UNEXPLAINED) > 1 or closed < CLOSES):
+        share = min(max(best.unexplained, of_one_sweep, 1 - closed), 1.0)
         reason = f"the best explanation, {' + '.join(effects)}, leaves {100 * share:.0f} % of the gap"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     group = alike(best, order) if len(effects) == 1 else ()
