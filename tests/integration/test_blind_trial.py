@@ -1,25 +1,29 @@
-"""A blind trial on the simulated rig, through the campaign and the diagnosis that the service has."""
+"""A blind trial on the simulated rig, through the service's campaign; e2e/test_gap.py has one with its diagnosis."""
 
 import json
 import shutil
 import stat
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+import service.trial
 from service.experiment.data import Experiment
 from service.gap.blind_trial import checked, summary
 from service.gap.seal import SealError, opened
 from service.gap.withheld import draw
-from service.trial import diagnose, run_blind_trial, run_one
+from service.trial import PROFILE, run_blind_trial, run_one
 from sim.datasheet import Datasheet, read
 from sim.errors import AmbError
 
 pytestmark = pytest.mark.timeout(900)
 
+SHORT = replace(PROFILE, points=12, validation_points=4, amplifier_points=4, coarse_points=8, rig_seconds=30.0)
+"""A campaign whose points nobody diagnoses."""
 CASES, SEED = 3, 4
 CLEAN = 2
 """Number of a case of these that withholds nothing: no effect whose strength would be searched for."""
@@ -29,15 +33,17 @@ CLEAN = 2
 def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     out = tmp_path_factory.mktemp("trial")
     told: list[tuple[int, int]] = []
-    diagnosed: list[Any] = []
 
     def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
-        """The real one for one case, which takes half a minute; what it found stands for the others too."""
-        if not diagnosed:
-            diagnosed.append(diagnose(experiment, datasheet))
-        return diagnosed[0]
+        assert experiment.named("main") is not None
+        assert datasheet.name == "withheld"
+        return _report("effect", "loop_delay")
 
-    result = run_blind_trial(CASES, SEED, out, lambda done, total, _: told.append((done, total)), jobs=1, engine=engine)
+    with pytest.MonkeyPatch.context() as short:
+        short.setattr(service.trial, "PROFILE", SHORT)
+        result = run_blind_trial(
+            CASES, SEED, out, lambda done, total, _: told.append((done, total)), jobs=1, engine=engine
+        )
     assert told == [(k + 1, CASES) for k in range(CASES)]
     return out, result
 
@@ -122,13 +128,13 @@ def test_a_folder_of_another_trial_is_refused(trial: tuple[Path, dict[str, Any]]
         run_blind_trial(CASES, SEED + 1, out, jobs=1)
 
 
-def _report(kind: str = "no_gap") -> Any:
-    verdict = {"kind": kind, "effects": [], "indistinguishable": [], "probability": 0.9}
+def _report(kind: str = "no_gap", *effects: str) -> Any:
+    verdict = {"kind": kind, "effects": list(effects), "indistinguishable": [], "probability": 0.9}
     document: Mapping[str, Any] = {
         "verdict": verdict,
         "where": {"path": "plant"},
         "candidates": [],
-        "shrinkage": {"closure": None},
+        "shrinkage": {"closure": 0.9},
     }
     return SimpleNamespace(to_dict=lambda: dict(document))
 
