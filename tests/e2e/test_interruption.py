@@ -1,10 +1,13 @@
 """Ctrl-C in the middle: the rig stops, what was measured is kept, and the same command goes on where it stopped."""
 
 import json
+import re
+import resource
 import signal
 
 import pytest
 
+from drivers.controller import Status
 from drivers.url import connect
 from service.experiment import file
 from tests.support.command import Running, ambit, refusal, wait_until
@@ -72,6 +75,22 @@ def test_a_campaign_ended_by_ctrl_c_is_kept_and_resumed(rig, command, out):
     assert json.loads(again.stdout)["planes"]["x"]["stiffness"]["kiA"]["value"] == pytest.approx(181, rel=0.02)
 
 
+def test_a_disk_that_is_full_ends_the_campaign_with_its_rig_at_rest(rig, command, out):
+    """No file of the command may grow any more: to whoever writes, that is a full disk."""
+    run = Running(*command)
+    try:
+        journal = out / "experiment.journal"
+        wait_until(lambda: journal.exists() and journal.read_bytes().count(b"\n") > 10, "the first points")
+        size = journal.stat().st_size
+        resource.prlimit(run.process.pid, resource.RLIMIT_FSIZE, (size, size))
+        assert run.wait() == 1
+        assert re.fullmatch(r"ambit: cannot write .*experiment\.journal: .*; free space and resume\n", run.said[-1])
+    finally:
+        run.end()
+    status = _status(rig[0])
+    assert (status.excitation_a, status.lease_holder) == (0, "")
+
+
 def test_without_resuming_an_old_campaign_is_put_aside(tmp_path):
     ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
     out = tmp_path / "out"
@@ -89,8 +108,12 @@ def test_without_resuming_an_old_campaign_is_put_aside(tmp_path):
 
 
 def _excited(url: str) -> bool:
+    return _status(url).excitation_a != 0
+
+
+def _status(url: str) -> Status:
     controller = connect(url)
     try:
-        return controller.status().excitation_a != 0
+        return controller.status()
     finally:
         controller.close()
