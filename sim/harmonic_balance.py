@@ -98,7 +98,9 @@ class Responder:
             [(per_harmonic[k][self.line] @ x[:, k, :, None])[..., 0] for k in range(len(self.harmonics))], axis=1
         )
 
-    def answer(self, U: Complex, rounds: int | None = None, seen: Complex | None = None) -> Answer:
+    def answer(
+        self, U: Complex, rounds: int | None = None, seen: Complex | None = None, seen_current: Complex | None = None
+    ) -> Answer:
         """Response to logged control amplitudes U, (P, H, n), harmonics as given to the constructor.
 
         Parameters
@@ -106,16 +108,28 @@ class Responder:
         seen
             (P, H, n) measured sensor signal. The magnets alone make an unstable plant, so for a given U a strong
             nonlinear force feeds on itself; evaluated where the rotor was seen to be, it does not.
+        seen_current
+            (P, H, n) measured coil current: as `current`.
         """
-        return self._answer(U * self._log_phase, rounds, seen)
+        return self._answer(U * self._log_phase, rounds, seen, seen_current)
 
-    def current(self, U: Complex) -> Complex:
-        """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone."""
-        return self._current(U * self._log_phase)[0]
+    def current(self, U: Complex, seen: Complex | None = None) -> Complex:
+        """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone.
 
-    def _answer(self, U: Complex, rounds: int | None = None, seen: Complex | None = None) -> Answer:
+        An amplifier beyond its slew limit may answer in two ways: the one nearer to ``seen`` (P, H, n) where that is
+        given, else the one that a rising amplitude leads to.
+        """
+        return self._current(U * self._log_phase, seen)[0]
+
+    def _answer(
+        self,
+        U: Complex,
+        rounds: int | None = None,
+        seen: Complex | None = None,
+        seen_current: Complex | None = None,
+    ) -> Answer:
         m = self._model
-        current, U_eff = self._current(U)
+        current, U_eff = self._current(U, seen_current)
         flux = self._at_points(m.flux_per_u, U_eff)
         x_linear = self._at_points(m.bearing_per_u, U_eff)
         force = np.zeros_like(x_linear)
@@ -184,7 +198,7 @@ class Responder:
         rising = np.sign(np.roll(i_t, -1, axis=1) - np.roll(i_t, 1, axis=1))
         return np.asarray(i_t + alpha * (A * i - rising * 0.5 * np.maximum(A**2 - i**2, 0.0)))
 
-    def _current(self, U: Complex) -> tuple[Complex, Complex]:
+    def _current(self, U: Complex, seen: Complex | None = None) -> tuple[Complex, Complex]:
         """Sampled coil current, and the control signal that a linear amplifier would need for it."""
         m = self._model
         linear = self._static_real(self._at_points(m.i_per_u, U))
@@ -208,6 +222,11 @@ class Responder:
         if len(slewing):
             omega = self._omega.reshape(H, -1)[self.harmonics.index(1), self.line[slewing]]
             dv[slewing] = self._slewing(v_linear[slewing], omega)
+            if seen is not None and amp.damping_ratio is not None:
+                asked, per, wanted = v_linear[slewing], per_slew[line[slewing]], (seen - linear)[slewing]
+                opposed = self._slewing(asked, omega, opposed=True)
+                misses = [np.abs(wanted - per * taken).sum(axis=1, keepdims=True) for taken in (opposed, dv[slewing])]
+                dv[slewing] = np.where(misses[0] < misses[1], opposed, dv[slewing])
         change = per_slew[line] * dv
         with np.errstate(divide="ignore", invalid="ignore"):
             drive = amplifier.continuous(amp, self._omega)[line]
@@ -216,17 +235,18 @@ class Responder:
         equivalent = U + np.linalg.solve(amp.crosstalk, (change / (drive * hold[..., None] * delay))[..., None])[..., 0]
         return linear + change, equivalent
 
-    def _slewing(self, v_linear: Complex, omega: Array) -> Complex:
+    def _slewing(self, v_linear: Complex, omega: Array, opposed: bool = False) -> Complex:
         """What the limit takes off the slope of the current, (P, H, n), in the steady state.
 
         Stepped through time, as it has more harmonics than are asked for and a loop that winds up.
         """
         amp = self.rig.amplifiers
         w, limit = amp.natural_frequency_rad_s, amp.slew_limit_a_per_s
-        steps = int(np.clip(8 * w.max() / omega.min(), SLEW_STEPS, 8 * SLEW_STEPS))
+        finest = (4 if opposed else 1) * SLEW_STEPS  # it is at its limit all the time, and when it turns counts
+        steps = int(np.clip(8 * w.max() / omega.min(), finest, 8 * SLEW_STEPS))
         damping = np.zeros_like(w) if amp.damping_ratio is None else 2 * amp.damping_ratio * w
         asked = np.ascontiguousarray(_samples(v_linear, self.harmonics, steps))
-        taken = periodic.slewing(asked, 2 * np.pi / omega / steps, w, damping, float(amp.slew_seen), limit)
+        taken = periodic.slewing(asked, 2 * np.pi / omega / steps, w, damping, float(amp.slew_seen), limit, opposed)
         return _amplitudes(taken, self.harmonics)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import scipy.linalg
 
 from sim.rig import Array
 
@@ -31,14 +32,12 @@ def play(i: Array, width: float) -> Array:  # pragma: no cover (compiled)
     return out
 
 
-@_compiled
-def slewing(
-    asked: Array, dt: Array, w: Array, damping: Array, seen: float, limit: Array
-) -> Array:  # pragma: no cover (compiled)
+def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limit: Array, opposed: bool) -> Array:
     """What a slew limit takes off the slopes that are asked of an amplifier, A/s, (P, T, n).
 
     With dv, what the limit changes, i' = v + dv and v' = -w^2 i - damping (v + seen dv), or v = -w i where the
-    damping is 0: a first-order amplifier. Implicit in the amplifier's own loop, so that no step is too long for it.
+    damping is 0: a first-order amplifier. The amplifier's own loop is stepped exactly, so that no step is too long for
+    it; dv goes in a straight line from step to step.
 
     Parameters
     ----------
@@ -47,24 +46,42 @@ def slewing(
     w, damping : (n,) rad/s
     seen : share of dv that the amplifier's damping sees
     limit : (n,) A/s
+    opposed : whether the loop begins with a current opposed to the one without limit, instead of with that one. A loop
+        that winds up may settle in two ways beyond its limit: it lags a little, or by half a period.
     """
+    first = damping == 0
+    c, share = np.where(first, w, damping), np.where(first, 1.0, seen)
+    A = np.zeros((w.size, 3, 3))  # of i, v, and dv held
+    A[:, 0, 1] = A[:, 0, 2] = 1.0
+    A[:, 1] = np.stack([np.where(first, 0.0, -(w**2)), -c, -c * share], axis=-1)
+    over = scipy.linalg.expm(A * dt[:, None, None, None])
+    begin = np.zeros((2, *dt.shape, w.size))
+    if opposed:
+        t = np.arange(asked.shape[1])[:, None] * (dt / asked.shape[1])[:, None, None]
+        begin[0] = -2 * (asked * t).sum(axis=1)  # of a current that has these slopes, and no mean
+        begin[1] = np.where(first, -w * begin[0], -2 * asked[:, 0])
+    swing = limit * (asked.shape[1] * dt / (2 * np.pi))[:, None]
+    return np.asarray(_slewing(asked, over, limit, swing, begin[0], begin[1]))
+
+
+@_compiled
+def _slewing(
+    asked: Array, over: Array, limit: Array, swing: Array, i0: Array, v0: Array
+) -> Array:  # pragma: no cover (compiled)
     points, steps, axes = asked.shape
     taken = np.zeros_like(asked)
     for p in range(points):
         for a in range(axes):
-            i, v, d, most = 0.0, 0.0, dt[p], limit[a]
-            stiff = 1 + d * damping[a] + (d * w[a]) ** 2
+            i, v, most, S = i0[p, a], v0[p, a], limit[a], over[p, a]
             for _ in range(MOST_PERIODS):
                 begun = i
                 for t in range(steps):
-                    slope = asked[p, t, a] + (v if damping[a] else -w[a] * i)
-                    dv = min(max(slope, -most), most) - slope
-                    taken[p, t, a] = dv
-                    if damping[a]:
-                        v = (v - d * (w[a] ** 2 * (i + d * dv) + damping[a] * seen * dv)) / stiff
-                        i = i + d * (v + dv)
-                    else:
-                        i = (i + d * dv) / (1 + d * w[a])
-                if abs(i - begun) < SETTLED * most * steps * d / (2 * np.pi):
+                    slope = asked[p, t, a] + v
+                    now = min(max(slope, -most), most) - slope
+                    ahead = asked[p, (t + 1) % steps, a] + S[1, 0] * i + S[1, 1] * v + S[1, 2] * now
+                    between = (now + min(max(ahead, -most), most) - ahead) / 2
+                    i, v = S[0, 0] * i + S[0, 1] * v + S[0, 2] * between, S[1, 0] * i + S[1, 1] * v + S[1, 2] * between
+                    taken[p, t, a] = now
+                if abs(i - begun) < SETTLED * swing[p, a]:
                     break
     return taken

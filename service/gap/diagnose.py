@@ -46,6 +46,8 @@ ONE_SWEEP, FITTED = 80.0, 97.0
 """Percent that are done when the main sweep is explained, and when every fit is done."""
 UNDERSTOOD = 4.0
 """Significance of what is left of the amplifiers up to which the plant is held against u through them."""
+NOISE_ALONE = 2.0
+"""The same for the mean squared residual of a sweep: it counts single lines, of an amplifier at its limit, in full."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ def _explained(
     named: list[tuple[str, Values]] = []
     looked_at = parts(nu, observations)
     for part in looked_at:
-        understood = all(e.remaining < UNDERSTOOD for e in out if e.part.path == "amplifier")
+        understood = all(_understood(e) for e in out if e.part.path == "amplifier")
         ground = Ground(nu, part, observations, theta, tuple(named))
         if part.path == "plant" and not understood:
             rig = ground.rig(theta)
@@ -228,6 +230,12 @@ def _explained(
         theta = chosen.fit.theta
         named += zip(chosen.effects, chosen.fit.values, strict=True)
     return out, fault
+
+
+def _understood(amplifiers: Explained) -> bool:
+    """Whether the plant can be held against u through the amplifiers: what is left of them is noise, in every line."""
+    groups = chosen_in(amplifiers).fit.groups[::2]
+    return amplifiers.remaining < UNDERSTOOD and all(chi < NOISE_ALONE * count for chi, count in groups)
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:

@@ -28,7 +28,9 @@ def at_speed_of(rig: Rig, o: Observation) -> Rig:
 
 def answer(rig: Rig, o: Observation) -> Complex:
     """Twin's [i, y] for the measured control signal, all harmonics, (P, H, 2 n)."""
-    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(o.U, seen=o.Y)
+    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(
+        o.U, seen=o.Y, seen_current=o.I
+    )
     return np.concatenate([a.I, a.Y], axis=2)
 
 
@@ -48,7 +50,7 @@ def displacement(rig: Rig, o: Observation) -> Complex:
 def current(rig: Rig, o: Observation) -> Complex:
     """Twin's coil current for the measured control signal, all harmonics, (P, H, n)."""
     if np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)):
-        return Responder(rig, o.frequency_hz, o.line, o.harmonics).current(o.U)
+        return Responder(rig, o.frequency_hz, o.line, o.harmonics).current(o.U, o.I)
     per_harmonic = [current_per_control(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))[o.line] for h in o.harmonics]
     answers = [(G @ o.U[:, k, :, None])[..., 0] for k, G in enumerate(per_harmonic)]
     return np.stack(answers, axis=1)

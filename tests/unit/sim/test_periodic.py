@@ -31,7 +31,7 @@ def test_far_beyond_its_limit_an_amplifier_makes_a_triangle(damping):
     """A current that slews all the time is a triangle of slope s: amplitude s T / 4, fundamental 8/pi^2 of it."""
     hz, w, limit = 2000.0, 9244.0, np.array([1000.0])
     asked = 6.0 * limit[0] * np.cos(PHASE)[None, :, None]
-    taken = slewing(asked, np.array([1 / hz / T]), np.array([w]), np.array([damping]), 0.0, limit)
+    taken = slewing(asked, np.array([1 / hz / T]), np.array([w]), np.array([damping]), 0.0, limit, False)
     s = 2j * np.pi * hz
     per_slew = (s + damping) / (s**2 + damping * s + w**2) if damping else 1 / (s + w)
     i = fundamental(asked[0, :, 0]) / s + per_slew * fundamental(taken[0, :, 0])
@@ -41,4 +41,33 @@ def test_far_beyond_its_limit_an_amplifier_makes_a_triangle(damping):
 def test_below_its_limit_nothing_is_taken():
     asked = 900.0 * np.cos(PHASE)[None, :, None]
     dt = np.array([1 / 200.0 / T])
-    assert np.all(slewing(asked, dt, np.array([9244.0]), np.array([1.6 * 9244.0]), 0.5, np.array([1000.0])) == 0.0)
+    assert np.all(
+        slewing(asked, dt, np.array([9244.0]), np.array([1.6 * 9244.0]), 0.5, np.array([1000.0]), False) == 0.0
+    )
+
+
+def stepped(hz, amplitude_a, w, zeta, limit, i, q, periods=40, steps=4000):
+    """The same amplifier by explicit Euler of its own equations, q' = w^2 (u - i) - 2 zeta w i', i' = clip(q)."""
+    dt, out = 1 / hz / steps, np.empty(steps)
+    for n in range(periods * steps):
+        slope = min(max(q, -limit), limit)
+        q += dt * (w**2 * (amplitude_a * np.cos(2 * np.pi * hz * n * dt) - i) - 2 * zeta * w * slope)
+        i += dt * slope
+        out[n % steps] = i
+    return 2 * np.mean(out * np.exp(-2j * np.pi * np.arange(steps) / steps))
+
+
+@pytest.mark.parametrize("opposed", [False, True])
+def test_a_loop_that_winds_up_settles_in_two_ways_and_both_are_found(opposed):
+    """A fifth beyond its limit it lags by 30 degrees as it came from below, by 144 when it was disturbed."""
+    hz, u, w, zeta, limit = 425.0, 0.817, 9244.0, 0.8, 1816.0
+    s = 2j * np.pi * hz
+    without = w**2 / (s**2 + 2 * zeta * w * s + w**2) * u
+    asked = (without * s * np.exp(1j * PHASE)).real[None, :, None]
+    taken = slewing(
+        asked, np.array([1 / hz / T]), np.array([w]), np.array([2 * zeta * w]), 1.0, np.array([limit]), opposed
+    )
+    i = without + s / (s**2 + 2 * zeta * w * s + w**2) * fundamental(taken[0, :, 0])
+    begin = (0.0, 0.0) if opposed else (without.real, (without * s).real)
+    assert i == pytest.approx(stepped(hz, u, w, zeta, limit, *begin, periods=25), abs=0.01)
+    assert np.degrees(np.angle(i)) == pytest.approx(-144 if opposed else -30, abs=2)

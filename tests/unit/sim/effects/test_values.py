@@ -135,7 +135,7 @@ def test_drifts_add_their_rates():
 
 
 def test_a_drift_that_levels_off_is_restated_over_half_its_time():
-    """1 - exp(-c t/T) at T/2 for c = 2: (1 - 1/e) / (1 - 1/e^2) of the change, which levels off half as much by then."""
+    """1 - exp(-c t/T) at T/2 for c = 2: (1 - 1/e) / (1 - 1/e^2) of the change, half as much of it levelled off."""
     values = {"ki_change": -0.1, "ks_change": 0.05, "duration_s": 200.0, "curvature": 2.0}
     half = effect("thermal_drift").restated(values, {**values, "duration_s": 100.0})
     share = 1 / (1 + np.exp(-1.0))
