@@ -32,7 +32,7 @@ _PATTERNS: tuple[tuple[re.Pattern[str], str], ...] = (
     ),
     (re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(-----END [A-Z ]*PRIVATE KEY-----|$)", re.DOTALL), HIDDEN),
 )
-NOISY = {"httpx": logging.WARNING, "httpcore": logging.WARNING, "alembic": logging.WARNING, "pymodbus": logging.WARNING}
+NOISY = dict.fromkeys(("httpx", "httpcore", "alembic", "pymodbus", "dbos"), logging.WARNING)
 """Libraries that tell more than an operator wants to know."""
 
 

@@ -57,9 +57,9 @@ def documented_resource(content: dict[str, Any] | None = None, description: str 
     return documented(404) | {304: {"description": "Not changed"}} | whole
 
 
-def documented_json(description: str) -> Documented:
-    """Responses of a route that gives a stored document."""
-    return documented_resource({JSON: {}}, description)
+def documented_json(description: str, example: dict[str, Any]) -> Documented:
+    """Responses of a route that gives a document that is no model."""
+    return documented_resource({JSON: {"example": example}}, description)
 
 
 def documented_page() -> Documented:

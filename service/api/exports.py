@@ -6,11 +6,11 @@ import json
 import tempfile
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from service.api import etags
+from service.api import etags, example_documents
 from service.api.problems import Documented
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
@@ -29,8 +29,8 @@ TYPES = {
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
-def _documented(*formats: str) -> Documented:
-    content = {TYPES[f].partition(";")[0]: ({} if f == "json" else _BINARY) for f in formats}
+def _documented(example: dict[str, Any], *formats: str) -> Documented:
+    content = {TYPES[f].partition(";")[0]: ({"example": example} if f == "json" else _BINARY) for f in formats}
     return etags.documented_resource(content, "The file")
 
 
@@ -38,7 +38,9 @@ Plane = Annotated[Literal["x", "y"], Query(description="Plane of the rig.")]
 
 
 @router.get(
-    "/models/{model_id}/export/state-space", response_class=Response, responses=_documented("json", "csv", "mat")
+    "/models/{model_id}/export/state-space",
+    response_class=Response,
+    responses=_documented(example_documents.LINEAR_FILE, "json", "csv", "mat"),
 )
 def export_state_space(
     model_id: ModelId,
@@ -68,7 +70,7 @@ def export_state_space(
 @router.get(
     "/experiments/{experiment_id}/export/responses",
     response_class=Response,
-    responses=_documented("json", "csv", "mat", "uff"),
+    responses=_documented(example_documents.RESPONSES_FILE, "json", "csv", "mat", "uff"),
 )
 def export_responses(
     experiment_id: ExperimentId,

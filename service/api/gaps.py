@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 from pydantic import ConfigDict
 
-from service.api import etags, examples
+from service.api import etags, example_documents, examples
 from service.api.problems import documented
 from service.api.shapes import After, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
@@ -83,7 +83,7 @@ def get_gap(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = N
 @router.get(
     "/{gap_id}/gap.json",
     response_class=Response,
-    responses=etags.documented_json("The diagnosis, amb-gap-report"),
+    responses=etags.documented_json("The diagnosis, amb-gap-report", example_documents.GAP),
 )
 def get_gap_document(gap_id: GapId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The whole diagnosis."""

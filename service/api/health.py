@@ -69,6 +69,30 @@ class HealthDocument(HealthShape):
 class TrendShape(Shape):
     """Every monitored figure of a rig over its checks."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "rig": examples.RIG,
+                    "checks": [examples.HEALTH],
+                    "series": {
+                        "x.kiA": {
+                            "at": [examples.TIME],
+                            "change_percent": [-0.04],
+                            "std_percent": [0.05],
+                            "baseline_std_percent": 0.01,
+                            "drifted": [False],
+                            "slope_percent_per_year": None,
+                            "slope_std_percent_per_year": None,
+                            "slope_significance": None,
+                            "drifting": False,
+                        }
+                    },
+                },
+            ]
+        }
+    )
+
     rig: str
     checks: list[str]
     """Ids, oldest first."""

@@ -10,6 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import ConfigDict
 
 from service.api import etags, examples
+from service.api import example_documents as documents
 from service.api.problems import documented
 from service.api.shapes import (
     After,
@@ -75,6 +76,19 @@ class ModelShape(Shape):
 class HistoryEntry(Shape):
     """Figures of one model."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "model": examples.MODEL,
+                    "experiment": examples.EXPERIMENT,
+                    "created_at": examples.TIME,
+                    "planes": {"x": {"kiA": {"value": 181.0, "std": 0.02, "unit": "N/A", "nominal": 340.0}}},
+                },
+            ]
+        }
+    )
+
     model: str
     experiment: str
     created_at: Time
@@ -125,7 +139,7 @@ async def get_model(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfN
 @router.get(
     "/models/{model_id}/result.json",
     response_class=Response,
-    responses=etags.documented_json("The result, amb-commissioning-result"),
+    responses=etags.documented_json("The result, amb-commissioning-result", documents.RESULT),
 )
 async def get_result(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """The whole result of the identification."""
@@ -147,7 +161,7 @@ async def get_report(model_id: ModelId, who: Viewer, api: Api, if_none_match: If
 @router.get(
     "/models/{model_id}/curves.json",
     response_class=Response,
-    responses=etags.documented_json("All curves, amb-model-curves"),
+    responses=etags.documented_json("All curves, amb-model-curves", documents.CURVES),
 )
 async def get_curves(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """Frequency response, Nyquist and step of every plane, for plotting."""
@@ -192,7 +206,7 @@ def _curve(api: Api, model_id: str, name: str, plane: str | None, if_none_match:
 @router.get(
     "/models/{model_id}/frequency-response",
     response_model=dict[str, Any],
-    responses=etags.documented_resource(),
+    responses=etags.documented_json("Response by plane", documents.BODE),
 )
 def get_frequency_response(
     model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
@@ -201,7 +215,11 @@ def get_frequency_response(
     return _curve(api, model_id, "frequency_response", plane, if_none_match)
 
 
-@router.get("/models/{model_id}/nyquist", response_model=dict[str, Any], responses=etags.documented_resource())
+@router.get(
+    "/models/{model_id}/nyquist",
+    response_model=dict[str, Any],
+    responses=etags.documented_json("Loop by plane", documents.NYQUIST),
+)
 def get_nyquist(
     model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
 ) -> Response:
@@ -209,7 +227,11 @@ def get_nyquist(
     return _curve(api, model_id, "nyquist", plane, if_none_match)
 
 
-@router.get("/models/{model_id}/step", response_model=dict[str, Any], responses=etags.documented_resource())
+@router.get(
+    "/models/{model_id}/step",
+    response_model=dict[str, Any],
+    responses=etags.documented_json("Step response by plane", documents.STEP),
+)
 def get_step(
     model_id: ModelId, who: Viewer, api: Api, plane: Plane = None, if_none_match: IfNoneMatch = None
 ) -> Response:
@@ -217,7 +239,11 @@ def get_step(
     return _curve(api, model_id, "step", plane, if_none_match)
 
 
-@router.get("/models/{model_id}/state-space", response_model=dict[str, Any], responses=etags.documented_resource())
+@router.get(
+    "/models/{model_id}/state-space",
+    response_model=dict[str, Any],
+    responses=etags.documented_json("Matrices by plane", documents.STATE_SPACE),
+)
 def get_state_space(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfNoneMatch = None) -> Response:
     """Plant and amplifiers in state space, continuous time, modal form, by plane."""
     row = _row(api, model_id)

@@ -102,6 +102,21 @@ class RigShape(Shape):
 class RigVersionShape(Shape):
     """A rig as it was from one time to the next."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "version": 2,
+                    "controller_url": "modbus://10.0.0.7:502?unit=1",
+                    "datasheet": examples.RIG_TOML,
+                    "note": "sensors exchanged",
+                    "created_at": examples.TIME,
+                    "created_by": "lab bench",
+                },
+            ]
+        }
+    )
+
     version: int
     controller_url: str
     datasheet: str

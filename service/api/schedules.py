@@ -44,6 +44,10 @@ router = APIRouter(prefix="/api/v1/schedules", tags=["schedules"])
 class WebhookWanted(Wanted):
     """Who is told of a check."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"url": "https://plant.example/hooks/amb", "on": "alarm", "secret": None}]}
+    )
+
     url: str = Field(max_length=1000, description="http or https; messages follow Standard Webhooks 1.0.0.")
     secret: str | None = Field(
         None,
@@ -80,6 +84,10 @@ class ScheduleWanted(Wanted):
 
 class WebhookShape(Shape):
     """Who is told of a check."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"url": "https://plant.example/hooks/amb", "on": "alarm", "secret": None}]}
+    )
 
     url: str
     on: str
@@ -126,6 +134,20 @@ class ScheduleShape(Shape):
 class RunShape(Shape):
     """One time at which a check was due."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "due_at": examples.TIME,
+                    "state": "missed",
+                    "detail": "the service was down",
+                    "job": None,
+                    "recorded_at": examples.TIME,
+                },
+            ]
+        }
+    )
+
     due_at: Time
     state: str
     """submitted, missed (the service was down) or refused (the rig could not be checked)."""
@@ -136,6 +158,24 @@ class RunShape(Shape):
 
 class DeliveryShape(Shape):
     """A message to a webhook, and what became of it."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": "whd_01k9abcdefghjkmnpqrstvwxyz",
+                    "health": examples.HEALTH,
+                    "url": "https://plant.example/hooks/amb",
+                    "state": "pending",
+                    "attempts": 1,
+                    "status_code": 503,
+                    "detail": "try again later",
+                    "created_at": examples.TIME,
+                    "updated_at": examples.TIME,
+                },
+            ]
+        }
+    )
 
     id: str
     health: str

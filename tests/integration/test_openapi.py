@@ -14,6 +14,7 @@ import sys
 from datetime import timedelta
 from pathlib import Path
 
+import httpx
 import pytest
 
 from service.access.keys import Scope
@@ -136,6 +137,62 @@ def test_the_client_reads_one_of_everything(described, tmp_path):
         assert {p.name for p in files.values()} == wanted | {"health.json", "health.html"}
         assert client.rigs.status(ids["rig_id"])["reachable"]
         client.rigs.stop(ids["rig_id"])
+
+
+def test_everything_that_is_sent_or_answered_has_an_example(described):
+    service, _, _ = described
+    document = httpx.get(f"{service.url}/openapi.json").json()
+    shapes = document["components"]["schemas"]
+
+    def shown(schema: dict) -> bool:
+        schema = shapes[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+        if "examples" in schema or "example" in schema or "const" in schema:
+            return True
+        if "oneOf" in schema or "anyOf" in schema:
+            return any(shown(s) for s in schema.get("oneOf", schema.get("anyOf")))
+        if schema.get("type") == "array":
+            return shown(schema["items"])
+        fields = schema.get("properties", {})
+        return shown(fields["items"]) if set(fields) == {"items", "next"} else False
+
+    silent = [
+        f"{method} {path} {where}"
+        for path, operations in document["paths"].items()
+        for method, operation in operations.items()
+        for where, part in [("body", operation.get("requestBody", {})), *operation["responses"].items()]
+        for kind, content in part.get("content", {}).items()
+        if kind.endswith("json") and "example" not in content and "examples" not in content
+        if not shown(content.get("schema", {}))
+    ]
+    assert silent == []
+
+
+def test_examples_of_a_models_documents_have_what_the_documents_have(described):
+    service, key, ids = described
+    paths = httpx.get(f"{service.url}/openapi.json").json()["paths"]
+    seen = 0
+    for path in (p for p in paths if p.startswith("/api/v1/models/{model_id}/")):
+        example = paths[path]["get"]["responses"]["200"]["content"].get("application/json", {}).get("example")
+        if example is None:
+            continue
+        url = service.url + path.format(**ids)
+        answer = httpx.get(url, params={"format": "json"}, headers={"Authorization": f"Bearer {key}"})
+        assert missing(example, answer.json()) == [], path
+        seen += 1
+    assert seen == 7
+
+
+def missing(example: object, real: object, at: str = "") -> list[str]:
+    """Names that an example has and the real document lacks."""
+    if not isinstance(example, dict):
+        return []
+    if not isinstance(real, dict):
+        return [] if real is None else [at]
+    return [
+        lost
+        for name, value in example.items()
+        for lost in ([f"{at}.{name}"] if name not in real else missing(value, real[name], f"{at}.{name}"))
+    ]
 
 
 @pytest.mark.timeout(HANGS_S + 60)
