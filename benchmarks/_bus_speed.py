@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import statistics
 import struct
@@ -87,9 +88,23 @@ def _driver(repetitions: int) -> float:
 
 
 def modbus(rounds: int = 5, repetitions: int = 5) -> tuple[float, float]:
-    """Bytes per second of the driver and of bare sockets, taken in turns in the same run."""
-    pairs = [(_driver(repetitions), _bare(repetitions)) for _ in range(rounds)]
+    """Bytes per second of the driver and of bare sockets, taken in turns in the same run.
+
+    Both pairs of processes have one core: where the scheduler puts them would else decide, by a factor of two.
+    """
+    with _one_core():
+        pairs = [(_driver(repetitions), _bare(repetitions)) for _ in range(rounds)]
     return statistics.median(d for d, _ in pairs), statistics.median(b for _, b in pairs)
+
+
+@contextmanager
+def _one_core() -> Iterator[None]:
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def sdo_block(bitrate: int = 1_000_000) -> tuple[float, float, float]:
