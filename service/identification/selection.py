@@ -291,12 +291,13 @@ def _needed(fewer: Refined, more: Refined, data: Data) -> bool:
 
     A rotor's mode is a statement and has to shorten the description of the data. One beyond the band only takes up
     what lies there: without it every figure is off by what it would have taken, so it is left out only where it may
-    well be nothing.
+    well be nothing. Where few blocks tell the noise, chance gains more: as much more as the squares are larger.
     """
+    n = _n_data(more, data)
+    gain = n * np.log(_data_cost(fewer, data) / _data_cost(more, data)) / more.noise.inflation
     if _beyond(more, data) > _beyond(fewer, data):
-        n = _n_data(more, data)
-        return bool(n * np.log(_data_cost(fewer, data) / _data_cost(more, data)) > BEYOND_GAIN)
-    return _score(more, data) < _score(fewer, data) - CLEAR
+        return bool(gain > BEYOND_GAIN)
+    return bool(gain > (more.fit.n_free - fewer.fit.n_free) * np.log(n) + CLEAR)
 
 
 def _beyond(refined: Refined, data: Data) -> int:
