@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import json
 import multiprocessing
 import statistics
+import subprocess
 import sys
 import tempfile
 import threading
@@ -174,11 +176,15 @@ def start(folder: Path, seconds: float) -> None:
 
 
 def workers(folder: Path, seconds: float) -> None:
-    """Identifications per second of four workers against one, on PostgreSQL."""
+    """Identifications per second of four workers against one, on PostgreSQL, and of bare processes without a service.
+
+    The bare ones tell what two cores are worth on this machine: often less than two of one, which share its memory.
+    """
     rate = {}
     with service(folder / "home", "postgresql", "--no-worker") as found:
         found.worker("w1")
         rig_id, experiment, _ = commissioned(found, folder)
+        measured = found.client.get(f"/api/v1/experiments/{experiment}/file").content
         for count in (1, 4):
             for k in range(len(found.workers), count):
                 found.worker(f"w{k + 1}")
@@ -192,7 +198,52 @@ def workers(folder: Path, seconds: float) -> None:
             _all_ended(found)
             rate[count] = n / (time.monotonic() - began)
             print(f"{count} workers on PostgreSQL: {n} identifications, {rate[count]:.2f} per second")
-    print(f"four workers against one: {rate[4] / rate[1]:.2f} times (>= 1.8)")
+    (folder / "experiment.h5").write_bytes(measured)
+    (folder / "rig.toml").write_text(reference_sheet(), encoding="utf-8")
+    bare = {count: _bare(folder, count, max(8, int(seconds / 2))) for count in (1, 2)}
+    gain, ceiling = rate[4] / rate[1], bare[2] / bare[1]
+    print(f"bare processes: one {bare[1]:.2f} per second, two {bare[2]:.2f}: {ceiling:.2f} times")
+    print(f"four workers against one: {gain:.2f} times (>= 1.8), {100 * gain / ceiling:.0f} % of what two cores give")
+
+
+def _bare(folder: Path, processes: int, each: int) -> float:
+    """Identifications per second of processes that calculate as a worker's do, with nothing around them."""
+    arguments = {
+        "experiment": str(folder / "experiment.h5"),
+        "rig": str(folder / "rig.toml"),
+        "out": str(folder / "bare"),
+        "name": "experiment.h5",
+    }
+    command = [sys.executable, "-m", "service.jobs.calculating"]
+    started = []
+    for k in range(processes):
+        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        started.append(
+            (child, json.dumps({"function": "identification", "arguments": arguments | {"out": f"{folder}/{k}"}}))
+        )
+    for child, request in started:  # they have loaded what they need
+        _asked(child, request, 1)
+    began = time.monotonic()
+    threads = [threading.Thread(target=_asked, args=(child, request, each)) for child, request in started]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    took = time.monotonic() - began
+    for child, _ in started:
+        child.communicate()
+    return processes * each / took
+
+
+def _asked(child: subprocess.Popen[str], request: str, times: int) -> None:
+    assert child.stdin is not None
+    assert child.stdout is not None
+    for _ in range(times):
+        child.stdin.write(request + "\n")
+        child.stdin.flush()
+        while "result" not in (said := json.loads(child.stdout.readline())):
+            if "progress" not in said:
+                raise RuntimeError(str(said))
 
 
 def _all_ended(found: Service) -> None:
