@@ -16,12 +16,9 @@ from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude, PlaneModel, Points, Prediction
 from service.identification.points import PlanePoints
-from service.identification.split import Knowledge, Split, held_rows
+from service.identification.split import Split, split_rows
 from service.identification.tolerances import Tolerances
 from service.identification.zoh import Complex, Real
-
-NEAR, FAR = 1.5, 10.0
-"""Displacement of a bearing over that of the sensors, at most: while modes are counted, and in the end."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +53,6 @@ class Refined:
     weights: Weights
     relative: float = 0.0
     """Relative model error that the weights allow for beside the noise."""
-    reach: float = FAR
-    """That of `amplitude_of`."""
 
 
 def residual_blocks(points: PlanePoints, i: Complex, y: Complex) -> Complex:
@@ -177,22 +172,13 @@ def _amplifier_residual(model: PlaneModel, points: PlanePoints, gradient: bool) 
     return points.i - i, d
 
 
-def amplitude_of(model: PlaneModel, at: PlanePoints | Points, reach: float = FAR, rounds: int = 3) -> Amplitude:
-    """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included.
-
-    Parameters
-    ----------
-    reach
-        No bearing is taken to move further than so many times what the sensors see: a shape whose split is not known
-        yet would put it anywhere, and the excess, cubic, with it.
-    """
+def amplitude_of(model: PlaneModel, at: PlanePoints | Points, rounds: int = 3) -> Amplitude:
+    """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included."""
     points = Points(at.omega, at.u)
     many, together = (at.many, at.together) if isinstance(at, PlanePoints) else (None, None)
-    limit = reach * np.linalg.norm(at.y, axis=1, keepdims=True) if isinstance(at, PlanePoints) else np.inf
 
     def now(p: Prediction) -> Amplitude:
-        x = p.x * np.minimum(1.0, limit / np.maximum(np.abs(p.x), 1e-30))
-        return Amplitude(p.coil, x, together, None if many is None else many.products(p.coil, x))
+        return Amplitude(p.coil, p.x, together, None if many is None else many.products(p.coil, p.x))
 
     p = model.predict(points)
     for _ in range(rounds):
@@ -207,10 +193,9 @@ def refine(
     *,
     relative: float = 0.0,
     nonlinear: bool = True,
-    split: Split | Knowledge | None = None,
+    split: Split | None = None,
     weights: Weights | None = None,
     max_iterations: int = 60,
-    reach: float = FAR,
 ) -> Refined:
     """Model that is most likely under the measured noise.
 
@@ -223,11 +208,9 @@ def refine(
     nonlinear
         Whether the force law's excess at the measured amplitudes is taken into account.
     split
-        Where to hold the modes' splits, which the data hardly tell, or what is known of them.
+        Where to hold the modes' splits, which the data hardly tell.
     weights
         Whitening to use; by default that of the start, and once more that of the outcome.
-    reach
-        See `amplitude_of`.
     """
     rounds = (2 if nonlinear else 1) if relative or weights is not None else (3 if nonlinear else 2)
     fit: Fit | None = None
@@ -236,7 +219,7 @@ def refine(
     noise: NoiseModel | None = None
     for _ in range(rounds):
         if nonlinear:
-            amplitude = amplitude_of(model, data.plant, reach)
+            amplitude = amplitude_of(model, data.plant)
         if weights is None:
             now, noise = weights_of(model, data, amplitude, relative)
         assert now is not None
@@ -246,7 +229,7 @@ def refine(
         noise = noise_of(model, data.plant, amplitude)
     assert fit is not None
     assert now is not None
-    return Refined(model, fit, noise, amplitude, now, relative, reach)
+    return Refined(model, fit, noise, amplitude, now, relative)
 
 
 def _minimise(
@@ -255,7 +238,7 @@ def _minimise(
     weights: Weights,
     amplitude: Amplitude | None,
     free: NDArray[np.bool_],
-    split: Split | Knowledge | None,
+    split: Split | None,
     max_iterations: int,
 ) -> Fit:
     def residual(theta: Real, gradient: bool) -> tuple[Real, Real | None] | None:
@@ -264,7 +247,7 @@ def _minimise(
             return None
         r, j = residuals(trial, data, weights, amplitude, gradient)
         if split is not None and trial.layout.n_modes:
-            more, slope = held_rows(trial, split)
+            more, slope = split_rows(trial, split)
             r = np.concatenate([r, more])
             j = None if j is None else np.concatenate([j, slope])
         return r, j
