@@ -211,7 +211,6 @@ def _bare(folder: Path, processes: int, each: int) -> float:
     arguments = {
         "experiment": str(folder / "experiment.h5"),
         "rig": str(folder / "rig.toml"),
-        "out": str(folder / "bare"),
         "name": "experiment.h5",
     }
     command = [sys.executable, "-m", "service.jobs.calculating"]
@@ -219,7 +218,7 @@ def _bare(folder: Path, processes: int, each: int) -> float:
     for k in range(processes):
         child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(
-            (child, json.dumps({"function": "identification", "arguments": arguments | {"out": f"{folder}/{k}"}}))
+            (child, json.dumps({"function": "identification", "arguments": arguments | {"out": str(folder / str(k))}}))
         )
     for child, request in started:  # they have loaded what they need
         _asked(child, request, 1)

@@ -140,8 +140,9 @@ class Fitter:
     def __init__(self, jobs: int = 1, fitted: Callable[[], None] = lambda: None) -> None:
         self._fitted = fitted
         self._pool = workers(jobs) if jobs > 1 else None
-        for _ in range(jobs if self._pool else 0):
-            self._pool.submit(_load)  # type: ignore[union-attr]
+        if self._pool:
+            for _ in range(jobs):
+                self._pool.submit(_load)
 
     def __enter__(self) -> Fitter:
         return self
@@ -153,9 +154,8 @@ class Fitter:
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
         """Fit all; a candidate that no start leads to a rig for is left out."""
         tasks = list(tasks)
-        order = sorted(
-            range(len(tasks)), key=lambda k: -_labour(tasks[k])
-        )  # the longest first: none is waited for alone
+        # the longest first, so that none is waited for alone
+        order = sorted(range(len(tasks)), key=lambda k: -_labour(tasks[k]))
         mapped = self._mapped([tasks[k] for k in order])
         found: dict[int, Candidate | None] = {}
         for k in order:

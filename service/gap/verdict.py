@@ -149,7 +149,7 @@ def decide(order: Sequence[Ranked], remaining: float, closure: float | None, sig
     bent = len(effects) > 1 or at_the_end_of_its_range(best.candidate)
     allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
     of_one_sweep = max(best.shares[::2], default=0.0)  # one that explains another sweep only explains neither
-    if remaining > 6.0 and (max(best.unexplained / allowed, of_one_sweep / UNEXPLAINED) > 1 or closed < CLOSES):
+    if remaining > 6.0 and (best.unexplained > allowed or of_one_sweep > UNEXPLAINED or closed < CLOSES):
         share = min(max(best.unexplained, of_one_sweep, 1 - closed), 1.0)
         reason = f"the best explanation, {' + '.join(effects)}, leaves {100 * share:.0f} % of the gap"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))

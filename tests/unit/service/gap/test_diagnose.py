@@ -31,14 +31,22 @@ def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect", "values", "path"),
+    ("effect", "values", "path", "within"),
     [
-        ("loop_delay", {"delay_s": 2e-5}, "amplifier"),
-        ("amplifier_bandwidth", {"frequency_change": 0.06, "damping_change": -0.05, "lag_s": 1.5e-6}, "amplifier"),
-        ("magnetic_saturation", {"saturation_inverse_per_a": 0.6}, "plant"),
+        ("loop_delay", {"delay_s": 2e-5}, "amplifier", 0.05),
+        # the datasheet's own tolerances, 1 % of the frequency and 2 % of the damping, are in these changes
+        (
+            "amplifier_bandwidth",
+            {"frequency_change": 0.06, "damping_change": -0.05, "lag_s": 1.5e-6},
+            "amplifier",
+            0.25,
+        ),
+        ("magnetic_saturation", {"saturation_inverse_per_a": 0.6}, "plant", 0.05),
     ],
 )
-def test_a_withheld_effect_is_named_measured_and_closed(effect: str, values: dict[str, float], path: str) -> None:
+def test_a_withheld_effect_is_named_measured_and_closed(
+    effect: str, values: dict[str, float], path: str, within: float
+) -> None:
     datasheet, truth = known_datasheet(seed=2)
     d = diagnose(experiment(with_effects(true_rig(truth), {effect: values})), datasheet)
     report = d.to_dict()
@@ -47,9 +55,9 @@ def test_a_withheld_effect_is_named_measured_and_closed(effect: str, values: dic
     assert report["shrinkage"]["closure"] > 0.95
     found = report["candidates"][0]["parameters"]
     for name, value in values.items():
-        assert found[name]["value"] == pytest.approx(value, rel=0.05, abs=2 * found[name]["std"])
+        assert found[name]["value"] == pytest.approx(value, rel=within)
         assert abs(found[name]["value"] - value) < 4 * found[name]["std"]
-        assert found[name]["std"] < 0.25 * abs(value)
+        assert found[name]["std"] < within * abs(value)
 
 
 def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:

@@ -14,9 +14,8 @@ RIG = reference_rig()
 
 
 def explanation(effects: tuple[str, ...], evidence: float, left: float, shares: tuple[float, ...]) -> Ranked:
-    values = tuple({"time_constant_s": 1e-5} if e == "sensor_lag" else {} for e in effects)
     groups = ((1.0, 1), (1.0, 1))
-    fit = Fit(effects, np.zeros(1), values, RIG, groups, 0.0, np.arange(1), np.eye(1), "converged")
+    fit = Fit(effects, np.zeros(1), tuple({} for _ in effects), RIG, groups, 0.0, np.arange(1), np.eye(1), "converged")
     return Ranked(Candidate(effects, fit, 0.0, tuple({} for _ in effects)), evidence, 0.9, left, shares)
 
 

@@ -1,0 +1,39 @@
+"""A drift that was found is stated over the time that the experiment took."""
+
+import numpy as np
+import pytest
+
+from service.gap.candidates import Candidate
+from service.gap.compose import Composition, dated
+from service.gap.fit import Fit
+from service.gap.verdict import Ranked
+from sim.effects import CATALOGUE
+from sim.reference import reference_rig
+
+RIG, DRIFT = reference_rig(), CATALOGUE["thermal_drift"]
+FOUND = {"ki_change": -0.04, "ks_change": -0.02, "duration_s": 300.0, "curvature": 0.0}
+
+
+def found() -> Composition:
+    fit = Fit(("thermal_drift",), np.zeros(1), (FOUND,), DRIFT.on(RIG, **FOUND), (), 0.0, np.arange(1), np.eye(1), "")
+    spread = (dict.fromkeys(FOUND, 0.001),)
+    return Composition((Ranked(Candidate(fit.effects, fit, 0.0, spread), 0.0, 1.0, 0.0),))
+
+
+@pytest.mark.parametrize(("campaign_s", "stated_s"), [(1200.0, 1200.0), (72_000.0, 36_000.0)])
+def test_its_rate_is_that_of_the_campaign_and_its_time_one_that_a_twin_takes(
+    campaign_s: float, stated_s: float
+) -> None:
+    candidate = dated(found(), RIG, campaign_s).order[0].candidate
+    values = candidate.fit.values[0]
+    assert values["duration_s"] == stated_s
+    for name in ("ki_change", "ks_change"):
+        assert values[name] / stated_s == pytest.approx(FOUND[name] / campaign_s)
+    assert candidate.standard_deviations[0]["duration_s"] == 0.0
+    DRIFT.on(RIG, **values)
+
+
+def test_without_a_clock_or_beside_a_drift_of_the_datasheet_it_stays_as_it_is() -> None:
+    assert dated(found(), RIG, None).order[0].candidate.fit.values[0] == FOUND
+    drifting = DRIFT.on(RIG, **FOUND)
+    assert dated(found(), drifting, 1200.0).order[0].candidate.fit.values[0] == FOUND
