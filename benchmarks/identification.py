@@ -16,13 +16,14 @@ import _peers
 import numpy as np
 
 from service.experiment.data import Experiment
+from service.identification.combine import levitated_frequencies
 from service.identification.fit import fit_plane, identify
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.points import plane_points
 from service.identification.refine import Data, Refined, Weights, amplitude_of, refine
 from service.identification.result import PlaneResult
-from service.identification.selection import modes_from, with_modes, with_split
 from service.identification.split import Posterior, Split, log_ratios
+from service.identification.start import joint_start, with_split
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
 from sim.datasheet import Datasheet, Mode, Tolerance
@@ -39,7 +40,7 @@ def frequencies() -> np.ndarray:
 
 def figures(model: PlaneModel) -> np.ndarray:
     w = model.natural_frequencies
-    return np.concatenate([model.ki, model.ks, w[:2], model.modes[:2, 0], model.damping_ratios[:2]])
+    return np.concatenate([model.ki, model.ks, w[:2], levitated_frequencies(model)[:2], model.damping_ratios[:2]])
 
 
 def of_result(plane: PlaneResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -195,7 +196,7 @@ def beside(noise: float, data_sets: int = 5) -> None:
 def joint_fit(data: Experiment, sheet: Datasheet) -> tuple[float, PlaneModel]:
     """CPU of one joint fit from where the staged steps end, amplifiers and noise known, and its model."""
     found = fit_plane(data.main, None, None, sheet.axes, "x", sheet)
-    start = with_modes(found.staged.rigid_model, modes_from(found.staged.search[1], found.staged.rigid_model.ki))
+    start = joint_start(found.staged.rigid_model, found.staged.rational, found.data.plant, found.plant)
     best = found.selected.refined.model
     split = Split(log_ratios(best))
     start = with_split(start, split.log_ratios)

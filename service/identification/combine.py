@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real
@@ -62,6 +63,20 @@ def plant_poles(model: PlaneModel) -> Complex:
     """Poles of the levitated plant without controller: unstable rigid ones first, then by magnitude."""
     poles = np.linalg.eigvals(physical_matrices(model)[0])
     return np.asarray(poles[np.lexsort((-poles.imag, -poles.real, np.round(np.abs(poles), 6)))], dtype=np.complex128)
+
+
+def levitated_frequencies(model: PlaneModel) -> Real:
+    """Magnitude of the pole of the levitated plant that belongs to each mode, rad/s, (n,).
+
+    The position stiffness couples the modes: on a heavy flexible rotor this is off what a mode has by itself.
+    """
+    nu = model.modes[:, 0]
+    poles = plant_poles(model)
+    size = np.abs(poles[poles.imag > 0])
+    mode, pole = linear_sum_assignment(np.abs(np.log(size[None, :] / nu[:, None])))
+    out = nu.copy()  # an overdamped mode has no pair
+    out[mode] = size[pole]
+    return out
 
 
 def transmission_zeros(model: PlaneModel) -> Complex:

@@ -9,7 +9,7 @@ import numpy as np
 
 from service.identification import amplifier as amp
 from service.identification.amplifier_fit import AmplifierFit
-from service.identification.combine import plant_poles
+from service.identification.combine import levitated_frequencies, plant_poles
 from service.identification.evidence import Evidence
 from service.identification.noise import block_noise
 from service.identification.plane_model import PlaneModel
@@ -38,9 +38,9 @@ def modes(model: PlaneModel, u: Uncertainty, points: PlanePoints) -> tuple[ModeR
         return ()
 
     def figures(m: PlaneModel) -> Real:
-        modes = m.modes
-        levitated = modes[:, 0]
-        return np.concatenate([m.natural_frequencies, m.damping_ratios, levitated, modes[:, 2:6].ravel()])
+        return np.concatenate(
+            [m.natural_frequencies, m.damping_ratios, levitated_frequencies(m), m.modes[:, 2:6].ravel()]
+        )
 
     units = ["rad/s"] * n + [""] * n + ["rad/s"] * n + ["1/sqrt(kg)"] * (4 * n)
     found = estimates(model, u, figures, units)

@@ -18,6 +18,7 @@ from service.identification.rotating import speeds_of, turned
 from service.identification.selection import Selected, choose_modes
 from service.identification.split import Knowledge
 from service.identification.staged import StagedFit, staged_fit
+from service.identification.start import joint_start
 from service.identification.tolerances import Tolerances
 from service.identification.transient import Transient, settled, told
 from sim.datasheet import Datasheet
@@ -185,10 +186,9 @@ def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options
     gain = start.amplifier_response(u_to_y.omega)
     plant = FrequencyResponse(u_to_y.omega, u_to_y.value / gain[:, None, :], u_to_y.std / np.abs(gain)[:, None, :])
     staged = staged_fit(start, points, plant)
-    knowledge = split_knowledge(datasheet, options)
-    selected = choose_modes(
-        staged.rigid_model, data, plant, staged.search, staged.n_modes, staged.lowest_mode_rad_s, knowledge
-    )
+    knowledge = replace(split_knowledge(datasheet, options), end_rad_s=float(points.omega.max()))
+    begin = joint_start(staged.rigid_model, staged.rational, points, plant)
+    selected = choose_modes(begin, data, plant, staged.lowest_mode_rad_s, knowledge)
     return FittedPlane(data, None, u_to_y, plant, fits, staged, selected)
 
 

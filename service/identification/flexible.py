@@ -149,6 +149,12 @@ def search(
     return models
 
 
+def residues_at(omega: Real, left: Complex, weight: Real, nu: Real, sigma: Real) -> PoleResidue:
+    """Residues of (F, 2, 2) by least squares weighted line by line, (F,), the poles given."""
+    whole = np.broadcast_to(weight[:, None, None], left.shape)
+    return _fitted(omega, left * whole, np.asarray(whole), nu, sigma)
+
+
 def _fitted(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real) -> PoleResidue:
     """Residues by linear least squares, entry by entry, the poles given."""
     basis = _both(omega, nu, sigma)
@@ -175,6 +181,18 @@ def _polished(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real)
     step = np.concatenate([np.full(n, 3e-3), np.full(n, 2.5)])
     z = least_squares(rest, np.zeros(2 * n), bounds=(-step, step), max_nfev=6, x_scale=step).x
     return nu * (1 + z[:n]), sigma * np.exp(z[n:])
+
+
+def is_visible(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:
+    """Whether a pole is a peak within the band, wide enough for the lines around it to tell."""
+    in_band = nu_rad_s <= omega.max()
+    return bool(in_band and sigma_rad_s < 0.2 * nu_rad_s and tells(nu_rad_s, sigma_rad_s, omega))
+
+
+def tells(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:
+    """Whether a peak is damped, and wide enough for the lines around it to tell."""
+    near = float(np.sort(np.abs(np.unique(omega) - nu_rad_s))[:2].mean())
+    return bool(sigma_rad_s > 1e-5 * nu_rad_s and sigma_rad_s > 0.02 * near)
 
 
 def shapes_of(residue: Real, ki: Real) -> tuple[Real, Real]:

@@ -8,18 +8,17 @@ import numpy as np
 
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.evidence import Evidence
-from service.identification.plane_model import PlaneModel, Points
+from service.identification.plane_model import Amplitude, PlaneModel, Points
 from service.identification.points import PlanePoints, same_frequency
-from service.identification.refine import Refined, amplitude_of, noise_of
+from service.identification.refine import FAR, NEAR, Refined, amplitude_of, noise_of
 from service.identification.selection import Selected
 from service.identification.validation import CorrelationTest, independence, nrmse_matrix, whiteness
 from service.identification.zoh import Complex, Real
 
 
-def frequency_fit(model: PlaneModel, points: PlanePoints, refined: Refined | None = None) -> tuple[Real, Complex]:
+def frequency_fit(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> tuple[Real, Complex]:
     """NRMSE of u->y per entry at the measured amplitudes, and the model's response there, (F, 2, 2)."""
     measured = etfe(points, "u->y")
-    amplitude = refined.amplitude if refined is not None else amplitude_of(model, points)
     y = model.predict(Points(points.omega, points.u), amplitude).y
     groups = [g for g in same_frequency(points.omega) if len(np.unique(points.axis[g])) == 2]
     response = np.stack([y[g].T @ np.linalg.pinv(points.u[g].T) for g in groups])
@@ -27,13 +26,16 @@ def frequency_fit(model: PlaneModel, points: PlanePoints, refined: Refined | Non
 
 
 def cross_validation(
-    model: PlaneModel, points: PlanePoints | None
+    model: PlaneModel, points: PlanePoints | None, reach: float = FAR
 ) -> tuple[Real | None, Real | None, FrequencyResponse | None, Complex | None]:
-    """Fit and rms/sigma on points that no step of the fit has seen, the response there, measured and of the model."""
+    """Fit and rms/sigma on points that no step of the fit has seen, the response there, measured and of the model.
+
+    ``reach``: that of `refine.amplitude_of`.
+    """
     if points is None:
         return None, None, None, None
     groups = [g for g in same_frequency(points.omega) if len(np.unique(points.axis[g])) == 2]
-    amplitude = amplitude_of(model, points)
+    amplitude = amplitude_of(model, points, reach)
     y = model.predict(Points(points.omega, points.u), amplitude).y
     sigma = noise_of(model, points, amplitude).sigma[:, -2:]
     e = np.abs(points.y - y) / sigma
@@ -43,7 +45,7 @@ def cross_validation(
             rms[:, k] = np.sqrt(np.mean(e[points.axis == k] ** 2, axis=0))
     if len(groups) < 3:
         return None, rms, None, None
-    fit, response = frequency_fit(model, points)
+    fit, response = frequency_fit(model, points, amplitude)
     return fit, rms, etfe(points, "u->y"), response
 
 
@@ -75,9 +77,9 @@ def unseen_modes(selected: Selected, points: PlanePoints | None) -> tuple[Eviden
         return selected.evidence
     # one noise for all of them: that of the chosen model
     chosen = selected.refined.model
-    sigma = noise_of(chosen, points, amplitude_of(chosen, points)).sigma[:, -2:]
+    sigma = noise_of(chosen, points, amplitude_of(chosen, points, NEAR)).sigma[:, -2:]
     out = []
     for e, model in zip(selected.evidence, selected.candidates, strict=True):
-        y = model.predict(Points(points.omega, points.u), amplitude_of(model, points)).y
+        y = model.predict(Points(points.omega, points.u), amplitude_of(model, points, NEAR)).y
         out.append(replace(e, unseen_rms=float(np.sqrt(np.mean(np.abs((points.y - y) / sigma) ** 2)))))
     return tuple(out)

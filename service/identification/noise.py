@@ -19,6 +19,10 @@ from scipy.special import digamma, gammaincinv, polygamma
 from service.identification.zoh import Complex, Real
 
 NEIGHBOURS = 12
+ESTIMATED_WEIGHTS = 1.06
+"""What whitening with an estimated instead of the true covariance makes of a mean square of 1 in six-block data."""
+INDEPENDENT = 1.5
+"""Times as many as these are independent in a mean over neighbours, whose weights are triangular."""
 CHANCE = 1e-3
 """Share of the frequencies that chance alone may take for noisier than their neighbours."""
 DRIFT = 3.0
@@ -35,6 +39,9 @@ class NoiseModel:
     """How many blocks' worth of weight the neighbours have; inf when all points are alike."""
     drifting: NDArray[np.bool_]
     """(P,) points at which the blocks still change steadily: a transient was not over."""
+    inflation: float = ESTIMATED_WEIGHTS
+    """Mean square of residuals in units of these deviations, at most, where it would be 1 in units of the true ones:
+    few blocks tell a variance badly, and the mean of 1/s^2 is above 1/sigma^2."""
 
     @property
     def sigma(self) -> Real:
@@ -83,7 +90,7 @@ def block_noise(
     own = own / trend
     # a point's blocks are as long for every channel: what all channels share is told apart first
     level = np.exp(_smooth(np.log(own), order, NEIGHBOURS) - _log_bias(dof))
-    shared, _ = _drawn_together(np.mean(own / level, axis=1, keepdims=True), order, dof * channels)
+    shared, prior_shared = _drawn_together(np.mean(own / level, axis=1, keepdims=True), order, dof * channels)
     pooled = _smooth(own / shared, order, NEIGHBOURS) * shared
     ratio, prior = _drawn_together(own / pooled, order, dof)
     own, variance = own * trend, ratio * pooled * trend
@@ -116,7 +123,9 @@ def block_noise(
     else:
         covariance[:, np.arange(channels), np.arange(channels)] = variance
     alike = float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf")
-    return NoiseModel(covariance / blocks, alike, np.any(drifting, axis=1))
+    freedom = np.array([dof * channels + prior_shared, dof + prior])
+    inflation = _weights_allowance(blocks) * float(np.prod(1.0 + 1.0 / np.maximum(freedom - 1.0, 1.0)))
+    return NoiseModel(covariance / blocks, alike, np.any(drifting, axis=1), inflation)
 
 
 def _own_where_larger(variance: Real, own: Real, omega: Real, dof: int) -> Real:
@@ -161,21 +170,40 @@ def _mean_factor(unit: Complex, order: NDArray[np.int64]) -> Real:
         return np.ones((unit.shape[0], unit.shape[2]))
     s0 = _smooth(np.sum(np.abs(unit) ** 2, axis=1), order, NEIGHBOURS)
     s1 = _smooth(np.sum(unit[:, 1:] * unit[:, :-1].conj(), axis=1).real, order, NEIGHBOURS)
-    # what demeaned blocks show of a covariance gamma0 I + gamma1 T, T the first off-diagonals
-    centre = np.eye(blocks) - 1.0 / blocks
-    shift = 0.5 * (np.eye(blocks, k=1) + np.eye(blocks, k=-1))
-    neighbours = 2 * shift
-    inner = centre @ shift @ centre
-    shown = np.array(
-        [[np.trace(centre), np.trace(centre @ neighbours)], [np.trace(inner), np.trace(inner @ neighbours)]]
-    )
+    shown, chance = _lag_one(blocks)
     gamma = np.linalg.solve(shown, np.stack([s0.ravel(), s1.ravel()])).reshape(2, *s0.shape)
     rho = gamma[1] / np.maximum(gamma[0], 1e-12)
-    count = min(unit.shape[0], 1.3 * NEIGHBOURS) * blocks
-    chance = 1.0 / (2.0 * count)  # a complex product's real part
+    chance = chance / min(unit.shape[0], INDEPENDENT * NEIGHBOURS)
     rho = np.clip(rho * np.clip(1.0 - 2.0 * chance / np.maximum(rho**2, 1e-12), 0.0, 1.0), -0.5, 0.9)
     level = (blocks - 1) / (blocks - 1 - 2 * (1 - 1 / blocks) * rho)  # gamma0 per demeaned variance
     return np.asarray(level * (1 + 2 * (1 - 1 / blocks) * rho))
+
+
+def _lag_one(blocks: int) -> tuple[Real, float]:
+    """What demeaned blocks show of a covariance gamma0 I + gamma1 T, T the first off-diagonals, and how well.
+
+    Returns
+    -------
+    shown, variance
+        (2, 2) mean power and lag-one product per (gamma0, gamma1), and the variance of gamma1/gamma0 by one channel of
+        one point where there is no correlation: of z^H A z it is tr A^2.
+    """
+    centre = np.eye(blocks) - 1.0 / blocks
+    shift = 0.5 * (np.eye(blocks, k=1) + np.eye(blocks, k=-1))
+    inner = centre @ shift @ centre
+    shown = np.array(
+        [[np.trace(centre), np.trace(centre @ (2 * shift))], [np.trace(inner), np.trace(inner @ (2 * shift))]]
+    )
+    of_rho = np.linalg.inv(shown)[1]
+    form = centre @ (of_rho[0] * np.eye(blocks) + of_rho[1] * shift) @ centre
+    return shown, float(np.sum(form**2))
+
+
+def _weights_allowance(blocks: int) -> float:
+    """What the correlation of few blocks, which is estimated, makes of a mean square of 1."""
+    if blocks < 4:
+        return ESTIMATED_WEIGHTS
+    return 1.0 + (ESTIMATED_WEIGHTS - 1.0) * _lag_one(blocks)[1] / _lag_one(6)[1]
 
 
 def _drifting(spread: Complex, own: Real, order: NDArray[np.int64]) -> NDArray[np.bool_]:

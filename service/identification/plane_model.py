@@ -230,7 +230,9 @@ class PlaneModel:
             np.delete(t[s][1:], 1) * self.known.sample_time_s < 20 for s in self.layout.amplifiers if len(t[s]) > 2
         ]
         m = self.modes
-        ok = bool(np.all(np.concatenate(positive)) and np.all(m[:, 0] > 0) and np.all(m[:, 1] > -0.2 * m[:, 0]))
+        ok = bool(np.all(np.concatenate(positive)) and np.all((m[:, 1] > -0.2 * m[:, 0]) & (m[:, 1] < m[:, 0])))
+        # a mode far beyond what is sampled is a constant, and its frequency runs away
+        ok = ok and bool(np.all((m[:, 0] > 0) & (m[:, 0] * self.known.sample_time_s < 20)))
         return ok and bool(np.all(np.isfinite(t))) and abs(self.delay_s) < 20 * self.known.sample_time_s
 
     def sensor_response(self, omega: Real) -> Complex:

@@ -16,9 +16,12 @@ from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude, PlaneModel, Points, Prediction
 from service.identification.points import PlanePoints
-from service.identification.split import Split, split_rows
+from service.identification.split import Knowledge, Split, held_rows
 from service.identification.tolerances import Tolerances
 from service.identification.zoh import Complex, Real
+
+NEAR, FAR = 1.5, 10.0
+"""Displacement of a bearing over that of the sensors, at most: while modes are counted, and in the end."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,8 @@ class Refined:
     weights: Weights
     relative: float = 0.0
     """Relative model error that the weights allow for beside the noise."""
+    reach: float = FAR
+    """That of `amplitude_of`."""
 
 
 def residual_blocks(points: PlanePoints, i: Complex, y: Complex) -> Complex:
@@ -172,13 +177,22 @@ def _amplifier_residual(model: PlaneModel, points: PlanePoints, gradient: bool) 
     return points.i - i, d
 
 
-def amplitude_of(model: PlaneModel, at: PlanePoints | Points, rounds: int = 3) -> Amplitude:
-    """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included."""
+def amplitude_of(model: PlaneModel, at: PlanePoints | Points, reach: float = FAR, rounds: int = 3) -> Amplitude:
+    """Amplitudes at the bearings that the model sees at the measured u, the force law's excess included.
+
+    Parameters
+    ----------
+    reach
+        No bearing is taken to move further than so many times what the sensors see: a shape whose split is not known
+        yet would put it anywhere, and the excess, cubic, with it.
+    """
     points = Points(at.omega, at.u)
     many, together = (at.many, at.together) if isinstance(at, PlanePoints) else (None, None)
+    limit = reach * np.linalg.norm(at.y, axis=1, keepdims=True) if isinstance(at, PlanePoints) else np.inf
 
     def now(p: Prediction) -> Amplitude:
-        return Amplitude(p.coil, p.x, together, None if many is None else many.products(p.coil, p.x))
+        x = p.x * np.minimum(1.0, limit / np.maximum(np.abs(p.x), 1e-30))
+        return Amplitude(p.coil, x, together, None if many is None else many.products(p.coil, x))
 
     p = model.predict(points)
     for _ in range(rounds):
@@ -193,9 +207,10 @@ def refine(
     *,
     relative: float = 0.0,
     nonlinear: bool = True,
-    split: Split | None = None,
+    split: Split | Knowledge | None = None,
     weights: Weights | None = None,
     max_iterations: int = 60,
+    reach: float = FAR,
 ) -> Refined:
     """Model that is most likely under the measured noise.
 
@@ -208,9 +223,11 @@ def refine(
     nonlinear
         Whether the force law's excess at the measured amplitudes is taken into account.
     split
-        Where to hold the modes' splits, which the data hardly tell.
+        Where to hold the modes' splits, which the data hardly tell, or what is known of them.
     weights
         Whitening to use; by default that of the start, and once more that of the outcome.
+    reach
+        See `amplitude_of`.
     """
     rounds = (2 if nonlinear else 1) if relative or weights is not None else (3 if nonlinear else 2)
     fit: Fit | None = None
@@ -219,7 +236,7 @@ def refine(
     noise: NoiseModel | None = None
     for _ in range(rounds):
         if nonlinear:
-            amplitude = amplitude_of(model, data.plant)
+            amplitude = amplitude_of(model, data.plant, reach)
         if weights is None:
             now, noise = weights_of(model, data, amplitude, relative)
         assert now is not None
@@ -229,7 +246,7 @@ def refine(
         noise = noise_of(model, data.plant, amplitude)
     assert fit is not None
     assert now is not None
-    return Refined(model, fit, noise, amplitude, now, relative)
+    return Refined(model, fit, noise, amplitude, now, relative, reach)
 
 
 def _minimise(
@@ -238,7 +255,7 @@ def _minimise(
     weights: Weights,
     amplitude: Amplitude | None,
     free: NDArray[np.bool_],
-    split: Split | None,
+    split: Split | Knowledge | None,
     max_iterations: int,
 ) -> Fit:
     def residual(theta: Real, gradient: bool) -> tuple[Real, Real | None] | None:
@@ -247,7 +264,7 @@ def _minimise(
             return None
         r, j = residuals(trial, data, weights, amplitude, gradient)
         if split is not None and trial.layout.n_modes:
-            more, slope = split_rows(trial, split)
+            more, slope = held_rows(trial, split)
             r = np.concatenate([r, more])
             j = None if j is None else np.concatenate([j, slope])
         return r, j

@@ -9,28 +9,30 @@ from numpy.typing import NDArray
 
 from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence, leave_one_out
-from service.identification.flexible import PoleResidue, search, shapes_of
-from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
-from service.identification.refine import Data, Refined, Weights, refine, residuals
-from service.identification.split import (
-    LOOSE,
-    Knowledge,
-    Posterior,
-    Split,
-    held_at_start,
-    log_ratios,
-    posterior,
-    split_rows,
-)
-from service.identification.zoh import Real
+from service.identification.finish import finished
+from service.identification.flexible import is_visible, search, tells
+from service.identification.plane_model import N_MODE, PlaneModel
+from service.identification.rational import LONE_LINE
+from service.identification.refine import NEAR, Data, Refined, Weights, refine, residuals
+from service.identification.split import Knowledge, Posterior, knowledge_rows, likeliest
+from service.identification.start import modes_from, remote, with_modes, with_split
 
-MAX_MODES = 6
-SPLIT_ROUNDS = 6
+MAX_MODES = 9
 ADEQUATE = 1.5
 """Residual over noise below which a model counts as agreeing with the data while modes are counted."""
-
 LOST = 10.0
 """The same beyond which a fit is taken to have begun with the wrong modes."""
+CLEAR = 10.0
+"""Fall of the description length that a mode within the band has to bring."""
+BEYOND_GAIN = 20.0
+"""Gain of twice the log likelihood that one beyond the band has to bring: of six parameters for nothing chance has more
+than that in three of a thousand cases."""
+MOSTLY = 0.5
+"""Of a model's relative error: what is left where modes beyond the band explain most of it."""
+WORK = 0.005
+"""Share of a mode's stiffness that the position stiffness takes beyond which a fit may have begun at wrong splits."""
+SOFT = 1.5
+"""Then it begins once more with shapes so much smaller at the bearings, where the position stiffness does no work."""
 
 
 @dataclass(frozen=True)
@@ -45,46 +47,10 @@ class Selected:
     """The joint fits that the evidence is of."""
 
 
-def with_modes(model: PlaneModel, modes: Real) -> PlaneModel:
-    """The same plane with other modes, (n, 6) in the order of `MODE_NAMES`, ascending."""
-    modes = np.asarray(modes, dtype=float).reshape(-1, N_MODE)
-    modes = modes[np.argsort(modes[:, 0])]
-    layout = Layout(model.layout.amplifier_orders, len(modes))
-    start = model.layout.delay + 1
-    theta = np.concatenate([model.theta[:start], modes.ravel(), model.theta[model.layout.extended]])
-    return replace(model, layout=layout, theta=theta)
-
-
-def modes_from(search_result: PoleResidue, ki: Real) -> Real:
-    """Start of the modes' parameters from a pole-residue model of the plant, (n, 6)."""
-    rows = []
-    for nu, sigma, residue in zip(
-        search_result.nu_rad_s, search_result.sigma_rad_s, search_result.residues, strict=True
-    ):
-        bearing, sensor = shapes_of(residue, ki)
-        rows.append([nu, sigma, *bearing, *sensor])
-    return np.array(rows).reshape(-1, len(MODE_NAMES))
-
-
-def coarse_number(models: list[PoleResidue], left: FrequencyResponse, weight: Real, floor: float) -> tuple[int, Real]:
-    """Number of modes that a pole-residue model needs to come down to a relative misfit ``floor``, and the misfits.
-
-    The joint fit decides; this only says where to start.
-    """
-    n = 2 * left.value.size
-    cost = [float(np.sum(np.abs(left.value * weight) ** 2))]
-    cost += [float(np.sum(np.abs((left.value - m.response(left.omega)) * weight) ** 2)) for m in models]
-    level = 4 * len(left.omega) * floor**2
-    score = [n * np.log(c + level) + 10 * k * np.log(n) for k, c in enumerate(cost)]
-    return int(np.argmin(score)), np.array(cost)
-
-
 def choose_modes(
     start: PlaneModel,
     data: Data,
     plant: FrequencyResponse,
-    coarse: list[PoleResidue],
-    n_start: int,
     lowest_rad_s: float,
     knowledge: Knowledge,
 ) -> Selected:
@@ -93,77 +59,108 @@ def choose_modes(
     Parameters
     ----------
     start
-        Rigid plane with amplifiers fitted.
+        Plane to begin with, amplifiers fitted, modes where the measured plant has its poles.
     plant
         Measured plant from coil current to y, for the search of further modes.
-    coarse, n_start
-        Pole-residue models with 1, 2, ... modes, and which number to begin with.
     lowest_rad_s
         No mode is looked for below.
 
     The datasheet's word, where it is asked for, counts in the last fit: modes are chosen by the data alone.
     """
-    asked, data = data, replace(data, prior=None)
-    modes, first = _begun(start, data, coarse[:n_start], knowledge)
-    n_start = len(modes)
-    weights = first.weights
-    tried: dict[int, Refined] = {n_start: first}
-    # fewer: leave out the mode that matters least, while that is no loss
-    now = n_start
-    while now > 0:
-        tried[now - 1] = _without_one(tried[now], data, weights, knowledge)
-        if _score(tried[now - 1], data) > _score(tried[now], data) + 10.0:
-            break
-        now -= 1
-    # more: while it pays, looking one further when a mode helps much but not enough
-    if now == n_start:
-        at = now
-        while at < MAX_MODES:
-            more = _with_one_more(tried[at], data, plant, weights, lowest_rad_s, knowledge)
-            if more is None:
-                break
-            at += 1
-            tried[at] = more
-            if _pays(tried[now], more, data):
-                now = at
-            elif at - now > 1 or _data_cost(more, data) > 0.5 * _data_cost(tried[now], data):
-                break
+    alone = replace(data, prior=None)
+    tried, now = _counted(start, alone, plant, lowest_rad_s, knowledge, 0.0)
+    if _rms(tried[now], alone) > ADEQUATE and _work(start) > WORK:
+        other, then = _counted(start, alone, plant, lowest_rad_s, knowledge, SOFT)
+        if _score(other[then], alone) < _score(tried[now], alone):
+            tried, now = other, then
+    inside = _inside(start, alone)
+    if inside.layout.n_modes < start.layout.n_modes and _rms(tried[now], alone) > LOST:
+        other, then = _counted(inside, alone, plant, lowest_rad_s, knowledge, 0.0)
+        if _score(other[then], alone) < _score(tried[now], alone):
+            tried, now = other, then
     evidence = tuple(
         Evidence(
             f"{n} modes" if n != 1 else "1 mode",
             r.fit.n_free,
-            _n_data(r, data),
-            _data_cost(r, data),
+            _n_data(r, alone),
+            _data_cost(r, alone),
             n == now,
             r.fit.status,
-            _left_out(r, data),
+            _left_out(r, alone, knowledge),
         )
         for n, r in sorted(tried.items())
     )
     candidates = tuple(r.model for _, r in sorted(tried.items()))
-    if _rms(tried[now], data) > ADEQUATE:
-        wrong = _forgiving(with_modes(start, modes), data, knowledge)
-        return Selected(*_finished(wrong, asked, knowledge), evidence, candidates)
-    return Selected(*_finished(tried[now], asked, knowledge), evidence, candidates)
+    best = tried[now]
+    if _rms(best, alone) > ADEQUATE:
+        best = _forgiving_start(with_split(start, likeliest(start, knowledge)), alone, knowledge)
+    return Selected(*finished(best, data, _free(best.model, data), knowledge), evidence, candidates)
 
 
-def _begun(start: PlaneModel, data: Data, coarse: list[PoleResidue], knowledge: Knowledge) -> tuple[Real, Refined]:
-    """The modes to begin with and the joint fit from them.
-
-    On coarse data the search takes one peak for several, and another has too few lines to be believed. Then the fit
-    is lost, and the searches with fewer poles are believed instead, all of them.
-    """
-    modes = modes_from(coarse[-1], start.ki) if coarse else np.empty((0, N_MODE))
-    modes = modes[[is_visible(m[0], m[1], data.plant.omega) for m in modes]]
-    found = _joint(with_modes(start, modes), data, knowledge)
-    for fewer in reversed(coarse[:-1]):
-        if _rms(found, data) < LOST:
+def _counted(
+    start: PlaneModel, data: Data, plant: FrequencyResponse, lowest: float, knowledge: Knowledge, beside: float
+) -> tuple[dict[int, Refined], int]:
+    """Joint fits by number of modes, and the number that the data support; ``beside``: see `_joint`."""
+    first = _begun(start, data, plant, knowledge, beside)
+    weights, now = first.weights, first.model.layout.n_modes
+    begun = now
+    tried: dict[int, Refined] = {now: first}
+    # fewer: leave out the mode that matters least, while that is no loss
+    while now > 0:
+        tried[now - 1] = _without_one(tried[now], data, plant, weights, knowledge)
+        if _needed(tried[now - 1], tried[now], data):
             break
-        others = modes_from(fewer, start.ki)
-        other = _joint(with_modes(start, others), data, knowledge)
+        now -= 1
+    if now != begun and _rms(tried[now], data) < LOST:
+        return tried, now
+    # more: while it pays, looking one further when a mode helps much but not enough
+    at = now
+    while at < MAX_MODES:
+        more = _with_one_more(tried[at], data, plant, weights, lowest, knowledge)
+        if more is None:
+            break
+        at += 1
+        tried[at] = more
+        if _pays(tried[now], more, data):
+            now = at
+        elif at - now > 1 or _data_cost(more, data) > 0.5 * _data_cost(tried[now], data):
+            break
+    return tried, now
+
+
+def _begun(start: PlaneModel, data: Data, plant: FrequencyResponse, knowledge: Knowledge, beside: float) -> Refined:
+    """The joint fit from the start, or where that is lost from fewer modes.
+
+    On coarse data several poles may stand for one peak, or one be sharper than the lines around it can tell.
+    """
+    found = _joint(start, data, knowledge, beside)
+    while start.layout.n_modes > 1 and _rms(found, data) > LOST:
+        start = with_modes(start, np.delete(start.modes, _least_seen(start, plant), axis=0))
+        other = _joint(start, data, knowledge, beside)
         if _data_cost(other, data) < 0.5 * _data_cost(found, data):
-            modes, found = others, other
-    return modes, found
+            found = other
+    return found
+
+
+def _work(model: PlaneModel) -> float:
+    """Share of a mode's stiffness that the position stiffness takes, the largest of the modes."""
+    m = model.modes
+    return float(np.max(m[:, 2:4] ** 2 @ model.ks / m[:, 0] ** 2, initial=0.0))
+
+
+def _forgiving_start(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
+    """`_forgiving` without modes beyond the band, which take up what is wrong, unless they explain most of it."""
+    inside = _inside(model, data)
+    best = _forgiving(inside, data, knowledge)
+    if inside.layout.n_modes == model.layout.n_modes:
+        return best
+    more = _forgiving(model, data, knowledge)
+    return more if more.relative < MOSTLY * best.relative else best
+
+
+def _inside(model: PlaneModel, data: Data) -> PlaneModel:
+    """The same plane without modes beyond the band."""
+    return with_modes(model, model.modes[model.modes[:, 0] <= data.plant.omega.max()])
 
 
 def _forgiving(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
@@ -182,47 +179,7 @@ def _forgiving(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
 
 
 def _held(model: PlaneModel, data: Data, knowledge: Knowledge, relative: float) -> Refined:
-    return refine(model, data, _free(model, data), relative=relative, split=held_at_start(model, knowledge))
-
-
-def _finished(refined: Refined, data: Data, knowledge: Knowledge) -> tuple[Refined, Posterior | None]:
-    """Joint fit with the splits at the mean of what is known of them, and that knowledge."""
-    n_modes = refined.model.layout.n_modes
-    if n_modes == 0:
-        if data.prior is None:
-            return refined, None
-        free = _free(refined.model, data)
-        told = refine(refined.model, data, free, relative=refined.relative, weights=refined.weights)
-        return replace(told, noise=refined.noise), None
-    now, ratios = refined, log_ratios(refined.model)
-    known = Posterior(ratios, np.eye(n_modes))
-    for _ in range(SPLIT_ROUNDS):
-        # what the data say of a split is linear near the fit only, so it is read where the fit is held
-        r, jacobian = now.fit.residual[:-n_modes], now.fit.jacobian[:-n_modes]
-        known = posterior(now.model, r, jacobian, now.fit.free, knowledge, use_data=refined.relative == 0)
-        spread = np.sqrt(np.diag(known.covariance))
-        moved = float(np.max(np.abs(known.log_ratios - ratios) / np.maximum(spread, 1e-3)))
-        ratios = known.log_ratios
-        now = refine(
-            with_split(now.model, ratios),
-            data,
-            _free(refined.model, data),
-            relative=refined.relative,
-            split=Split(ratios),
-            weights=refined.weights,
-        )
-        if moved < 0.3:
-            break
-    return replace(now, noise=refined.noise, relative=refined.relative), known
-
-
-def with_split(model: PlaneModel, ratios: Real) -> PlaneModel:
-    """The same plane with each mode's shape split as told, ln(|phi_s|/|phi_b|)."""
-    modes = model.modes.copy()
-    factor = np.exp(0.5 * (ratios - log_ratios(model)))[:, None]
-    modes[:, 2:4] /= factor
-    modes[:, 4:6] *= factor
-    return with_modes(model, modes)
+    return refine(model, data, _free(model, data), relative=relative, split=knowledge, reach=NEAR)
 
 
 def _free(model: PlaneModel, data: Data) -> NDArray[np.bool_]:
@@ -235,25 +192,35 @@ def _free(model: PlaneModel, data: Data) -> NDArray[np.bool_]:
     return free
 
 
-def _joint(model: PlaneModel, data: Data, knowledge: Knowledge) -> Refined:
-    """Forgiving first, then in units of the noise."""
+def _joint(model: PlaneModel, data: Data, knowledge: Knowledge, beside: float) -> Refined:
+    """Forgiving first, then in units of the noise, from splits so much beside the likeliest ones."""
     free = _free(model, data)
-    split = held_at_start(model, knowledge)
-    model = with_split(model, split.log_ratios)
+    model = with_split(model, likeliest(model, knowledge) + beside)
     # step 3 has the amplifiers: they wait until the rest has found its place
     plant = free.copy()
     for place in model.layout.amplifiers:
         plant[place] = False
-    rough = refine(model, data, plant, relative=0.03, nonlinear=False, split=split, max_iterations=40)
-    better = refine(rough.model, data, plant, relative=0.003, nonlinear=True, split=split)
-    return refine(better.model, data, free, split=split)
+    rough = refine(model, data, plant, relative=0.03, nonlinear=False, split=knowledge, max_iterations=40)
+    better = refine(rough.model, data, plant, relative=0.003, nonlinear=True, split=knowledge, reach=NEAR)
+    return refine(better.model, data, free, split=knowledge, reach=NEAR)
 
 
-def _without_one(refined: Refined, data: Data, weights: Weights, knowledge: Knowledge) -> Refined:
-    modes = refined.model.modes
-    strength = [np.linalg.norm(m[2:4]) * np.linalg.norm(m[4:6]) / (2 * abs(m[1]) * m[0] + 1e-12) for m in modes]
-    keep = np.delete(modes, int(np.argmin(strength)), axis=0)
+def _without_one(
+    refined: Refined, data: Data, plant: FrequencyResponse, weights: Weights, knowledge: Knowledge
+) -> Refined:
+    """The joint fit without the mode that the measured lines see least of."""
+    keep = np.delete(refined.model.modes, _least_seen(refined.model, plant), axis=0)
     return _again(with_modes(refined.model, keep), data, weights, knowledge)
+
+
+def _least_seen(model: PlaneModel, plant: FrequencyResponse) -> int:
+    return int(np.argmin([_seen(with_modes(model, m[None, :]), plant) for m in model.modes]))
+
+
+def _seen(model: PlaneModel, plant: FrequencyResponse) -> float:
+    """What modes add to the rigid plant, in units of the noise."""
+    rigid = with_modes(model, np.empty((0, N_MODE))).plant_response(plant.omega)
+    return float(np.linalg.norm((model.plant_response(plant.omega) - rigid) / plant.std))
 
 
 def _with_one_more(
@@ -264,18 +231,36 @@ def _with_one_more(
     lowest: float,
     knowledge: Knowledge,
 ) -> Refined | None:
+    """The better of a joint fit with one more mode within the band and one with one beyond it."""
     left = plant.value - refined.model.plant_response(plant.omega)
+    extra = [remote(plant, left, refined.model.ki)]
     found = search(plant.omega, left, 1.0 / plant.std, 1, lowest)
-    if not found:
-        return None
-    extra = modes_from(found[0], refined.model.ki)
-    return _again(with_modes(refined.model, np.vstack([refined.model.modes, extra])), data, weights, knowledge)
+    if found:
+        extra.append(modes_from(found[0], refined.model.ki))
+    tried = []
+    for modes in extra:
+        alone = with_modes(refined.model, modes)
+        alone = with_split(alone, likeliest(alone, knowledge))
+        more = with_modes(refined.model, np.vstack([refined.model.modes, alone.modes]))
+        tried.append(_again(more, data, weights, knowledge))
+    sound = [t for t in tried if not any(is_lone(m, data) for m in t.model.modes) or _has_feet(t, refined, data, plant)]
+    return min(sound, key=lambda t: _data_cost(t, data), default=None)
+
+
+def _has_feet(more: Refined, fewer: Refined, data: Data, plant: FrequencyResponse) -> bool:
+    """Whether a mode explains what is wrong on many lines, though none lies within its peak."""
+    if _data_cost(more, data) > 0.1 * _data_cost(fewer, data):
+        return False
+    off = [
+        np.sum(np.abs((plant.value - t.model.plant_response(plant.omega)) / plant.std) ** 2, axis=(1, 2))
+        for t in (fewer, more)
+    ]
+    gain = off[0] - off[1]
+    return bool(gain.max() < LONE_LINE * gain.sum())
 
 
 def _again(model: PlaneModel, data: Data, weights: Weights, knowledge: Knowledge) -> Refined:
-    return refine(
-        model, data, _free(model, data), split=held_at_start(model, knowledge), weights=weights, max_iterations=25
-    )
+    return refine(model, data, _free(model, data), split=knowledge, weights=weights, reach=NEAR)
 
 
 def _data_cost(refined: Refined, data: Data) -> float:
@@ -283,12 +268,12 @@ def _data_cost(refined: Refined, data: Data) -> float:
     return float(r @ r)
 
 
-def _left_out(refined: Refined, data: Data) -> float:
+def _left_out(refined: Refined, data: Data, knowledge: Knowledge) -> float:
     r, jacobian = residuals(refined.model, data, refined.weights, refined.amplitude)
     assert jacobian is not None
-    held, slope = split_rows(refined.model, Split(log_ratios(refined.model), LOOSE))
+    held, slope = knowledge_rows(refined.model, knowledge)
     whole = np.vstack([jacobian, slope])[:, refined.fit.free]
-    # the rows that hold splits are at rest and not left out: they only share the leverage
+    # what is known of splits is not left out: it only shares the leverage
     padded = leave_one_out(np.concatenate([r, np.zeros(len(held))]), whole)
     return padded * float(np.sqrt((len(r) + len(held)) / len(r)))
 
@@ -301,13 +286,30 @@ def _score(refined: Refined, data: Data) -> float:
     return Evidence("", refined.fit.n_free, _n_data(refined, data), _data_cost(refined, data)).mdl
 
 
+def _needed(fewer: Refined, more: Refined, data: Data) -> bool:
+    """Whether a fit with one mode more is better beyond doubt.
+
+    A rotor's mode is a statement and has to shorten the description of the data. One beyond the band only takes up
+    what lies there: without it every figure is off by what it would have taken, so it is left out only where it may
+    well be nothing. Where few blocks tell the noise, chance gains more: as much more as the squares are larger.
+    """
+    n = _n_data(more, data)
+    gain = n * np.log(_data_cost(fewer, data) / _data_cost(more, data)) / more.noise.inflation
+    if _beyond(more, data) > _beyond(fewer, data):
+        return bool(gain > BEYOND_GAIN)
+    return bool(gain > (more.fit.n_free - fewer.fit.n_free) * np.log(n) + CLEAR)
+
+
+def _beyond(refined: Refined, data: Data) -> int:
+    return int(np.sum(refined.model.modes[:, 0] > data.plant.omega.max()))
+
+
 def _pays(now: Refined, more: Refined, data: Data) -> bool:
     """Whether one more mode is worth it: clearly better, and a mode rather than a patch on another effect.
 
-    A mode above the band, one without a peak, or one that lies between two lines and rings for longer than they can
-    tell, is taken only where it makes the model agree with the data.
+    A mode above the band, or one without a peak, is taken only where it makes the model agree with the data.
     """
-    if _score(more, data) > _score(now, data) - 10.0:
+    if not _needed(now, more, data):
         return False
     return _rms(more, data) < ADEQUATE or (
         _data_cost(more, data) < 0.7 * _data_cost(now, data) and all_visible(more.model, data)
@@ -319,11 +321,12 @@ def all_visible(model: PlaneModel, data: Data) -> bool:
     return all(is_visible(m[0], m[1], data.plant.omega) for m in model.modes)
 
 
-def is_visible(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:
-    """Whether a pole is a peak within the band, wide enough for the lines around it to tell."""
-    near = float(np.sort(np.abs(np.unique(omega) - nu_rad_s))[:2].mean())
-    in_band = nu_rad_s <= omega.max()
-    return bool(in_band and 1e-5 * nu_rad_s < sigma_rad_s < 0.2 * nu_rad_s and sigma_rad_s > 0.02 * near)
+def is_lone(mode: NDArray[np.float64], data: Data) -> bool:
+    """Whether a mode within the band, or less than a line beyond it, is sharper than the lines around it can tell."""
+    nu, sigma = mode[:2]
+    lines = np.unique(data.plant.omega)
+    end = lines[-1] + (lines[-1] - lines[-2])
+    return bool(nu <= end and sigma < 0.2 * nu and not tells(nu, sigma, lines))
 
 
 def _rms(refined: Refined, data: Data) -> float:

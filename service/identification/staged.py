@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from service.identification.etfe import FrequencyResponse
-from service.identification.flexible import PoleResidue, search, split_frequency
+from service.identification.flexible import PoleResidue, residues_at, split_frequency
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
+from service.identification.rational import Rational, rational_fit
 from service.identification.rigid import rigid_refined, rigid_response, rigid_start
-from service.identification.selection import coarse_number
 from service.identification.validation import nrmse_matrix
 from service.identification.zoh import Complex, Real
 
-SEARCH_MODES = 5
 RIGID_GOOD_PERCENT = 90.0
 
 
@@ -27,18 +26,14 @@ class StagedFit:
     """The plane with the staged ki and ks, no modes."""
     split_rad_s: float
     split_evidence: tuple[dict[str, float], ...]
-    search: list[PoleResidue]
-    """Pole-residue models with 1, 2, ... modes for what the rigid model leaves."""
-    n_modes: int
+    rational: Rational
+    """Poles of the measured plant, which tell of the modes in the band."""
+    flexible: PoleResidue | None
+    """The flexible model: those poles, with the residues of what the staged rigid model leaves."""
     lowest_mode_rad_s: float
     rigid_fit_percent: Real
     flexible_fit_percent: Real | None
     complete_fit_percent: Real
-
-    @property
-    def flexible(self) -> PoleResidue | None:
-        """The flexible model with the chosen number of modes."""
-        return self.search[self.n_modes - 1] if self.n_modes else None
 
     def response(self, omega: Real) -> Complex:
         """Rigid and flexible models stacked, coil current to y, (F, 2, 2)."""
@@ -90,29 +85,22 @@ def staged_fit(model: PlaneModel, points: PlanePoints, plant: FrequencyResponse)
     theta = model.theta.copy()
     theta[0:2], theta[2:4] = ki, ks
     rigid_model = model.at(theta)
+    bearings, _ = model.rigid_shapes
+    levitated = np.sqrt(np.maximum(np.linalg.eigvalsh(bearings.T @ (ks[:, None] * bearings)), 1.0))
+    rational = rational_fit(plant, levitated, 0.6 * first)
+    peaks, flexible = rational.peaks, None
     left = plant.value - rigid_response(model, ki, ks, plant.omega)
-    weight = np.broadcast_to((1 / np.linalg.norm(plant.value, axis=(1, 2)))[:, None, None], left.shape).copy()
-    models = search(plant.omega, left, weight, SEARCH_MODES, 0.6 * first, enough=0.005)
-    n_modes, _ = coarse_number(models, FrequencyResponse(plant.omega, left, plant.std), weight, 0.03)
-    result = StagedFit(
-        rigid_model, limit, tuple(evidence), models, n_modes, 0.6 * first, fit, None, np.full((2, 2), np.nan)
-    )
-    flexible_fit = None
+    if peaks.n_modes:
+        weight = 1 / np.linalg.norm(plant.value, axis=(1, 2))
+        flexible = residues_at(plant.omega, left, weight, peaks.nu_rad_s, peaks.sigma_rad_s)
     above = plant.omega >= limit
-    if n_modes and above.sum() > 3:
-        assert result.flexible is not None
-        flexible_fit = nrmse_matrix(left[above], result.flexible.response(plant.omega[above]))
-    return StagedFit(
-        rigid_model,
-        limit,
-        tuple(evidence),
-        models,
-        n_modes,
-        0.6 * first,
-        fit,
-        flexible_fit,
-        nrmse_matrix(plant.value, result.response(plant.omega)),
+    flexible_fit = None
+    if flexible is not None and above.sum() > 3:
+        flexible_fit = nrmse_matrix(left[above], flexible.response(plant.omega[above]))
+    result = StagedFit(
+        rigid_model, limit, tuple(evidence), rational, flexible, 0.6 * first, fit, flexible_fit, np.full((2, 2), np.nan)
     )
+    return replace(result, complete_fit_percent=nrmse_matrix(plant.value, result.response(plant.omega)))
 
 
 def _rigid(model: PlaneModel, points: PlanePoints, limit: float) -> tuple[Real, Real]:

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_above
 from service.identification.least_squares import Fit, covariance_of
+from service.identification.noise import ESTIMATED_WEIGHTS as ESTIMATED_WEIGHTS
 from service.identification.plane_model import PlaneModel
 from service.identification.split import HELD, Posterior
 from service.identification.zoh import Complex, Real
-
-ESTIMATED_WEIGHTS = 1.06
-"""What whitening with an estimated instead of the true covariance adds to the mean square of six-block data."""
 
 
 class Parametrised(Protocol):
@@ -86,8 +84,12 @@ class Uncertainty:
         return np.stack(columns, axis=-1)
 
 
-def uncertainty_of(refined: Fitted, splits: Posterior | None, level: float = 0.999) -> Uncertainty:
+def uncertainty_of(
+    refined: Fitted, splits: Posterior | None, level: float = 0.999, inflation: float = ESTIMATED_WEIGHTS
+) -> Uncertainty:
     """Covariance of a joint fit.
+
+    ``inflation`` is that of the noise model (`noise.NoiseModel`), by default that of six blocks.
 
     Noise brings (J^T J)^-1 with the shapes' splits held; what is not known of the splits is added along the direction
     in which the fit moves with them. When the residuals are larger than the noise beyond doubt, the model is wrong
@@ -102,7 +104,7 @@ def uncertainty_of(refined: Fitted, splits: Posterior | None, level: float = 0.9
     chi = float(rest @ rest)
     scale = np.sqrt(chi / dof)
     from_data = covariance_of(jacobian)
-    adequate = refined.relative == 0 and chi < ESTIMATED_WEIGHTS * chi2_above(1 - level, dof)
+    adequate = refined.relative == 0 and chi < inflation * chi2_above(1 - level, dof)
     reported, widening = from_data, 1.0
     if not adequate:
         scaled = from_data * max(scale, 1.0) ** 2

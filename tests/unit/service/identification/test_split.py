@@ -7,11 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.identification.finish import finished
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
-from service.identification.refine import Data, refine
-from service.identification.selection import with_split
-from service.identification.split import Knowledge, Split, held_at_start, log_ratios, posterior, split_rows
+from service.identification.refine import Data, Refined, refine
+from service.identification.split import (
+    ROWS,
+    Knowledge,
+    Posterior,
+    Split,
+    held_rows,
+    knowledge_rows,
+    likeliest,
+    log_prior,
+    log_ratios,
+    split_rows,
+)
+from service.identification.start import with_modes, with_split
 
 NONE = np.empty(0)
 CLOSE = Knowledge(0.2, (True, True), NONE, NONE, 0.1)
@@ -19,16 +31,18 @@ OMEGA = 2 * np.pi * np.geomspace(10, 1000, 40)
 
 
 @pytest.fixture(scope="module")
-def fitted(experiment, datasheet, truth: dict[str, PlaneModel]):
-    data = Data(plane_points(experiment.main, datasheet.axes, "x"))
+def data(experiment, datasheet) -> Data:
+    return Data(plane_points(experiment.main, datasheet.axes, "x"))
+
+
+def of(data: Data, truth: dict[str, PlaneModel], knowledge: Knowledge, relative: float = 0.0) -> Posterior:
+    """What a fit that began at even splits says of them."""
     even = with_split(truth["x"], np.zeros(2))
-    return refine(even, data, even.layout.free(), split=held_at_start(even, CLOSE))
-
-
-def of(fitted, knowledge: Knowledge, use_data: bool = True):
-    n = fitted.model.layout.n_modes
-    r, j = fitted.fit.residual[:-n], fitted.fit.jacobian[:-n]
-    return posterior(fitted.model, r, j, fitted.fit.free, knowledge, use_data)
+    free = even.layout.free()
+    begun: Refined = refine(even, data, free, split=knowledge, relative=relative)
+    known = finished(begun, data, free, knowledge)[1]
+    assert known is not None
+    return known
 
 
 def test_a_split_hardly_changes_what_is_measured(truth: dict[str, PlaneModel]) -> None:
@@ -53,37 +67,71 @@ def test_rows_hold_the_splits_and_have_exact_derivatives(truth: dict[str, PlaneM
     assert np.allclose(split_rows(with_split(model, split.log_ratios), split)[0], 0, atol=1e-6)
 
 
-def test_data_hold_one_combination_for_two_modes(fitted, truth: dict[str, PlaneModel]) -> None:
-    flat = of(fitted, replace(CLOSE, closeness=None))
-    ignorant = of(fitted, replace(CLOSE, closeness=None), use_data=False)
+@pytest.mark.parametrize("closeness", [0.05, 0.3, None])
+def test_rows_of_knowledge_are_its_log_density_and_have_exact_derivatives(
+    truth: dict[str, PlaneModel], closeness: float | None
+) -> None:
+    w = truth["x"].natural_frequencies
+    for knowledge in (
+        Knowledge(closeness, (True, False), NONE, NONE, 0.1),
+        Knowledge(closeness, (True, True), w[:1], np.array([0.3]), 0.05),
+        Knowledge(closeness, (True, True), NONE, NONE, 0.1, end_rad_s=float(truth["x"].modes[1, 0]) - 1.0),
+    ):
+        for away in (-1.2, 0.1, 0.9):
+            model = with_split(truth["x"], log_ratios(truth["x"]) + away)
+            rows, jacobian = knowledge_rows(model, knowledge)
+            density = log_prior(model, log_ratios(model)[None, :], knowledge).sum()
+            of_splits = np.delete(rows, slice(ROWS - 1, None, ROWS))
+            assert -0.5 * of_splits @ of_splits == pytest.approx(density, rel=1e-9)
+            assert np.all(rows[ROWS - 1 :: ROWS] == 0) == np.isinf(knowledge.end_rad_s)  # damping beyond the band alone
+            for k in range(model.layout.size):
+                step = np.zeros_like(model.theta)
+                step[k] = 1e-6 * max(abs(model.theta[k]), 1e-9)
+                up, down = (held_rows(model.at(model.theta + d), knowledge)[0] for d in (step, -step))
+                slope = (up - down) / (2 * step[k])
+                assert np.allclose(jacobian[:, k], slope, rtol=1e-5, atol=1e-6 * np.abs(jacobian).max())
+
+
+def test_the_likeliest_split_is_that_of_a_shape_that_changes_least(truth: dict[str, PlaneModel]) -> None:
+    model = truth["x"]
+    shapes = model.modes.copy()
+    shapes[:, 4:6] = shapes[:, 2:4]  # bearing and sensor move alike
+    alike = replace(model, theta=with_modes(model, shapes).theta)
+    for away in (-0.8, 0.5):
+        assert np.allclose(likeliest(with_split(alike, np.full(2, away)), CLOSE), 0.0, atol=0.05)
+
+
+def test_data_hold_one_combination_for_two_modes(data: Data, truth: dict[str, PlaneModel]) -> None:
+    anything = replace(CLOSE, closeness=None)
+    flat, ignorant = of(data, truth, anything), of(data, truth, anything, relative=0.3)
     with_data, without = (np.sqrt(np.linalg.eigvalsh(p.covariance)) for p in (flat, ignorant))
     assert with_data[0] < 0.3 * without[0]
     assert with_data[1] > 0.1 * without[1]
 
 
 def test_closeness_finds_the_truth_of_a_rotor_whose_shape_changes_at_one_end_only(
-    fitted, truth: dict[str, PlaneModel]
+    data: Data, truth: dict[str, PlaneModel]
 ) -> None:
-    found = of(fitted, CLOSE)
+    found = of(data, truth, CLOSE)
     assert np.allclose(found.log_ratios, log_ratios(truth["x"]), atol=0.15)
     std = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.log_ratios - log_ratios(truth["x"])) < 3 * std)
 
 
-def test_the_datasheets_rotor_model_is_taken_at_its_tolerance(fitted, truth: dict[str, PlaneModel]) -> None:
+def test_the_datasheets_rotor_model_is_taken_at_its_tolerance(data: Data, truth: dict[str, PlaneModel]) -> None:
     w = truth["x"].natural_frequencies
     known = Knowledge(0.08, (True, True), 1.01 * w, log_ratios(truth["x"]), 0.05)
-    found = of(fitted, known, use_data=False)
+    found = of(data, truth, known, relative=0.3)
     assert np.allclose(found.log_ratios, log_ratios(truth["x"]), atol=0.02)
     assert np.allclose(np.sqrt(np.diag(found.covariance)), 0.05, rtol=0.2)
     far = Knowledge(0.08, (True, True), 1.5 * w, log_ratios(truth["x"]) + 1.0, 0.05)
-    assert not np.allclose(of(fitted, far).log_ratios, far.log_ratios, atol=0.5)
+    assert not np.allclose(of(data, truth, far).log_ratios, far.log_ratios, atol=0.5)
 
 
 @pytest.mark.parametrize("std", [1e-4, 1e-2, 0.2])
-def test_knowledge_however_sharp_is_reproduced(fitted, std: float) -> None:
-    w = fitted.model.natural_frequencies
+def test_knowledge_however_sharp_is_reproduced(data: Data, truth: dict[str, PlaneModel], std: float) -> None:
+    w = truth["x"].natural_frequencies
     known = Knowledge(0.2, (True, True), w, np.array([0.4, -0.3]), std)
-    found = of(fitted, known, use_data=False)
+    found = of(data, truth, known, relative=0.3)
     assert np.allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.25)
     assert np.allclose(found.log_ratios, [0.4, -0.3], atol=0.35 * std + 1e-6)

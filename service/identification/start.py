@@ -1,0 +1,107 @@
+"""Where the joint fit starts: a plane with the modes that the measured plant's poles and residues tell of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.identification.etfe import FrequencyResponse
+from service.identification.flexible import PoleResidue, shapes_of
+from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
+from service.identification.points import PlanePoints
+from service.identification.rational import LEVEL, Rational
+from service.identification.rigid import rigid_refined
+from service.identification.split import log_ratios
+from service.identification.zoh import Complex, Real
+
+NEAREST, FURTHEST, USUAL = 1.5, 4.0, 2.0
+"""Where modes beyond the band are started, in units of its end; the last where the remainder does not tell."""
+BEYOND_DAMPING, MOST_DAMPED = 0.005, 0.5
+
+
+def with_modes(model: PlaneModel, modes: Real) -> PlaneModel:
+    """The same plane with other modes, (n, 6) in the order of `MODE_NAMES`, ascending."""
+    modes = np.asarray(modes, dtype=float).reshape(-1, N_MODE)
+    modes = modes[np.argsort(modes[:, 0])]
+    layout = Layout(model.layout.amplifier_orders, len(modes))
+    start = model.layout.delay + 1
+    theta = np.concatenate([model.theta[:start], modes.ravel(), model.theta[model.layout.extended]])
+    return replace(model, layout=layout, theta=theta)
+
+
+def with_split(model: PlaneModel, ratios: Real) -> PlaneModel:
+    """The same plane with each mode's shape split as told, ln(|phi_s|/|phi_b|)."""
+    modes = model.modes.copy()
+    factor = np.exp(0.5 * (ratios - log_ratios(model)))[:, None]
+    modes[:, 2:4] /= factor
+    modes[:, 4:6] *= factor
+    return with_modes(model, modes)
+
+
+def modes_from(found: PoleResidue, ki: Real) -> Real:
+    """Start of the modes' parameters from a pole-residue model of the plant, (n, 6)."""
+    rows = []
+    for nu, sigma, residue in zip(found.nu_rad_s, found.sigma_rad_s, found.residues, strict=True):
+        bearing, sensor = shapes_of(residue, ki)
+        rows.append([nu, min(sigma, MOST_DAMPED * nu), *bearing, *sensor])
+    return np.array(rows).reshape(-1, len(MODE_NAMES))
+
+
+def joint_start(
+    rigid_model: PlaneModel, rational: Rational, points: PlanePoints, plant: FrequencyResponse
+) -> PlaneModel:
+    """A plane whose ki and ks are those of the rigid part alone, with modes of the peaks and of what lies beyond.
+
+    Parameters
+    ----------
+    rigid_model
+        Amplifiers fitted, no modes, ki and ks of the staged fit.
+    """
+    omega = points.omega
+    current = rigid_model.amplifier_response(omega) * points.u
+    rest = points.y - np.einsum("pab,pb->pa", rational.flexible_response(omega), current)
+    size = np.broadcast_to(np.linalg.norm(points.y, axis=1, keepdims=True), points.y.shape)
+    ki, ks = rigid_refined(rigid_model, rigid_model.ki, rigid_model.ks, omega, current, rest, np.asarray(size))
+    theta = rigid_model.theta.copy()
+    theta[0:2], theta[2:4] = ki, ks
+    modes = np.vstack([modes_from(rational.peaks, ki), _beyond(rational, plant, ki)])
+    return with_modes(rigid_model.at(theta), modes)
+
+
+def _beyond(rational: Rational, plant: FrequencyResponse, ki: Real) -> Real:
+    """Modes beyond the band without which the model would be off by more than its level, (n, 6) with n up to 2."""
+    weight = 1.0 / np.sqrt(np.mean(plant.std**2 + (LEVEL * np.abs(plant.value)) ** 2, axis=(1, 2)))
+    modes = remote_modes(rational.remainder[0], -rational.remainder[2], float(plant.omega.max()), ki)
+    off = [np.linalg.norm(np.outer(m[4:6], m[2:4] * ki)) / 2 / m[0] ** 2 * weight for m in modes]
+    return modes[[bool(np.mean(o**2) > 1.0) for o in off]].reshape(-1, N_MODE)
+
+
+def remote_modes(still: Real, bend: Real, end_rad_s: float, ki: Real) -> Real:
+    """Two modes beyond the band from what they leave within it, the sum of R/nu^2 + R w^2/nu^4, (2, 6).
+
+    Parameters
+    ----------
+    still, bend
+        (2, 2) of the plant, at rest and per w^2.
+    end_rad_s
+        Of the band.
+    """
+    left, singular, right = np.linalg.svd(still / ki)
+    rows = []
+    for u, size, v in zip(left.T, singular, right, strict=True):
+        curvature = float(u @ (bend / ki) @ v)
+        nu = np.sqrt(size / curvature) if curvature > 0 else USUAL * end_rad_s
+        nu = float(np.clip(nu, NEAREST * end_rad_s, FURTHEST * end_rad_s))
+        bearing, sensor = shapes_of(nu**2 * size * np.outer(u, v), np.ones(2))
+        rows.append([nu, BEYOND_DAMPING * nu, *bearing, *sensor])
+    return np.array(rows)
+
+
+def remote(plant: FrequencyResponse, left: Complex, ki: Real) -> Real:
+    """The one mode beyond the band that what is left of a plant, (F, 2, 2), calls loudest for, (1, 6)."""
+    weight = 1.0 / np.sqrt(np.mean(plant.std**2, axis=(1, 2)))
+    end = float(plant.omega.max())
+    columns = np.stack([np.ones_like(plant.omega), (plant.omega / end) ** 2], axis=1) * weight[:, None]
+    still, bend = np.linalg.lstsq(columns, (left.real * weight[:, None, None]).reshape(-1, 4), rcond=None)[0]
+    return remote_modes(still.reshape(2, 2), bend.reshape(2, 2) / end**2, end, ki)[:1]
