@@ -188,7 +188,7 @@ def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options
     staged = staged_fit(start, points, plant)
     knowledge = replace(split_knowledge(datasheet, options), end_rad_s=float(points.omega.max()))
     begin = joint_start(staged.rigid_model, staged.rational, points, plant)
-    selected = choose_modes(begin, data, plant, staged.lowest_mode_rad_s, knowledge)
+    selected = choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
     return FittedPlane(data, None, u_to_y, plant, fits, staged, selected)
 
 

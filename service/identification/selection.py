@@ -15,7 +15,7 @@ from service.identification.plane_model import N_MODE, PlaneModel
 from service.identification.rational import LONE_LINE
 from service.identification.refine import NEAR, Data, Refined, Weights, refine, residuals
 from service.identification.split import Knowledge, Posterior, knowledge_rows, likeliest
-from service.identification.start import modes_from, remote, with_modes, with_split
+from service.identification.start import modes_from, remote, searched_starts, with_modes, with_split
 
 MAX_MODES = 9
 ADEQUATE = 1.5
@@ -29,6 +29,8 @@ BEYOND_GAIN = 20.0
 than that in three of a thousand cases."""
 MOSTLY = 0.5
 """Of a model's relative error: what is left where modes beyond the band explain most of it."""
+COARSE = 60
+"""Lines fewer than which leave it to chance what the poles and residues of a plant stand for."""
 WORK = 0.005
 """Share of a mode's stiffness that the position stiffness takes beyond which a fit may have begun at wrong splits."""
 SOFT = 1.5
@@ -49,6 +51,7 @@ class Selected:
 
 def choose_modes(
     start: PlaneModel,
+    rigid_model: PlaneModel,
     data: Data,
     plant: FrequencyResponse,
     lowest_rad_s: float,
@@ -60,6 +63,8 @@ def choose_modes(
     ----------
     start
         Plane to begin with, amplifiers fitted, modes where the measured plant has its poles.
+    rigid_model
+        The staged fit's, where modes are looked for in what it leaves: on few lines, or where ``start`` led nowhere.
     plant
         Measured plant from coil current to y, for the search of further modes.
     lowest_rad_s
@@ -68,14 +73,20 @@ def choose_modes(
     The datasheet's word, where it is asked for, counts in the last fit: modes are chosen by the data alone.
     """
     alone = replace(data, prior=None)
-    tried, now = _counted(start, alone, plant, lowest_rad_s, knowledge, 0.0)
+    tried, now = _counted([start], alone, plant, lowest_rad_s, knowledge, 0.0)
+    if _rms(tried[now], alone) > ADEQUATE or len(plant.omega) < COARSE:
+        searched = searched_starts(rigid_model, plant, lowest_rad_s)
+        if searched:
+            other, then = _counted(searched, alone, plant, lowest_rad_s, knowledge, 0.0)
+            if _score(other[then], alone) < _score(tried[now], alone):
+                start, tried, now = searched[0], other, then
     if _rms(tried[now], alone) > ADEQUATE and _work(start) > WORK:
-        other, then = _counted(start, alone, plant, lowest_rad_s, knowledge, SOFT)
+        other, then = _counted([start], alone, plant, lowest_rad_s, knowledge, SOFT)
         if _score(other[then], alone) < _score(tried[now], alone):
             tried, now = other, then
     inside = _inside(start, alone)
     if inside.layout.n_modes < start.layout.n_modes and _rms(tried[now], alone) > LOST:
-        other, then = _counted(inside, alone, plant, lowest_rad_s, knowledge, 0.0)
+        other, then = _counted([inside], alone, plant, lowest_rad_s, knowledge, 0.0)
         if _score(other[then], alone) < _score(tried[now], alone):
             tried, now = other, then
     evidence = tuple(
@@ -98,10 +109,10 @@ def choose_modes(
 
 
 def _counted(
-    start: PlaneModel, data: Data, plant: FrequencyResponse, lowest: float, knowledge: Knowledge, beside: float
+    starts: list[PlaneModel], data: Data, plant: FrequencyResponse, lowest: float, knowledge: Knowledge, beside: float
 ) -> tuple[dict[int, Refined], int]:
     """Joint fits by number of modes, and the number that the data support; ``beside``: see `_joint`."""
-    first = _begun(start, data, plant, knowledge, beside)
+    first = _begun(starts, data, plant, knowledge, beside)
     weights, now = first.weights, first.model.layout.n_modes
     begun = now
     tried: dict[int, Refined] = {now: first}
@@ -128,18 +139,29 @@ def _counted(
     return tried, now
 
 
-def _begun(start: PlaneModel, data: Data, plant: FrequencyResponse, knowledge: Knowledge, beside: float) -> Refined:
-    """The joint fit from the start, or where that is lost from fewer modes.
+def _begun(
+    starts: list[PlaneModel], data: Data, plant: FrequencyResponse, knowledge: Knowledge, beside: float
+) -> Refined:
+    """The joint fit from the first start, or where that is lost from the others, and in the end from fewer modes.
 
     On coarse data several poles may stand for one peak, or one be sharper than the lines around it can tell.
     """
-    found = _joint(start, data, knowledge, beside)
+    found = _joint(starts[0], data, knowledge, beside)
+    for start in starts[1:]:
+        found = _better(found, start, data, knowledge, beside)
+    start = starts[0]
     while start.layout.n_modes > 1 and _rms(found, data) > LOST:
         start = with_modes(start, np.delete(start.modes, _least_seen(start, plant), axis=0))
-        other = _joint(start, data, knowledge, beside)
-        if _data_cost(other, data) < 0.5 * _data_cost(found, data):
-            found = other
+        found = _better(found, start, data, knowledge, beside)
     return found
+
+
+def _better(found: Refined, start: PlaneModel, data: Data, knowledge: Knowledge, beside: float) -> Refined:
+    """A lost fit, or the one from another start where that halves the misfit."""
+    if _rms(found, data) < LOST:
+        return found
+    other = _joint(start, data, knowledge, beside)
+    return other if _data_cost(other, data) < 0.5 * _data_cost(found, data) else found
 
 
 def _work(model: PlaneModel) -> float:

@@ -7,17 +7,20 @@ from dataclasses import replace
 import numpy as np
 
 from service.identification.etfe import FrequencyResponse
-from service.identification.flexible import PoleResidue, shapes_of
+from service.identification.flexible import PoleResidue, is_visible, search, shapes_of
 from service.identification.plane_model import MODE_NAMES, N_MODE, Layout, PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.rational import LEVEL, Rational
-from service.identification.rigid import rigid_refined
+from service.identification.rigid import rigid_refined, rigid_response
 from service.identification.split import log_ratios
 from service.identification.zoh import Complex, Real
 
 NEAREST, FURTHEST, USUAL = 1.5, 4.0, 2.0
 """Where modes beyond the band are started, in units of its end; the last where the remainder does not tell."""
 BEYOND_DAMPING, MOST_DAMPED = 0.005, 0.5
+SEARCHED_MODES, SEARCHED_ENOUGH, SEARCHED_FLOOR = 5, 0.005, 0.03
+"""Modes looked for in what a rigid model leaves, the relative misfit at which that stops, and the one below which a
+further mode explains nothing that the joint fit would not."""
 
 
 def with_modes(model: PlaneModel, modes: Real) -> PlaneModel:
@@ -67,6 +70,25 @@ def joint_start(
     theta[0:2], theta[2:4] = ki, ks
     modes = np.vstack([modes_from(rational.peaks, ki), _beyond(rational, plant, ki)])
     return with_modes(rigid_model.at(theta), modes)
+
+
+def searched_starts(rigid_model: PlaneModel, plant: FrequencyResponse, lowest_rad_s: float) -> list[PlaneModel]:
+    """Planes with the modes that are found in what the staged rigid model leaves, the most likely number first.
+
+    On a dozen lines this tells of more than the poles and residues of the whole plant do: the rigid rotor is known from
+    four numbers, where they take twenty.
+    """
+    left = plant.value - rigid_response(rigid_model, rigid_model.ki, rigid_model.ks, plant.omega)
+    size = np.linalg.norm(plant.value, axis=(1, 2))[:, None, None]
+    weight = np.broadcast_to(1 / size, left.shape).copy()
+    models = search(plant.omega, left, weight, SEARCHED_MODES, lowest_rad_s, enough=SEARCHED_ENOUGH)
+    n, level = 2 * left.size, 4 * len(plant.omega) * SEARCHED_FLOOR**2
+    cost = [np.sum(np.abs((left - m.response(plant.omega)) * weight) ** 2) for m in models]
+    length = [n * np.log(c + level) + 10 * (k + 1) * np.log(n) for k, c in enumerate(cost)]
+    likely = models[: int(np.argmin(length)) + 1] if models else []
+    begin = [modes_from(m, rigid_model.ki) for m in reversed(likely)]
+    seen = [m[[is_visible(mode[0], mode[1], plant.omega) for mode in m]] for m in begin[:1]]
+    return [with_modes(rigid_model, modes) for modes in (*seen, *begin[1:])]
 
 
 def _beyond(rational: Rational, plant: FrequencyResponse, ki: Real) -> Real:
