@@ -15,7 +15,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from service.jobs import calculations
+from service.jobs import calculations, slices
 from sim.errors import AmbError
 
 _NICE = 10
@@ -30,6 +30,7 @@ def main() -> None:
     _end_with_parent()
     with contextlib.suppress(OSError):
         os.nice(_NICE)
+    slices.lengthen()
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what a library prints is no answer
     signal.signal(signal.SIGINT, signal.SIG_IGN)
