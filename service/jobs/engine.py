@@ -40,12 +40,17 @@ def workflow_name(kind: str) -> str:
     return f"ambit.{kind}"
 
 
+def shared_s(period_s: float, workers: int) -> float:
+    """Period of each of so many workers that share something: together they do it about as often as one alone."""
+    return period_s * min(max(workers, 1), _SHARED_BY)
+
+
 def poll_s(queue: str, workers: int) -> float:
-    """How often each of so many workers looks into a queue: together about as often as one worker alone.
+    """How often each of so many workers looks into a queue.
 
     A look costs about 4 ms of CPU here and 1 ms in PostgreSQL; a job waits for the first of them, whoever that is.
     """
-    return POLLS_S[queue] * min(max(workers, 1), _SHARED_BY)
+    return shared_s(POLLS_S[queue], workers)
 
 
 def share_polls(workers: int) -> None:

@@ -21,7 +21,7 @@ from service.errors import ConflictError
 from service.jobs import steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
-from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls
+from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls, shared_s
 from service.storage import idempotency, jobs, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now
@@ -55,7 +55,7 @@ class Worker:
             settings, Database(settings.database), Blobs(settings.store), Calculator(), Dispatcher(settings)
         )
         self._lost_name = False
-        self._polls_shared_by = 1
+        self._shared_by = 1
         self._believes_silence_at = 0.0
 
     def start(self) -> None:
@@ -99,19 +99,19 @@ class Worker:
 
     def run(self) -> None:
         """Work until `Context.stopping` is set; then stop the rigs and leave the jobs to the next worker."""
-        chores: list[tuple[float, Callable[[], None]]] = [
-            (BEAT_S, self._beat),
-            (1.0, self._hand_over),
-            (1.0, self._keep_schedules),
-            (2.0, self._share_polls),
-            (min(5.0, self.settings.worker_timeout_s / 3), self._take_over),
-            (3600.0, self._tidy),
+        chores: list[tuple[float, bool, Callable[[], None]]] = [  # period, whether the workers share it
+            (BEAT_S, False, self._beat),
+            (1.0, True, self._hand_over),
+            (1.0, True, self._keep_schedules),
+            (2.0, False, self._share_polls),
+            (min(5.0, self.settings.worker_timeout_s / 3), False, self._take_over),
+            (3600.0, False, self._tidy),
         ]
         due = [time.monotonic()] * len(chores)
-        while not self.context.stopping.wait(0.1):
-            for k, (period, chore) in enumerate(chores):
+        while not self.context.stopping.wait(max(0.0, min(due) - time.monotonic())):
+            for k, (period, shared, chore) in enumerate(chores):
                 if time.monotonic() >= due[k]:
-                    due[k] = time.monotonic() + period
+                    due[k] = time.monotonic() + (shared_s(period, self._shared_by) if shared else period)
                     try:
                         chore()
                     except SQLAlchemyError as error:
@@ -139,9 +139,9 @@ class Worker:
         """Look into the queues the less often the more workers do; whoever comes or goes is noticed by all."""
         with self.context.database.read() as session:
             alive = workers.count_alive(session)
-        if alive != self._polls_shared_by:
+        if alive != self._shared_by:
             share_polls(alive)
-            self._polls_shared_by = alive
+            self._shared_by = alive
 
     def _take_over(self) -> None:
         """Give the jobs of workers that are silent back to the queue.

@@ -1,5 +1,6 @@
-"""Many workers look for jobs together as often as one alone: idle ones cost the database no more than one does."""
+"""Many workers look for work together as often as one alone: idle ones cost the database little more than one does."""
 
+import threading
 from datetime import timedelta
 
 import pytest
@@ -11,6 +12,7 @@ from service.jobs.engine import CPU, NOTICES, RIGS, poll_s
 from service.storage.database import now
 from service.storage.migrate import upgrade
 from service.storage.tables import WorkerRow
+from tests.support.processes import wait_for
 
 
 class Queue:
@@ -65,3 +67,27 @@ def test_together_they_look_as_often_as_one_and_none_sleeps_for_long(name):
         assert workers / poll_s(name, workers) == pytest.approx(1 / poll_s(name, 1))
     assert poll_s(name, 0) == poll_s(name, 1)  # one that was not counted yet looks too
     assert max(poll_s(CPU, 50), poll_s(RIGS, 50)) <= 1.0
+
+
+def test_what_one_worker_can_do_for_all_is_shared_and_signs_of_life_are_not(worker, monkeypatch):
+    done = {"beat": 0, "hand over": 0, "keep schedules": 0}
+
+    def counted(name):
+        def chore():
+            done[name] += 1
+
+        return chore
+
+    for name in done:
+        monkeypatch.setattr(worker, f"_{name.replace(' ', '_')}", counted(name))
+    monkeypatch.setattr(worker, "_share_polls", lambda: None)
+    monkeypatch.setattr(module, "BEAT_S", 0.05)
+    worker._shared_by = 5
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    try:
+        wait_for(lambda: done["beat"] >= 30, "thirty signs of life")  # 1.5 s: one alone would have looked again
+    finally:
+        worker.context.stopping.set()
+        thread.join()
+    assert done["hand over"] == done["keep schedules"] == 1
