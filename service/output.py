@@ -50,9 +50,15 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
-def json_text(document: dict[str, Any]) -> str:
-    """A document as JSON, numbers as Python writes them, nothing that is not a number."""
-    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+def json_text(document: dict[str, Any], indent: int | None = 1) -> str:
+    """A document as JSON, numbers as Python writes them, nothing that is not a number.
+
+    Parameters
+    ----------
+    indent
+        None for what programs alone read: one line, written twice as fast.
+    """
+    return json.dumps(document, indent=indent, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def read_document(path: Path, expected_format: str) -> dict[str, Any]:

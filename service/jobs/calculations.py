@@ -51,7 +51,7 @@ def identification(
     sheet = datasheet.read(Path(rig))
     measured = file.read(Path(experiment))
     done = bootstrap.identify_into(measured, sheet, Path(out), name, lambda begins: tell(*percents[begins]), priors)
-    write_text(Path(out) / PLOTS, json_text(curves(done.result, sheet)))
+    write_text(Path(out) / PLOTS, json_text(curves(done.result, sheet), indent=None))
     return model_summary(done.document)
 
 
