@@ -53,7 +53,7 @@ def assemble(
         parameter_names=tuple(np.array(model.layout.names)[u.free].tolist()),
         amplifiers=amplifiers(model, u, data, fits, held_out),
         stiffness=stiffness(model, u, datasheet, points),
-        modes=modes(model, u, points),
+        modes=modes(model, u, points, selected.splits),
         delay_s=estimates(model, u, lambda m: np.array([m.delay_s]), ["s"])[0],
         poles=poles(model, u),
         zeros=transmission_zeros(model),

@@ -16,6 +16,7 @@ from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.refine import Data
 from service.identification.result import AmplifierResult, Estimate, ModeResult, PoleResult
+from service.identification.split import Posterior
 from service.identification.uncertainty import Uncertainty
 from service.identification.validation import nrmse_percent
 from service.identification.zoh import Complex, Real
@@ -31,7 +32,9 @@ def stiffness(model: PlaneModel, u: Uncertainty, datasheet: Datasheet, points: P
     return dict(zip(["ksA", "ksB", "kiA", "kiB"], found, strict=True))
 
 
-def modes(model: PlaneModel, u: Uncertainty, points: PlanePoints) -> tuple[ModeResult, ...]:
+def modes(
+    model: PlaneModel, u: Uncertainty, points: PlanePoints, splits: Posterior | None
+) -> tuple[ModeResult, ...]:
     """Flexible modes by natural frequency; a mode that no rotor has is told as beyond the band, or as a patch."""
     n = model.layout.n_modes
     if n == 0:
@@ -47,12 +50,21 @@ def modes(model: PlaneModel, u: Uncertainty, points: PlanePoints) -> tuple[ModeR
     out = []
     for k in range(n):
         shapes = found[3 * n + 4 * k : 3 * n + 4 * k + 4]
+        if splits is not None and splits.shapes is not None:
+            linear = 0.25 * splits.covariance[k, k]
+            shapes = [_with_split(s, splits.shapes[k, j // 2] - linear) for j, s in enumerate(shapes)]
         w, zeta = found[k].value, found[n + k].value
         kind = "rotor" if w <= points.omega.max() and 0 < zeta < 0.3 else "beyond" if 0 < zeta < 0.3 else "patch"
         out.append(
             ModeResult(found[k], found[n + k], found[2 * n + k], (shapes[0], shapes[1]), (shapes[2], shapes[3]), kind)
         )
     return tuple(sorted(out, key=lambda m: m.natural_frequency_rad_s.value))
+
+
+def _with_split(shape: Estimate, beyond_linear: float) -> Estimate:
+    """A shape's figure, told how much further its split moves it than the linear law that frequencies follow."""
+    variance = shape.std**2 + beyond_linear * shape.value**2
+    return replace(shape, std=float(np.sqrt(max(variance, (shape.std_from_data or 0.0) ** 2))))
 
 
 def poles(model: PlaneModel, u: Uncertainty) -> tuple[PoleResult, ...]:

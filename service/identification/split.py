@@ -113,6 +113,9 @@ class Posterior:
 
     log_ratios: Real
     covariance: Real
+    shapes: Real | None = None
+    """(n, 2) second moments of the relative changes of phi_b and of phi_s, a^(1/2) - 1 and a^(-1/2) - 1: half that of a
+    while it is small, but the smaller share of a shape may be the larger one, which no change of a by itself tells. None: as the latter."""
 
 
 def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:

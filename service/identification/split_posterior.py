@@ -64,7 +64,9 @@ def posterior(
         spread = (away * weight[:, None]).T @ away + 1e-3 * spread
     # everything moves in proportion to a, not to its logarithm: a share that vanishes is a change of one, no more
     moved = 1.0 - np.exp(np.clip(here - points, -REACH, REACH))
-    return Posterior(here, (moved * weight[:, None]).T @ moved + 1e-12 * np.eye(n))
+    half = np.clip(0.5 * (points - here), -REACH, REACH)
+    shapes = np.stack([weight @ np.expm1(-half) ** 2, weight @ np.expm1(half) ** 2], axis=1)
+    return Posterior(here, (moved * weight[:, None]).T @ moved + 1e-12 * np.eye(n), shapes)
 
 
 def _precision(model: PlaneModel, here: Real, knowledge: Knowledge) -> Real:
