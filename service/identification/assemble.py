@@ -6,10 +6,25 @@ import numpy as np
 
 from service.identification.amplifier_fit import AmplifierFit
 from service.identification.closed_loop import predicted_closed_loop
-from service.identification.combine import amplifier_state_space, plant_state_space, transmission_zeros
+from service.identification.combine import (
+    amplifier_state_space,
+    plant_poles,
+    plant_state_space,
+    pole_pencil,
+    transmission_zeros,
+    zero_pencil,
+)
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.extended import extended_report
-from service.identification.figures import amplifier_scatter, amplifiers, estimates, modes, poles, stiffness
+from service.identification.figures import (
+    amplifier_scatter,
+    amplifiers,
+    correlations,
+    estimates,
+    modes,
+    roots,
+    stiffness,
+)
 from service.identification.judged import cross_validation, frequency_fit, residual_tests, unseen_modes
 from service.identification.margins import axis_margins, dense_grid
 from service.identification.points import PlanePoints
@@ -55,8 +70,9 @@ def assemble(
         stiffness=stiffness(model, u, datasheet, points),
         modes=modes(model, u, points, selected.splits),
         delay_s=estimates(model, u, lambda m: np.array([m.delay_s]), ["s"])[0],
-        poles=poles(model, u),
-        zeros=transmission_zeros(model),
+        poles=roots(model, u, plant_poles(model), pole_pencil),
+        zeros=roots(model, u, transmission_zeros(model), zero_pencil),
+        correlations=correlations(model, u, controller),
         extended=extended_report(refined, selected.splits, data, datasheet, u),
         fit_percent=fit,
         cross_validation_fit_percent=cross,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigvals
 from scipy.optimize import linear_sum_assignment
 
 from service.identification.plane_model import PlaneModel
@@ -79,20 +80,29 @@ def levitated_frequencies(model: PlaneModel) -> Real:
     return out
 
 
-def transmission_zeros(model: PlaneModel) -> Complex:
-    """Finite transmission zeros of the plant from coil currents to displacements."""
-    from scipy.linalg import eig
+def pole_pencil(model: PlaneModel) -> tuple[Real, Real]:
+    """Matrices whose generalised eigenvalues are the poles of the levitated plant."""
+    a, _, _ = physical_matrices(model)
+    return a, np.eye(len(a))
 
+
+def zero_pencil(model: PlaneModel) -> tuple[Real, Real]:
+    """Matrices whose finite generalised eigenvalues are the plant's transmission zeros (Rosenbrock's system matrix)."""
     a, b, c = physical_matrices(model)
     n = len(a)
     pencil = np.block([[a, b / np.abs(b).max()], [c / np.abs(c).max(), np.zeros((2, 2))]])
     mass = np.zeros_like(pencil)
     mass[:n, :n] = np.eye(n)
-    values = eig(pencil, mass, right=False)
+    return pencil, mass
+
+
+def transmission_zeros(model: PlaneModel) -> Complex:
+    """Finite transmission zeros of the plant from coil currents to displacements."""
+    values: Complex = np.asarray(eigvals(*zero_pencil(model)), dtype=np.complex128)
     values = values[np.isfinite(values)]
-    limit = 50 * np.max(np.abs(np.linalg.eigvals(a)))
+    limit = 50 * np.max(np.abs(plant_poles(model)))
     values = values[np.abs(values) < limit]
-    return np.asarray(values[np.argsort(np.abs(values))], dtype=np.complex128)
+    return values[np.argsort(np.abs(values))]
 
 
 def modal_form(

@@ -65,6 +65,12 @@ def extended_report(
             "nominal": float(model.theta[model.layout.index(name)]),
             "identifiable": bool(std < tolerance[name]),
         }
+    size = np.sqrt(np.diag(covariance))
+    asked_at = [int(np.searchsorted(places, model.layout.index(name))) for name in asked]
+    out["correlations"] = {
+        "names": [str(n) for n in np.array(model.layout.names)[free]],
+        "matrix": [(covariance[k] / size[k] / size).tolist() for k in asked_at],
+    }
     spread = {name: (out[name]["value"], out[name]["std"]) for name in asked}
     out["profile"] = profiles(refined, splits, data, spread)
     out["identifiable"] = all(out[name]["identifiable"] for name in asked)

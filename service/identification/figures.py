@@ -6,16 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import eig
 
 from service.identification import amplifier as amp
 from service.identification.amplifier_fit import AmplifierFit
-from service.identification.combine import levitated_frequencies, plant_poles
+from service.identification.combine import levitated_frequencies
 from service.identification.evidence import Evidence
+from service.identification.margins import sensitivity, sensitivity_peaks
 from service.identification.noise import block_noise
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.refine import Data
-from service.identification.result import AmplifierResult, Estimate, ModeResult, PoleResult
+from service.identification.result import AmplifierResult, Correlations, Estimate, ModeResult, RootResult
 from service.identification.split import Posterior
 from service.identification.uncertainty import Uncertainty
 from service.identification.validation import nrmse_percent
@@ -32,9 +34,7 @@ def stiffness(model: PlaneModel, u: Uncertainty, datasheet: Datasheet, points: P
     return dict(zip(["ksA", "ksB", "kiA", "kiB"], found, strict=True))
 
 
-def modes(
-    model: PlaneModel, u: Uncertainty, points: PlanePoints, splits: Posterior | None
-) -> tuple[ModeResult, ...]:
+def modes(model: PlaneModel, u: Uncertainty, points: PlanePoints, splits: Posterior | None) -> tuple[ModeResult, ...]:
     """Flexible modes by natural frequency; a mode that no rotor has is told as beyond the band, or as a patch."""
     n = model.layout.n_modes
     if n == 0:
@@ -67,18 +67,61 @@ def _with_split(shape: Estimate, beyond_linear: float) -> Estimate:
     return replace(shape, std=float(np.sqrt(max(variance, (shape.std_from_data or 0.0) ** 2))))
 
 
-def poles(model: PlaneModel, u: Uncertainty) -> tuple[PoleResult, ...]:
-    """Poles of the levitated plant, rad/s, each with the deviation of its place."""
-    at = plant_poles(model)
+def roots(
+    model: PlaneModel, u: Uncertainty, at: Complex, pencil: Callable[[PlaneModel], tuple[Real, Real]]
+) -> tuple[RootResult, ...]:
+    """Poles or zeros of the levitated plant, rad/s, each with the region where it lies.
 
-    def near(m: PlaneModel) -> Real:
-        moved = plant_poles(m)
-        paired = np.array([moved[np.argmin(np.abs(moved - p))] for p in at])
-        return np.concatenate([paired.real, paired.imag])
+    Parameters
+    ----------
+    at
+        Those to tell of.
+    pencil
+        Matrices whose generalised eigenvalues they are. An eigenvalue z with left and right vectors w, v moves by
+        w^H dA v / w^H M v (Stewart and Sun, Matrix Perturbation Theory, VI.2), which is exact where differences of the
+        real parts of lightly damped roots would be lost in rounding.
+    """
+    if len(at) == 0:
+        return ()
+    a, mass = pencil(model)
+    values, left, right = eig(a, mass, left=True, right=True)  # type: ignore[misc]
+    places = [int(np.argmin(np.abs(np.where(np.isfinite(values), values, np.inf) - p))) for p in at]
+    w, v = left[:, places].conj(), right[:, places]
+    norm = np.einsum("ik,ij,jk->k", w, mass, v)
 
-    std, _ = u.std(model, near)
-    n = len(at)
-    return tuple(PoleResult(complex(p), float(np.hypot(std[k], std[n + k]))) for k, p in enumerate(at))
+    def moved(m: PlaneModel) -> Real:
+        z = np.einsum("ik,ij,jk->k", w, pencil(m)[0], v) / norm
+        return np.concatenate([z.real, z.imag])
+
+    gradient = u.gradient(model, moved).reshape(2, len(at), -1)
+    covariance = np.einsum("akn,nm,bkm->kab", gradient, u.covariance, gradient)
+    size = np.sqrt(np.maximum(np.einsum("kaa->k", covariance), 0.0))
+    return tuple(RootResult(complex(p), float(s), c) for p, s, c in zip(at, size, covariance, strict=True))
+
+
+def correlations(model: PlaneModel, u: Uncertainty, controller: tuple[Real, Real]) -> Correlations:
+    """Correlations of all figures of a plane, modes by rising natural frequency."""
+    order = np.argsort(model.natural_frequencies)
+    peaks = sensitivity_peaks(model, controller)
+
+    def every(m: PlaneModel) -> Real:
+        # to first order the height of a peak does not depend on its place
+        at = np.array([p.omega for p in peaks])
+        s = np.abs(sensitivity(m, controller, at))
+        of_modes = [m.natural_frequencies[order], m.damping_ratios[order], m.modes[order, 2:6].ravel()]
+        return np.concatenate([m.ks, m.ki, [m.delay_s], *of_modes, [s[0, 0, 0], s[1, 1, 1]]])
+
+    numbers = range(1, len(order) + 1)
+    places = ("bearing A", "bearing B", "sensor A", "sensor B")
+    names = ["ksA", "ksB", "kiA", "kiB", "delay"]
+    names += [f"natural frequency {k}" for k in numbers] + [f"damping ratio {k}" for k in numbers]
+    names += [f"shape {k}, {place}" for k in numbers for place in places]
+    names += ["sensitivity peak A", "sensitivity peak B"]
+    gradient = u.gradient(model, every)
+    covariance = gradient @ u.covariance @ gradient.T
+    std = np.sqrt(np.diag(covariance))
+    std[std == 0] = 1.0  # what no data moves, as the delay without currents
+    return Correlations(tuple(names), np.clip(covariance / np.outer(std, std), -1.0, 1.0))
 
 
 def amplifiers(

@@ -24,9 +24,11 @@ from service.identification.transient import Transient, settled, told
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 
-END_SLOPE = 2.5
-"""Change of a shape near the ends of a free shaft, in largest values per bearing span: 4.65 per length for the first
-mode of a uniform beam, and shafts are up to twice as long as their bearing span."""
+END_SLOPE = 4.0
+"""Change of the first mode's shape towards a free shaft's end, in largest values at bearings and sensors per bearing
+span. A uniform beam's slope at its end is 4.65 per length (Blevins, Formulas for Natural Frequency and Mode Shape,
+table 8-1) of the value there; over the usual 0.7 to 0.85 of it, and of the smaller values within, it is 4 to 6, less
+where discs bend the shape."""
 
 
 @dataclass(frozen=True)

@@ -52,12 +52,36 @@ class ModeResult:
 
 
 @dataclass(frozen=True)
-class PoleResult:
-    """A pole of the levitated plant."""
+class RootResult:
+    """A pole or a zero of the levitated plant, rad/s, and the region where it lies."""
 
     value: complex
     std: float
     """Standard deviation of |dp|."""
+    covariance: Real
+    """(2, 2) of real and imaginary part."""
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "re": self.value.real,
+            "im": self.value.imag,
+            "std": self.std,
+            "covariance": self.covariance.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """How the errors of a plane's figures go together."""
+
+    names: tuple[str, ...]
+    matrix: Real
+    """(n, n)"""
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"names": list(self.names), "matrix": self.matrix.tolist()}
 
 
 @dataclass(frozen=True)
@@ -135,8 +159,10 @@ class PlaneResult:
     stiffness: dict[str, Estimate]
     modes: tuple[ModeResult, ...]
     delay_s: Estimate
-    poles: tuple[PoleResult, ...]
-    zeros: Complex
+    poles: tuple[RootResult, ...]
+    zeros: tuple[RootResult, ...]
+    """Transmission zeros, the finite ones."""
+    correlations: Correlations
     extended: dict[str, Any]
     fit_percent: Real
     cross_validation_fit_percent: Real | None
@@ -189,8 +215,9 @@ class PlaneResult:
             "rotor_modes": [_mode(m) for m in self.modes if m.kind == "rotor"],
             "other_modes": [_mode(m) for m in self.modes if m.kind != "rotor"],
             "mode_evidence": [evidence_document(e) for e in self.mode_evidence],
-            "plant_poles": [{"re": p.value.real, "im": p.value.imag, "std": p.std} for p in self.poles],
-            "plant_zeros": _complex(self.zeros),
+            "plant_poles": [p.document() for p in self.poles],
+            "plant_zeros": [z.document() for z in self.zeros],
+            "correlations": self.correlations.document(),
             "extended": self.extended,
             "fit_percent": self.fit_percent.tolist(),
             "cross_validation_fit_percent": _matrix(self.cross_validation_fit_percent),

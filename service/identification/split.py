@@ -61,11 +61,12 @@ class Knowledge:
     def scales_of(self, place: int) -> tuple[float, float]:
         """Scales of a mode's growth towards the shaft's end and of its fall; ``place`` is by rising frequency, from 0.
 
-        The end slope of the k-th mode of a free uniform beam is (2 k + 1) pi/2 per length, k from 1. Only of the first
-        one is it unlikely that a bearing lies within the outermost node, where a shape falls.
+        The end slope of the k-th mode of a free uniform beam is (2 k + 1) pi/2 per length, k from 1, and the nearer its
+        nodes lie to the bearings the smaller is the shape that it is counted in: about k times the first one's.
+        Only of the first one is it unlikely that a bearing lies within the outermost node, where a shape falls.
         """
         assert self.closeness is not None
-        scale = self.closeness * (2 * place + 3) / 3
+        scale = self.closeness * (place + 1)
         return scale, scale * (UNLIKELY_FALL if place == 0 else 1.0)
 
     def of_modes(self, model: PlaneModel) -> Real:
@@ -114,8 +115,9 @@ class Posterior:
     log_ratios: Real
     covariance: Real
     shapes: Real | None = None
-    """(n, 2) second moments of the relative changes of phi_b and of phi_s, a^(1/2) - 1 and a^(-1/2) - 1: half that of a
-    while it is small, but the smaller share of a shape may be the larger one, which no change of a by itself tells. None: as the latter."""
+    """(n, 2) second moments of the relative changes of phi_b and of phi_s, a^(1/2) - 1 and a^(-1/2) - 1. They are half
+    those of a while that is small, but the smaller side of a shape may be the larger one, which no change of a tells.
+    None: as half those of a."""
 
 
 def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:

@@ -49,10 +49,10 @@ def plane_section(plane: PlaneResult, experiment: Experiment, datasheet: Datashe
         Captioned(
             residuals.pole_figure(plane),
             "Poles and transmission zeros of the levitated plant without controller, all of them and each "
-            "flexible pole with its 99 % region. Real poles come in pairs, one of each unstable.",
+            "flexible pole and the zeros near it with 99 % regions. Real poles come in pairs, one of each unstable.",
         )
     )
-    parts.append(f"<details><summary>Poles in figures</summary>{residuals.pole_table(plane)}</details>")
+    parts.append(f"<details><summary>Poles and zeros in figures</summary>{residuals.pole_table(plane)}</details>")
     passed = (
         "All stay within what white noise does" if plane.tests_passed else "Not all stay within what white noise does"
     )
@@ -64,6 +64,12 @@ def plane_section(plane: PlaneResult, experiment: Experiment, datasheet: Datashe
         )
     )
     parts.append(residuals.tests_table(plane))
+    parts.append(
+        Captioned(
+            residuals.correlation_figure(plane),
+            "Correlations of the figures' errors: what stands at plus or minus one is known together only.",
+        )
+    )
     parts.append(_more(plane))
     return Section(f"{plane.plane}-plane", parts)
 

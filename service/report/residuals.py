@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from service.identification.result import PlaneResult
+from service.distributions import chi2_above
+from service.identification.result import PlaneResult, RootResult
 from service.identification.validation import CorrelationTest
 from service.report.bode import RADIUS_99
 from service.report.figure import MODEL, REGION, SECOND, THIRD, Figure, band, line, points
@@ -61,7 +64,7 @@ def tests_table(plane: PlaneResult) -> str:
 def pole_figure(plane: PlaneResult) -> Figure:
     """Poles and zeros of the levitated plant: the rigid pairs on the real axis, and every flexible pole near by."""
     poles = np.array([p.value for p in plane.poles])
-    std = np.array([p.std for p in plane.poles])
+    zeros = np.array([z.value for z in plane.zeros], dtype=complex)
     flexible = [k for k, p in enumerate(poles) if p.imag > 1e-6 * max(abs(p), 1.0)]
     flexible.sort(key=lambda k: poles[k].imag)
     flexible = flexible[:3]
@@ -70,21 +73,21 @@ def pole_figure(plane: PlaneResult) -> Figure:
     pole_style = {"symbol": "x-thin", "size": 10, "stroke": 2}
     zero_style = {"symbol": "circle-open", "size": 8, "stroke": 1.6}
     fig.add(0, 0, points(poles.real, poles.imag, "pole", MODEL, **pole_style))
-    fig.add(0, 0, points(plane.zeros.real, plane.zeros.imag, "transmission zero", THIRD, **zero_style))
+    fig.add(0, 0, points(zeros.real, zeros.imag, "transmission zero", THIRD, **zero_style))
     fig.line_at(0, 0, x=0.0, colour="#9aa5b1")
     fig.x(0, 0, title={"text": "real part, rad/s", "standoff": 6})
     fig.y(0, 0, title="imaginary part, rad/s")
     for c, k in enumerate(flexible, start=1):
-        p, radius = poles[k], RADIUS_99 * std[k]
-        turn = np.exp(1j * np.linspace(0, 2 * np.pi, 61))
-        region = p + radius * turn
-        shape = {"fill": "toself", "fillcolor": REGION, "hoverinfo": "skip"}
-        fig.add(0, c, line(region.real, region.imag, "99 % region", MODEL, width=1.0, **shape))
+        p = poles[k]
+        reach = 4.0 * RADIUS_99 * plane.poles[k].std
+        _region(fig, c, plane.poles[k], "99 % region", MODEL)
         fig.add(0, c, points(np.array([p.real]), np.array([p.imag]), "pole", MODEL, **pole_style))
-        reach = 4.0 * radius
-        near = plane.zeros[np.abs(plane.zeros - p) < 1.4 * reach]
-        if len(near):
-            fig.add(0, c, points(near.real, near.imag, "transmission zero", THIRD, **zero_style))
+        near = [z for z in plane.zeros if abs(z.value - p) < 1.4 * reach]
+        for z in near:
+            _region(fig, c, z, "99 % region of a zero", THIRD)
+        if near:
+            at = np.array([z.value for z in near])
+            fig.add(0, c, points(at.real, at.imag, "transmission zero", THIRD, **zero_style))
         fig.x(0, c, range=[p.real - reach, p.real + reach], title={"text": "real part, rad/s", "standoff": 6}, nticks=4)
         fig.y(0, c, range=[p.imag - reach, p.imag + reach], nticks=6)
         if p.real + reach > 0:
@@ -92,26 +95,62 @@ def pole_figure(plane: PlaneResult) -> Figure:
     return fig
 
 
+def _region(fig: Figure, column: int, root: RootResult, name: str, colour: str) -> None:
+    """The ellipse within which a root lies at 99 %."""
+    sizes, axes = np.linalg.eigh(root.covariance)
+    turn = np.linspace(0, 2 * np.pi, 61)
+    radius = math.sqrt(chi2_above(0.01, 2)) * np.sqrt(np.maximum(sizes, 0.0))
+    x, y = axes @ (radius[:, None] * np.array([np.cos(turn), np.sin(turn)]))
+    shape = {"fill": "toself", "fillcolor": REGION, "hoverinfo": "skip"}
+    fig.add(0, column, line(root.value.real + x, root.value.imag + y, name, colour, width=1.0, **shape))
+
+
+def correlation_figure(plane: PlaneResult) -> Figure:
+    """How the errors of all figures go together."""
+    names = list(plane.correlations.names)
+    fig = Figure(f"correlations-{plane.plane}", 1, 1, 150 + 19 * len(names), titles=[], legend=False)
+    z = plane.correlations.matrix
+    trace = {
+        "type": "heatmap",
+        "x": names,
+        "y": names,
+        "z": [[round(float(v), 3) for v in row] for row in z],
+        "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>",
+        "colorscale": [[0.0, SECOND], [0.5, "#ffffff"], [1.0, MODEL]],
+        "zmin": -1.0,
+        "zmax": 1.0,
+        "xgap": 1,
+        "ygap": 1,
+        "colorbar": {"thickness": 12, "len": 1.0, "tickvals": [-1, 0, 1]},
+    }
+    fig.add(0, 0, trace)
+    fig.y(0, 0, autorange="reversed", showgrid=False, tickfont={"size": 10})
+    fig.x(0, 0, showgrid=False, tickangle=-60, tickfont={"size": 10})
+    fig.layout["margin"].update(l=150, b=130, r=60)
+    return fig
+
+
 def pole_table(plane: PlaneResult) -> str:
-    """Poles of the levitated plant with their uncertainty, and the nearest one of the black box."""
+    """Poles and zeros of the levitated plant with their uncertainty, and the black box's pole nearest to each pole."""
     rows = []
     others = plane.subspace.poles
-    for p in plane.poles:
+    for p in (*plane.poles, *plane.zeros):
         if p.value.imag < -1e-9:
             continue
-        w = abs(p.value)
+        w, pole = abs(p.value), any(p is other for other in plane.poles)
         rows.append(
             [
+                "pole" if pole else "zero",
                 number(p.value.real, 5),
                 "0" if p.value.imag == 0 else f"± {number(p.value.imag, 7)}",
                 number(p.std, 2),
                 number(w / (2 * np.pi), 6),
-                _complex(others[np.argmin(np.abs(others - p.value))]) if len(others) else "",
-                "unstable" if p.value.real > 0 else "",
+                _complex(others[np.argmin(np.abs(others - p.value))]) if pole and len(others) else "",
+                "unstable" if pole and p.value.real > 0 else "",
             ]
         )
     return table(
-        ["real, rad/s", "imaginary, rad/s", "std. dev., rad/s", "|p|, Hz", "subspace, rad/s", ""], rows, left=0
+        ["", "real, rad/s", "imaginary, rad/s", "std. dev., rad/s", "|p|, Hz", "subspace, rad/s", ""], rows, left=1
     )
 
 

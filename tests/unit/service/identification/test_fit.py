@@ -237,8 +237,10 @@ def test_without_knowledge_of_the_splits_one_combination_is_blind_and_says_so(
 ) -> None:
     free = identify(experiment, datasheet, Options(closeness=False)).planes["x"].modes[0].natural_frequency_rad_s
     with_closeness = result.planes["x"].modes[0].natural_frequency_rad_s
-    assert free.std > with_closeness.std
-    assert abs(free.value - 3097.0) < 3 * free.std
+    # this rotor's shape triples from bearing B to its sensor: that they are close tells little, and misleads neither
+    for told in (free, with_closeness):
+        assert abs(told.value - 3097.0) < 2 * told.std
+        assert told.std > 50 * told.std_from_data
     # the plant's own pole does not hang on it
     assert result.planes["x"].modes[0].levitated_frequency_rad_s.std < 0.1 * with_closeness.std
 

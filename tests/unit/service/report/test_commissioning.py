@@ -51,7 +51,9 @@ def test_every_figure_is_there(page):
     expected = {"amplitudes"}
     for plane in "xy":
         expected |= {f"plant-{plane}A", f"plant-{plane}B"}
-        expected |= {f"{kind}-{plane}" for kind in ("amplifier", "staged", "sensitivity", "poles", "residuals")}
+        expected |= {
+            f"{kind}-{plane}" for kind in ("amplifier", "staged", "sensitivity", "poles", "residuals", "correlations")
+        }
     assert names(page) == expected
 
 
@@ -96,7 +98,7 @@ def test_one_sweep_without_currents_in_two_axes(measured):
     sheet = replace(datasheet, **per_axis)
     page = commissioning_page(identify(small, sheet), small, sheet)
     assert names(page) == {
-        "plant-xA", "plant-xB", "staged-x", "sensitivity-x", "poles-x", "residuals-x", "amplitudes",
+        "plant-xA", "plant-xB", "staged-x", "sensitivity-x", "poles-x", "residuals-x", "correlations-x", "amplitudes",
     }  # fmt: skip
     assert "fitted to" in page
 
