@@ -97,10 +97,17 @@ def settled(
 class _Ringing:
     """One pole over the points: what a unit of it leaves in the first block, and how it goes on."""
 
-    trace: Complex
-    """(P, c)"""
+    start: Complex
+    """(P, c) before it is averaged over the first block."""
+    mean: Complex
+    """(P,) what averaging makes of it."""
     powers: Complex
     """(P, B)"""
+
+    @property
+    def trace(self) -> Complex:
+        """What is left in the first block, (P, c)."""
+        return self.mean[:, None] * self.start
 
     def backwards(self) -> _Ringing:
         """The same with time reversed."""
@@ -135,8 +142,9 @@ def without_transients(
     lengths = [block_s] if block_s is not None else [_whole_periods(points.omega, t) for t in BLOCK_S]
     loops = {pole: _Loop.of(points, model, controller, pole) for pole in _slow_poles(model, controller)}
     while loops:  # the loudest first: it also tells how long the blocks are
+        along = {pole: _Along.of(loop.start, e, white) for pole, loop in loops.items()}
         tried = {
-            (pole, k): _evidence(loop.ringing(t), e, white, points)
+            (pole, k): _evidence(loop.ringing(t), along[pole], points)
             for pole, loop in loops.items()
             for k, t in enumerate(lengths)
             if np.exp(pole.real * np.median(t)) > GONE
@@ -145,12 +153,12 @@ def without_transients(
             break
         (pole, length), (evidence, size) = max(tried.items(), key=lambda item: item[1][0])
         backwards = loops[pole].ringing(lengths[length]).backwards()
-        if evidence < EVIDENCE + NOISE * _evidence(backwards, e, white, points)[0]:
+        if evidence < EVIDENCE + NOISE * _evidence(backwards, along[pole], points)[0]:
             loops.pop(pole)
             continue
         lengths = [lengths[length]]
         best = loops.pop(pole).ringing(lengths[0])
-        estimate, variance = _estimates(best, e, white)
+        estimate, variance = _estimates(best, along[pole])
         keep = size / (size + variance)
         alpha = np.nan_to_num(keep * estimate)
         taken = alpha[:, None, None] * best.powers[:, :, None] * best.trace[:, None, :]
@@ -192,7 +200,7 @@ class _Loop:
     points: PlanePoints
     away: Complex
     """(P,) (p - jw) times the sample time."""
-    trace: Complex
+    start: Complex
     """(P, c) of a transient as large as a start from rest leaves it, before it is averaged over a block."""
     sample_time_s: float
 
@@ -207,15 +215,15 @@ class _Loop:
         _, _, vh = np.linalg.svd(np.eye(2) + c * at_pole[2:])
         seen = (at_pole - _transfer(system, np.exp(1j * omega * period))) @ vh[-1].conj()
         start = np.abs(points.r[np.arange(len(omega)), points.axis]) / np.abs(1j * omega - pole)
-        trace = start[:, None] * (seen if points.I is not None else seen[:, 2:])
-        return cls(points, np.asarray((pole - 1j * omega) * period, dtype=np.complex128), trace, period)
+        left = start[:, None] * (seen if points.I is not None else seen[:, 2:])
+        return cls(points, np.asarray((pole - 1j * omega) * period, dtype=np.complex128), left, period)
 
     def ringing(self, block_s: Real) -> _Ringing:
         """For blocks of a length, (P,) s."""
         turn = np.exp(self.away * (block_s / self.sample_time_s))
         mean = (turn - 1.0) / (np.expm1(self.away) * block_s / self.sample_time_s)
         powers = turn[:, None] ** np.arange(self.points.n_blocks)
-        return _Ringing(mean[:, None] * self.trace, np.asarray(powers, dtype=np.complex128))
+        return _Ringing(self.start, np.asarray(mean, dtype=np.complex128), np.asarray(powers, dtype=np.complex128))
 
 
 def _with_currents(model: PlaneModel, loop: Sampled) -> Sampled:
@@ -230,23 +238,38 @@ def _transfer(system: Sampled, z: Complex) -> Complex:
     return np.asarray(system.C @ np.linalg.solve(inner, right))
 
 
-def _estimates(ringing: _Ringing, e: Complex, white: Complex) -> tuple[Complex, Real]:
+@dataclass(frozen=True)
+class _Along:
+    """The blocks' residuals along the trace of a pole, which does not hang on the length of the blocks."""
+
+    product: Complex
+    """(P, B) in units of the noise."""
+    size: Real
+    """(P,) of the trace, squared."""
+
+    @classmethod
+    def of(cls, trace: Complex, e: Complex, white: Complex) -> _Along:
+        """For residuals (P, B, c) and their whitening (P, c, c)."""
+        unit = np.einsum("pcd,pd->pc", white, trace)
+        product = np.einsum("pd,pbd->pb", np.einsum("pc,pcd->pd", unit.conj(), white), e)
+        return cls(np.asarray(product), np.sum(np.abs(unit) ** 2, axis=1))
+
+
+def _estimates(ringing: _Ringing, along: _Along) -> tuple[Complex, Real]:
     """alpha of each point by least squares over the blocks, the settled value free, and its variance, (P,) each."""
     change = ringing.powers - ringing.powers.mean(axis=1, keepdims=True)
-    trace = np.einsum("pcd,pd->pc", white, ringing.trace)
-    seen = np.einsum("pcd,pbd->pbc", white, e)
-    weight = np.sum(np.abs(change) ** 2, axis=1) * np.sum(np.abs(trace) ** 2, axis=1)
-    product = np.einsum("pb,pc,pbc->p", change.conj(), trace.conj(), seen)
+    weight = np.sum(np.abs(change) ** 2, axis=1) * np.abs(ringing.mean) ** 2 * along.size
+    product = ringing.mean.conj() * np.sum(change.conj() * along.product, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(product / weight), np.asarray(1.0 / weight)
 
 
-def _evidence(ringing: _Ringing, e: Complex, white: Complex, points: PlanePoints) -> tuple[float, Real]:
+def _evidence(ringing: _Ringing, along: _Along, points: PlanePoints) -> tuple[float, Real]:
     """Gain of log likelihood when a transient of the best common size is allowed, and that variance, (P,).
 
     Tones at either bearing leave transients of different size.
     """
-    alpha, variance = _estimates(ringing, e, white)
+    alpha, variance = _estimates(ringing, along)
     total, size = 0.0, np.zeros(len(alpha))
     for axis in (0, 1):
         mine = (points.axis == axis) & np.isfinite(variance)
