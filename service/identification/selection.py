@@ -29,7 +29,8 @@ BEYOND_GAIN = 20.0
 """Gain of twice the log likelihood that one beyond the band has to bring: of six parameters for nothing chance has more
 than that in three of a thousand cases."""
 COARSE = 60
-"""Lines fewer than which leave it to chance what the poles and residues of a plant stand for."""
+"""Lines fewer than which leave it to chance what the poles and residues of a plant stand for: it then begins with modes
+of what the rigid rotor leaves."""
 WORK = 0.005
 """Share of a mode's stiffness that the position stiffness takes beyond which a fit may have begun at wrong splits."""
 SOFT = 1.5
@@ -63,7 +64,7 @@ def choose_modes(
     start
         Plane to begin with, amplifiers fitted, modes where the measured plant has its poles.
     rigid_model
-        The staged fit's, where modes are looked for in what it leaves: on few lines, or where ``start`` led nowhere.
+        The staged fit's; modes are looked for in what it leaves on few lines, or where ``start`` led nowhere.
     plant
         Measured plant from coil current to y, for the search of further modes.
     lowest_rad_s
@@ -73,9 +74,11 @@ def choose_modes(
     """
     fits = JointFits(replace(data, prior=None), knowledge)
     counting = _Counting(fits, plant, lowest_rad_s)
-    found = counting.from_starts([start])
-    if fits.rms(found.best) > ADEQUATE or len(plant.omega) < COARSE:
-        found = counting.or_from(found, searched_starts(rigid_model, plant, lowest_rad_s))
+    coarse = len(plant.omega) < COARSE
+    searched = searched_starts(rigid_model, plant, lowest_rad_s) if coarse else []
+    found = counting.from_starts(searched or [start])
+    if fits.rms(found.best) > ADEQUATE:
+        found = counting.or_from(found, [start] if searched else searched_starts(rigid_model, plant, lowest_rad_s))
     if fits.rms(found.best) > ADEQUATE and _work(found.start) > WORK:
         found = counting.or_from(found, [found.start], SOFT)
     inside = fits.inside(found.start)
