@@ -191,19 +191,23 @@ def workers(folder: Path, seconds: float) -> None:
             for _ in range(count):  # the children have loaded what they need
                 found.submit("identification", rig_id, experiment=experiment)
             _all_ended(found)
-            n = max(8, int(seconds / 2)) * (1 if count == 1 else 2)
-            began = time.monotonic()
-            for _ in range(n):
-                found.submit("identification", rig_id, experiment=experiment)
+            n = max(8, int(seconds / 2)) * (1 if count == 1 else 2) + 2 * count
+            jobs = [found.submit("identification", rig_id, experiment=experiment) for _ in range(n)]
             _all_ended(found)
-            rate[count] = n / (time.monotonic() - began)
-            print(f"{count} workers on PostgreSQL: {n} identifications, {rate[count]:.2f} per second")
+            rate[count] = _rate([found.job(job) for job in jobs], count)
+            print(f"{count} workers on PostgreSQL: {n} identifications, {rate[count]:.3f} per second")
     (folder / "experiment.h5").write_bytes(measured)
     (folder / "rig.toml").write_text(reference_sheet(), encoding="utf-8")
     bare = {count: _bare(folder, count, max(8, int(seconds / 2))) for count in (1, 2)}
     gain, ceiling = rate[4] / rate[1], bare[2] / bare[1]
-    print(f"bare processes: one {bare[1]:.2f} per second, two {bare[2]:.2f}: {ceiling:.2f} times")
+    print(f"bare processes: one {bare[1]:.3f} per second, two {bare[2]:.3f}: {ceiling:.2f} times")
     print(f"four workers against one: {gain:.2f} times (>= 1.8), {100 * gain / ceiling:.0f} % of what two cores give")
+
+
+def _rate(jobs: list[dict[str, Any]], count: int) -> float:
+    """Jobs per second while every one of so many workers had one: the first and the last of each are left out."""
+    ended = sorted(datetime.fromisoformat(job["ended_at"]) for job in jobs)[count - 1 : len(jobs) - count]
+    return (len(ended) - 1) / (ended[-1] - ended[0]).total_seconds()
 
 
 def _bare(folder: Path, processes: int, each: int) -> float:
