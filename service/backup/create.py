@@ -33,7 +33,7 @@ COLUMNS = "columns.json"
 class _Copied:
     """Files of the store that are in the backup."""
 
-    count: int = 0
+    names: list[str] = field(default_factory=list)
     bytes: int = 0
     missing: list[str] = field(default_factory=list)
 
@@ -41,8 +41,9 @@ class _Copied:
 def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda _: None) -> tuple[Path, Manifest]:
     """Back up both databases and the store into ``folder``.
 
-    The databases come first, the store after them: a file is in the store before a row names it, so that every row of
-    the copy finds its file.
+    The job engine's database comes first, then our own, so that a job which the copied engine does not know to have
+    ended has a row that is as new or newer. The store comes after them: a file is in the store before a row names it,
+    so that every row of the copy finds its file.
 
     Returns
     -------
@@ -70,6 +71,7 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
             rows, named = _rows(database, part)
             say("the store")
             copied = _store(Blobs(settings.store), folder / manifest.STORE, named)
+            manifest.sidecar(part / manifest.NAMES, copied.names)
             made = Manifest(
                 created=f"{at:%Y-%m-%dT%H:%M:%SZ}",
                 product=product_version(),
@@ -79,7 +81,7 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
                 revision=migrate.revision(database),
                 rows=rows,
                 files={str(p.relative_to(part)): manifest.digest(p) for p in sorted(part.rglob("*")) if p.is_file()},
-                blobs=copied.count,
+                blobs=len(copied.names),
                 blob_bytes=copied.bytes,
                 missing=tuple(copied.missing),
             )
@@ -111,7 +113,7 @@ def _databases(settings: Settings, part: Path) -> tuple[str, str]:
     """Copy both databases; their kinds."""
     own, jobs = settings.database, settings.jobs_database
     kinds = kind_of(own), kind_of(jobs)
-    for url, kind, name in ((own, kinds[0], OWN), (jobs, kinds[1], JOBS)):
+    for url, kind, name in ((jobs, kinds[1], JOBS), (own, kinds[0], OWN)):
         if kind == "sqlite":
             source = sqlite_file(url)
             if source is not None and source.exists():
@@ -162,7 +164,7 @@ def _store(blobs: Blobs, target: Path, named: set[str]) -> _Copied:
         except (NotFoundError, StorageError):
             copied.missing.append(name)
             continue
-        copied.count += 1
+        copied.names.append(name)
         copied.bytes += size
     return copied
 

@@ -14,6 +14,8 @@ from service.output import json_text, read_document, write_text
 FORMAT = "amb-backup"
 NAME = "manifest.json"
 STORE = "store"
+NAMES = "store.json"
+"""SHA-256 of every file of the common store that this backup needs."""
 
 
 @dataclass(frozen=True)

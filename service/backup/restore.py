@@ -54,7 +54,7 @@ def restore(
         The backup is damaged or does not fit; nothing was changed.
     """
     held = manifest.read(backup)
-    _whole_store(backup, held)
+    stored = _whole_store(backup, held)
     if held.database == "postgresql" and kind_of(settings.database) == "sqlite":
         raise StorageError("a backup from PostgreSQL is restored into PostgreSQL; set AMBIT_DATABASE_URL")
     database = Database(settings.database)
@@ -62,7 +62,7 @@ def restore(
         _may_be_replaced(database, replace)
         say("the store")
         blobs = Blobs(settings.store)
-        for path in _stored(backup):
+        for path in stored:
             blobs.put_file(path)
         say("the databases")
         _own(database, settings.database, backup, held)
@@ -97,20 +97,21 @@ def upgrade(settings: Settings) -> tuple[str, str]:
     return before, after
 
 
-def _stored(backup: Path) -> list[Path]:
-    return sorted(p for p in (backup.parent / manifest.STORE).glob("??/*") if len(p.name) == 64)
-
-
-def _whole_store(backup: Path, held: Manifest) -> None:
-    """Look at every file before anything is changed."""
-    for path in _stored(backup):
+def _whole_store(backup: Path, held: Manifest) -> list[Path]:
+    """Files of the common store that a backup needs, each looked at before anything is changed."""
+    store = backup.parent / manifest.STORE
+    if manifest.NAMES not in held.files:
+        raise StorageError(f"{backup} does not tell which files it needs; restore it with the version that made it")
+    paths = [store / name[:2] / name for name in json.loads((backup / manifest.NAMES).read_text(encoding="utf-8"))]
+    if lost := [path for path in paths if not path.is_file()]:
+        raise StorageError(
+            f"{len(lost)} of the {len(paths)} files that the backup needs are not in {store}, the first is "
+            f"{lost[0].name}; copy the folder store together with the backup"
+        )
+    for path in paths:
         if manifest.digest(path) != path.name:
             raise StorageError(f"{path} is damaged; take another copy of the backup")
-    if len(_stored(backup)) < held.blobs:
-        raise StorageError(
-            f"{backup.parent / manifest.STORE} holds {len(_stored(backup))} files, the backup needs {held.blobs}; "
-            "copy the folder store together with the backup"
-        )
+    return paths
 
 
 def _may_be_replaced(database: Database, replace: bool) -> None:
@@ -192,16 +193,20 @@ def _engine(url: str, backup: Path, held: Manifest) -> None:
 
 
 def _settle(database: Database, jobs_url: str, cancel: bool) -> None:
-    """Nobody works any more, and what was unfinished has an end."""
+    """Nobody works any more, and what was unfinished has an end, or is handed to the engine again.
+
+    The engine's copy is a little older than the rows: a job that was begun or submitted in between waits in no queue.
+    What the engine knows it does not take twice.
+    """
     at = now()
     with database.write() as session:
         session.execute(update(WorkerRow).where(WorkerRow.stopped_at.is_(None)).values(stopped_at=at))
+        unfinished = update(JobRow).where(JobRow.state.in_(UNFINISHED))
         if not cancel:
+            session.execute(unfinished.values(state=QUEUED, dispatched_run=0, changes=JobRow.changes + 1))
             return
         session.execute(
-            update(JobRow)
-            .where(JobRow.state.in_(UNFINISHED))
-            .values(
+            unfinished.values(
                 state=CANCELLED, cancel_requested=True, ended_at=at, phase="cancelled",
                 error_detail=WHY, changes=JobRow.changes + 1,
             )

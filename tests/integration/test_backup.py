@@ -16,6 +16,8 @@ from service.backup.create import create, kind_of, prune
 from service.backup.restore import WHY, restore
 from service.config import Settings
 from service.errors import ConflictError, DocumentError, StorageError
+from service.jobs.engine import Dispatcher, workflow_id
+from service.jobs.submission import hand_over, hand_over_all
 from service.storage import jobs, migrate, workers
 from service.storage import keys as key_rows
 from service.storage.blobs import Blobs
@@ -165,6 +167,60 @@ def test_from_one_machine_to_postgresql(tmp_path):
         with pytest.raises(StorageError, match="PostgreSQL"):
             restore(back, pg_backup)
         assert Blobs(new.store).has(made["sha256"])
+
+
+def test_a_backup_without_one_of_its_files_changes_nothing_however_many_others_there_are(tmp_path):
+    settings, new = Settings(home=tmp_path / "home"), Settings(home=tmp_path / "new")
+    made = lived_in(settings)
+    path, _ = create(settings, tmp_path / "backups")
+    Blobs(settings.store).put(b"of a later backup")
+    store = tmp_path / "backups" / "store"
+    (later,) = set(Blobs(settings.store).names()) - {made["sha256"]}
+    (store / later[:2]).mkdir(exist_ok=True)
+    (store / later[:2] / later).write_bytes(b"of a later backup")
+    (store / made["sha256"][:2] / made["sha256"]).unlink()
+    with pytest.raises(StorageError, match=made["sha256"]):
+        restore(new, path)
+    assert not Path(new.store).exists()
+
+
+def test_jobs_that_change_while_the_databases_are_copied_end_or_go_on(tmp_path, monkeypatch):
+    from service.backup import sqlite
+
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    made = lived_in(old)
+    database, dispatcher = Database(old.database), Dispatcher(old)
+    submitted = []
+
+    def copy_and_change(source: Path, target: Path, copy=sqlite.copy) -> None:
+        copy(source, target)
+        if submitted:
+            return
+        with database.write() as session:
+            jobs.finish(session, made["running"], 1, jobs.DONE, {})
+            submitted.append(jobs.submit(session, "experiment", made["rig"], 1, "laptop"))
+        assert hand_over(database, dispatcher, submitted[0])
+        with closing(sqlite3.connect(old.jobs_database.removeprefix("sqlite:///"))) as engine, engine:
+            engine.execute(
+                "UPDATE workflow_status SET status = 'SUCCESS' WHERE workflow_uuid = ?",
+                (workflow_id(made["running"], 1),),
+            )
+
+    monkeypatch.setattr(sqlite, "copy", copy_and_change)
+    path, _ = create(old, tmp_path / "backups")
+    monkeypatch.undo()
+    dispatcher.close()
+    database.close()
+    restore(new, path, resume_jobs=True)
+    database, dispatcher = Database(new.database), Dispatcher(new)
+    with database.read() as session:
+        assert session.get(JobRow, made["running"]).state == "done"
+    assert hand_over_all(database, dispatcher) == 2
+    with closing(sqlite3.connect(new.jobs_database.removeprefix("sqlite:///"))) as engine:
+        known = {row[0] for row in engine.execute("SELECT workflow_uuid FROM workflow_status")}
+    assert {workflow_id(made["queued"], 1), workflow_id(submitted[0].id, 1)} <= known
+    dispatcher.close()
+    database.close()
 
 
 def test_a_backup_is_made_while_the_service_writes(tmp_path):
