@@ -268,6 +268,7 @@ def cancel_job(request: Request, job_id: JobId, who: Operator, api: Api) -> JobS
 def retry_job(request: Request, job_id: JobId, who: Operator, api: Api) -> JobShape:
     """Try a job again that failed or was cancelled; an experiment goes on with what it has measured."""
     with api.database.write() as session:
+        rigs.active(session, jobs.get(session, job_id).rig_id)
         job = jobs.retry(session, job_id)
         audit(session, request, who, Action.job_retried, job.id, rig=job.rig_id, run=job.run)
     hand_over(api.database, api.dispatcher, job)

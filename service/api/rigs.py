@@ -31,12 +31,13 @@ from service.api.shapes import (
 )
 from service.api.state import Api, Services
 from service.errors import ConflictError
-from service.storage import results, rigs
+from service.storage import jobs, results, rigs
 from service.storage.database import now
 from service.storage.tables import ModelRow, Rig, RigVersion
 from sim import datasheet
 
 router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
+RETIRED = "the rig was retired"
 
 
 class RigWanted(Wanted):
@@ -267,10 +268,12 @@ def set_baseline(request: Request, rig_id: RigId, wanted: BaselineWanted, who: O
 
 @router.delete("/{rig_id}", status_code=204, response_class=Response, responses=documented(404))
 def retire_rig(request: Request, rig_id: RigId, who: Admin, api: Api) -> Response:
-    """Retire a rig: it takes no more jobs, and its history stays."""
+    """Retire a rig: what waits is cancelled, what moves the rotor is stopped, no job is taken; its history stays."""
     with api.database.write() as session:
         rig = rigs.get(session, rig_id, for_update=True)
         if rig.retired_at is None:
             rig.retired_at = now()
             audit(session, request, who, Action.rig_removed, rig.id, rig=rig.id)
+            for job in jobs.cancel_of_rig(session, rig.id, RETIRED):
+                audit(session, request, who, Action.job_cancelled, job.id, rig=rig.id, why=RETIRED)
     return Response(status_code=204)

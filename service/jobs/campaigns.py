@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.errors import BusError, CancelledError, LeaseError, RestartError
 from service import bootstrap
-from service.errors import JobError, StoppedError
+from service.errors import ConflictError, JobError, StoppedError
 from service.experiment.campaign import EXPERIMENT, JOURNAL, run_campaign
 from service.experiment.multisine_plan import MultisineProfile
 from service.experiment.plan import Profile
@@ -20,7 +20,7 @@ from service.jobs.context import Context
 from service.jobs.control import Control
 from service.jobs.rotor import AuditedController
 from service.jobs.steps import datasheet_file
-from service.storage import jobs, results
+from service.storage import jobs, results, rigs
 from service.storage.database import now
 from service.storage.ids import derived_id
 from service.storage.tables import ExperimentRow, JobRow
@@ -61,13 +61,14 @@ def measure(
     StoppedError
         Cancelled, superseded, or the worker ends.
     JobError
-        The controller does not answer for longer than the patience, or was stopped by hand.
+        The rig was retired, or the controller does not answer for longer than the patience, or was stopped by hand.
     AmbError
         The rig or the plan does not allow it.
     """
     if (whole := _measured_before(worker, job)) is not None:
         control.made(experiment=whole)
         return {"experiment": whole}
+    _must_be_active(worker, job)
     version, path = datasheet_file(worker, job)
     sheet = datasheet.read(path)
     folder = worker.folder(job.id)
@@ -193,6 +194,15 @@ class _Campaign:
     def _raise_if_stopped(self) -> None:
         if self.control.stopped():
             raise StoppedError("the job was stopped; the excitation is off")
+
+
+def _must_be_active(worker: Context, job: JobRow) -> None:
+    """A job that was submitted while its rig was retired is not among those that the retirement cancelled."""
+    with worker.database.read() as session:
+        try:
+            rigs.active(session, job.rig_id)
+        except ConflictError as error:
+            raise JobError("rig retired", str(error)) from error
 
 
 def _measured_before(worker: Context, job: JobRow) -> str | None:

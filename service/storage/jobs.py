@@ -113,6 +113,24 @@ def cancel(session: Session, job_id: str) -> JobRow:
     return job
 
 
+def cancel_of_rig(session: Session, rig_id: str, why: str) -> list[JobRow]:
+    """Cancel the jobs of a rig that wait, and ask those to end that move its rotor; calculations under way go on.
+
+    Parameters
+    ----------
+    why
+        What whoever watches a waiting job is told.
+    """
+    unfinished = select(JobRow).where(
+        JobRow.rig_id == rig_id, (JobRow.state == QUEUED) | ((JobRow.state == RUNNING) & JobRow.kind.in_(ON_RIG))
+    )
+    found = [cancel(session, job.id) for job in session.scalars(unfinished.order_by(JobRow.id).with_for_update())]
+    for job in found:
+        if job.state == CANCELLED:
+            job.phase = f"cancelled: {why}"
+    return found
+
+
 def retry(session: Session, job_id: str) -> JobRow:
     """Queue a job again that failed or was cancelled; an experiment goes on with what it has measured.
 

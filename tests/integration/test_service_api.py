@@ -144,6 +144,29 @@ def test_a_retired_rig_takes_no_jobs_and_keeps_its_history(api, rig):
     assert rig not in [r["id"] for r in api.get("/rigs", params={"limit": 1000}).json()["items"]]
 
 
+def test_what_is_under_way_on_a_rig_ends_when_it_is_retired_and_is_not_tried_again(api, service, rig, experiment):
+    waits, moves, counts = (
+        api.post("/jobs", json={"rig": rig, "priority": k + 1, **body}).json()["id"]
+        for k, body in enumerate(
+            [{"kind": "experiment"}, {"kind": "health"}, {"kind": "gap", "experiment": experiment}]
+        )
+    )
+    with service.services.database.write() as session:
+        for job in (moves, counts):
+            rows.claim(session, job, 1, "w1")
+    assert api.delete(f"/rigs/{rig}").status_code == 204
+    waited, moved, counted = (api.get(f"/jobs/{job}").json() for job in (waits, moves, counts))
+    assert (waited["state"], waited["progress"]["phase"]) == ("cancelled", "cancelled: the rig was retired")
+    assert (moved["state"], moved["cancel_requested"]) == ("running", True)
+    assert (counted["state"], counted["cancel_requested"]) == ("running", False)
+    cancelled = api.get("/audit", params={"rig": rig, "action": "job.cancelled"}).json()["items"]
+    assert {(line["subject"], line["detail"]["why"]) for line in cancelled} == {
+        (job, "the rig was retired") for job in (waits, moves)
+    }
+    is_problem(api.post(f"/jobs/{waits}/retry"), 409, "retired")
+    assert api.get(f"/jobs/{waits}").json()["state"] == "cancelled"
+
+
 # ---- what is refused
 
 
