@@ -6,6 +6,7 @@ import os
 import socket
 import tomllib
 from collections.abc import Mapping
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import urlsplit
@@ -42,7 +43,10 @@ class Settings(BaseModel):
     """PEM; with ``tls_key`` the API speaks HTTPS."""
     tls_key: Path | None = None
     behind_proxy: bool = False
-    """Trust X-Forwarded-* of the proxy in front."""
+    """Believe X-Forwarded-For and X-Forwarded-Proto of the proxy in front. Needs an API key: by its proxy every caller
+    may seem to be of this machine."""
+    trusted_proxies: str = "127.0.0.1"
+    """Addresses and networks of the proxies themselves, separated by commas; nobody else is believed."""
 
     worker_name: str = Field("", max_length=60)
     """Stable and unique per worker; empty for the host's name."""
@@ -77,6 +81,16 @@ class Settings(BaseModel):
         if url and urlsplit(url).scheme not in ("sqlite", "postgresql"):
             raise ValueError("is neither sqlite:////folder/file.db nor postgresql://user:password@host/name")
         return url
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _addresses(cls, proxies: str) -> str:
+        for one in proxies.split(","):
+            try:
+                ip_network(one.strip())
+            except ValueError as error:
+                raise ValueError(f"{one.strip()!r} is no address or network; give 10.0.0.2 or 10.0.0.0/30") from error
+        return proxies
 
     @property
     def database(self) -> str:

@@ -25,7 +25,7 @@ def prepared(settings: Settings) -> tuple[Server, str]:
     Raises
     ------
     ConfigurationError
-        The settings of TLS are not whole.
+        The settings of TLS are not whole, or a service without keys would be behind a proxy.
     StorageError
         A database or the store cannot be used.
     """
@@ -34,7 +34,13 @@ def prepared(settings: Settings) -> tuple[Server, str]:
     app = create_app(settings)
     services: Services = app.state.services
     with services.database.read() as session:
-        host, notice = bound_to(settings.host, keys.any_key(session))
+        any_key = keys.any_key(session)
+    if settings.behind_proxy and not any_key:
+        raise ConfigurationError(
+            "behind_proxy needs an API key: without one this machine is served, and every caller of the proxy seems to "
+            "be of this machine; make the first key with ambit keys create --scope admin"
+        )
+    host, notice = bound_to(settings.host, any_key)
     options = uvicorn.Config(
         app,
         host=host,
@@ -43,7 +49,7 @@ def prepared(settings: Settings) -> tuple[Server, str]:
         access_log=False,
         server_header=False,
         proxy_headers=settings.behind_proxy,
-        forwarded_allow_ips="*" if settings.behind_proxy else "",
+        forwarded_allow_ips=settings.trusted_proxies if settings.behind_proxy else "",
         ssl_certfile=settings.tls_certificate,
         ssl_keyfile=settings.tls_key,
         timeout_graceful_shutdown=GRACE_S,
