@@ -10,7 +10,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy.exc import IntegrityError, SQLAlchemyError
+from sqlalchemy.exc import DataError, IntegrityError, SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from drivers.errors import BusError, ControllerError, LeaseError
@@ -119,6 +119,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
     app.add_exception_handler(IntegrityError, _collision)
+    app.add_exception_handler(DataError, _unkept)
     app.add_exception_handler(SQLAlchemyError, _database)
     app.add_exception_handler(Exception, _defect)
 
@@ -155,6 +156,11 @@ def _http(request: Request, error: Exception) -> Response:
 def _collision(request: Request, error: Exception) -> Response:
     log.warning("two requests collided: %s", str(error).splitlines()[0])
     return problem(request, 409, "another request changed the same thing at the same time; read it and try again")
+
+
+def _unkept(request: Request, error: Exception) -> Response:
+    log.warning("the database cannot keep a value: %s", str(error).splitlines()[0])
+    return problem(request, 422, "the request holds a value that the database cannot keep: too long, or too large")
 
 
 def _database(request: Request, error: Exception) -> Response:

@@ -13,7 +13,7 @@ from service.api import etags, examples
 from service.api.auditing import audit
 from service.api.controllers import checked_url
 from service.api.once import Answer, once
-from service.api.problems import documented
+from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
     Admin,
     After,
@@ -38,6 +38,7 @@ from sim import datasheet
 
 router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
 RETIRED = "the rig was retired"
+LONGEST_NAME = 200
 
 
 class RigWanted(Wanted):
@@ -57,7 +58,10 @@ class RigWanted(Wanted):
     )
     note: str = Field("", max_length=2000)
     name: str | None = Field(
-        None, min_length=1, max_length=200, description="Unique; the datasheet's without it. It stays for good."
+        None,
+        min_length=1,
+        max_length=LONGEST_NAME,
+        description="Unique; the datasheet's without it. It stays for good.",
     )
 
 
@@ -168,7 +172,12 @@ def _checked(wanted: RigWanted, services: Services) -> str:
     """
     sheet = datasheet.parse(wanted.datasheet, "datasheet")
     checked_url(wanted.controller_url, services.settings)
-    return wanted.name or sheet.name
+    name = wanted.name or sheet.name
+    if len(name) > LONGEST_NAME or "\0" in name:  # TOML has an escape for every character
+        raise UnprocessableError(
+            f"the name of a rig has at most {LONGEST_NAME} characters and no NUL; give another one, or the field name"
+        )
+    return name
 
 
 @router.post("", status_code=201, response_model=RigShape, responses=documented(409, 413, 415))

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query
-from pydantic import BaseModel, ConfigDict, PlainSerializer
+from pydantic import BaseModel, ConfigDict, PlainSerializer, model_validator
 
 from service.access.keys import Identity, Scope
 from service.api.access import require
@@ -30,9 +30,24 @@ class Shape(BaseModel):
 
 
 class Wanted(BaseModel):
-    """What is sent to the service: nothing that it does not know."""
+    """What is sent to the service: nothing that it does not know, and nothing that a database cannot keep."""
 
     model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_nul(cls, sent: Any) -> Any:
+        if _has_nul(sent):
+            raise ValueError("holds a NUL character (U+0000), which PostgreSQL keeps in no text; leave it out")
+        return sent
+
+
+def _has_nul(sent: Any) -> bool:
+    if isinstance(sent, dict):
+        return any(_has_nul(part) for pair in sent.items() for part in pair)
+    if isinstance(sent, list):
+        return any(map(_has_nul, sent))
+    return isinstance(sent, str) and "\0" in sent
 
 
 class Listed(Shape, Generic[T]):
