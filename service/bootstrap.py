@@ -135,6 +135,7 @@ def identify_into(
     experiment_name: str = EXPERIMENT,
     announce: Callable[[str], None] | None = None,
     priors: bool = False,
+    progress: Callable[[float], None] | None = None,
 ) -> Commissioned:
     """Identify an experiment, and write result.json and report.html.
 
@@ -146,6 +147,8 @@ def identify_into(
         Told what begins, in words.
     priors
         Whether the datasheet's values count as priors, as wide as its tolerances.
+    progress
+        Told the fraction of the identification that is done.
 
     Raises
     ------
@@ -159,7 +162,7 @@ def identify_into(
     ready_folder(out_dir)
     say("identifying")
     began = time.monotonic()
-    result = identify(experiment, datasheet, Options(priors=priors))
+    result = identify(experiment, datasheet, Options(priors=priors), progress)
     identified = time.monotonic()
     document = result.document(experiment_name)
     document["provenance"]["product"] = f"amb-commissioning {product_version()}"

@@ -81,6 +81,7 @@ def compare_into(
     history_file: Path | None = None,
     policy: Policy | None = None,
     at: datetime | None = None,
+    compared: Callable[[], None] = lambda: None,
 ) -> CheckedUp:
     """Compare, write health.json and health.html, and add the check to the history.
 
@@ -90,6 +91,8 @@ def compare_into(
         JSON lines of earlier checks; those of the year before ``at`` share the allowance of false alarms.
     at
         When the check was made; now without it.
+    compared
+        Told when only the report is left to be written.
     """
     from service.health.compare import compare
     from service.health.trend import Checked
@@ -102,6 +105,7 @@ def compare_into(
     document = compare(baseline, experiment, datasheet, made, policy).document()
     document["checked_at"] = when.isoformat().replace("+00:00", "Z")
     files = {"health": write_text(out_dir / HEALTH, json_text(document))}
+    compared()
     everything = [*history, Checked(when, document)]
     files["report"] = write_text(out_dir / PAGE, health_page(document, everything))
     if history_file is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +46,12 @@ class Options:
     its ki, ks, amplifiers and modes are not trusted at all."""
 
 
-def identify(experiment: Experiment, datasheet: Datasheet, options: Options | None = None) -> CommissioningResult:
+def identify(
+    experiment: Experiment,
+    datasheet: Datasheet,
+    options: Options | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> CommissioningResult:
     """Identify every plane of a rig that the experiment excites.
 
     Parameters
@@ -56,6 +62,8 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
     datasheet
         Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted unless
         ``options`` ask for them as priors.
+    progress
+        Told the fraction that is done, after the fits and after the figures of every plane.
 
     Raises
     ------
@@ -88,13 +96,18 @@ def identify(experiment: Experiment, datasheet: Datasheet, options: Options | No
         warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
     planes: dict[str, PlaneResult] = {}
     fitted: dict[str, Selected] = {}
-    for plane, pair in planes_of(tuple(experiment.axes)).items():
+    say = progress or (lambda fraction: None)
+    pairs = planes_of(tuple(experiment.axes))
+    steps = len(pairs) + any(speeds)
+    for k, (plane, pair) in enumerate(pairs.items()):
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited and not identified")
             continue
         found = fit_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
         fitted[plane] = found.selected
+        say((k + 0.5) / steps)
         planes[plane] = found.result(datasheet)
+        say((k + 1.0) / steps)
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
     rotating = None

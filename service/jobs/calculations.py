@@ -47,10 +47,19 @@ def identification(
     """
     from service.report.curves import curves
 
-    percents = {"identifying": ("identification", 5.0), "writing the report": ("report", 90.0)}
+    percents = {"identifying": ("identification", 2.0), "writing the report": ("report", 90.0)}
     sheet = datasheet.read(Path(rig))
     measured = file.read(Path(experiment))
-    done = bootstrap.identify_into(measured, sheet, Path(out), name, lambda begins: tell(*percents[begins]), priors)
+    done = bootstrap.identify_into(
+        measured,
+        sheet,
+        Path(out),
+        name,
+        lambda begins: tell(*percents[begins]),
+        priors,
+        lambda fraction: tell("identification", 2.0 + 88.0 * fraction),
+    )
+    tell("report", 97.0)
     write_text(Path(out) / PLOTS, json_text(curves(done.result, sheet), indent=None))
     return model_summary(done.document)
 
@@ -93,7 +102,16 @@ def health_compare(
     then = Baseline(read_document(Path(baseline), "amb-commissioning-result"))
     measured = file.read(Path(experiment))
     when = datetime.fromisoformat(at)
-    done = checkup.compare_into(then, datasheet.read(Path(rig)), measured, Path(out), Path(history), at=when)
+    tell("comparison", 2.0)
+    done = checkup.compare_into(
+        then,
+        datasheet.read(Path(rig)),
+        measured,
+        Path(out),
+        Path(history),
+        at=when,
+        compared=lambda: tell("report", 80.0),
+    )
     return done.document
 
 

@@ -18,6 +18,7 @@ from service.experiment.plan import Profile
 from service.experiment.progress import Progress
 from service.jobs.context import Context
 from service.jobs.control import Control
+from service.jobs.progress import WHOLE, Part, Share
 from service.jobs.rotor import AuditedController
 from service.jobs.steps import datasheet_file
 from service.storage import jobs, results, rigs
@@ -50,11 +51,16 @@ def profile_of(options: dict[str, Any]) -> Profile | MultisineProfile:
 
 
 def measure(
-    worker: Context, job: JobRow, control: Control, profile: Profile | MultisineProfile, purpose: str
+    worker: Context,
+    job: JobRow,
+    control: Control,
+    profile: Profile | MultisineProfile,
+    purpose: str,
+    share: Share = WHOLE,
 ) -> dict[str, Any]:
     """Run a campaign to its end and keep its experiment; ``{"experiment": id}``.
 
-    What was measured is kept when the job is cancelled or fails, too.
+    What was measured is kept when the job is cancelled or fails, too. ``share`` is its part of the job's percent.
 
     Raises
     ------
@@ -73,7 +79,7 @@ def measure(
     sheet = datasheet.read(path)
     folder = worker.folder(job.id)
     _restore_journal(worker, job, folder / JOURNAL, control)
-    run = _Campaign(worker, job, control, sheet, version.controller_url, profile, folder)
+    run = _Campaign(worker, job, control, sheet, version.controller_url, profile, folder, Part(control, share))
     try:
         experiment = run.to_the_end()
     except BaseException:
@@ -98,7 +104,7 @@ class _Campaign:
     url: str
     profile: Profile | MultisineProfile
     folder: Path
-    percent: float = 0.0
+    part: Part
     answered: float = 0.0
     """When the controller last answered, monotonic."""
 
@@ -150,10 +156,7 @@ class _Campaign:
         self.answered = time.monotonic()
         if self.control.unheard_s() > UNHEARD_S:
             raise _UnheardError
-        self.percent = max(self.percent, min(99.0, 100.0 * p.done / max(p.total, 1)))
-        self.control.report(
-            percent=self.percent, point=p.done, points=p.total, phase=p.phase, time_left_s=p.seconds_left or None
-        )
+        self.part.points(p.phase, p.done, p.total, p.seconds_left or None)
 
     def _wait_for_database(self) -> None:
         """Until a cancellation can be heard again; the rig is free meanwhile."""

@@ -13,6 +13,7 @@ from service.experiment.plan import Profile
 from service.jobs import calculations, campaigns
 from service.jobs.context import Context
 from service.jobs.control import Control
+from service.jobs.progress import COMPARING_CHECK, MEASURING_CHECK, PLANNING_CHECK, Part
 from service.jobs.steps import datasheet_file, experiment_file
 from service.storage import results
 from service.storage.ids import derived_id
@@ -36,11 +37,11 @@ def measure(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
     """Plan a few tones by what they tell, and measure them; ``{"experiment": id}``."""
     _, baseline = _baseline(worker, job)
     _, rig = datasheet_file(worker, job)
-    control.report(phase="planning")
+    Part(control, PLANNING_CHECK).tell("planning", 0.0)
     arguments = {"baseline": baseline, "rig": str(rig), "budget_s": job.options.get("budget_s", BUDGET_S)}
     found = worker.calculator.run("health_plan", arguments, control.stopped)
     profile = Profile(**{**found, "frequencies_hz": tuple(found["frequencies_hz"])})
-    return campaigns.measure(worker, job, control, profile, "health")
+    return campaigns.measure(worker, job, control, profile, "health", MEASURING_CHECK)
 
 
 def compare(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:
@@ -48,7 +49,8 @@ def compare(worker: Context, job: JobRow, control: Control, experiment_id: str) 
     model, baseline = _baseline(worker, job)
     _, rig = datasheet_file(worker, job)
     experiment, path = experiment_file(worker, job, experiment_id)
-    control.report(phase="comparison")
+    part = Part(control, COMPARING_CHECK)
+    part.tell("comparison", 0.0)
     out = worker.folder(job.id) / "health"
     out.mkdir(exist_ok=True)
     history = out / "history.jsonl"
@@ -63,7 +65,7 @@ def compare(worker: Context, job: JobRow, control: Control, experiment_id: str) 
         "history": str(history),
         "at": experiment.created_at.isoformat(),
     }
-    document = worker.calculator.run("health_compare", arguments, control.stopped)
+    document = worker.calculator.run("health_compare", arguments, control.stopped, part.tell)
     row = HealthRow(
         id=derived_id("hc", job.id),
         rig_id=job.rig_id,

@@ -8,6 +8,7 @@ from typing import Any
 from service.jobs import calculations
 from service.jobs.context import Context
 from service.jobs.control import Control
+from service.jobs.progress import IDENTIFYING, WHOLE, Part
 from service.jobs.steps import datasheet_file, experiment_file
 from service.storage import results
 from service.storage.database import now
@@ -19,7 +20,8 @@ def identify(worker: Context, job: JobRow, control: Control, experiment_id: str)
     """Identify an experiment; ``{"experiment": id, "model": id}``."""
     row, path = experiment_file(worker, job, experiment_id)
     _, rig = datasheet_file(worker, job)
-    control.report(phase="identification")
+    part = Part(control, WHOLE if job.kind == "identification" else IDENTIFYING)
+    part.tell("identification", 0.0)
     out = worker.folder(job.id) / "model"
     arguments = {
         "experiment": str(path),
@@ -28,12 +30,7 @@ def identify(worker: Context, job: JobRow, control: Control, experiment_id: str)
         "name": f"{experiment_id}/{row.file_name}",
         "priors": bool(job.options.get("priors", False)),
     }
-    alone = job.kind == "identification"  # after an experiment, the percent are the experiment's
-
-    def tell(phase: str, percent: float) -> None:
-        control.report(phase=phase, **({"percent": percent} if alone else {}))
-
-    summary = worker.calculator.run("identification", arguments, control.stopped, tell)
+    summary = worker.calculator.run("identification", arguments, control.stopped, part.tell)
     kept = {
         name: worker.blobs.put_file(out / name)
         for name in (calculations.RESULT, calculations.REPORT, calculations.PLOTS)
@@ -59,14 +56,11 @@ def diagnose(worker: Context, job: JobRow, control: Control, experiment_id: str)
     """Diagnose the gap of an experiment; ``{"experiment": id, "gap": id}``."""
     _, path = experiment_file(worker, job, experiment_id)
     _, rig = datasheet_file(worker, job)
-    control.report(phase="gap diagnosis")
+    part = Part(control)
+    part.tell("gap diagnosis", 0.0)
     out = worker.folder(job.id) / "gap"
     arguments = {"experiment": str(path), "rig": str(rig), "out": str(out), "processes": _processes(worker)}
-
-    def tell(phase: str, percent: float) -> None:
-        control.report(phase=phase, percent=percent)
-
-    summary = worker.calculator.run("gap", arguments, control.stopped, tell)
+    summary = worker.calculator.run("gap", arguments, control.stopped, part.tell)
     gap = GapRow(
         id=derived_id("gap", job.id),
         rig_id=job.rig_id,

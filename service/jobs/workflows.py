@@ -14,6 +14,7 @@ from service.jobs import campaigns, checks, derived, notices, steps
 from service.jobs.context import Context
 from service.jobs.control import Control
 from service.jobs.engine import NOTICE, workflow_name
+from service.jobs.progress import MEASURING, WHOLE
 from service.jobs.steps import Outcome, outcome
 from service.storage import jobs
 from service.storage.tables import JobRow
@@ -80,7 +81,8 @@ def _and(first: Outcome, second: Outcome) -> Outcome:
 
 
 def _measure(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
-    return campaigns.measure(worker, job, control, campaigns.profile_of(job.options), "commissioning")
+    share = MEASURING if job.options.get("identify", True) else WHOLE
+    return campaigns.measure(worker, job, control, campaigns.profile_of(job.options), "commissioning", share)
 
 
 def _identify_measured(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Jobs as a user relies on them: real API, real worker, real device over Modbus, killed for real."""
 
+import json
 import shutil
 import time
 
@@ -39,7 +40,18 @@ def rig_id(running, rig):
 
 @on_sqlite
 def test_a_rig_is_measured_and_identified_by_one_request(running, rig, rig_id):
-    job = running.done(running.submit("experiment", rig_id, options={"profile": QUICK}))
+    job_id = running.submit("experiment", rig_id, options={"profile": QUICK})
+    told = []
+    with running.client.stream("GET", f"/api/v1/jobs/{job_id}/events", timeout=120) as events:
+        for line in events.iter_lines():
+            if line.startswith("data: "):
+                told.append(json.loads(line.removeprefix("data: "))["progress"])
+    percents = [p["percent"] for p in told]
+    assert percents == sorted(percents)
+    assert max(p["percent"] for p in told if p["phase"] in ("main", "peaks", "validation")) <= 80
+    assert all(80 <= p["percent"] < 100 for p in told if p["phase"] in ("identification", "report"))
+    assert any(p["time_left_s"] for p in told if p["phase"] in ("identification", "report"))
+    job = running.done(job_id)
     assert job["progress"]["percent"] == 100.0
     experiment = running.get(f"/experiments/{job['result']['experiment']}")
     assert experiment["complete"]
