@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from service.identification.amplifier_fit import AmplifierFit
@@ -27,9 +29,10 @@ from service.identification.figures import (
 )
 from service.identification.judged import cross_validation, frequency_fit, residual_tests, unseen_modes
 from service.identification.margins import axis_margins, dense_grid
+from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.refine import Data, Refined
-from service.identification.result import Curves, Displacement, PlaneResult, Staged
+from service.identification.result import Curves, Displacement, Estimate, PlaneResult, Staged
 from service.identification.rigid import rigid_response
 from service.identification.selection import Selected
 from service.identification.staged import StagedFit
@@ -69,7 +72,7 @@ def assemble(
         amplifiers=amplifiers(model, u, data, fits, held_out),
         stiffness=stiffness(model, u, datasheet, points),
         modes=modes(model, u, points, selected.splits),
-        delay_s=estimates(model, u, lambda m: np.array([m.delay_s]), ["s"])[0],
+        delay_s=_delay(model, u, points),
         poles=roots(model, u, plant_poles(model), pole_pencil),
         zeros=roots(model, u, transmission_zeros(model), zero_pencil),
         correlations=correlations(model, u, controller),
@@ -113,9 +116,21 @@ def assemble(
     )
 
 
+def _delay(model: PlaneModel, u: Uncertainty, points: PlanePoints) -> Estimate:
+    found = estimates(model, u, lambda m: np.array([m.delay_s]), ["s"])[0]
+    # held where no current shows it: nothing is known of it, which no deviation of 0 tells
+    return replace(found, std=float("nan"), std_from_data=None) if points.I is None else found
+
+
 def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: float) -> tuple[str, ...]:
     """What a reader of the result should know of its data, the worst first."""
     warnings = list(points.left_out)
+    if points.I is None:
+        warnings.insert(
+            0,
+            "coil currents are not logged: the amplifiers are the datasheet's within its tolerances, the delay is as "
+            "told, and ki is known no better than the amplifiers' gain",
+        )
     drifting = points.omega[refined.noise.drifting] / (2 * np.pi)
     if len(drifting):
         many = "1 point" if len(drifting) == 1 else f"{len(drifting)} points"

@@ -178,7 +178,8 @@ def fit_plane(
     options = options or Options()
     points = plane_points(main, axes, plane)
     check_excitation(points)
-    prior = Tolerances.of(datasheet, points.axes) if options.priors else None
+    told = Tolerances.of(datasheet, points.axes)
+    prior = told if options.priors else told.of_amplifiers() if points.I is None else None
     data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior)
     found = _fit_points(data, datasheet, axes, options)
     if main.kind == "stepped-sine" and not main.speed_rad_s:

@@ -25,11 +25,11 @@ class JointFits:
     knowledge: Knowledge
 
     def free(self, model: PlaneModel) -> NDArray[np.bool_]:
-        """What a fit moves: without currents, amplifiers and delay stay as the datasheet has them."""
+        """What a fit moves: without currents the delay stays as it is told, and amplifiers where no tolerance is."""
         free = model.layout.free()
         if self.data.plant.I is None:
             free[model.layout.delay] = False
-            for place in model.layout.amplifiers:
+            for place in model.layout.amplifiers if self.data.prior is None else ():
                 free[place] = False
         return free
 

@@ -92,7 +92,8 @@ def choose_modes(
     best = found.best
     if fits.rms(best) > ADEQUATE:
         best = fits.forgiving(found.start)
-    return Selected(*finished(best, data, fits.free(best.model), knowledge), evidence, candidates)
+    free = JointFits(data, knowledge).free(best.model)
+    return Selected(*finished(best, data, free, knowledge), evidence, candidates)
 
 
 def _work(model: PlaneModel) -> float:

@@ -1,5 +1,7 @@
 """The datasheet's values as priors: Gaussian about what it says, as wide as its tolerances, when they are asked for.
 
+Amplifiers that no logged current shows are known by them in any case: ki is then no better known than their gain.
+
 Every value becomes one more residual, (parameter - datasheet) / tolerance, beside those of the data: ki, ks,
 amplifiers, and frequency, damping and shape of each mode that the datasheet has and the data show. Mass, inertia,
 geometry and sensor gains are held at the datasheet's values with and without priors; the delay has no tolerance.
@@ -7,7 +9,7 @@ geometry and sensor gains are held at the datasheet's values with and without pr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import null_space
@@ -47,6 +49,16 @@ class Tolerances:
     mode_damping: float
     mode_shape: float
     """Relative."""
+    remedy: str = "identify without priors"
+    """Where the data disagree, beside a wider tolerance."""
+
+    def of_amplifiers(self) -> Tolerances:
+        """What is said of the amplifiers alone, for data that do not show them."""
+        kept = [k for k, name in enumerate(self.names) if name.startswith("amplifier")]
+        names = tuple(self.names[k] for k in kept)
+        return replace(
+            self, names=names, values=self.values[kept], stds=self.stds[kept], modes=(), remedy="log the coil currents"
+        )
 
     @classmethod
     def of(cls, datasheet: Datasheet, axes: tuple[str, str]) -> Tolerances:
@@ -114,7 +126,7 @@ class Tolerances:
             off[label] = max(abs(float(r)), off.get(label, 0.0))
         return tuple(
             f"{label} lies {r:.2g} tolerances off the datasheet's value, which was a prior of this fit; "
-            "widen its tolerance, or identify without priors"
+            f"widen its tolerance, or {self.remedy}"
             for label, r in off.items()
             if r > STRAINED
         )

@@ -118,9 +118,10 @@ def _amplifiers(plane: PlaneResult) -> str:
             [f"{plane.plane}{axis}", str(a.order), *cells, fixed(a.fit_percent, 2), fixed(a.first_order_fit_percent, 2)]
         )
     value, std = figures(1e6 * plane.delay_s.value, 1e6 * plane.delay_s.std)
+    delay = f"{value} ± {std} µs" if np.isfinite(plane.delay_s.std) else "not to be seen without currents"
     return table(
         ["amplifier", "order", "gain, A/A", "ω, rad/s", "ζ", "fit, %", "first-order fit, %"], rows
-    ) + paragraph(f"Delay between control signal and coil beside the hold: {value} ± {std} µs.", "small")
+    ) + paragraph(f"Delay between control signal and coil beside the hold: {delay}.", "small")
 
 
 def _more(plane: PlaneResult) -> str:
