@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from service.identification.closed_loop import closed_loop_poles, slowest_decay
+from service.identification.loop_margins import loop_margins
 from service.identification.margins import (
     ISO_14839_3_DB,
     dense_grid,
-    loop_margins,
     sensitivity,
     sensitivity_peaks,
     zone,
@@ -263,8 +263,7 @@ def _figures(model: PlaneModel, law: tuple[Real, Real], omega: Real) -> tuple[Fi
     found: list[Figures] = []
     for j in range(2):
         s = whole[:, j, j]
-        (down, up), phase, delay = loop_margins(omega, 1.0 / s - 1.0)
-        found.append((float(np.abs(s).max()), down, up, phase, delay))
+        found.append((float(np.abs(s).max()), *loop_margins(omega, 1.0 / s - 1.0).values()))
     return found[0], found[1]
 
 

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from service.identification.etfe import FrequencyResponse
+from service.identification.loop_margins import loop_margins, moved
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real, discrete_response
 from sim.errors import AmbError
 
 ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
 """Zones of ISO 14839-3 by peak sensitivity, upper limits in dB."""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """One margin of the model's loop with its standard deviation; None where no such change meets the limit."""
+
+    value: float | None
+    std: float | None
+    measured: float | None
+    """The same of the measured sensitivity, straight between the experiment's lines: one that a sharp mode between two
+    lines makes smaller is not seen."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +44,35 @@ class AxisMargins:
     """Largest measured |S|: at the lines of the experiment only, so at most the true peak."""
     measured_peak_hz: float | None
     measured_std: float | None
-    gain_margin_db: tuple[float | None, float | None]
-    """How far the gain may fall and rise, dB; None where it never meets the limit."""
-    phase_margin_deg: float | None
-    delay_margin_s: float | None
+    gain_down_db: Margin
+    """How far the gain may fall, and rise, dB."""
+    gain_up_db: Margin
+    phase_deg: Margin
+    delay_s: Margin
+
+
+def margins_document(margins: dict[str, AxisMargins]) -> dict[str, Any]:
+    """As JSON: every figure by axis, gain margins as [down, up]."""
+    axes = margins.items()
+
+    def every(told: Callable[[Margin], float | None]) -> dict[str, Any]:
+        return {
+            "gain_margin_db": {a: [told(m.gain_down_db), told(m.gain_up_db)] for a, m in axes},
+            "phase_margin_deg": {a: told(m.phase_deg) for a, m in axes},
+            "delay_margin_s": {a: told(m.delay_s) for a, m in axes},
+        }
+
+    return {
+        "sensitivity_peak": {a: m.sensitivity_peak for a, m in axes},
+        "sensitivity_peak_std": {a: m.peak_std for a, m in axes},
+        "sensitivity_peak_hz": {a: m.peak_hz for a, m in axes},
+        "measured_sensitivity_peak": {a: m.measured_peak for a, m in axes},
+        "measured_sensitivity_peak_hz": {a: m.measured_peak_hz for a, m in axes},
+        "measured_sensitivity_peak_std": {a: m.measured_std for a, m in axes},
+        **every(lambda m: m.value),
+        **{f"{name}_std": v for name, v in every(lambda m: m.std).items()},
+        **{f"measured_{name}": v for name, v in every(lambda m: m.measured).items()},
+    }
 
 
 def zone(peak: float, limits: tuple[tuple[str, float], ...] = ISO_14839_3_DB) -> str:
@@ -146,59 +185,49 @@ def axis_margins(
     out = []
     for j in range(2):
         peak = peaks[j]
-        std = _peak_std(model, controller, np.array([peak.omega]), j, covariance, free)
+        loop = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
+        peak_std, *stds = _stds(model, controller, peak.omega, loop.places(), j, covariance, free)
         seen = seen_hz = seen_std = None
+        measured_loop: tuple[float | None, ...] = (None, None, None, None)
         if measured is not None:
-            m = int(np.argmax(np.abs(measured.value[:, j, j])))
-            seen, seen_hz = float(np.abs(measured.value[m, j, j])), float(measured.frequency_hz[m])
+            own = measured.value[:, j, j]
+            m = int(np.argmax(np.abs(own)))
+            seen, seen_hz = float(np.abs(own[m])), float(measured.frequency_hz[m])
             seen_std = float(measured.std[m, j, j] / math.sqrt(2))
-        gains, phase, delay = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
+            measured_loop = loop_margins(measured.omega, 1.0 / own - 1.0).values()
         hz = peak.omega / (2 * np.pi)
-        out.append(AxisMargins(peak.value, hz, std, seen, seen_hz, seen_std, gains, phase, delay))
+        margins = (
+            Margin(value, None if value is None else std, direct)
+            for value, std, direct in zip(loop.values(), stds, measured_loop, strict=True)
+        )
+        out.append(AxisMargins(peak.value, hz, peak_std, seen, seen_hz, seen_std, *margins))
     return out[0], out[1]
 
 
-def _peak_std(
-    model: PlaneModel, controller: tuple[Real, Real], omega: Real, j: int, covariance: Real, free: np.ndarray
-) -> float:
-    """Standard deviation of |S_jj| at its peak; the peak's place does not matter to first order."""
+def _stds(
+    model: PlaneModel,
+    controller: tuple[Real, Real],
+    peak: float,
+    places: Real,
+    j: int,
+    covariance: Real,
+    free: np.ndarray,
+) -> list[float]:
+    """Standard deviations of |S_jj| at its peak, whose place does not matter to first order, and of four margins."""
+    every = np.append(places.ravel(), peak)
+    known = np.isfinite(every)
+
+    def of(theta: Real) -> Real:
+        s = np.full(len(every), np.nan, dtype=complex)
+        s[known] = sensitivity(model.at(theta), controller, every[known])[:, j, j]
+        loops: Complex = np.asarray(1.0 / s[:-1] - 1.0, dtype=np.complex128)
+        return np.append(np.abs(s[-1]), moved(places, loops.reshape(places.shape)))
+
     gradient = []
     std = np.sqrt(np.maximum(np.diag(covariance), 0))
     for place, size in zip(np.flatnonzero(free), std, strict=True):
         step = np.zeros_like(model.theta)
         step[place] = min(0.1 * size, 1e-4 * abs(model.theta[place])) or 1e-12
-        up = np.abs(sensitivity(model.at(model.theta + step), controller, omega)[0, j, j])
-        down = np.abs(sensitivity(model.at(model.theta - step), controller, omega)[0, j, j])
-        gradient.append((up - down) / (2 * step[place]))
+        gradient.append((of(model.theta + step) - of(model.theta - step)) / (2 * step[place]))
     g = np.array(gradient)
-    return float(np.sqrt(max(g @ covariance @ g, 0.0)))
-
-
-def loop_margins(omega: Real, loop: Complex) -> tuple[tuple[float | None, float | None], float | None, float | None]:
-    """Gain margins (down, up) in dB, phase margin in degrees and delay margin in s of L = 1/S - 1."""
-    real, imag = loop.real, loop.imag
-    crossings = np.flatnonzero(imag[:-1] * imag[1:] < 0)
-    down: float | None = None
-    up: float | None = None
-    for k in crossings:
-        t = imag[k] / (imag[k] - imag[k + 1])
-        x = real[k] + t * (real[k + 1] - real[k])
-        if x >= 0 or abs(x) < 1e-6:
-            continue
-        db = -20 * math.log10(-x)
-        if db < 0:
-            down = db if down is None else max(down, db)
-        else:
-            up = db if up is None else min(up, db)
-    size = np.abs(loop)
-    phase_margin: float | None = None
-    delay_margin: float | None = None
-    for k in np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) < 0):
-        t = (size[k] - 1) / (size[k] - size[k + 1])
-        angle = float(np.angle(loop[k] * (1 - t) + loop[k + 1] * t))
-        w = float(omega[k] * (1 - t) + omega[k + 1] * t)
-        away = math.pi - abs(angle)
-        phase_margin = math.degrees(away) if phase_margin is None else min(phase_margin, math.degrees(away))
-        lag = (angle + math.pi) % (2 * math.pi)
-        delay_margin = lag / w if delay_margin is None else min(delay_margin, lag / w)
-    return (down, up), phase_margin, delay_margin
+    return [float(v) for v in np.sqrt(np.maximum(np.einsum("nk,nm,mk->k", g, covariance, g), 0.0))]

@@ -13,7 +13,7 @@ from service.identification.combine import StateSpace
 from service.identification.estimate import Estimate as Estimate
 from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
-from service.identification.margins import AxisMargins, zone
+from service.identification.margins import AxisMargins, margins_document, zone
 from service.identification.plane_model import PlaneModel
 from service.identification.rotating import Turned
 from service.identification.subspace import SubspaceModel
@@ -195,8 +195,7 @@ class PlaneResult:
 
     def document(self) -> dict[str, Any]:
         """As JSON, contracts.md section 3."""
-        peak = {a: m.sensitivity_peak for a, m in self.margins.items()}
-        worst = max([*peak.values(), *(m.measured_peak or 0.0 for m in self.margins.values())])
+        worst = max(max(m.sensitivity_peak, m.measured_peak or 0.0) for m in self.margins.values())
         return {
             "amplifiers": {
                 axis: {
@@ -244,15 +243,7 @@ class PlaneResult:
             "state_space": self.state_space.document(),
             "amplifier_state_space": self.amplifier_state_space.document(),
             "margins": {
-                "sensitivity_peak": peak,
-                "sensitivity_peak_std": {a: m.peak_std for a, m in self.margins.items()},
-                "sensitivity_peak_hz": {a: m.peak_hz for a, m in self.margins.items()},
-                "measured_sensitivity_peak": {a: m.measured_peak for a, m in self.margins.items()},
-                "measured_sensitivity_peak_hz": {a: m.measured_peak_hz for a, m in self.margins.items()},
-                "measured_sensitivity_peak_std": {a: m.measured_std for a, m in self.margins.items()},
-                "gain_margin_db": {a: list(m.gain_margin_db) for a, m in self.margins.items()},
-                "phase_margin_deg": {a: m.phase_margin_deg for a, m in self.margins.items()},
-                "delay_margin_s": {a: m.delay_margin_s for a, m in self.margins.items()},
+                **margins_document(self.margins),
                 "iso_14839_3_zone": zone(worst),
                 "closed_loop_fit_percent": {
                     "r_to_u": _matrix(None if self.closed_loop is None else self.closed_loop.u_percent),

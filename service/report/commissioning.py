@@ -9,10 +9,10 @@ from html import escape
 import numpy as np
 
 from service.experiment.data import Experiment
-from service.identification.margins import zone
+from service.identification.margins import Margin, zone
 from service.identification.result import CommissioningResult, ModeResult, PlaneResult
 from service.report import measurement
-from service.report.format import count, decibel, figures, fixed, number, paragraph, signed, span, table
+from service.report.format import MISSING, count, decibel, figures, fixed, number, paragraph, signed, span, table
 from service.report.page import Captioned, Page, Section, Tone
 from service.report.plane import plane_section
 from service.report.rotating import rotating_section
@@ -131,7 +131,8 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
         paragraph(
             "ki: force-current factor; ks: position stiffness, positive destabilises; ωn and ζ: of the free rotor, "
             "without bearings. The zone is that of ISO 14839-3 by the larger of the model's and the measured peak; a "
-            "measured peak is at a measured line and so at most the true one.",
+            "measured peak is at a measured line and so at most the true one. Margins are the model's; those of the "
+            "measured sensitivity itself, straight between its lines, in brackets.",
             "small",
         ),
     ]
@@ -147,8 +148,7 @@ def _mode(plane: str, m: ModeResult) -> list[str]:
 def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
     for axis, m in plane.margins.items():
         peak = max(m.sensitivity_peak, m.measured_peak or 0.0)
-        gain = " / ".join(signed(g, 1) for g in m.gain_margin_db)
-        delay = None if m.delay_margin_s is None else 1e6 * m.delay_margin_s
+        gain = " / ".join(_with_std(g, 1.0, 1) for g in (m.gain_down_db, m.gain_up_db))
         std_db = 20 / np.log(10) * m.peak_std / m.sensitivity_peak
         yield [
             f"{name}{axis}",
@@ -156,10 +156,19 @@ def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
             fixed(m.peak_hz, 1),
             fixed(decibel(m.measured_peak), 2),
             gain,
-            fixed(m.phase_margin_deg, 1),
-            fixed(delay, 0),
+            _with_std(m.phase_deg, 1.0, 1),
+            _with_std(m.delay_s, 1e6, 0),
             zone(peak),
         ]
+
+
+def _with_std(margin: Margin, unit: float, digits: int) -> str:
+    """The model's margin with its deviation, and the measured one in brackets."""
+    if margin.value is None or margin.std is None:
+        return MISSING
+    value, std = figures(unit * margin.value, unit * margin.std)
+    seen = "" if margin.measured is None else f" ({fixed(unit * margin.measured, digits)})"
+    return f"{value} ± {std}{seen}"
 
 
 def _measurement(experiment: Experiment, datasheet: Datasheet) -> Section:

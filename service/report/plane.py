@@ -86,6 +86,11 @@ def _fits(plane: PlaneResult) -> str:
         (f"{black_box}, fitted sweep", plane.subspace.fit_percent),
         (f"{black_box}, unseen sweep", _subspace_unseen(plane)),
     ]
+    if plane.closed_loop is not None:
+        steps += [
+            ("closed loop, predicted: r to u", plane.closed_loop.u_percent),
+            ("closed loop, predicted: r to y", plane.closed_loop.y_percent),
+        ]
     pairs = [f"{a} from {b}" for a in plane.axes for b in plane.axes]
     rows = [[name, *(fixed(float(v), 2) for v in np.ravel(m))] for name, m in steps if m is not None]
     if plane.cross_validation_rms is not None:
