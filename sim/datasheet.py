@@ -10,6 +10,7 @@ import json
 import math
 import tomllib
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sim.errors import DatasheetError
 
 AXES = ("xA", "xB", "yA", "yB")
+
+ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
+"""Zones of ISO 14839-3 by peak sensitivity and their upper limits, dB."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -93,6 +97,8 @@ class Datasheet:
     tolerance: Tolerance = field(default_factory=Tolerance)
     tolerance_stated: bool = False
     """Whether the datasheet itself states tolerances."""
+    sensitivity_zones_db: tuple[tuple[str, float], ...] = ISO_14839_3_DB
+    """By peak sensitivity, rising, the upper limit of each, dB; the last one has none. Not one value per axis."""
     effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
     """Effects that a diagnosis has added to the twin: (id, ((parameter, value), ...)), in order."""
 
@@ -182,6 +188,17 @@ class _Controller(_Section):
 class _Limits(_Section):
     displacement_m: Positive
     current_a: Positive
+    sensitivity_zones: list[Annotated[str, Field(min_length=1)]] = [name for name, _ in ISO_14839_3_DB]
+    sensitivity_zone_limits_db: list[Positive] = [limit for _, limit in ISO_14839_3_DB[:-1]]
+
+    @model_validator(mode="after")
+    def _rising(self) -> _Limits:
+        names, limits = self.sensitivity_zones, self.sensitivity_zone_limits_db
+        if len(names) != len(limits) + 1 or len(set(names)) < len(names):
+            raise ValueError("sensitivity_zones need different names, one more than sensitivity_zone_limits_db")
+        if any(a >= b for a, b in pairwise(limits)):
+            raise ValueError("sensitivity_zone_limits_db have to rise")
+        return self
 
 
 class _Tolerance(_Section):
@@ -304,6 +321,9 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
             denominator=tuple(f.controller.denominator),
             displacement_limit_m=f.limits.displacement_m,
             current_limit_a=f.limits.current_a,
+            sensitivity_zones_db=tuple(
+                zip(f.limits.sensitivity_zones, [*f.limits.sensitivity_zone_limits_db, math.inf], strict=True)
+            ),
             tolerance=Tolerance(**stated),
             tolerance_stated=f.tolerance is not None,
             effects=tuple((k, tuple(v.items())) for k, v in f.effects.items()),
@@ -333,6 +353,17 @@ def _value(value: Any) -> str:
     if not math.isfinite(value):
         raise DatasheetError(f"a datasheet holds finite numbers only, not {value}")
     return repr(float(value))
+
+
+def _zones(datasheet: Datasheet) -> dict[str, Any]:
+    """Zones other than those of the standard."""
+    zones = datasheet.sensitivity_zones_db
+    if zones == ISO_14839_3_DB:
+        return {}
+    return {
+        "sensitivity_zones": tuple(name for name, _ in zones),
+        "sensitivity_zone_limits_db": tuple(limit for _, limit in zones[:-1]),
+    }
 
 
 def to_toml(datasheet: Datasheet) -> str:
@@ -384,7 +415,7 @@ def to_toml(datasheet: Datasheet) -> str:
                 "denominator": d.denominator,
             },
         ),
-        ("[limits]", {"displacement_m": d.displacement_limit_m, "current_a": d.current_limit_a}),
+        ("[limits]", {"displacement_m": d.displacement_limit_m, "current_a": d.current_limit_a} | _zones(d)),
     ]
     if d.tolerance_stated:
         sections.append(("[tolerance]", {f.name: getattr(d.tolerance, f.name) for f in fields(d.tolerance)}))

@@ -15,8 +15,9 @@ def check_controller(
     controller: Annotated[Path, typer.Argument(help="TOML file with a \\[controller] section, as in rig.toml.")],
     baseline: Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")],
     zones: Annotated[
-        str, typer.Option(help="Upper limits of the zones, dB, rising; the last zone has none.")
-    ] = "A=9.5,B=12,C=14,D",
+        str,
+        typer.Option(help="Upper limits of the zones, dB, rising, as A=9.5,B=12,C=14,D; the datasheet's without it."),
+    ] = "",
     accept: Annotated[str, typer.Option(help="Worst zone that is safe.")] = "B",
     out: Annotated[Path | None, typer.Option(help="File to write the result to, JSON.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
@@ -35,7 +36,7 @@ def check_controller(
 
     then, datasheet = read_baseline(baseline)
     law, sample_time_s = read_law(controller)
-    table = zone_table(zones)
+    table = zone_table(zones) if zones else datasheet.sensitivity_zones_db
     found = checked(
         datasheet.name,
         saved_planes(then.document, datasheet),

@@ -16,7 +16,6 @@ from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
 from service.identification.etfe import etfe
-from service.identification.margins import ISO_14839_3_DB
 from service.identification.saved import SavedPlane, saved_planes
 from service.identification.uncertainty import ESTIMATED_WEIGHTS
 from service.identification.zoh import Real
@@ -53,7 +52,6 @@ def compare(
     datasheet: Datasheet,
     tests_made: int = 0,
     policy: Policy | None = None,
-    zones: tuple[tuple[str, float], ...] = ISO_14839_3_DB,
 ) -> HealthResult:
     """Compare a short experiment with the commissioning.
 
@@ -65,8 +63,8 @@ def compare(
         A check's, or any other whose main sweep excites the planes that were commissioned.
     tests_made
         Checks of this rig in the 365 days before this one; they share the allowance of false alarms.
-    policy, zones
-        Allowance of false alarms; limits of the zones of ISO 14839-3, dB.
+    policy
+        Allowance of false alarms.
 
     Raises
     ------
@@ -108,7 +106,7 @@ def compare(
         tests_made=tests_made,
         false_alarms_per_year=rule.per_year,
         level=level,
-        zones=zones,
+        zones=datasheet.sensitivity_zones_db,
         rig_seconds=_rig_seconds(experiment),
         speed_rad_s=experiment.main.speed_rad_s,
     )

@@ -91,6 +91,7 @@ def assemble(
         state_space=plant_state_space(model, points.axes),
         amplifier_state_space=amplifier_state_space(model, points.axes),
         margins=dict(zip("AB", peaks, strict=True)),
+        zones_db=datasheet.sensitivity_zones_db,
         curves=Curves(
             u_to_y,
             plant,

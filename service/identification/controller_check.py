@@ -15,7 +15,6 @@ import numpy as np
 from service.identification.closed_loop import closed_loop_poles, slowest_decay
 from service.identification.loop_margins import loop_margins
 from service.identification.margins import (
-    ISO_14839_3_DB,
     dense_grid,
     sensitivity,
     sensitivity_peaks,
@@ -24,6 +23,7 @@ from service.identification.margins import (
 from service.identification.plane_model import PlaneModel
 from service.identification.saved import SavedPlane
 from service.identification.zoh import Complex, Real
+from sim.datasheet import ISO_14839_3_DB
 from sim.errors import AmbError
 
 DRAWS = 100

@@ -15,10 +15,8 @@ from service.identification.etfe import FrequencyResponse
 from service.identification.loop_margins import loop_margins, moved
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real, discrete_response
+from sim.datasheet import ISO_14839_3_DB
 from sim.errors import AmbError
-
-ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
-"""Zones of ISO 14839-3 by peak sensitivity, upper limits in dB."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def margins_document(margins: dict[str, AxisMargins]) -> dict[str, Any]:
 
 
 def zone(peak: float, limits: tuple[tuple[str, float], ...] = ISO_14839_3_DB) -> str:
-    """Zone of ISO 14839-3 for a peak sensitivity (not in dB).
+    """Zone, by default of ISO 14839-3, for a peak sensitivity (not in dB).
 
     >>> [zone(x) for x in (2.9, 3.5, 4.9, 5.1)]
     ['A', 'B', 'C', 'D']

@@ -182,6 +182,8 @@ class PlaneResult:
     state_space: StateSpace
     amplifier_state_space: StateSpace
     margins: dict[str, AxisMargins]
+    zones_db: tuple[tuple[str, float], ...]
+    """Zones by peak sensitivity: the datasheet's."""
     curves: Curves
     displacement: Displacement
     subspace: SubspaceModel
@@ -193,9 +195,17 @@ class PlaneResult:
     closed_loop: Predicted | None = None
     """Predicted against measured closed loop, on the unseen sweep where there is one."""
 
+    @property
+    def worst_peak(self) -> float:
+        """The largest sensitivity of the plane, of the model and measured."""
+        return max(max(m.sensitivity_peak, m.measured_peak or 0.0) for m in self.margins.values())
+
+    def zone(self, peak: float) -> str:
+        """Zone of a peak sensitivity, not in dB."""
+        return zone(peak, self.zones_db)
+
     def document(self) -> dict[str, Any]:
         """As JSON, contracts.md section 3."""
-        worst = max(max(m.sensitivity_peak, m.measured_peak or 0.0) for m in self.margins.values())
         return {
             "amplifiers": {
                 axis: {
@@ -244,7 +254,8 @@ class PlaneResult:
             "amplifier_state_space": self.amplifier_state_space.document(),
             "margins": {
                 **margins_document(self.margins),
-                "iso_14839_3_zone": zone(worst),
+                "iso_14839_3_zone": self.zone(self.worst_peak),
+                "zone_limits_db": dict(self.zones_db[:-1]),
                 "closed_loop_fit_percent": {
                     "r_to_u": _matrix(None if self.closed_loop is None else self.closed_loop.u_percent),
                     "r_to_y": _matrix(None if self.closed_loop is None else self.closed_loop.y_percent),

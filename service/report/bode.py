@@ -11,7 +11,7 @@ from service.distributions import chi2_above
 from service.experiment.data import Experiment
 from service.identification import amplifier
 from service.identification.etfe import FrequencyResponse, etfe
-from service.identification.margins import ISO_14839_3_DB, sensitivity
+from service.identification.margins import sensitivity
 from service.identification.points import plane_points
 from service.identification.result import PlaneResult
 from service.report.figure import (
@@ -217,7 +217,7 @@ def sensitivity_figure(plane: PlaneResult, experiment: Experiment, datasheet: Da
         fig.frequency(0, k, low, high)
         peak = 20 * math.log10(float(np.abs(model[:, k, k]).max()))
         fig.y(0, k, range=[-20, max(17.0, peak + 2.0)], dtick=5)
-        for zone, limit in ISO_14839_3_DB[:-1]:
+        for zone, limit in plane.zones_db[:-1]:
             fig.line_at(0, k, y=limit, text=f"zone {zone}", colour=SECOND, below=True)
     fig.y(0, 0, title="|S|, dB")
     return fig

@@ -9,14 +9,14 @@ from html import escape
 import numpy as np
 
 from service.experiment.data import Experiment
-from service.identification.margins import Margin, zone
+from service.identification.margins import Margin
 from service.identification.result import CommissioningResult, ModeResult, PlaneResult
 from service.report import measurement
 from service.report.format import MISSING, count, decibel, figures, fixed, number, paragraph, signed, span, table
 from service.report.page import Captioned, Page, Section, Tone
 from service.report.plane import plane_section
 from service.report.rotating import rotating_section
-from sim.datasheet import Datasheet
+from sim.datasheet import ISO_14839_3_DB, Datasheet
 
 GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
@@ -76,11 +76,12 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     ki = [p.stiffness[k].value for p in planes for k in ("kiA", "kiB")]
     ks = [p.stiffness[k].value / 1e6 for p in planes for k in ("ksA", "ksB")]
     relative = max(p.stiffness[k].std / abs(p.stiffness[k].value) for p in planes for k in p.stiffness)
-    peak = max(_worst_peak(p) for p in planes)
+    loudest = max(planes, key=lambda p: p.worst_peak)
+    peak, zone = loudest.worst_peak, loudest.zone(loudest.worst_peak)
     worst_percent = f"{math.floor(100 * worst) / 100:.2f} % NRMSE"
     figures_found = (
         f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
-        f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone(peak)} of ISO 14839-3."
+        f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone}{_standard(loudest)}."
     )
     if wrong := [p for p in planes if not p.adequate]:
         names = " and ".join(f"{p.plane}-plane" for p in wrong)
@@ -96,11 +97,12 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     )
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
-    return ("good" if zone(peak) in "AB" and worst > GOOD_PERCENT else "warn"), text
+    calm = zone in [name for name, _ in loudest.zones_db[:2]]
+    return ("good" if calm and worst > GOOD_PERCENT else "warn"), text
 
 
-def _worst_peak(plane: PlaneResult) -> float:
-    return max(max(m.sensitivity_peak, m.measured_peak or 0.0) for m in plane.margins.values())
+def _standard(plane: PlaneResult) -> str:
+    return " of ISO 14839-3" if plane.zones_db == ISO_14839_3_DB else " of the rig's own table"
 
 
 def _figures_of_merit(result: CommissioningResult) -> Section:
@@ -130,9 +132,9 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
         "</div>",
         paragraph(
             "ki: force-current factor; ks: position stiffness, positive destabilises; ωn and ζ: of the free rotor, "
-            "without bearings. The zone is that of ISO 14839-3 by the larger of the model's and the measured peak; a "
-            "measured peak is at a measured line and so at most the true one. Margins are the model's; those of the "
-            "measured sensitivity itself, straight between its lines, in brackets.",
+            "without bearings. The zone is that of ISO 14839-3, or of the datasheet's own limits, by the larger of the "
+            "model's and the measured peak; a measured peak is at a measured line and so at most the true one. Margins "
+            "are the model's; those of the measured sensitivity itself, straight between its lines, in brackets.",
             "small",
         ),
     ]
@@ -158,7 +160,7 @@ def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
             gain,
             _with_std(m.phase_deg, 1.0, 1),
             _with_std(m.delay_s, 1e6, 0),
-            zone(peak),
+            plane.zone(peak),
         ]
 
 

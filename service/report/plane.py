@@ -42,7 +42,7 @@ def plane_section(plane: PlaneResult, experiment: Experiment, datasheet: Datashe
     parts.append(
         Captioned(
             bode.sensitivity_figure(plane, experiment, datasheet),
-            "Sensitivity of the running loop; dashed: upper limits of the zones A, B and C of ISO 14839-3.",
+            "Sensitivity of the running loop; dashed: upper limits of the zones, by default those of ISO 14839-3.",
         )
     )
     parts.append(

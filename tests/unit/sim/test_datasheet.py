@@ -121,6 +121,27 @@ def test_values_per_axis_are_one_or_one_per_axis(value):
     assert "one for all or 4" in message
 
 
+def test_zones_of_the_sensitivity_peak_are_the_standards_or_the_rigs_own():
+    assert datasheet.parse(TEXT).sensitivity_zones_db == datasheet.ISO_14839_3_DB
+    own = 'sensitivity_zones = ["fine", "bad"]\nsensitivity_zone_limits_db = [20]\n'
+    sheet = datasheet.parse(TEXT.replace("[limits]\n", "[limits]\n" + own))
+    assert sheet.sensitivity_zones_db == (("fine", 20.0), ("bad", float("inf")))
+    assert datasheet.parse(datasheet.to_toml(sheet)) == sheet
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        "sensitivity_zone_limits_db = [9.5]",
+        "sensitivity_zone_limits_db = [9.5, 12.0, 12.0]",
+        'sensitivity_zones = ["A", "A", "C", "D"]',
+        "sensitivity_zone_limits_db = [9.5, 12.0, inf]",
+    ],
+)
+def test_zones_need_names_of_their_own_and_rising_limits(own):
+    assert "sensitivity_zone" in refusal(TEXT.replace("[limits]\n", f"[limits]\n{own}\n"))
+
+
 @pytest.mark.parametrize("axes", ["[]", '["xA"]', '["xB", "xA"]', '["xA", "xB", "yA"]', '["zA", "zB"]', '"xA"'])
 def test_axes_are_one_plane_or_two_in_order(axes):
     assert "axes" in refusal(with_line("axes", axes))

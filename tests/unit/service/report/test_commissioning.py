@@ -1,6 +1,7 @@
 """The report of a commissioning says what was found, whatever the experiment lacked."""
 
 import json
+import math
 import re
 from dataclasses import replace
 
@@ -79,6 +80,16 @@ def test_a_wrong_model_is_not_called_identified(result):
     assert "12 times the noise" in text
 
 
+def test_zones_of_the_datasheet_are_those_of_the_verdict_and_the_plots(measured, result):
+    experiment, datasheet = measured
+    own = (("fine", 40.0), ("bad", math.inf))
+    planes = {k: replace(p, zones_db=own) for k, p in result.planes.items()}
+    page = commissioning_page(replace(result, planes=planes), experiment, datasheet)
+    assert "zone fine of the rig" in page
+    assert all(p.document()["margins"]["iso_14839_3_zone"] == "fine" for p in planes.values())
+    assert all(p.document()["margins"]["zone_limits_db"] == {"fine": 40.0} for p in planes.values())
+
+
 def test_without_an_unseen_sweep_the_sentence_says_so(result):
     planes = {k: replace(p, cross_validation_fit_percent=None) for k, p in result.planes.items()}
     assert "fitted to" in verdict(replace(result, planes=planes))[1]
@@ -93,7 +104,7 @@ def test_one_sweep_without_currents_in_two_axes(measured):
     per_axis = {
         k: v[:2]
         for k, v in vars(datasheet).items()
-        if isinstance(v, tuple) and len(v) == 4 and k not in ("numerator", "denominator")
+        if isinstance(v, tuple) and len(v) == 4 and k not in ("numerator", "denominator", "sensitivity_zones_db")
     }
     sheet = replace(datasheet, **per_axis)
     page = commissioning_page(identify(small, sheet), small, sheet)
