@@ -9,6 +9,8 @@ from service.api.problems import UnprocessableError
 from service.config import Settings
 
 SCHEMES = ("modbus", "modbuss", "modbus+rtu", "canopen", "simulated")
+IN_PROCESS = ("simulated",)
+"""Of rigs that are simulated by whoever connects to them: every connection has a rig of its own."""
 FILES = ("map", "ca", "cert", "key", "rig")
 REFUSED = ("transcript",)
 FOLDER = "controllers"

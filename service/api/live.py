@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import urlsplit
 
 from fastapi import APIRouter, Request, Response
 from pydantic import ConfigDict
@@ -17,6 +18,7 @@ from service import bootstrap
 from service.access.audit import Action
 from service.api import etags
 from service.api.auditing import audit
+from service.api.controllers import IN_PROCESS
 from service.api.problems import documented
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
@@ -180,6 +182,11 @@ def _url(api: Services, rig_id: str) -> str:
         url = rigs.version(session, rig).controller_url
     if not url:
         raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one to see it live")
+    if urlsplit(url).scheme in IN_PROCESS:
+        raise ConflictError(
+            f"the rig {rig.name!r} is simulated inside each job, so that nobody else sees or stops it: cancel its job, "
+            "or serve a simulated rig to all with `ambit rig serve` and give the rig that URL"
+        )
     return url
 
 

@@ -307,6 +307,15 @@ def test_a_controller_that_does_not_answer_is_told_as_such(api, rig):
 
 def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
     model = rig.replace("rig_", "mod_")
+def test_a_rig_that_lives_inside_its_job_is_not_shown_as_another_one_and_no_stop_is_claimed(api, request):
+    body = {"datasheet": SHEET, "controller_url": "Simulated://?seed=3", "name": request.node.name}
+    rig = api.post("/rigs", json=body).json()["id"]
+    is_problem(api.get(f"/rigs/{rig}/status"), 409, "cancel its job", "ambit rig serve")
+    is_problem(api.post(f"/rigs/{rig}/stop"), 409, "cancel its job")
+    lines = api.get("/audit", params={"rig": rig}).json()["items"]
+    assert [line["action"] for line in lines] == ["rig.created"]
+
+
     assert api.put(f"/rigs/{rig}/baseline", json={"model": model}).json()["baseline_model"] == model
     job = api.post("/jobs", json={"kind": "health", "rig": rig}).json()
     assert job["options"]["baseline"] == model
