@@ -16,6 +16,7 @@ class Action(StrEnum):
     key_created = "key.created"
     key_revoked = "key.revoked"
     access_refused = "access.refused"
+    """401 or 403: a key that does not hold or does not reach so far; one line an address and minute at most."""
     rig_created = "rig.created"
     rig_changed = "rig.changed"
     rig_removed = "rig.removed"
@@ -29,7 +30,8 @@ class Action(StrEnum):
     schedule_removed = "schedule.removed"
     baseline_changed = "baseline.changed"
     rotor_excited = "rotor.excited"
-    """A worker has taken the controller's lease for a job: from now on the rotor moves."""
+    """A worker has taken the controller's lease for a job: from now on the rotor moves. The actor is who had this run
+    of the job done, the first or a retry."""
     rotor_released = "rotor.released"
     """The lease is given back; the detail says how the excitation ended."""
 
@@ -47,7 +49,7 @@ class AuditEvent:
 
     action: Action
     actor: str
-    """Id of the key, "local", or "schedule:<id>" for what the clock began."""
+    """Id of the key, "local", "schedule:<id>" for what the clock began, or empty for nobody who is known."""
     actor_name: str
     subject: str
     """Id of the thing: rig_..., job_..., key_..."""

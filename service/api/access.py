@@ -5,6 +5,7 @@ The application keeps its `Gate` as ``app.state.gate``; ``request.state.identity
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Coroutine
 from functools import cache, partial
@@ -16,17 +17,27 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.access import keys
-from service.access.errors import UnauthorisedError
+from service.access.audit import Action
+from service.access.errors import ForbiddenError, UnauthorisedError
 from service.access.keys import LOCAL, Identity, KeyRecord, Scope
 from service.access.loopback import must_be_this_machine
 from service.access.rate import Limiter, Rate
+from service.api.auditing import audit
 from service.api.kept import Kept
 from service.storage import keys as rows
 from service.storage.database import Database, now
 
+log = logging.getLogger(__name__)
+
 FAILURES = Rate(per_s=2.0, burst=20)
 """Wrong keys that one address may try."""
 NOTED_EVERY_S = 60.0
+REFUSALS = Rate(per_s=1 / 60, burst=1)
+"""Lines of the audit log about what one address was refused,"""
+ALL_REFUSALS = Rate(per_s=0.1, burst=100)
+"""and about all addresses together: whoever has many must not fill the log either."""
+NOBODY = Identity("", "nobody", Scope.viewer)
+"""Whoever shows no key that holds."""
 
 _scheme = HTTPBearer(
     scheme_name="key",
@@ -51,6 +62,8 @@ class Gate:
         self._database = database
         self._limiter = Limiter(rate)
         self._failures = Limiter(FAILURES)
+        self._refusals = Limiter(REFUSALS)
+        self._all_refusals = Limiter(ALL_REFUSALS, callers=1)
         self._noted: dict[str, float] = {}
         self._records: Kept[KeyRecord | None] = Kept(database)
         self._any_key: Kept[bool] = Kept(database)
@@ -72,6 +85,20 @@ class Gate:
             raise
         self._limiter.take(who.key_id)
         return who
+
+    async def refused(self, request: Request, who: Identity, key: str | None, error: Exception) -> None:
+        """Note in the audit log that someone was not let in, as often as `REFUSALS` allows."""
+        address = request.client.host if request.client else ""
+        if not self._refusals.wait_s(address) and not self._all_refusals.wait_s(""):
+            await run_in_threadpool(self._note_refusal, request, who, key and keys.id_of(key), str(error))
+
+    def _note_refusal(self, request: Request, who: Identity, key_id: str | None, why: str) -> None:
+        route = f"{request.method} {getattr(request.scope.get('route'), 'path', '')}"
+        try:
+            with self._database.write() as session:
+                audit(session, request, who, Action.access_refused, key_id or "", why=why, route=route)
+        except SQLAlchemyError as error:
+            log.warning("a refusal is not in the audit log: %s", str(error).splitlines()[0])
 
     async def _local(self, address: str | None, request: Request | None) -> Identity:
         if await self._any_key.get("", self._read_any_key):
@@ -124,10 +151,15 @@ def require(scope: Scope) -> Callable[..., Coroutine[Any, Any, Identity]]:
         request: Request, given: Annotated[HTTPAuthorizationCredentials | None, Security(_scheme)]
     ) -> Identity:
         gate: Gate = request.app.state.gate
-        key = given.credentials if given is not None else _other_scheme(request)
-        who = await gate.identity(key, request.client.host if request.client else None, request)
-        request.state.identity = who
-        return who.must_reach(scope)
+        who, key = NOBODY, given.credentials if given is not None else None
+        try:
+            key = key if given is not None else _other_scheme(request)
+            who = await gate.identity(key, request.client.host if request.client else None, request)
+            request.state.identity = who
+            return who.must_reach(scope)
+        except (UnauthorisedError, ForbiddenError) as error:
+            await gate.refused(request, who, key, error)
+            raise
 
     return allowed
 

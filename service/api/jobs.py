@@ -219,7 +219,15 @@ def submit_job(
     def make(session: Session) -> Answer:
         version = check(session, wanted, options)
         job = jobs.submit(
-            session, wanted.kind, wanted.rig, version, who.name, wanted.experiment, options, wanted.priority
+            session,
+            wanted.kind,
+            wanted.rig,
+            version,
+            who.name,
+            wanted.experiment,
+            options,
+            wanted.priority,
+            key_id=who.key_id,
         )
         audit(session, request, who, Action.job_submitted, job.id, rig=job.rig_id, kind=job.kind)
         made[:] = [job]
@@ -269,7 +277,7 @@ def retry_job(request: Request, job_id: JobId, who: Operator, api: Api) -> JobSh
     """Try a job again that failed or was cancelled; an experiment goes on with what it has measured."""
     with api.database.write() as session:
         rigs.active(session, jobs.get(session, job_id).rig_id)
-        job = jobs.retry(session, job_id)
+        job = jobs.retry(session, job_id, who.name, who.key_id)
         audit(session, request, who, Action.job_retried, job.id, rig=job.rig_id, run=job.run)
     hand_over(api.database, api.dispatcher, job)
     return shape(job)

@@ -92,9 +92,8 @@ class AuditedController:
     def _record(self, action: Action, **detail: str | int) -> None:
         job = self._job
         name = self._worker.settings.worker
-        event = AuditEvent(
-            action, f"worker:{name}"[:40], job.submitted_by, job.id, job.rig_id, {"worker": name, **detail}
-        )
+        key = job.requested_key or f"worker:{name}"[:40]
+        event = AuditEvent(action, key, job.requested_by, job.id, job.rig_id, {"worker": name, **detail})
 
         def write(session: Session) -> None:
             audit.record(session, event)

@@ -7,9 +7,10 @@ from datetime import datetime, timedelta
 
 from sqlalchemy.orm import Session
 
+from service.access.audit import Action, AuditEvent
 from service.errors import ServiceError
 from service.health import schedule as cron
-from service.storage import jobs, results, rigs, schedules
+from service.storage import audit, jobs, results, rigs, schedules
 from service.storage.database import Database, now
 from service.storage.tables import ScheduleRow
 
@@ -57,15 +58,18 @@ def _submitted(session: Session, row: ScheduleRow, due: datetime) -> bool:
         log.warning("schedule %s: no check: %s", row.id, error)
         schedules.record_run(session, row.id, due, schedules.REFUSED, detail=str(error))
         return False
+    by, key = f"schedule {row.id}", f"schedule:{row.id}"
     job = jobs.submit(
         session,
         "health",
         rig.id,
         rig.version,
-        f"schedule {row.id}",
+        by,
         options={**row.options, "baseline": baseline.id},
         priority=SCHEDULED_PRIORITY,
         schedule_id=row.id,
+        key_id=key,
     )
+    audit.record(session, AuditEvent(Action.job_submitted, key, by, job.id, rig.id, {"kind": job.kind}))
     schedules.record_run(session, row.id, due, schedules.SUBMITTED, job.id)
     return True

@@ -32,8 +32,15 @@ def submit(
     options: Mapping[str, Any] | None = None,
     priority: int = 5,
     schedule_id: str | None = None,
+    key_id: str = "",
 ) -> JobRow:
-    """A new job, queued; the engine is told of it once this is committed."""
+    """A new job, queued; the engine is told of it once this is committed.
+
+    Parameters
+    ----------
+    by, key_id
+        Name of whoever wants it, and what tells it from others of that name: its key, "local", "schedule:<id>".
+    """
     job = JobRow(
         id=new_id("job"),
         kind=kind,
@@ -45,6 +52,8 @@ def submit(
         priority=priority,
         state=QUEUED,
         submitted_by=by,
+        requested_by=by,
+        requested_key=key_id,
         created_at=now(),
         result={},
     )
@@ -131,8 +140,13 @@ def cancel_of_rig(session: Session, rig_id: str, why: str) -> list[JobRow]:
     return found
 
 
-def retry(session: Session, job_id: str) -> JobRow:
+def retry(session: Session, job_id: str, by: str, key_id: str = "") -> JobRow:
     """Queue a job again that failed or was cancelled; an experiment goes on with what it has measured.
+
+    Parameters
+    ----------
+    by, key_id
+        Who wants that, as in `submit`: from now on it is their doing.
 
     Raises
     ------
@@ -148,6 +162,8 @@ def retry(session: Session, job_id: str) -> JobRow:
         .values(
             state=QUEUED,
             run=JobRow.run + 1,
+            requested_by=by,
+            requested_key=key_id,
             worker="",
             cancel_requested=False,
             started_at=None,

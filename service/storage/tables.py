@@ -239,6 +239,10 @@ class JobRow(Base):
     """1 first, 9 last."""
     state: Mapped[str] = mapped_column(String(20))
     submitted_by: Mapped[str] = mapped_column(NAME)
+    requested_by: Mapped[str] = mapped_column(NAME, default="", server_default="")
+    """Who had this run done, the first or a retry: whose doing it is that the rotor moves."""
+    requested_key: Mapped[str] = mapped_column(ID, default="", server_default="")
+    """Id of that key, "local", or "schedule:<id>"; empty where it was not noted yet."""
     created_at: Mapped[datetime]
     started_at: Mapped[datetime | None]
     ended_at: Mapped[datetime | None]

@@ -259,6 +259,8 @@ def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, 
     assert [run["state"] for run in runs] == ["submitted", "missed", "missed"]
     job = api.get(f"/jobs/{runs[0]['job']}").json()
     assert (job["kind"], job["schedule"]) == ("health", made["id"])
+    (line,) = api.get("/audit", params={"subject": job["id"]}).json()["items"]
+    assert (line["action"], line["key"], line["rig"]) == ("job.submitted", f"schedule:{made['id']}", rig)
     assert timetable.keep(database, first + timedelta(days=3, hours=1)) == 0  # too late to begin
     assert api.get(f"/schedules/{made['id']}/runs").json()[0]["state"] == "missed"
     changed = {**body, "cron": "0 7 * * *"}
@@ -305,8 +307,6 @@ def test_a_controller_that_does_not_answer_is_told_as_such(api, rig):
     is_problem(api.post(f"/rigs/{rig}/stop"), 503)
 
 
-def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
-    model = rig.replace("rig_", "mod_")
 def test_a_rig_that_lives_inside_its_job_is_not_shown_as_another_one_and_no_stop_is_claimed(api, request):
     body = {"datasheet": SHEET, "controller_url": "Simulated://?seed=3", "name": request.node.name}
     rig = api.post("/rigs", json=body).json()["id"]
@@ -316,6 +316,8 @@ def test_a_rig_that_lives_inside_its_job_is_not_shown_as_another_one_and_no_stop
     assert [line["action"] for line in lines] == ["rig.created"]
 
 
+def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
+    model = rig.replace("rig_", "mod_")
     assert api.put(f"/rigs/{rig}/baseline", json={"model": model}).json()["baseline_model"] == model
     job = api.post("/jobs", json={"kind": "health", "rig": rig}).json()
     assert job["options"]["baseline"] == model

@@ -13,8 +13,8 @@ from service.access.errors import ForbiddenError, RateError, UnauthorisedError
 from service.access.keys import Identity, Scope
 from service.access.rate import Rate
 from service.api import access
+from service.storage import audit, migrate
 from service.storage import keys as rows
-from service.storage import migrate
 from service.storage.database import Database, now
 from service.storage.ids import new_id
 
@@ -107,6 +107,35 @@ def test_guessing_keys_is_slow(client, database):
     answers = [client.get("/view", headers=guess).status_code for _ in range(access.FAILURES.burst + 5)]
     assert answers[0] == 401
     assert answers[-1] == 429
+
+
+def refusals(database) -> list[tuple[str, str, str, str]]:
+    with database.read() as session:
+        found = audit.listed(session, action="access.refused", limit=1000).items
+        return [(row.who, row.key_id, row.resource, row.detail["route"]) for row in found]
+
+
+def test_who_was_not_let_in_is_in_the_audit_log(client, database):
+    key_id, header = made(database, Scope.viewer)
+    assert client.post("/move", headers=header).status_code == 403
+    assert refusals(database) == [("laptop", key_id, key_id, "POST /move")]
+    with database.write() as session:
+        rows.revoke(session, key_id)
+    other = TestClient(client.app, client=("10.0.0.1", 1))
+    assert other.get("/view", headers=header).status_code == 401
+    assert refusals(database)[0] == ("nobody", "", key_id, "GET /view")
+    assert TestClient(client.app, client=("10.0.0.2", 1)).get("/view").status_code == 401
+    assert refusals(database)[0] == ("nobody", "", "", "GET /view")
+
+
+def test_a_flood_of_refusals_does_not_fill_the_audit_log(client, database):
+    made(database, Scope.viewer)
+    for _ in range(10):
+        client.get("/view")
+    assert len(refusals(database)) == 1
+    for k in range(access.ALL_REFUSALS.burst + 30):
+        TestClient(client.app, client=(f"10.0.{k}.1", 1)).get("/view")
+    assert len(refusals(database)) < access.ALL_REFUSALS.burst + 20
 
 
 def test_the_last_use_of_a_key_is_kept(client, database):

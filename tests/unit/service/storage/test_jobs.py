@@ -58,14 +58,24 @@ def test_a_running_job_is_asked_to_end(database, job):
     with database.write() as session:
         jobs.finish(session, job, 1, "cancelled", {"experiment": "exp_1"})
     with database.write() as session, pytest.raises(ConflictError, match="only what failed"):
-        jobs.retry(session, jobs.submit(session, "gap", database.rig, 1, "me").id)
+        jobs.retry(session, jobs.submit(session, "gap", database.rig, 1, "me").id, "me")
     with database.write() as session:
-        again = jobs.retry(session, job)
+        again = jobs.retry(session, job, "me")
         assert (again.state, again.run, again.cancel_requested) == ("queued", 2, False)
     with database.write() as session:
         jobs.finish(session, job, 1, "done", {})  # a late word of the first run
         assert jobs.claim(session, job, 1, "w1") is None  # and a late begin
         assert jobs.claim(session, job, 2, "w1").attempt == attempt + 1
+
+
+def test_a_job_is_the_doing_of_whoever_tried_it_again(database):
+    with database.write() as session:
+        job = jobs.submit(session, "experiment", database.rig, 1, "laptop", key_id="key_1")
+        assert (job.requested_by, job.requested_key) == ("laptop", "key_1")
+        jobs.cancel(session, job.id)
+    with database.write() as session:
+        again = jobs.retry(session, job.id, "laptop", "key_2")  # names are not unique
+        assert (again.submitted_by, again.requested_by, again.requested_key) == ("laptop", "laptop", "key_2")
 
 
 def test_what_has_ended_stays_ended(database, job):
