@@ -149,7 +149,7 @@ class _Campaign:
             self.control.stopped,
             resume=True,
             profile=self.profile,
-            holder=f"ambit {self.job.id}",
+            holder=self.job.id,  # whole: devices keep 32 characters of it
         )
 
     def _progress(self, p: Progress) -> None:
