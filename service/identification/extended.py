@@ -7,10 +7,12 @@ ki. What is left is read from the Fisher information of the joint fit with the w
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from service.identification.figures import correlations
 from service.identification.least_squares import covariance_of
 from service.identification.plane_model import EXTENDED
 from service.identification.profile import profiles
@@ -65,12 +67,10 @@ def extended_report(
             "nominal": float(model.theta[model.layout.index(name)]),
             "identifiable": bool(std < tolerance[name]),
         }
-    size = np.sqrt(np.diag(covariance))
-    asked_at = [int(np.searchsorted(places, model.layout.index(name))) for name in asked]
-    out["correlations"] = {
-        "names": [str(n) for n in np.array(model.layout.names)[free]],
-        "matrix": [(covariance[k] / size[k] / size).tolist() for k in asked_at],
-    }
+    controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+    wider = replace(u, covariance=covariance, from_data=covariance, free=free)
+    shown = {"transverse inertia": asked[0], "centre of gravity": asked[1]}
+    out["correlations"] = correlations(model, wider, controller, shown).document()
     spread = {name: (out[name]["value"], out[name]["std"]) for name in asked}
     out["profile"] = profiles(refined, splits, data, spread)
     out["identifiable"] = all(out[name]["identifiable"] for name in asked)

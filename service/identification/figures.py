@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -99,8 +99,14 @@ def roots(
     return tuple(RootResult(complex(p), float(s), c) for p, s, c in zip(at, size, covariance, strict=True))
 
 
-def correlations(model: PlaneModel, u: Uncertainty, controller: tuple[Real, Real]) -> Correlations:
-    """Correlations of all figures of a plane, modes by rising natural frequency."""
+def correlations(
+    model: PlaneModel, u: Uncertainty, controller: tuple[Real, Real], also: Mapping[str, str] | None = None
+) -> Correlations:
+    """Correlations of all figures of a plane, modes by rising natural frequency.
+
+    ``also``: further parameters by the names to show them with.
+    """
+    more = [model.layout.index(name) for name in (also or {}).values()]
     order = np.argsort(model.natural_frequencies)
     peaks = sensitivity_peaks(model, controller)
 
@@ -109,14 +115,14 @@ def correlations(model: PlaneModel, u: Uncertainty, controller: tuple[Real, Real
         at = np.array([p.omega for p in peaks])
         s = np.abs(sensitivity(m, controller, at))
         of_modes = [m.natural_frequencies[order], m.damping_ratios[order], m.modes[order, 2:6].ravel()]
-        return np.concatenate([m.ks, m.ki, [m.delay_s], *of_modes, [s[0, 0, 0], s[1, 1, 1]]])
+        return np.concatenate([m.ks, m.ki, [m.delay_s], *of_modes, [s[0, 0, 0], s[1, 1, 1]], m.theta[more]])
 
     numbers = range(1, len(order) + 1)
     places = ("bearing A", "bearing B", "sensor A", "sensor B")
     names = ["ksA", "ksB", "kiA", "kiB", "delay"]
     names += [f"natural frequency {k}" for k in numbers] + [f"damping ratio {k}" for k in numbers]
     names += [f"shape {k}, {place}" for k in numbers for place in places]
-    names += ["sensitivity peak A", "sensitivity peak B"]
+    names += ["sensitivity peak A", "sensitivity peak B", *(also or {})]
     gradient = u.gradient(model, every)
     covariance = gradient @ u.covariance @ gradient.T
     std = np.sqrt(np.diag(covariance))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from service.distributions import chi2_above
 from service.experiment.data import Experiment
 from service.identification.evidence import Evidence
 from service.identification.result import PlaneResult
@@ -13,6 +14,8 @@ from service.report.figure import Real
 from service.report.format import figures, fixed, number, paragraph, table
 from service.report.page import Captioned, Section
 from sim.datasheet import Datasheet
+
+SMALL_SIGNAL = "gain of all sensors, at small signal"
 
 
 def plane_section(plane: PlaneResult, experiment: Experiment, datasheet: Datasheet) -> Section:
@@ -190,7 +193,6 @@ def _extended(plane: PlaneResult) -> str:
         if isinstance(e, dict):
             value, std = figures(float(e["value"]), float(e["std"]))
             rows.append([label, value, std, number(float(e["nominal"])), "yes" if e["identifiable"] else "no"])
-    text = "; ".join(str(a) for a in plane.extended.get("aliases", ()))
     profile = plane.extended.get("profile", {})
     grown = [
         [
@@ -199,14 +201,40 @@ def _extended(plane: PlaneResult) -> str:
             ", ".join(number(float(v), 3) for v in profile[key]["cost_growth"]),
             "flat: cannot be told" if profile[key]["flat"] else "identifiable",
         ]
-        for key, label in {**names, "mass_kg": "mass, kg", "common_sensor_gain": "gain of all sensors"}.items()
+        for key, label in {**names, "mass_kg": "mass, kg", "common_sensor_gain": SMALL_SIGNAL}.items()
         if key in profile
     ]
-    likelihood = table(["held, everything else refitted", "at", "−2 log likelihood grows by", ""], grown)
+    amplitude = profile.get("common_sensor_gain", {}).get("cost_growth_at_amplitude", ())
+    if amplitude:
+        shown = ", ".join(number(float(v), 3) for v in amplitude)
+        told = "identifiable" if min(amplitude) > chi2_above(0.05, 1) else "flat: cannot be told"
+        at = ", ".join(number(float(v), 6) for v in profile["common_sensor_gain"]["held_at"])
+        likelihood_rows = [*grown, ["gain of all sensors, at the measured amplitude", at, shown, told]]
+    else:
+        likelihood_rows = grown
+    likelihood = table(["held, everything else refitted", "at", "−2 log likelihood grows by", ""], likelihood_rows)
     return (
         table(["with the mass given", "estimate", "std. dev.", "datasheet", "better than the datasheet"], rows)
-        + f"{likelihood}{paragraph(f'Cannot be told apart by these data: {text}.', 'small')}"
+        + likelihood
+        + _blind(plane)
     )
+
+
+def _blind(plane: PlaneResult) -> str:
+    """What of the extended set the data tell: rank and conditioning of the information, and the blind combinations."""
+    e = plane.extended
+    rows = [
+        [", ".join(f"{size:+.2f} {name}" for name, size in found["combination"].items())]
+        for found in e["blind_directions"]
+    ]
+    free, condition = ", ".join(e["extended_set"]), f"{e['condition_number']:.1e}"
+    text = paragraph(
+        f"With {free} free besides, the data tell {e['rank']} of {e['parameters']} combinations of relative parameters "
+        f"to better than themselves; condition number of the information {condition}. "
+        f"Exact aliases: {'; '.join(str(a) for a in e['aliases'])}.",
+        "small",
+    )
+    return text + (table(["combination that they do not tell, by relative change"], rows, left=1) if rows else "")
 
 
 def _state_space(plane: PlaneResult) -> str:

@@ -92,7 +92,9 @@ def test_correlations_are_those_of_the_figures(
 
 def test_the_inertia_is_told_with_what_it_goes_together_with(plane: PlaneResult) -> None:
     told = plane.extended["correlations"]
-    matrix = np.array(told["matrix"])
-    assert matrix.shape == (2, len(told["names"]))
-    assert np.all(np.abs(matrix) <= 1 + 1e-9)
-    assert matrix[0, told["names"].index("transverse_inertia_kgm2")] == pytest.approx(1.0)
+    names, matrix = told["names"], np.array(told["matrix"])
+    assert set(names) == {*plane.correlations.names, "transverse inertia", "centre of gravity"}
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    # a larger inertia asks for a larger moment of the forces, which are seen in proportion to it alone
+    assert matrix[names.index("transverse inertia"), names.index("kiA")] > 0.2
