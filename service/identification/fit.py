@@ -10,6 +10,8 @@ import numpy as np
 from service.experiment.data import Experiment, Sweep
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fit
 from service.identification.assemble import assemble
+from service.identification.coupling import cross_planes
+from service.identification.coupling import told as told_coupling
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
@@ -110,6 +112,8 @@ def identify(
         say((k + 1.0) / steps)
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
+    across = () if main.speed_rad_s else cross_planes(main, tuple(experiment.axes))
+    warnings += [told_coupling(c) for c in across if c.coupled]
     rotating = None
     if any(speeds):
         try:
@@ -125,6 +129,7 @@ def identify(
         None if validation is None else _name(experiment, validation),
         tuple(warnings),
         rotating=rotating,
+        cross_planes=across,
     )
 
 

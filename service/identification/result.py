@@ -10,6 +10,7 @@ import numpy as np
 
 from service.identification.closed_loop import Predicted
 from service.identification.combine import StateSpace
+from service.identification.coupling import CrossPlane
 from service.identification.estimate import Estimate as Estimate
 from service.identification.etfe import FrequencyResponse
 from service.identification.evidence import Evidence
@@ -292,6 +293,8 @@ class CommissioningResult:
     provenance: dict[str, Any] = field(default_factory=dict)
     rotating: Turned | None = None
     """The rotor over all speeds, of an experiment at speed."""
+    cross_planes: tuple[CrossPlane, ...] = ()
+    """What of each plane's excitation the other one shows, at standstill."""
 
     def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
         """The contents of result.json; every number in it is finite or null."""
@@ -308,6 +311,8 @@ class CommissioningResult:
                 **self.provenance,
             },
         }
+        if self.cross_planes:
+            document["cross_planes"] = [c.document() for c in self.cross_planes]
         if self.rotating is not None:
             document["rotating"] = self.rotating.document()
         return {k: _finite(v) for k, v in document.items()}
