@@ -46,8 +46,8 @@ THREADS = 24
 """Requests that are worked on at once; the others wait their turn."""
 DESCRIPTION = """Commissioning of active magnetic bearings as a service: rigs, experiments, models, diagnoses and
 health checks. Every error is `application/problem+json` (RFC 9457). Lists are pages, newest first: the field `next`
-is `after` of the next page. Documents have ETags. What takes time is a job: `POST` answers 202 with its URL, and
-`/api/v1/jobs/{id}/events` tells how far it is."""
+is `after` of the next page. Documents and lists have ETags. What takes time is a job: `POST` answers 202 with its
+URL, and `/api/v1/jobs/{id}/events` tells how far it is."""
 
 
 def create_app(settings: Settings) -> FastAPI:

@@ -57,6 +57,11 @@ def documented_resource(content: dict[str, Any] | None = None, description: str 
     return documented(404) | {304: {"description": "Not changed"}} | whole
 
 
+def documented_list(*statuses: int) -> Documented:
+    """Responses of a route that gives a page of a list, and others that it can give."""
+    return documented(*statuses) | {304: {"description": "Not changed"}}
+
+
 def documented_json(description: str, example: dict[str, Any]) -> Documented:
     """Responses of a route that gives a document that is no model."""
     return documented_resource({JSON: {"example": example}}, description)

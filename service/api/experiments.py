@@ -215,14 +215,16 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name
     return row
 
 
-@router.get("/experiments", response_model=Listed[ExperimentShape], responses=documented())
+@router.get("/experiments", response_model=Listed[ExperimentShape], responses=etags.documented_list())
 def list_experiments(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100
-) -> Listed[ExperimentShape]:
+    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+) -> Response:
     """All experiments, newest first."""
     with api.database.read() as session:
         page = results.listed(session, ExperimentRow, rig, after, limit)
-    return Listed(items=[shape(row) for row in page.items], next=page.next)
+    return etags.document(
+        Listed[ExperimentShape](items=[shape(row) for row in page.items], next=page.next), if_none_match
+    )
 
 
 @router.get(

@@ -8,7 +8,6 @@ from fastapi import APIRouter, Response
 from pydantic import ConfigDict
 
 from service.api import etags, example_documents, examples
-from service.api.problems import documented
 from service.api.shapes import After, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results
@@ -66,12 +65,14 @@ def shape(row: GapRow) -> GapShape:
     )
 
 
-@router.get("", response_model=Listed[GapShape], responses=documented())
-def list_gaps(who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100) -> Listed[GapShape]:
+@router.get("", response_model=Listed[GapShape], responses=etags.documented_list())
+def list_gaps(
+    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+) -> Response:
     """All diagnoses, newest first."""
     with api.database.read() as session:
         page = results.listed(session, GapRow, rig, after, limit)
-    return Listed(items=[shape(row) for row in page.items], next=page.next)
+    return etags.document(Listed[GapShape](items=[shape(row) for row in page.items], next=page.next), if_none_match)
 
 
 @router.get("/{gap_id}", response_model=GapShape, responses=etags.documented_resource())

@@ -6,19 +6,16 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
-from sqlalchemy import select
 
 from service.api import etags, examples
-from service.api.problems import documented
 from service.api.shapes import After, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
 from service.api.state import Api
 from service.health import trend as trends
 from service.storage import results, rigs
+from service.storage.listing import LARGEST_PAGE
 from service.storage.tables import HealthRow
 
 router = APIRouter(prefix="/api/v1", tags=["health"])
-TREND = 1000
-"""Checks that a trend looks back over."""
 
 
 class HealthShape(Shape):
@@ -75,6 +72,7 @@ class TrendShape(Shape):
                 {
                     "rig": examples.RIG,
                     "checks": [examples.HEALTH],
+                    "next": None,
                     "series": {
                         "x.kiA": {
                             "at": [examples.TIME],
@@ -96,6 +94,8 @@ class TrendShape(Shape):
     rig: str
     checks: list[str]
     """Ids, oldest first."""
+    next: str | None
+    """``after`` of the page with the checks before these; null where there are none."""
     series: dict[str, Any]
 
 
@@ -116,7 +116,7 @@ def _values(row: HealthRow) -> dict[str, Any]:
     }
 
 
-@router.get("/health-checks", response_model=Listed[HealthShape], responses=documented())
+@router.get("/health-checks", response_model=Listed[HealthShape], responses=etags.documented_list())
 def list_health_checks(
     who: Viewer,
     api: Api,
@@ -124,11 +124,14 @@ def list_health_checks(
     alarm: Annotated[bool | None, Query(description="Only alarms, or only others.")] = None,
     after: After = None,
     limit: Limit = 100,
-) -> Listed[HealthShape]:
+    if_none_match: IfNoneMatch = None,
+) -> Response:
     """All health checks, newest first."""
     with api.database.read() as session:
         page = results.listed(session, HealthRow, rig, after, limit, alarm=alarm)
-    return Listed(items=[HealthShape(**_values(row)) for row in page.items], next=page.next)
+    return etags.document(
+        Listed[HealthShape](items=[HealthShape(**_values(row)) for row in page.items], next=page.next), if_none_match
+    )
 
 
 @router.get("/health-checks/{health_id}", response_model=HealthDocument, responses=etags.documented_resource())
@@ -151,13 +154,21 @@ def get_health_report(health_id: HealthId, who: Viewer, api: Api, if_none_match:
     return etags.stored(api.blobs, row.report_sha256, etags.HTML, if_none_match)
 
 
-@router.get("/rigs/{rig_id}/trend", response_model=TrendShape, responses=documented(404))
-def health_trend(rig_id: RigId, who: Viewer, api: Api) -> TrendShape:
-    """How a rig's figures went over its checks, and whether one of them moves steadily."""
+@router.get("/rigs/{rig_id}/trend", response_model=TrendShape, responses=etags.documented_list(404))
+def health_trend(
+    rig_id: RigId,
+    who: Viewer,
+    api: Api,
+    after: After = None,
+    limit: Limit = LARGEST_PAGE,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """How a rig's figures went over its newest checks, or those before, and whether one of them moves steadily."""
     with api.database.read() as session:
         rigs.get(session, rig_id)
-        query = select(HealthRow).where(HealthRow.rig_id == rig_id).order_by(HealthRow.id.desc()).limit(TREND)
-        rows = list(session.scalars(query))[::-1]
+        page = results.listed(session, HealthRow, rig_id, after, limit)
+    rows = page.items[::-1]
     history = [trends.Checked(row.created_at, row.document, row.id) for row in rows]
     series = {name: found.document() for name, found in trends.trend(history).items()} if history else {}
-    return TrendShape(rig=rig_id, checks=[row.id for row in rows], series=series)
+    found = TrendShape(rig=rig_id, checks=[row.id for row in rows], next=page.next, series=series)
+    return etags.document(found, if_none_match)

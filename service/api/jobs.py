@@ -239,7 +239,7 @@ def submit_job(
     return answer.response(replayed)
 
 
-@router.get("", response_model=Listed[JobShape], responses=documented())
+@router.get("", response_model=Listed[JobShape], responses=etags.documented_list())
 def list_jobs(
     who: Viewer,
     api: Api,
@@ -248,11 +248,12 @@ def list_jobs(
     rig: OfRig = None,
     after: After = None,
     limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All jobs, newest first."""
     with api.database.read() as session:
         page = jobs.listed(session, state, kind, rig, after, limit)
-    return etags.document(Listed[JobShape](items=[shape(job) for job in page.items], next=page.next))
+    return etags.document(Listed[JobShape](items=[shape(job) for job in page.items], next=page.next), if_none_match)
 
 
 @router.get("/{job_id}", response_model=JobShape, responses=etags.documented_resource())

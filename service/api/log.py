@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
 
 from service.access.audit import Action
-from service.api import examples
-from service.api.problems import documented
-from service.api.shapes import After, Limit, Listed, OfRig, Shape, Time, Viewer
+from service.api import etags, examples
+from service.api.shapes import After, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import audit
 from service.storage.tables import AuditRow
@@ -65,7 +64,7 @@ def shape(row: AuditRow) -> AuditShape:
     )
 
 
-@router.get("", response_model=Listed[AuditShape], responses=documented())
+@router.get("", response_model=Listed[AuditShape], responses=etags.documented_list())
 def list_audit(
     who: Viewer,
     api: Api,
@@ -76,8 +75,9 @@ def list_audit(
     ] = None,
     after: After = None,
     limit: Limit = 100,
-) -> Listed[AuditShape]:
+    if_none_match: IfNoneMatch = None,
+) -> Response:
     """Who did what, and who moved which rotor; newest first."""
     with api.database.read() as session:
         page = audit.listed(session, rig, action and str(action), subject, after, limit)
-    return Listed(items=[shape(row) for row in page.items], next=page.next)
+    return etags.document(Listed[AuditShape](items=[shape(row) for row in page.items], next=page.next), if_none_match)

@@ -11,7 +11,6 @@ from pydantic import ConfigDict
 
 from service.api import etags, examples
 from service.api import example_documents as documents
-from service.api.problems import documented
 from service.api.shapes import (
     After,
     IfNoneMatch,
@@ -119,14 +118,14 @@ def shape(row: ModelRow) -> ModelShape:
     )
 
 
-@router.get("/models", response_model=Listed[ModelShape], responses=documented())
+@router.get("/models", response_model=Listed[ModelShape], responses=etags.documented_list())
 def list_models(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100
-) -> Listed[ModelShape]:
+    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+) -> Response:
     """All models, newest first."""
     with api.database.read() as session:
         page = results.listed(session, ModelRow, rig, after, limit)
-    return Listed(items=[shape(row) for row in page.items], next=page.next)
+    return etags.document(Listed[ModelShape](items=[shape(row) for row in page.items], next=page.next), if_none_match)
 
 
 @router.get("/models/{model_id}", response_model=ModelShape, responses=etags.documented_resource())
@@ -252,7 +251,7 @@ def get_state_space(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfN
     return etags.document(body, if_none_match, f"{row.result_sha256[:24]}.ss")
 
 
-def _history(api: Api, rig_id: str, after: str | None, limit: int, name: str) -> Listed[HistoryEntry]:
+def _history(api: Api, rig_id: str, after: str | None, limit: int, name: str, if_none_match: str | None) -> Response:
     with api.database.read() as session:
         rigs.get(session, rig_id)
         page = results.listed(session, ModelRow, rig_id, after, limit)
@@ -265,18 +264,20 @@ def _history(api: Api, rig_id: str, after: str | None, limit: int, name: str) ->
         )
         for row in page.items
     ]
-    return Listed(items=items, next=page.next)
+    return etags.document(Listed[HistoryEntry](items=items, next=page.next), if_none_match)
 
 
-@router.get("/rigs/{rig_id}/stiffness", response_model=Listed[HistoryEntry], responses=documented(404))
+@router.get("/rigs/{rig_id}/stiffness", response_model=Listed[HistoryEntry], responses=etags.documented_list(404))
 def stiffness_history(
-    rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100
-) -> Listed[HistoryEntry]:
+    rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+) -> Response:
     """ki (N/A) and ks (N/m) of a rig's bearings with their standard deviations, newest model first."""
-    return _history(api, rig_id, after, limit, "stiffness")
+    return _history(api, rig_id, after, limit, "stiffness", if_none_match)
 
 
-@router.get("/rigs/{rig_id}/modes", response_model=Listed[HistoryEntry], responses=documented(404))
-def mode_history(rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100) -> Listed[HistoryEntry]:
+@router.get("/rigs/{rig_id}/modes", response_model=Listed[HistoryEntry], responses=etags.documented_list(404))
+def mode_history(
+    rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+) -> Response:
     """Natural frequencies (rad/s) and damping ratios of a rig's rotor, newest model first."""
-    return _history(api, rig_id, after, limit, "modes")
+    return _history(api, rig_id, after, limit, "modes", if_none_match)

@@ -15,6 +15,7 @@ from service.api.controllers import checked_url
 from service.api.once import Answer, once
 from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
+    AFTER,
     Admin,
     After,
     IdempotencyKey,
@@ -197,19 +198,20 @@ def create_rig(
     return answer.response(replayed)
 
 
-@router.get("", response_model=Listed[RigShape], responses=documented())
+@router.get("", response_model=Listed[RigShape], responses=etags.documented_list())
 def list_rigs(
     who: Viewer,
     api: Api,
     after: After = None,
     limit: Limit = 100,
     retired: Annotated[bool, Query(description="Those too that were retired.")] = False,
-) -> Listed[RigShape]:
+    if_none_match: IfNoneMatch = None,
+) -> Response:
     """All rigs, newest first."""
     with api.database.read() as session:
         page = rigs.listed(session, retired, after, limit)
         items = [shape(rig, rigs.version(session, rig)) for rig in page.items]
-    return Listed(items=items, next=page.next)
+    return etags.document(Listed[RigShape](items=items, next=page.next), if_none_match)
 
 
 @router.get("/{rig_id}", response_model=RigShape, responses=etags.documented_resource())
@@ -227,12 +229,19 @@ def get_rig(
     return etags.document(found, if_none_match, tag(rig) if version is None else None)
 
 
-@router.get("/{rig_id}/versions", response_model=list[RigVersionShape], responses=documented(404))
-def list_versions(rig_id: RigId, who: Viewer, api: Api) -> list[RigVersionShape]:
+@router.get("/{rig_id}/versions", response_model=Listed[RigVersionShape], responses=etags.documented_list(404))
+def list_versions(
+    rig_id: RigId,
+    who: Viewer,
+    api: Api,
+    after: Annotated[int | None, Query(description=AFTER, ge=1, le=1_000_000)] = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
     """Every version of a rig, newest first."""
     with api.database.read() as session:
-        found = rigs.versions(session, rigs.get(session, rig_id))
-    return [
+        page = rigs.versions(session, rigs.get(session, rig_id), after, limit)
+    items = [
         RigVersionShape(
             version=v.version,
             controller_url=v.controller_url,
@@ -241,8 +250,9 @@ def list_versions(rig_id: RigId, who: Viewer, api: Api) -> list[RigVersionShape]
             created_at=v.created_at,
             created_by=v.created_by,
         )
-        for v in found
+        for v in page.items
     ]
+    return etags.document(Listed[RigVersionShape](items=items, next=page.next), if_none_match)
 
 
 @router.put("/{rig_id}", response_model=RigShape, responses=documented(404, 409, 412, 413, 415, 428))
@@ -262,11 +272,14 @@ def change_rig(
     return etags.document(found, None, tag(rig))
 
 
-@router.put("/{rig_id}/baseline", response_model=RigShape, responses=documented(404, 409, 413, 415))
-def set_baseline(request: Request, rig_id: RigId, wanted: BaselineWanted, who: Operator, api: Api) -> Response:
+@router.put("/{rig_id}/baseline", response_model=RigShape, responses=documented(404, 409, 412, 413, 415, 428))
+def set_baseline(
+    request: Request, rig_id: RigId, wanted: BaselineWanted, who: Operator, api: Api, if_match: IfMatch = None
+) -> Response:
     """Choose the model that the rig's health is compared with."""
     with api.database.write() as session:
         rig = rigs.get(session, rig_id, for_update=True)
+        etags.require_match(if_match, tag(rig))
         if wanted.model is not None and results.get(session, ModelRow, wanted.model).rig_id != rig.id:
             raise ConflictError(f"the model {wanted.model} is of another rig; choose one of this rig's models")
         rig.baseline_model_id = wanted.model

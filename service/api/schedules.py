@@ -15,6 +15,7 @@ from service.api.once import Answer, once
 from service.api.options import checked_options
 from service.api.problems import documented
 from service.api.shapes import (
+    AFTER,
     After,
     IdempotencyKey,
     IfMatch,
@@ -39,6 +40,8 @@ from service.storage.ids import new_id
 from service.storage.tables import ScheduleRow
 
 router = APIRouter(prefix="/api/v1/schedules", tags=["schedules"])
+LATEST_US = 253_402_300_799_000_000
+"""The year 9999, µs since 1970."""
 
 
 class WebhookWanted(Wanted):
@@ -212,7 +215,7 @@ def tag(row: ScheduleRow) -> str:
     return f"{row.id}.{int(row.updated_at.timestamp() * 1e6):x}"
 
 
-def _apply(row: ScheduleRow, wanted: ScheduleWanted) -> str | None:
+def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted) -> str | None:
     """Write what is wanted into a row; the secret that was made for it, if any.
 
     Raises
@@ -228,6 +231,7 @@ def _apply(row: ScheduleRow, wanted: ScheduleWanted) -> str | None:
     made: str | None = None
     if wanted.webhook is None:
         row.webhook_url = row.webhook_secret = ""
+        schedules.give_up_deliveries(session, row.id, schedules.REMOVED)
         return None
     if wanted.webhook.secret is not None:
         webhook.signed({}, wanted.webhook.secret, "check", 0.0)  # a secret that cannot sign is refused now
@@ -247,7 +251,7 @@ def create_schedule(
     def make(session: Session) -> Answer:
         rig = rigs.active(session, wanted.rig)
         row = ScheduleRow(id=new_id("sch"), rig_id=rig.id, created_at=now(), created_by=who.name, webhook_secret="")
-        secret = _apply(row, wanted)
+        secret = _apply(session, row, wanted)
         session.add(row)
         session.flush()
         audit(session, request, who, Action.schedule_created, row.id, rig=rig.id, cron=row.cron)
@@ -257,14 +261,16 @@ def create_schedule(
     return answer.response(replayed)
 
 
-@router.get("", response_model=Listed[ScheduleShape], responses=documented())
+@router.get("", response_model=Listed[ScheduleShape], responses=etags.documented_list())
 def list_schedules(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100
-) -> Listed[ScheduleShape]:
+    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+) -> Response:
     """All schedules, newest first."""
     with api.database.read() as session:
         page = schedules.listed(session, rig, after, limit)
-    return Listed(items=[shape(row) for row in page.items], next=page.next)
+    return etags.document(
+        Listed[ScheduleShape](items=[shape(row) for row in page.items], next=page.next), if_none_match
+    )
 
 
 @router.get("/{schedule_id}", response_model=ScheduleShape, responses=etags.documented_resource())
@@ -290,7 +296,7 @@ def change_schedule(
         etags.require_match(if_match, tag(row))
         if wanted.rig != row.rig_id:
             raise ConflictError(f"the schedule is for the rig {row.rig_id}, and stays so; make another one")
-        secret = _apply(row, wanted)
+        secret = _apply(session, row, wanted)
         audit(session, request, who, Action.schedule_changed, row.id, rig=row.rig_id, cron=row.cron)
     return etags.document(shape(row, secret), None, tag(row))
 
@@ -306,28 +312,40 @@ def remove_schedule(request: Request, schedule_id: ScheduleId, who: Operator, ap
     return Response(status_code=204)
 
 
-Count = Annotated[int, Query(ge=1, le=1000, description="How many at most.")]
-
-
-@router.get("/{schedule_id}/runs", response_model=list[RunShape], responses=documented(404))
-def list_runs(schedule_id: ScheduleId, who: Viewer, api: Api, limit: Count = 100) -> list[RunShape]:
+@router.get("/{schedule_id}/runs", response_model=Listed[RunShape], responses=etags.documented_list(404))
+def list_runs(
+    schedule_id: ScheduleId,
+    who: Viewer,
+    api: Api,
+    after: Annotated[int | None, Query(description=AFTER, ge=0, le=LATEST_US)] = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
     """The times at which checks were due, newest first; also those that were missed."""
     with api.database.read() as session:
         schedules.get(session, schedule_id)
-        found = schedules.runs(session, schedule_id, limit)
-    return [
+        page = schedules.runs(session, schedule_id, after, limit)
+    items = [
         RunShape(due_at=r.due_at, state=r.state, detail=r.detail, job=r.job_id, recorded_at=r.recorded_at)
-        for r in found
+        for r in page.items
     ]
+    return etags.document(Listed[RunShape](items=items, next=page.next), if_none_match)
 
 
-@router.get("/{schedule_id}/deliveries", response_model=list[DeliveryShape], responses=documented(404))
-def list_deliveries(schedule_id: ScheduleId, who: Viewer, api: Api, limit: Count = 100) -> list[DeliveryShape]:
+@router.get("/{schedule_id}/deliveries", response_model=Listed[DeliveryShape], responses=etags.documented_list(404))
+def list_deliveries(
+    schedule_id: ScheduleId,
+    who: Viewer,
+    api: Api,
+    after: After = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
     """What the schedule's webhook was told, newest first."""
     with api.database.read() as session:
         schedules.get(session, schedule_id)
-        found = schedules.deliveries(session, schedule_id, limit)
-    return [
+        page = schedules.deliveries(session, schedule_id, after, limit)
+    items = [
         DeliveryShape(
             id=d.id,
             health=d.health_id,
@@ -339,5 +357,6 @@ def list_deliveries(schedule_id: ScheduleId, who: Viewer, api: Api, limit: Count
             created_at=d.created_at,
             updated_at=d.updated_at,
         )
-        for d in found
+        for d in page.items
     ]
+    return etags.document(Listed[DeliveryShape](items=items, next=page.next), if_none_match)

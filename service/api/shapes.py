@@ -76,10 +76,8 @@ GapId = Annotated[str, identifier("gap")]
 HealthId = Annotated[str, identifier("hc")]
 ScheduleId = Annotated[str, identifier("sch")]
 
-After = Annotated[
-    str | None,
-    Query(description="The field `next` of the page before.", max_length=40, pattern=r"^[a-z]+_[0-9a-z]+$"),
-]
+AFTER = "The field `next` of the page before."
+After = Annotated[str | None, Query(description=AFTER, max_length=40, pattern=r"^[a-z]+_[0-9a-z]+$")]
 Limit = Annotated[int, Query(description="Items of a page.", ge=1, le=LARGEST_PAGE)]
 OfRig = Annotated[str | None, Query(description="Only of this rig.", max_length=40, pattern=r"^rig_[0-9a-z]+$")]
 

@@ -78,9 +78,9 @@ class Schedules:
         """Schedules, newest first."""
         return self._transport.pages("/schedules", Schedule.model_validate, rig=rig)
 
-    def runs(self, schedule_id: str) -> tuple[Run, ...]:
+    def runs(self, schedule_id: str) -> Iterator[Run]:
         """The times at which it was due, and those that were missed, newest first."""
-        return tuple(Run.model_validate(run) for run in self._transport.get(f"/schedules/{schedule_id}/runs"))
+        return self._transport.pages(f"/schedules/{schedule_id}/runs", Run.model_validate)
 
     def remove(self, schedule_id: str) -> None:
         """Check no more; what was checked stays."""

@@ -5,6 +5,7 @@ A page begins after the last id of the one before, however much was added.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -50,14 +51,30 @@ class Page(Generic[Row]):
 
 
 def page(
-    session: Session, table: type[Row], *conditions: ColumnElement[bool], after: str | None = None, limit: int = 100
+    session: Session,
+    table: type[Row],
+    *conditions: ColumnElement[bool],
+    after: Any = None,
+    limit: int = 100,
+    key: str = "id",
+    told: Callable[[Any], str] = str,
 ) -> Page[Row]:
-    """Rows of a table whose ids sort by time, newest first."""
-    key: Any = table.__table__.c["id"]
-    query = select(table).where(*conditions).order_by(key.desc()).limit(limit + 1)
+    """Rows of a table, newest first.
+
+    Parameters
+    ----------
+    after
+        Value of the key in the last row of the page before.
+    key
+        Name of a column that sorts by time and is of one row only, under the conditions: ids are.
+    told
+        How a value of the key is told as ``next``.
+    """
+    column: Any = table.__table__.c[key]
+    query = select(table).where(*conditions).order_by(column.desc()).limit(limit + 1)
     if after is not None:
-        query = query.where(key < after)
+        query = query.where(column < after)
     items = list(session.scalars(query))
     more = len(items) > limit
     items = items[:limit]
-    return Page(items, items[-1].id if more and items else None)  # type: ignore[attr-defined]
+    return Page(items, told(getattr(items[-1], key)) if more and items else None)

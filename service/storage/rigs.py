@@ -100,11 +100,9 @@ def version(session: Session, rig: Rig, number: int | None = None) -> RigVersion
     return found
 
 
-def versions(session: Session, rig: Rig) -> list[RigVersion]:
-    """All versions, newest first."""
-    return list(
-        session.scalars(select(RigVersion).where(RigVersion.rig_id == rig.id).order_by(RigVersion.version.desc()))
-    )
+def versions(session: Session, rig: Rig, after: int | None = None, limit: int = 100) -> Page[RigVersion]:
+    """A page of a rig's versions."""
+    return page(session, RigVersion, RigVersion.rig_id == rig.id, after=after, limit=limit, key="version")
 
 
 def listed(session: Session, retired: bool = False, after: str | None = None, limit: int = 100) -> Page[Rig]:

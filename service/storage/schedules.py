@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 
-from sqlalchemy import select
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from service.errors import NotFoundError
@@ -12,7 +12,12 @@ from service.storage.database import now
 from service.storage.listing import Page, page
 from service.storage.tables import ScheduleRow, ScheduleRunRow, WebhookRow
 
+_EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
+
 SUBMITTED, MISSED, REFUSED = "submitted", "missed", "refused"
+PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
+"""States of a message to a webhook."""
+REMOVED = "the webhook was removed"
 
 
 def get(session: Session, schedule_id: str, for_update: bool = False) -> ScheduleRow:
@@ -58,18 +63,28 @@ def record_run(
     )
 
 
-def runs(session: Session, schedule_id: str, limit: int = 100) -> list[ScheduleRunRow]:
-    """The last times at which a schedule was due, newest first."""
-    query = (
-        select(ScheduleRunRow)
-        .where(ScheduleRunRow.schedule_id == schedule_id)
-        .order_by(ScheduleRunRow.due_at.desc())
-        .limit(limit)
+def runs(session: Session, schedule_id: str, after: int | None = None, limit: int = 100) -> Page[ScheduleRunRow]:
+    """A page of the times at which a schedule was due; ``after`` and the page's ``next`` are µs since 1970, UTC."""
+    return page(
+        session,
+        ScheduleRunRow,
+        ScheduleRunRow.schedule_id == schedule_id,
+        after=None if after is None else _EPOCH + after * _MICROSECOND,
+        limit=limit,
+        key="due_at",
+        told=lambda due: str((due - _EPOCH) // _MICROSECOND),
     )
-    return list(session.scalars(query))
 
 
-def deliveries(session: Session, schedule_id: str, limit: int = 100) -> list[WebhookRow]:
-    """The last messages of a schedule, newest first."""
-    query = select(WebhookRow).where(WebhookRow.schedule_id == schedule_id).order_by(WebhookRow.id.desc()).limit(limit)
-    return list(session.scalars(query))
+def give_up_deliveries(session: Session, schedule_id: str, why: str) -> None:
+    """Send no message of a schedule any more that was not heard yet."""
+    session.execute(
+        update(WebhookRow)
+        .where(WebhookRow.schedule_id == schedule_id, WebhookRow.state == PENDING)
+        .values(state=FAILED, detail=why, updated_at=now())
+    )
+
+
+def deliveries(session: Session, schedule_id: str, after: str | None = None, limit: int = 100) -> Page[WebhookRow]:
+    """A page of a schedule's messages."""
+    return page(session, WebhookRow, WebhookRow.schedule_id == schedule_id, after=after, limit=limit)

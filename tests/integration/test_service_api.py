@@ -12,7 +12,7 @@ from service.config import Settings
 from service.jobs import timetable
 from service.storage import jobs as rows
 from service.storage.database import now
-from service.storage.tables import ExperimentRow, HealthRow, JobRow, ModelRow, ScheduleRow
+from service.storage.tables import ExperimentRow, HealthRow, JobRow, ModelRow, ScheduleRow, WebhookRow
 from tests.support.service import reference_sheet
 from tests.support.serving import serving
 from tests.support.uploads import good
@@ -125,7 +125,7 @@ def test_only_who_has_read_the_newest_version_changes_a_rig(api, rig):
     changed = api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]})
     assert (changed.status_code, changed.json()["version"]) == (200, 2)
     is_problem(api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]}), 412)
-    assert [v["version"] for v in api.get(f"/rigs/{rig}/versions").json()] == [2, 1]
+    assert [v["version"] for v in api.get(f"/rigs/{rig}/versions").json()["items"]] == [2, 1]
     assert api.get(f"/rigs/{rig}", params={"version": 1}).json()["controller_url"] == "modbus://127.0.0.1:9"
     is_problem(api.get(f"/rigs/{rig}", params={"version": 7}), 404, "1 to 2")
 
@@ -237,7 +237,7 @@ def test_lists_are_pages_and_filters_hold(api, rig, experiment):
 def test_histories_are_of_the_rig(api, rig, experiment):
     found = api.get(f"/rigs/{rig}/stiffness").json()["items"]
     assert [entry["planes"]["x"]["kiA"]["value"] for entry in found] == [181.0]
-    assert api.get(f"/rigs/{rig}/trend").json() == {"rig": rig, "checks": [], "series": {}}
+    assert api.get(f"/rigs/{rig}/trend").json() == {"rig": rig, "checks": [], "next": None, "series": {}}
 
 
 # ---- schedules
@@ -255,14 +255,14 @@ def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, 
         first = row.next_at = row.next_at - timedelta(days=3)
     assert timetable.keep(database, first + timedelta(days=2, minutes=1)) == 1
     assert timetable.keep(database, first + timedelta(days=2, minutes=2)) == 0  # another worker, or again
-    runs = api.get(f"/schedules/{made['id']}/runs").json()
+    runs = api.get(f"/schedules/{made['id']}/runs").json()["items"]
     assert [run["state"] for run in runs] == ["submitted", "missed", "missed"]
     job = api.get(f"/jobs/{runs[0]['job']}").json()
     assert (job["kind"], job["schedule"]) == ("health", made["id"])
     (line,) = api.get("/audit", params={"subject": job["id"]}).json()["items"]
     assert (line["action"], line["key"], line["rig"]) == ("job.submitted", f"schedule:{made['id']}", rig)
     assert timetable.keep(database, first + timedelta(days=3, hours=1)) == 0  # too late to begin
-    assert api.get(f"/schedules/{made['id']}/runs").json()[0]["state"] == "missed"
+    assert api.get(f"/schedules/{made['id']}/runs").json()["items"][0]["state"] == "missed"
     changed = {**body, "cron": "0 7 * * *"}
     is_problem(api.put(f"/schedules/{made['id']}", json=changed), 428)
     answer = api.put(f"/schedules/{made['id']}", json=changed, headers={"If-Match": read.headers["etag"]})
@@ -271,12 +271,30 @@ def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, 
     is_problem(api.get(f"/schedules/{made['id']}"), 404)
 
 
+def test_messages_that_wait_for_a_webhook_end_with_it(api, service, rig):
+    body = {"rig": rig, "cron": "0 6 * * *", "webhook": {"url": "https://plant.example/hook"}}
+    made = api.post("/schedules", json=body).json()
+    with service.services.database.write() as session:
+        common = {"schedule_id": made["id"], "health_id": "hc_1", "url": "u", "created_at": now(), "updated_at": now()}
+        session.add_all(WebhookRow(id=f"{rig}{state}"[4:], state=state, **common) for state in ("pending", "delivered"))
+    tag = api.get(f"/schedules/{made['id']}").headers["etag"]
+    without = {**body, "webhook": None}
+    assert api.put(f"/schedules/{made['id']}", json=without, headers={"If-Match": tag}).status_code == 200
+    with service.services.database.read() as session:
+        found = session.scalars(select(WebhookRow).where(WebhookRow.schedule_id == made["id"]))
+        assert {(d.id[26:], d.state, d.detail) for d in found} == {
+            ("pending", "failed", "the webhook was removed"),
+            ("delivered", "delivered", ""),
+        }
+    api.delete(f"/schedules/{made['id']}")
+
+
 def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
     made = api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *"}).json()
     with service.services.database.read() as session:
         due = session.get(ScheduleRow, made["id"]).next_at
     assert timetable.keep(service.services.database, due + timedelta(seconds=1)) == 0
-    (run,) = api.get(f"/schedules/{made['id']}/runs").json()
+    (run,) = api.get(f"/schedules/{made['id']}/runs").json()["items"]
     assert run["state"] == "refused"
     assert "commission it first" in run["detail"]
 
@@ -318,11 +336,15 @@ def test_a_rig_that_lives_inside_its_job_is_not_shown_as_another_one_and_no_stop
 
 def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
     model = rig.replace("rig_", "mod_")
-    assert api.put(f"/rigs/{rig}/baseline", json={"model": model}).json()["baseline_model"] == model
+    tag = {"If-Match": api.get(f"/rigs/{rig}").headers["etag"]}
+    is_problem(api.put(f"/rigs/{rig}/baseline", json={"model": model}), 428, tag["If-Match"])
+    assert api.put(f"/rigs/{rig}/baseline", json={"model": model}, headers=tag).json()["baseline_model"] == model
+    is_problem(api.put(f"/rigs/{rig}/baseline", json={"model": None}, headers=tag), 412)
     job = api.post("/jobs", json={"kind": "health", "rig": rig}).json()
     assert job["options"]["baseline"] == model
     other = api.post("/rigs", json={"datasheet": SHEET, "name": f"other {rig}"}).json()["id"]
-    is_problem(api.put(f"/rigs/{other}/baseline", json={"model": model}), 409, "another rig")
+    tag = {"If-Match": api.get(f"/rigs/{other}").headers["etag"]}
+    is_problem(api.put(f"/rigs/{other}/baseline", json={"model": model}, headers=tag), 409, "another rig")
 
 
 def test_the_audit_log_tells_who_did_what(api, rig):

@@ -79,7 +79,7 @@ def test_a_rig_keeps_its_versions(database):
         rig = rigs.create(session, "bench", "sheet 1", "modbus://a:1", "", "me")
         rigs.change(session, rig, "sheet 2", "modbus://a:1", "new magnets", "you")
         rigs.change(session, rig, "sheet 2", "modbus://a:1", "new magnets", "you")  # nothing new
-        assert [(v.version, v.datasheet, v.created_by) for v in rigs.versions(session, rig)] == [
+        assert [(v.version, v.datasheet, v.created_by) for v in rigs.versions(session, rig).items] == [
             (2, "sheet 2", "you"),
             (1, "sheet 1", "me"),
         ]
