@@ -10,13 +10,13 @@ from sqlalchemy.orm import Session
 
 from service.health import webhook
 from service.jobs.context import context
-from service.storage import results
+from service.storage import results, schedules
 from service.storage.database import now
 from service.storage.ids import derived_id
+from service.storage.schedules import DELIVERED, FAILED, PENDING, REMOVED
 from service.storage.tables import HealthRow, ScheduleRow, WebhookRow
 
 TIMEOUT_S = 10.0
-PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
 
 
 def begin(health_id: str) -> None:
@@ -60,7 +60,12 @@ def attempt(delivery_id: str) -> float | None:
     secret = "" if schedule is None else schedule.webhook_secret
     address = f"/api/v1/health-checks/{check.id}"
     body = webhook.payload(check.id, check.rig_id, check.document, check.created_at, address)
-    message = webhook.signed(body, secret, delivery.id, time.time())
+    try:
+        message = webhook.signed(body, secret, delivery.id, time.time())
+    except webhook.WebhookError as error:  # the webhook was removed before its messages were given up
+        why = str(error) if secret else REMOVED
+        worker.database.surely(lambda session: schedules.give_up_deliveries(session, delivery.schedule_id, why))
+        return None
     status, detail, asked = _post(delivery.url, message)
     wait_s: float | None = None
     if status is not None and 200 <= status < 300:
@@ -75,7 +80,9 @@ def attempt(delivery_id: str) -> float | None:
         row = session.get(WebhookRow, delivery_id)
         assert row is not None
         row.attempts += 1
-        row.state, row.status_code, row.detail, row.updated_at = state, status, detail, now()
+        row.status_code, row.updated_at = status, now()
+        if row.state == PENDING or state == DELIVERED:  # what was given up meanwhile stays so
+            row.state, row.detail = state, detail
 
     worker.database.surely(note)
     return wait_s

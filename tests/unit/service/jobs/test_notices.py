@@ -9,7 +9,7 @@ import pytest
 from service.health.webhook import Message, new_secret, verify
 from service.jobs import context as contexts
 from service.jobs import notices
-from service.storage import rigs
+from service.storage import rigs, schedules
 from service.storage.database import now
 from service.storage.tables import ExperimentRow, HealthRow, ModelRow, ScheduleRow, WebhookRow
 from tests.support.databases import migrated
@@ -20,7 +20,7 @@ class Receiver(HTTPServer):
     """Keeps what it is told, and answers as it was told to."""
 
     def __init__(self):
-        self.messages, self.answers = [], []
+        self.messages, self.answers, self.heard = [], [], lambda: None
         super().__init__(("127.0.0.1", 0), Handler)
 
 
@@ -28,6 +28,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_POST(self):
         body = self.rfile.read(int(self.headers["content-length"]))
         self.server.messages.append(Message(body, dict(self.headers)))
+        self.server.heard()
         self.send_response(self.server.answers.pop(0) if self.server.answers else 204)
         self.send_header("content-length", "0")
         self.end_headers()
@@ -126,6 +127,30 @@ def test_a_receiver_that_is_away_is_tried_again(told, receiver):
     notices.begin(health)
     assert notices.attempt("whd_1") > 4
     assert (delivery(told).state, delivery(told).status_code) == ("pending", None)
+
+
+def test_messages_of_a_webhook_that_was_removed_are_given_up(told, receiver):
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    with told.database.write() as session:
+        session.get(ScheduleRow, "sch_1").webhook_secret = ""
+    assert notices.attempt("whd_1") is None
+    assert receiver.messages == []
+    assert (delivery(told).state, delivery(told).detail) == ("failed", "the webhook was removed")
+
+
+def test_what_is_given_up_while_it_is_sent_is_not_sent_again(told, receiver):
+    receiver.answers = [503]
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    receiver.heard = lambda: give_up(told)
+    assert notices.attempt("whd_1") is not None
+    assert (delivery(told).state, delivery(told).status_code) == ("failed", 503)
+    assert notices.attempt("whd_1") is None
+    assert len(receiver.messages) == 1
+
+
+def give_up(told):
+    with told.database.write() as session:
+        schedules.give_up_deliveries(session, "sch_1", schedules.REMOVED)
 
 
 @pytest.mark.parametrize(("alarm", "on", "heard"), [(False, "alarm", 0), (False, "always", 1), (True, "alarm", 1)])
