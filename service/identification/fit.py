@@ -24,6 +24,7 @@ from service.identification.staged import StagedFit, staged_fit
 from service.identification.start import joint_start
 from service.identification.tolerances import Tolerances
 from service.identification.transient import Transient, settled, told
+from service.identification.zoh import Real
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 
@@ -96,20 +97,15 @@ def identify(
         )
     if validation is None:
         warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
-    planes: dict[str, PlaneResult] = {}
-    fitted: dict[str, Selected] = {}
-    say = progress or (lambda fraction: None)
-    pairs = planes_of(tuple(experiment.axes))
-    steps = len(pairs) + any(speeds)
-    for k, (plane, pair) in enumerate(pairs.items()):
+    found: dict[str, FittedPlane] = {}
+    for plane, pair in planes_of(tuple(experiment.axes)).items():
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited and not identified")
             continue
-        found = fit_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
-        fitted[plane] = found.selected
-        say((k + 0.5) / steps)
-        planes[plane] = found.result(datasheet)
-        say((k + 1.0) / steps)
+        found[plane] = fit_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
+    found = _settled_alike(found, main, tuple(experiment.axes), datasheet, options)
+    planes = {plane: f.result(datasheet) for plane, f in found.items()}
+    fitted = {plane: f.selected for plane, f in found.items()}
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
     across = () if main.speed_rad_s else cross_planes(main, tuple(experiment.axes))
@@ -187,17 +183,54 @@ def fit_plane(
     prior = told if options.priors else told.of_amplifiers() if points.I is None else None
     data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior)
     found = _fit_points(data, datasheet, axes, options)
-    if main.kind == "stepped-sine" and not main.speed_rad_s:
-        controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
-        block_s = None if main.block_samples is None else main.block_samples[points.index] / main.sample_rate_hz
-        model = found.selected.refined.model
-        data, transients = settled(data, model, found.selected.refined.fit.free, controller, block_s)
-        if transients:
-            found = replace(_fit_points(data, datasheet, axes, options), transients=transients)
+    found = _settled(found, main, axes, datasheet, options, _block_s(main, points))
     held_out = None if validation is None else plane_points(validation, axes, plane)
     if held_out is not None and len(held_out.omega) == 0:
         held_out = None
     return replace(found, held_out=held_out)
+
+
+def _settled(
+    found: FittedPlane,
+    main: Sweep,
+    axes: tuple[str, ...],
+    datasheet: Datasheet,
+    options: Options,
+    block_s: Real | float | None,
+    suspected: bool = False,
+) -> FittedPlane:
+    """The plane fitted once more without what was still ringing, where anything was; the last two: see `settled`."""
+    if main.kind != "stepped-sine" or main.speed_rad_s:
+        return found
+    controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+    refined = found.selected.refined
+    data, transients = settled(found.data, refined.model, refined.fit.free, controller, block_s, suspected)
+    if not transients:
+        return found
+    return replace(_fit_points(data, datasheet, axes, options), held_out=found.held_out, transients=transients)
+
+
+def _settled_alike(
+    found: dict[str, FittedPlane], main: Sweep, axes: tuple[str, ...], datasheet: Datasheet, options: Options
+) -> dict[str, FittedPlane]:
+    """Planes in which no transient was found, looked at again where another one shows some: they were recorded alike.
+
+    With the length of blocks that the other's told, and asked for less evidence than by themselves.
+    """
+    shown = [t for f in found.values() for t in f.transients]
+    if not shown:
+        return found
+    loudest = max(shown, key=lambda t: t.evidence)
+    out = {}
+    for plane, f in found.items():
+        block_s = loudest.block_s if main.block_samples is None else _block_s(main, f.data.plant)
+        out[plane] = f if f.transients else _settled(f, main, axes, datasheet, options, block_s, suspected=True)
+    return out
+
+
+def _block_s(main: Sweep, points: PlanePoints) -> Real | None:
+    """Length of each point's blocks, (P,) s, where the file tells it."""
+    return None if main.block_samples is None else main.block_samples[points.index] / main.sample_rate_hz
 
 
 def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options: Options) -> FittedPlane:

@@ -32,8 +32,11 @@ from service.identification.zoh import Complex, Real
 
 GONE = 0.3
 """What is left of a transient after one block below which a pole is not looked at."""
-EVIDENCE = 12.0
-"""Gain of log likelihood beyond which blocks show a transient, the search for the length of the blocks included."""
+EVIDENCE = 6.5
+"""Gain of log likelihood beyond which blocks show a transient: chance has more in three of a thousand cases. Where the
+length of the blocks is looked for, more by the logarithm of how many were tried."""
+SUSPECTED = 2.0
+"""The same where the other plane's points, recorded alike, show one: what stays below still biases a damping."""
 BLOCK_S = np.geomspace(0.01, 1.0, 231)
 """Lengths of blocks, s, to be tried where a file does not tell them; each is made whole periods."""
 NOISE = 1.3
@@ -55,6 +58,8 @@ class Transient:
     """Largest size in a point's mean over the standard deviation of its noise."""
     evidence: float
     """Gain of log likelihood."""
+    block_s: float | None = None
+    """Length of the blocks that it told, before they are made whole periods; None where it was known."""
 
 
 def told(transient: Transient) -> str:
@@ -68,7 +73,12 @@ def told(transient: Transient) -> str:
 
 
 def settled(
-    data: Data, model: PlaneModel, free: NDArray[np.bool_], controller: tuple[Real, Real], block_s: Real | None
+    data: Data,
+    model: PlaneModel,
+    free: NDArray[np.bool_],
+    controller: tuple[Real, Real],
+    block_s: Real | float | None,
+    suspected: bool = False,
 ) -> tuple[Data, tuple[Transient, ...]]:
     """The data without what was still ringing, or as they are where nothing was.
 
@@ -79,13 +89,16 @@ def settled(
     controller
         Numerator and denominator of u = C(z)(-y), as it ran.
     block_s
-        (P,) length of each point's blocks, s; None where the file does not tell.
+        (P,) length of each point's blocks, s; or one length, of which they are the nearest whole periods; None where
+        nothing tells it.
+    suspected
+        Whether points that were recorded alike show a transient.
     """
     measured, now = data.plant, data
     transients: tuple[Transient, ...] = ()
     for _ in range(ROUNDS):
         noise = noise_of(model, replace(now.plant, unsettled=None), None)
-        points, found = without_transients(measured, model, controller, noise, block_s)
+        points, found = without_transients(measured, model, controller, noise, block_s, suspected)
         if not found:
             return data, ()
         now, transients = replace(now, plant=points), found
@@ -119,7 +132,8 @@ def without_transients(
     model: PlaneModel,
     controller: tuple[Real, Real],
     noise: NoiseModel,
-    block_s: Real | None,
+    block_s: Real | float | None,
+    suspected: bool = False,
 ) -> tuple[PlanePoints, tuple[Transient, ...]]:
     """The points as they would be had they settled, and what was taken out.
 
@@ -132,14 +146,18 @@ def without_transients(
     noise
         Of the points' means; its own estimate of what scatters may hold the transient the first time.
     block_s
-        (P,) length of each point's blocks, s; None where the file does not tell, and they are looked for.
+        See `settled`; None: lengths are looked for.
+    suspected
+        See `settled`.
     """
     i, y = predicted_blocks(model, points, None)
     e = residual_blocks(points, i, y)
     white = noise.whitener() / np.sqrt(points.n_blocks)
     found: list[Transient] = []
     unknown = np.zeros((len(points.omega), e.shape[2], e.shape[2]), dtype=complex)
-    lengths = [block_s] if block_s is not None else [_whole_periods(points.omega, t) for t in BLOCK_S]
+    lengths = _lengths(points.omega, block_s)
+    least = SUSPECTED if suspected else EVIDENCE
+    told_by = None
     loops = {pole: _Loop.of(points, model, controller, pole) for pole in _slow_poles(model, controller)}
     while loops:  # the loudest first: it also tells how long the blocks are
         along = {pole: _Along.of(loop.start, e, white) for pole, loop in loops.items()}
@@ -153,9 +171,10 @@ def without_transients(
             break
         (pole, length), (evidence, size) = max(tried.items(), key=lambda item: item[1][0])
         backwards = loops[pole].ringing(lengths[length]).backwards()
-        if evidence < EVIDENCE + NOISE * _evidence(backwards, along[pole], points)[0]:
+        if evidence < least + np.log(len(lengths)) + NOISE * _evidence(backwards, along[pole], points)[0]:
             loops.pop(pole)
             continue
+        told_by = BLOCK_S[length] if len(lengths) > 1 else told_by
         lengths = [lengths[length]]
         best = loops.pop(pole).ringing(lengths[0])
         estimate, variance = _estimates(best, along[pole])
@@ -168,9 +187,16 @@ def without_transients(
         left = np.where(np.isinf(variance), size, left)
         unknown += left[:, None, None] * np.einsum("pc,pd->pcd", mean, mean.conj())
         share = np.abs(taken.mean(axis=1)) / noise.sigma
-        found.append(Transient(pole, float(share.max()), evidence))
+        found.append(Transient(pole, float(share.max()), evidence, None if told_by is None else float(told_by)))
         points = _less(points, taken)
     return (replace(points, unsettled=unknown) if found else points), tuple(found)
+
+
+def _lengths(omega: Real, block_s: Real | float | None) -> list[Real]:
+    """Lengths of blocks to be tried, (P,) each."""
+    if isinstance(block_s, np.ndarray):
+        return [block_s]
+    return [_whole_periods(omega, float(t)) for t in (BLOCK_S if block_s is None else [block_s])]
 
 
 def _less(points: PlanePoints, taken: Complex) -> PlanePoints:

@@ -11,7 +11,7 @@ from service.identification.fit import fit_plane, identify
 from service.identification.points import plane_points
 from service.identification.refine import Data, noise_of
 from service.identification.synthetic import plane_model_of, synthetic_experiment
-from service.identification.transient import settled
+from service.identification.transient import Transient, settled
 from sim.reference import reference_datasheet, reference_rig
 
 SHEET = reference_datasheet()
@@ -139,3 +139,36 @@ def test_what_is_not_known_of_a_transient_is_in_the_noise(hasty: Sweep) -> None:
     assert np.all(whole >= plain)
     assert np.max(whole[near] / plain[near]) > 1.5
     assert np.median(whole[far] / plain[far]) < 1.02
+
+
+def test_a_plane_is_asked_again_where_the_other_one_rang(hasty: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points of a campaign are recorded alike: what one plane tells of their blocks, and that they rang, holds for all."""
+    asked = []
+
+    def recorded(data: Data, *rest: object) -> tuple[Data, tuple[Transient, ...]]:
+        asked.append((data.plant.plane, *rest[3:]))
+        found = settled(data, *rest) if data.plant.plane == "x" else (data, ())
+        return found
+
+    monkeypatch.setattr("service.identification.fit.settled", recorded)
+    both = replace(
+        hasty,
+        **{s: np.concatenate([_beside(getattr(hasty, s)), _beside(getattr(hasty, s))[..., ::-1]]) for s in "RUIY"},
+        frequency_hz=np.tile(hasty.frequency_hz, 2),
+        amplitude_a=np.tile(hasty.amplitude_a, 2),
+        axis=np.concatenate([hasty.axis, 3 - hasty.axis]),
+        block_samples=None,
+    )
+    result = identify(synthetic_experiment(both, axes=SHEET.axes), SHEET)
+    assert [plane for plane, *_ in asked] == ["x", "y", "y"]
+    (_, first, early), (_, none, _), (_, length, suspected) = asked
+    assert first is none is None
+    assert not early
+    assert suspected
+    assert length == pytest.approx(0.05, rel=0.05)
+    assert any("still rang" in w for w in result.planes["x"].warnings)
+
+
+def _beside(signal: np.ndarray) -> np.ndarray:
+    """Two axes' signals with those of two more that do not move."""
+    return np.concatenate([signal, np.zeros_like(signal)], axis=-1)
