@@ -142,7 +142,7 @@ def test_what_is_not_known_of_a_transient_is_in_the_noise(hasty: Sweep) -> None:
 
 
 def test_a_plane_is_asked_again_where_the_other_one_rang(hasty: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points of a campaign are recorded alike: what one plane tells of their blocks, and that they rang, holds for all."""
+    """Points of a campaign are recorded alike: what one plane tells of their blocks holds for all."""
     asked = []
 
     def recorded(data: Data, *rest: object) -> tuple[Data, tuple[Transient, ...]]:
