@@ -6,16 +6,15 @@ import logging
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 from anyio import to_thread
 from fastapi import APIRouter, FastAPI
-from fastapi.openapi.utils import get_openapi
 
 from service import tracing
 from service.access.rate import Rate
 from service.api import (
     access,
+    description,
     events,
     experiments,
     exports,
@@ -85,7 +84,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     if settings.otlp_endpoint:
         app.add_middleware(tracing.TraceRequests)
-    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+    app.openapi = lambda: description.described(app)  # type: ignore[method-assign]
     return app
 
 
@@ -103,16 +102,3 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     app.state.lines.close()
     services.dispatcher.close()
     services.database.close()
-
-
-def _openapi(app: FastAPI) -> dict[str, Any]:
-    """The description, with our problems in place of FastAPI's own errors."""
-    if app.openapi_schema:
-        return app.openapi_schema
-    found = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
-    schemas = found.setdefault("components", {}).setdefault("schemas", {})
-    schemas["Problem"] = problems.Problem.model_json_schema()
-    for name in ("HTTPValidationError", "ValidationError"):
-        schemas.pop(name, None)
-    app.openapi_schema = found
-    return found

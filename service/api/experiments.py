@@ -112,7 +112,7 @@ def shape(row: ExperimentRow) -> ExperimentShape:
 _UPLOAD = {
     "requestBody": {
         "required": True,
-        "description": "An experiment file, HDF5 or MATLAB (v5 or v7.3), as docs/contracts describe it.",
+        "description": "An experiment file, HDF5 or MATLAB (v5 or v7.3), as `docs/experiment-file.md` describes it.",
         "content": {name: {"schema": {"type": "string", "format": "binary"}} for name in TYPES},
     }
 }

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, WithJsonSchema
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.api import etags, examples
 from service.api.auditing import audit
 from service.api.once import Answer, once
-from service.api.options import checked_options
+from service.api.options import OF_A_JOB, checked_options
 from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
     After,
@@ -64,7 +64,7 @@ class JobWanted(Wanted):
     )
     rig: str = Field(max_length=40, description="Id of the rig.")
     experiment: str | None = Field(None, max_length=40, description="Id of the experiment: identification, gap.")
-    options: dict[str, Any] = Field(
+    options: Annotated[dict[str, Any], WithJsonSchema(OF_A_JOB)] = Field(
         default_factory=dict,
         description="experiment: excitation (stepped-sine, or multisine on all axes at once in a tenth of the time, "
         "where the controller plays waveforms), profile (standard, quick, or figures of the plan), identify (true), "

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.json_schema import models_json_schema
+from pydantic_core import PydanticCustomError
 
 from service.api.problems import UnprocessableError
+
+PRIORS = "Whether the datasheet's values count as priors, as wide as its tolerances."
+_BAND = "band"
+
+
+def _must_rise(from_hz: float, to_hz: float) -> None:
+    if from_hz >= to_hz:
+        raise PydanticCustomError(_BAND, "from_hz must be below to_hz")
 
 
 class ProfileOptions(BaseModel):
@@ -14,23 +24,63 @@ class ProfileOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    accuracy: float = Field(0.002, gt=0, le=0.5)
-    points: int = Field(200, ge=4, le=2000)
-    from_hz: float = Field(10.0, gt=0, le=10_000)
-    to_hz: float = Field(1000.0, gt=0, le=20_000)
-    validation_points: int = Field(50, ge=0, le=1000)
-    validation_gain: float = Field(2.5, gt=0, le=10)
-    amplifier_points: int = Field(50, ge=0, le=1000)
-    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000)
-    coarse_points: int = Field(28, ge=4, le=500)
-    coarse_accuracy: float = Field(0.02, gt=0, le=1)
-    blocks: int = Field(6, ge=2, le=100)
-    displacement_share: float = Field(0.1, gt=0, le=0.5)
-    current_share: float = Field(0.25, gt=0, le=0.5)
-    nonlinearity: float = Field(0.2, gt=0, le=10)
-    rig_seconds: float = Field(1000.0, gt=0, le=100_000)
-    peak_points: int = Field(5, ge=0, le=50)
-    tries: int = Field(5, ge=1, le=20)
+    accuracy: float = Field(
+        0.002,
+        gt=0,
+        le=0.5,
+        description="Wanted relative standard deviation of every column of the frequency response, each point.",
+    )
+    points: int = Field(
+        200,
+        ge=4,
+        le=2000,
+        description="Log-spaced frequencies of the main sweep, each with every axis; peaks come on top.",
+    )
+    from_hz: float = Field(10.0, gt=0, le=10_000, description="Lowest frequency of the main sweep, Hz.")
+    to_hz: float = Field(1000.0, gt=0, le=20_000, description="Highest frequency of the main sweep, Hz.")
+    validation_points: int = Field(50, ge=0, le=1000, description="Frequencies of the sweep that no fit sees.")
+    validation_gain: float = Field(
+        2.5, gt=0, le=10, description="Amplitude of the validation sweep against the main one."
+    )
+    amplifier_points: int = Field(
+        50, ge=0, le=1000, description="Frequencies of the sweep that is for the amplifiers alone."
+    )
+    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000, description="Its highest frequency, Hz.")
+    coarse_points: int = Field(28, ge=4, le=500, description="Frequencies of the first, coarse look.")
+    coarse_accuracy: float = Field(0.02, gt=0, le=1, description="Wanted relative standard deviation there.")
+    blocks: int = Field(
+        6, ge=2, le=100, description="Blocks of whole periods at every point; their scatter tells the noise."
+    )
+    displacement_share: float = Field(
+        0.1,
+        gt=0,
+        le=0.5,
+        description="Share of the linear range, and of the displacement limit, that the main sweep may use.",
+    )
+    current_share: float = Field(
+        0.25,
+        gt=0,
+        le=0.5,
+        description="Share of the bias current, and of the current limit, that the main sweep may use.",
+    )
+    nonlinearity: float = Field(
+        0.2, gt=0, le=10, description="Share of the accuracy that the cubic terms of the magnets' force may take."
+    )
+    rig_seconds: float = Field(
+        1000.0,
+        gt=0,
+        le=100_000,
+        description="Time of the rig that a campaign over four axes should need, s; others in proportion.",
+    )
+    peak_points: int = Field(
+        5, ge=0, le=50, description="Points within the half-power width of a peak that resolve it."
+    )
+    tries: int = Field(5, ge=1, le=20, description="Attempts at one point: longer settling, other amplitudes.")
+
+    @model_validator(mode="after")
+    def _a_band(self) -> Self:
+        _must_rise(self.from_hz, self.to_hz)
+        return self
 
 
 class MultisineProfileOptions(BaseModel):
@@ -38,45 +88,75 @@ class MultisineProfileOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    from_hz: float = Field(10.0, gt=0, le=10_000)
-    to_hz: float = Field(1000.0, gt=0, le=20_000)
-    lines: int = Field(220, ge=8, le=2000)
-    period_s: float = Field(1.0, ge=0.05, le=20)
-    periods: int = Field(2, ge=2, le=50)
-    realisations: int = Field(5, ge=2, le=50)
-    settle_s: float = Field(0.8, gt=0, le=60)
-    short_settle_s: float = Field(0.3, gt=0, le=60)
-    validation_realisations: int = Field(2, ge=2, le=50)
-    validation_gain: float = Field(0.6, gt=0, le=10)
-    amplifier_realisations: int = Field(2, ge=2, le=50)
-    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000)
-    amplifier_lines: int = Field(60, ge=8, le=1000)
-    amplifier_period_s: float = Field(0.2, ge=0.02, le=20)
-    displacement_share: float = Field(0.25, gt=0, le=0.5)
-    current_share: float = Field(0.25, gt=0, le=0.5)
-    stiffness_hz: float = Field(100.0, gt=0, le=10_000)
-    seed: int = Field(1, ge=0, le=2**31)
-    tries: int = Field(4, ge=1, le=20)
+    from_hz: float = Field(10.0, gt=0, le=10_000, description="Lowest line of the main sweep, Hz.")
+    to_hz: float = Field(1000.0, gt=0, le=20_000, description="Highest line of the main sweep, Hz.")
+    lines: int = Field(
+        220, ge=8, le=2000, description="Odd lines of the main sweep, the detection lines among them included."
+    )
+    period_s: float = Field(1.0, ge=0.05, le=20, description="Period of main and validation sweep, s.")
+    periods: int = Field(2, ge=2, le=50, description="Recorded periods of every experiment.")
+    realisations: int = Field(
+        5, ge=2, le=50, description="Draws of the phases, each played in as many experiments as there are axes."
+    )
+    settle_s: float = Field(
+        0.8,
+        gt=0,
+        le=60,
+        description="Settling to begin with, main and validation sweep, s; doubled while the periods still change.",
+    )
+    short_settle_s: float = Field(0.3, gt=0, le=60, description="Settling of the pilot and of the amplifier sweep, s.")
+    validation_realisations: int = Field(
+        2, ge=2, le=50, description="Draws of the phases of the sweep that no fit sees."
+    )
+    validation_gain: float = Field(0.6, gt=0, le=10, description="Level of the validation sweep against the main one.")
+    amplifier_realisations: int = Field(
+        2, ge=2, le=50, description="Draws of the phases of the sweep that is for the amplifiers alone."
+    )
+    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000, description="Its highest line, Hz.")
+    amplifier_lines: int = Field(60, ge=8, le=1000, description="Its lines.")
+    amplifier_period_s: float = Field(0.2, ge=0.02, le=20, description="Its period, s.")
+    displacement_share: float = Field(
+        0.25,
+        gt=0,
+        le=0.5,
+        description="Share of the linear range, and of the displacement limit, that predicted peaks may take.",
+    )
+    current_share: float = Field(
+        0.25,
+        gt=0,
+        le=0.5,
+        description="Share of the bias current, and of the current limit, that predicted peaks may take.",
+    )
+    stiffness_hz: float = Field(
+        100.0, gt=0, le=10_000, description="Below it the amplitude rises as the inverse of frequency, Hz."
+    )
+    seed: int = Field(1, ge=0, le=2**31, description="Of lines and phases: equal campaigns ask equal questions.")
+    tries: int = Field(4, ge=1, le=20, description="Attempts at one realisation: lower level, longer settling.")
+
+    @model_validator(mode="after")
+    def _a_band(self) -> Self:
+        _must_rise(self.from_hz, self.to_hz)
+        return self
 
 
 class _ExperimentOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    excitation: Literal["stepped-sine", "multisine"] = "stepped-sine"
-    identify: bool = True
-    priors: bool = False
-    comment: str = Field("", max_length=500)
+    identify: bool = Field(True, description="Whether the experiment is identified once it is measured.")
+    priors: bool = Field(False, description=PRIORS)
 
 
 class SteppedSineOptions(_ExperimentOptions):
     """Options of an experiment with one tone after the other."""
 
+    excitation: Literal["stepped-sine"] = "stepped-sine"
     profile: Literal["standard", "quick"] | ProfileOptions = "standard"
 
 
 class MultisineOptions(_ExperimentOptions):
-    """Options of an experiment with multisines on all axes at once."""
+    """Options of an experiment with multisines on all axes at once, a tenth of the time; controllers must play them."""
 
+    excitation: Literal["multisine"]
     profile: Literal["standard", "quick"] | MultisineProfileOptions = "standard"
 
 
@@ -85,8 +165,7 @@ class IdentificationOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    priors: bool = False
-    """Whether the datasheet's values count as priors, as wide as its tolerances."""
+    priors: bool = Field(False, description=PRIORS)
 
 
 class HealthOptions(BaseModel):
@@ -94,7 +173,7 @@ class HealthOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    budget_s: float = Field(90.0, ge=20.0, le=3600.0)
+    budget_s: float = Field(90.0, ge=20.0, le=3600.0, description="Time of the rig that the check may take, s.")
 
 
 class NoOptions(BaseModel):
@@ -113,7 +192,7 @@ _ALTERNATIVES = (ProfileOptions.__name__, MultisineProfileOptions.__name__)
 
 
 def checked_options(kind: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of a job, those left out filled in.
+    """Options of a job as they were given; what is left out is as it is by default when the job runs.
 
     Raises
     ------
@@ -125,6 +204,20 @@ def checked_options(kind: str, options: dict[str, Any]) -> dict[str, Any]:
     try:
         return shape.model_validate(options).model_dump(mode="json", exclude_unset=True)
     except ValidationError as error:
-        deepest = max(error.errors(), key=lambda e: len(e["loc"]))  # of alternatives, the one that was meant
+        # of alternatives, the one that was meant
+        deepest = max(error.errors(), key=lambda e: (len(e["loc"]), e["type"] == _BAND))
         names = [str(part) for part in deepest["loc"] if "[" not in str(part) and part not in _ALTERNATIVES]
         raise UnprocessableError(f"{'.'.join(['options', *names])}: {deepest['msg']}") from error
+
+
+_SHAPES = (SteppedSineOptions, MultisineOptions, IdentificationOptions, HealthOptions, NoOptions)
+_REFERENCE = "#/components/schemas/{model}"
+OF_A_JOB: dict[str, Any] = {"anyOf": [{"$ref": _REFERENCE.format(model=shape.__name__)} for shape in _SHAPES]}
+"""Schema of a job's options: which of them it must be, its kind tells."""
+OF_A_CHECK: dict[str, Any] = {"anyOf": [{"$ref": _REFERENCE.format(model=HealthOptions.__name__)}]}
+
+
+def schemas() -> dict[str, Any]:
+    """Schemas of all options by name, for OpenAPI."""
+    _, found = models_json_schema([(shape, "validation") for shape in _SHAPES], ref_template=_REFERENCE)
+    return dict(found["$defs"])

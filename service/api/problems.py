@@ -138,6 +138,8 @@ def _amb_error(request: Request, error: Exception) -> Response:
 
 def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
+    if isinstance(error.body, bytes):  # what says that it is no JSON is not read
+        return problem(request, 415, "the body is not said to be JSON; send Content-Type: application/json")
     found = [{"field": ".".join(str(p) for p in e["loc"]), "reason": e["msg"]} for e in error.errors()]
     first = f"{found[0]['field']}: {found[0]['reason']}" if found else "the request is not valid"
     return problem(request, 422, first, found)

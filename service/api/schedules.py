@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, WithJsonSchema
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.api import etags, examples
 from service.api.auditing import audit
 from service.api.once import Answer, once
-from service.api.options import checked_options
+from service.api.options import OF_A_CHECK, checked_options
 from service.api.problems import documented
 from service.api.shapes import (
     AFTER,
@@ -80,7 +80,9 @@ class ScheduleWanted(Wanted):
     rig: str = Field(max_length=40, description="Id of the rig; it stays.")
     cron: str = Field(max_length=100, description="Minute, hour, day, month, weekday.")
     timezone: str = Field("UTC", max_length=60, description="In which the expression is read.")
-    options: dict[str, Any] = Field(default_factory=dict, description="Options of the health jobs: budget_s.")
+    options: Annotated[dict[str, Any], WithJsonSchema(OF_A_CHECK)] = Field(
+        default_factory=dict, description="Options of the health jobs."
+    )
     enabled: bool = True
     webhook: WebhookWanted | None = None
 
