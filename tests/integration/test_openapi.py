@@ -13,6 +13,7 @@ import subprocess
 import sys
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -35,6 +36,7 @@ CHECKS = (
     "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,"
     "response_schema_conformance"
 )
+UNLIMITED: dict[str, Any] = {"port": 0, "requests_per_s": 1e6, "requests_burst": 1_000_000}
 HANGS_S = 1200
 """The number of requests bounds the run; this is for one that hangs, on a machine however busy."""
 ROOT = Path(__file__).parents[2]
@@ -43,7 +45,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def described(tmp_path_factory):
     home = tmp_path_factory.mktemp("home")
-    with serving(Settings(home=home, port=0, requests_per_s=1e6, requests_burst=1_000_000)) as service:
+    with serving(Settings(home=home, **UNLIMITED)) as service:
         key = service.key(Scope.admin)
         yield service, key, filled(service, key, home)
 
@@ -196,22 +198,43 @@ def missing(example: object, real: object, at: str = "") -> list[str]:
 @pytest.mark.timeout(HANGS_S + 60)
 def test_the_api_is_what_its_description_says(described, tmp_path):
     pytest.importorskip("schemathesis", reason="schemathesis is not installed")
-    service, key, ids = described
+    tried(*described, tmp_path)
+
+
+@pytest.mark.pg
+@pytest.mark.timeout(HANGS_S + 60)
+def test_what_changes_something_does_so_on_postgresql_too(tmp_path):
+    """Which values can be kept is up to the database."""
+    pytest.importorskip("schemathesis", reason="schemathesis is not installed")
+    from tests.support.postgres import empty_database
+
+    home = tmp_path / "home"
+    home.mkdir()
+    with empty_database() as url, serving(Settings(home=home, database_url=url, **UNLIMITED)) as service:
+        key = service.key(Scope.admin)
+        writing = [part for method in ("POST", "PUT") for part in ("--include-method", method)]
+        tried(service, key, filled(service, key, home), tmp_path, *writing)
+
+
+def tried(service: Serving, key: str, ids: dict[str, str], folder: Path, *which: str) -> None:
+    """Every operation, or which of them, by schemathesis."""
     done = subprocess.run(
         [
             *(sys.executable, "-m", "schemathesis.cli", "run", f"{service.url}/openapi.json"),
             *("--checks", CHECKS, "--phases", "examples,coverage,fuzzing", "--max-examples", EXAMPLES),
             *("--header", f"Authorization: Bearer {key}", "--request-timeout", "60", "--generation-deterministic"),
             *("--no-shrink", "--continue-on-failure", "--suppress-health-check", "all", "--warnings", "off"),
-            *("--no-color", "--output-truncate", "true"),
+            *("--no-color", "--output-truncate", "true", *which),
         ],
         env=os.environ
         | {"SCHEMATHESIS_HOOKS": "tests.support.api_hooks", "AMBIT_TEST_IDS": json.dumps(ids), "PYTHONPATH": str(ROOT)},
-        cwd=tmp_path,
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=HANGS_S,
         check=False,
     )
     assert done.returncode == 0, done.stdout[-20_000:] + done.stderr[-2000:]
-    assert re.search(r"Selected: (\d+)/\1\n\s*Tested: \1\n", done.stdout), done.stdout[-2000:]
+    counted = re.search(r"Selected: (\d+)/(\d+)\n\s*Tested: \1\n", done.stdout)
+    assert counted is not None, done.stdout[-2000:]
+    assert which or counted[1] == counted[2]
