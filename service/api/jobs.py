@@ -274,11 +274,20 @@ def cancel_job(request: Request, job_id: JobId, who: Operator, api: Api) -> JobS
 
 
 @router.post("/{job_id}/retry", status_code=202, response_model=JobShape, responses=documented(404, 409))
-def retry_job(request: Request, job_id: JobId, who: Operator, api: Api) -> JobShape:
+def retry_job(
+    request: Request, job_id: JobId, who: Operator, api: Api, idempotency_key: IdempotencyKey = None
+) -> Response:
     """Try a job again that failed or was cancelled; an experiment goes on with what it has measured."""
-    with api.database.write() as session:
+    tried: list[JobRow] = []
+
+    def again(session: Session) -> Answer:
         rigs.active(session, jobs.get(session, job_id).rig_id)
         job = jobs.retry(session, job_id, who.name, who.key_id)
         audit(session, request, who, Action.job_retried, job.id, rig=job.rig_id, run=job.run)
-    hand_over(api.database, api.dispatcher, job)
-    return shape(job)
+        tried[:] = [job]
+        return Answer(202, f"/api/v1/jobs/{job.id}", shape(job).model_dump(mode="json"))
+
+    answer, replayed = once(api.database, who, request, idempotency_key, "", again)
+    if not replayed:
+        hand_over(api.database, api.dispatcher, tried[0])
+    return answer.response(replayed)

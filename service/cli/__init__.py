@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from service.cli import client, commission, controller, db, demo, effects, export, gap, health, keys, rig, serve
+from service.cli import client, commission, controller, db, demo, effects, export, gap, health, jobs, keys, rig, serve
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -31,8 +31,10 @@ app.add_typer(db.app, name="db")
 app.command()(serve.serve)
 app.command()(serve.worker)
 app.command()(client.submit)
+app.command()(jobs.jobs)
 app.command()(client.watch)
 app.command()(client.cancel)
+app.command()(client.retry)
 app.command()(client.fetch)
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2

@@ -1,4 +1,4 @@
-"""``ambit submit``, ``watch``, ``cancel``, ``fetch``: the service's jobs from a terminal, on service.client."""
+"""``ambit submit``, ``watch``, ``cancel``, ``retry``, ``fetch``: jobs of the service from a terminal."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def submit(
 ) -> None:
     """Submit a job to the service; prints its id."""
     options = _options(option or [], quick, excitation, kind)
-    with _client(url, key, ca) as ambit:
+    with client(url, key, ca) as ambit:
         known = _rig(ambit, rig, controller)
         experiment_id = experiment
         if experiment is not None and not experiment.startswith("exp_"):
@@ -81,7 +81,7 @@ def watch(
     as_json: Json = False,
 ) -> None:
     """Watch a job until it has ended; Ctrl-C ends the watching, not the job."""
-    with _client(url, key, ca) as ambit:
+    with client(url, key, ca) as ambit:
         _finish(ambit, ambit.jobs.get(job), out, as_json)
 
 
@@ -93,8 +93,26 @@ def cancel(
     as_json: Json = False,
 ) -> None:
     """Cancel a job: an excitation ends within a second, what was measured is kept."""
-    with _client(url, key, ca) as ambit:
+    with client(url, key, ca) as ambit:
         _print(ambit.jobs.cancel(job), as_json)
+
+
+def retry(
+    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    follow: Annotated[bool, typer.Option("--watch", help="Watch it until it has ended.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Watch it, then fetch its files into this folder.")] = None,
+    url: Url = None,
+    key: Key = None,
+    ca: Ca = None,
+    as_json: Json = False,
+) -> None:
+    """Try a job again that failed or was cancelled; an experiment goes on with what it has measured."""
+    with client(url, key, ca) as ambit:
+        again = ambit.jobs.retry(job)
+        if follow or out:
+            _finish(ambit, again, out, as_json)
+        else:
+            _print(again, as_json)
 
 
 def fetch(
@@ -106,11 +124,12 @@ def fetch(
     as_json: Json = False,
 ) -> None:
     """Fetch all files that a job made: experiment, datasheet, result, report, diagnosis."""
-    with _client(url, key, ca) as ambit:
+    with client(url, key, ca) as ambit:
         _files(ambit.save(ambit.jobs.get(job), out), as_json)
 
 
-def _client(url: str | None, key: str | None, ca: Path | None) -> Client:
+def client(url: str | None, key: str | None, ca: Path | None) -> Client:
+    """The service that the options, or the environment, name."""
     from service.client import Client
 
     return Client(url, key, ca)

@@ -5,6 +5,7 @@ import { duration, h, nothing, state, table, when } from "./dom.js";
 
 const WATCHED = 3; // a browser opens six connections to a server; the page itself needs some
 const ACTIVE = ["queued", "running"];
+const RETRIABLE = ["failed", "cancelled"];
 
 export function jobs(list, names, context) {
   if (!list.length) return nothing("No jobs yet.");
@@ -54,6 +55,15 @@ function cancel(job, context) {
   return button;
 }
 
+function retry(job, context) {
+  const button = h("button", { class: "retry" }, "Try again");
+  button.addEventListener("click", () => {
+    button.disabled = true;
+    context.doing(() => post("/jobs/" + job.id + "/retry").then(context.refresh).finally(() => { button.disabled = false; }));
+  });
+  return button;
+}
+
 export async function job(found, names, context) {
   const place = h("div", {});
   const show = (now) => place.replaceChildren(
@@ -69,6 +79,7 @@ export async function job(found, names, context) {
       ["result", results(now)],
     ]),
     ACTIVE.includes(now.state) ? h("p", { class: "row" }, cancel(now, context)) : "",
+    RETRIABLE.includes(now.state) ? h("p", { class: "row" }, retry(now, context)) : "",
   );
   show(found);
   if (ACTIVE.includes(found.state)) events("/jobs/" + found.id + "/events", show, context.signal);

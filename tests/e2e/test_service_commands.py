@@ -122,6 +122,17 @@ def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
     assert watched.stderr.splitlines()[-1] == f"ambit: the job {job} was cancelled"
     assert running.rig.status().excitation_a == 0
 
+    # it is found among the others, and goes on
+    listed = ambit("jobs", "--state", "cancelled", "--rig", "reference").stdout
+    assert job in listed
+    assert job not in ambit("jobs", "--kind", "gap").stdout
+    again = json.loads(ambit("retry", job, "--json").stdout)
+    assert (again["id"], again["state"]) == (job, "queued")
+    (found,) = json.loads(ambit("jobs", "--limit", "1", "--json").stdout)["jobs"]
+    assert found["id"] == job
+    ambit("cancel", job)
+    running.wait(job)
+
 
 def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):
     assert "no rig 'nobody'" in command.refusal("submit", "experiment", "--rig", "nobody")

@@ -223,6 +223,22 @@ def test_cancel_on_the_page_asks_the_service(service, ids):
 
 
 @needs_browser
+def test_a_job_that_failed_is_tried_again_from_the_page(service, ids):
+    with service.services.database.write() as session:
+        job = jobs.submit(session, "gap", ids["rig"], 1, "laptop")
+        job.state, job.error_title = jobs.FAILED, "too few points"
+        job = job.id
+    with tab() as page:
+        page.open(f"{service.url}/#/job/{job}")
+        page.until("document.querySelector('button.retry')")
+        page.run("document.querySelector('button.retry').click()")
+        page.until("document.querySelector('.state.queued') && !document.querySelector('button.retry')", 10)
+        assert page.complaints == []
+    with service.services.database.read() as session:
+        assert (jobs.get(session, job).run, jobs.get(session, job).requested_by) == (2, "local")
+
+
+@needs_browser
 def test_a_service_with_keys_asks_for_one_and_keeps_it_in_the_tab(tmp_path):
     with serving(Settings(home=tmp_path / "home", port=0)) as service, tab() as page:
         with service.services.database.write() as session:

@@ -92,6 +92,18 @@ def test_the_same_request_under_a_key_is_done_once(api, service, rig, experiment
     is_problem(api.post("/jobs", json={**body, "priority": 1}, headers=headers), 422, "another request")
 
 
+def test_a_retry_that_is_sent_again_is_done_once(api, service, rig, experiment):
+    job = api.post("/jobs", json={"kind": "gap", "rig": rig, "experiment": experiment}).json()["id"]
+    api.post(f"/jobs/{job}/cancel")
+    headers = {"Idempotency-Key": f"retry {rig}"}
+    first, second = (api.post(f"/jobs/{job}/retry", headers=headers) for _ in range(2))
+    assert (first.status_code, second.status_code) == (202, 202)
+    assert first.json() == second.json()
+    assert "idempotent-replayed" in second.headers
+    assert api.get(f"/jobs/{job}").json()["run"] == 2
+    is_problem(api.post(f"/jobs/{job}/retry"), 409, "only what failed")
+
+
 def test_a_refused_request_may_be_sent_again_under_its_key(api, service, rig):
     """A refusal is not remembered: what stood in its way is removed, and the same request is done."""
     headers = {"Idempotency-Key": f"refused {rig}"}
