@@ -127,6 +127,11 @@ def load(
 ) -> Settings:
     """Settings from a TOML file, the environment, and flags that are not None; the later wins.
 
+    @property
+    def store_of_this_machine(self) -> bool:
+        """Whether another machine on the same database would keep its files elsewhere: nobody has said where."""
+        return self.database_url.startswith("postgresql") and not self.store_url
+
     Raises
     ------
     ConfigurationError

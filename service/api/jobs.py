@@ -66,10 +66,8 @@ class JobWanted(Wanted):
     experiment: str | None = Field(None, max_length=40, description="Id of the experiment: identification, gap.")
     options: Annotated[dict[str, Any], WithJsonSchema(OF_A_JOB)] = Field(
         default_factory=dict,
-        description="experiment: excitation (stepped-sine, or multisine on all axes at once in a tenth of the time, "
-        "where the controller plays waveforms), profile (standard, quick, or figures of the plan), identify (true), "
-        "priors. identification: priors (false; true lets the datasheet's values count, as wide as its tolerances). "
-        "health: budget_s. Others have none.",
+        description="experiment: SteppedSineOptions or MultisineOptions. identification: IdentificationOptions. "
+        "health: HealthOptions. gap: none.",
     )
     priority: int = Field(5, ge=1, le=9, description="1 first, 9 last, among the jobs that wait.")
 

@@ -96,6 +96,8 @@ def ready(api: Api) -> Response:
         with api.database.read() as session:
             if not workers.count_alive(session):
                 worker = "none is alive: jobs wait"
+            if api.settings.store_of_this_machine and (other := workers.elsewhere(session)) is not None:
+                store = f"of this machine alone, and a worker runs on {other.machine}: set store_url for all of them"
     except SQLAlchemyError:
         database, worker = "does not answer", "unknown"
     try:

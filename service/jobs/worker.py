@@ -15,10 +15,11 @@ from importlib import import_module
 from types import FrameType
 
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from service.config import Settings
-from service.errors import ConflictError
-from service.jobs import steps, submission, timetable
+from service.errors import ConfigurationError, ConflictError
+from service.jobs import notices, steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
 from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls, shared_s
@@ -65,6 +66,8 @@ class Worker:
         ------
         ConflictError
             A worker of this name is alive.
+        ConfigurationError
+            A worker of another machine is alive, and nobody has said where both keep their files.
         StorageError
             A database or the store cannot be used.
         """
@@ -90,12 +93,20 @@ class Worker:
         while True:
             try:
                 with self.context.database.write() as session:
+                    self._must_share_its_store(session)
                     workers.sign_on(session, self.settings.worker, self.instance)
                 return
             except ConflictError:
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(0.25)
+
+    def _must_share_its_store(self, session: Session) -> None:
+        if self.settings.store_of_this_machine and (other := workers.elsewhere(session)) is not None:
+            raise ConfigurationError(
+                f"the worker {other.name!r} runs on {other.machine}, and without store_url each machine keeps files "
+                "that the other one cannot read; set AMBIT_STORE_URL to one store that all of them reach"
+            )
 
     def run(self) -> None:
         """Work until `Context.stopping` is set; then stop the rigs and leave the jobs to the next worker."""

@@ -43,7 +43,8 @@ class Blobs:
         try:
             self._fs, self._root = url_to_fs(url)
         except (ValueError, ImportError) as error:
-            raise StorageError(f"cannot use the store {url}: {error}") from error
+            remedy = "; pip install 'amb-commissioning[s3]'" if url.startswith("s3:") else ""
+            raise StorageError(f"cannot use the store {url}: {error}{remedy}") from error
         self._local = isinstance(self._fs, LocalFileSystem)
         self._cache: OrderedDict[str, bytes] = OrderedDict()
         self._cached_bytes = 0

@@ -92,6 +92,11 @@ def listed(session: Session) -> list[WorkerRow]:
     return list(session.scalars(select(WorkerRow).order_by(WorkerRow.name)))
 
 
+def elsewhere(session: Session) -> WorkerRow | None:
+    """A worker of another machine that gave a sign of life just now."""
+    return next((row for row in listed(session) if row.machine != machine() and _lives(row)), None)
+
+
 def count_alive(session: Session) -> int:
     """How many workers gave a sign of life just now."""
     limit = now() - timedelta(seconds=ALIVE_S)

@@ -182,6 +182,13 @@ def test_no_password_is_written_down(compose):
             assert not re.search(r"(?i)password\s*[:=]\s*['\"]?[a-z0-9]{3,}", path.read_text()), path.name
 
 
+def test_no_command_of_the_readme_carries_a_secret_on_its_command_line():
+    text = (DEPLOY / "README.md").read_text()
+    assert "$(" not in text
+    (alias,) = re.findall(r"alias as-ambit='(.*?)'", text, re.DOTALL)
+    assert "EnvironmentFile=-/etc/ambit/ambit.env" in alias
+
+
 # ---- container file
 
 
@@ -214,7 +221,7 @@ def test_the_image_does_not_run_as_root_and_checks_its_health():
     final = dict(instructions()[last:])
     assert final["USER"].split(":")[0].isdigit()
     assert int(final["USER"].split(":")[0]) > 0
-    assert "readyz" in final["HEALTHCHECK"]
+    assert yaml.safe_load(final["HEALTHCHECK"].split(" CMD ")[1]) == ["python", "-m", "service.probe"]
     assert yaml.safe_load(final["ENTRYPOINT"]) == ["ambit"]
     understood(yaml.safe_load(final["CMD"]))
 
