@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session
 
 from service.config import Settings
 from service.errors import ConfigurationError, ConflictError
-from service.jobs import notices, steps, submission, timetable
+from service.jobs import steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
 from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls, shared_s
