@@ -48,6 +48,10 @@ class Settings(BaseModel):
     trusted_proxies: str = "127.0.0.1"
     """Addresses and networks of the proxies themselves, separated by commas; nobody else is believed."""
 
+    public_url: str = ""
+    """Address at which people reach the service, https://host/path; the links of webhooks begin with it. Empty for
+    links that are paths only."""
+
     worker_name: str = Field("", max_length=60)
     """Stable and unique per worker; empty for the host's name."""
     cpu_jobs: int = Field(1, ge=1, le=64)
@@ -82,6 +86,14 @@ class Settings(BaseModel):
             raise ValueError("is neither sqlite:////folder/file.db nor postgresql://user:password@host/name")
         return url
 
+    @field_validator("public_url")
+    @classmethod
+    def _address(cls, url: str) -> str:
+        parts = urlsplit(url)
+        if url and (parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment):
+            raise ValueError(f"{url!r} is no address of a service; give https://host, or https://host/path")
+        return url.rstrip("/")
+
     @field_validator("trusted_proxies")
     @classmethod
     def _addresses(cls, proxies: str) -> str:
@@ -106,10 +118,19 @@ class Settings(BaseModel):
             return self.database_url
         return f"sqlite:///{self.home.absolute() / 'jobs.db'}"
 
+    def link(self, path: str) -> str:
+        """Where people find something of the API."""
+        return f"{self.public_url}/api/v1{path}"
+
     @property
     def store(self) -> str:
         """fsspec URL of the store."""
         return self.store_url or str(self.home.absolute() / "store")
+
+    @property
+    def store_of_this_machine(self) -> bool:
+        """Whether another machine on the same database would keep its files elsewhere: nobody has said where."""
+        return self.database_url.startswith("postgresql") and not self.store_url
 
     @property
     def work(self) -> Path:
@@ -126,11 +147,6 @@ def load(
     file: Path | None = None, environment: Mapping[str, str] | None = None, flags: Mapping[str, Any] | None = None
 ) -> Settings:
     """Settings from a TOML file, the environment, and flags that are not None; the later wins.
-
-    @property
-    def store_of_this_machine(self) -> bool:
-        """Whether another machine on the same database would keep its files elsewhere: nobody has said where."""
-        return self.database_url.startswith("postgresql") and not self.store_url
 
     Raises
     ------

@@ -32,7 +32,7 @@ from service.api.shapes import (
 )
 from service.api.state import Api, Services
 from service.errors import ConflictError
-from service.storage import jobs, results, rigs
+from service.storage import jobs, results, rigs, schedules
 from service.storage.database import now
 from service.storage.tables import ModelRow, Rig, RigVersion
 from sim import datasheet
@@ -298,4 +298,6 @@ def retire_rig(request: Request, rig_id: RigId, who: Admin, api: Api) -> Respons
             audit(session, request, who, Action.rig_removed, rig.id, rig=rig.id)
             for job in jobs.cancel_of_rig(session, rig.id, RETIRED):
                 audit(session, request, who, Action.job_cancelled, job.id, rig=rig.id, why=RETIRED)
+            for schedule in schedules.switch_off(session, rig.id):
+                audit(session, request, who, Action.schedule_changed, schedule.id, rig=rig.id, why=RETIRED)
     return Response(status_code=204)

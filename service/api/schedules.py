@@ -57,7 +57,11 @@ class WebhookWanted(Wanted):
         max_length=200,
         description="whsec_ and base64. Without it a new one is made, and shown in this answer only.",
     )
-    on: Literal["alarm", "always"] = "alarm"
+    on: Literal["alarm", "always"] = Field(
+        "alarm",
+        description="Which checks are told of: health.alarm, or health.ok too. That a check failed (health.failed) or "
+        "was not made (health.missed) is always told.",
+    )
 
 
 class ScheduleWanted(Wanted):
@@ -155,7 +159,8 @@ class RunShape(Shape):
 
     due_at: Time
     state: str
-    """submitted, missed (the service was down) or refused (the rig could not be checked)."""
+    """submitted, missed (the service was down, or the check before had not ended) or refused (the rig could not be
+    checked)."""
     detail: str
     job: str | None
     recorded_at: Time
@@ -169,6 +174,7 @@ class DeliveryShape(Shape):
             "examples": [
                 {
                     "id": "whd_01k9abcdefghjkmnpqrstvwxyz",
+                    "type": "health.alarm",
                     "health": examples.HEALTH,
                     "url": "https://plant.example/hooks/amb",
                     "state": "pending",
@@ -183,7 +189,10 @@ class DeliveryShape(Shape):
     )
 
     id: str
-    health: str
+    type: str
+    """health.alarm, health.ok, health.failed or health.missed; empty for one of an earlier version."""
+    health: str | None
+    """The check that it tells of; null for one that failed or was not made."""
     url: str
     state: str
     """pending, delivered or failed."""
@@ -350,7 +359,8 @@ def list_deliveries(
     items = [
         DeliveryShape(
             id=d.id,
-            health=d.health_id,
+            type=d.contents.get("type", ""),
+            health=d.health_id or None,
             url=d.url,
             state=d.state,
             attempts=d.attempts,

@@ -78,6 +78,63 @@ def payload(check_id: str, rig_id: str, document: Mapping[str, Any], ended: date
     }
 
 
+def failed_payload(
+    schedule_id: str, job_id: str, rig_id: str, rig_name: str, title: str, detail: str, ended: datetime, url: str = ""
+) -> dict[str, Any]:
+    """Contents of a message about a check that came to nothing: nobody knows how the rig is.
+
+    Parameters
+    ----------
+    title, detail
+        Of the job's error.
+    url
+        Of the job at the service.
+    """
+    return {
+        "type": "health.failed",
+        "timestamp": ended.isoformat().replace("+00:00", "Z"),
+        "data": {
+            "schedule": schedule_id,
+            "job": job_id,
+            "rig": rig_id,
+            "rig_name": rig_name,
+            "sentence": f"{rig_name}: the check failed: {title}: {detail}",
+            "url": url,
+        },
+    }
+
+
+def missed_payload(
+    schedule_id: str, rig_id: str, rig_name: str, due: datetime, count: int, why: str, at: datetime, url: str = ""
+) -> dict[str, Any]:
+    """Contents of a message about checks that were not made.
+
+    Parameters
+    ----------
+    due
+        When the last of them was due.
+    count
+        How many they are.
+    url
+        Of the schedule's runs at the service.
+    """
+    due_text = due.isoformat().replace("+00:00", "Z")
+    which = f"the check of {due_text} was" if count == 1 else f"{count} checks up to {due_text} were"
+    return {
+        "type": "health.missed",
+        "timestamp": at.isoformat().replace("+00:00", "Z"),
+        "data": {
+            "schedule": schedule_id,
+            "rig": rig_id,
+            "rig_name": rig_name,
+            "due_at": due_text,
+            "missed": count,
+            "sentence": f"{rig_name}: {which} not made: {why}",
+            "url": url,
+        },
+    }
+
+
 def signed(contents: Mapping[str, Any], secret: str, message_id: str, at_unix_s: float) -> Message:
     """A message that its receiver can check; the body is signed byte by byte as it is sent."""
     body = json.dumps(contents, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode("utf-8")

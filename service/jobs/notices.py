@@ -1,21 +1,25 @@
-"""Telling webhooks of a health check: what to tell is kept first, then sent until it is heard or too late."""
+"""Telling webhooks of health checks: what to tell is kept first, then sent until it is heard or too late."""
 
 from __future__ import annotations
 
+import logging
 import random
 import time
+from typing import Any
 
 import httpx
 from sqlalchemy.orm import Session
 
 from service.health import webhook
-from service.jobs.context import context
-from service.storage import results, schedules
-from service.storage.database import now
+from service.jobs.context import Context, context
+from service.jobs.engine import Dispatcher
+from service.storage import jobs, results, rigs, schedules
+from service.storage.database import Database, now
 from service.storage.ids import derived_id
 from service.storage.schedules import DELIVERED, FAILED, PENDING, REMOVED
 from service.storage.tables import HealthRow, ScheduleRow, WebhookRow
 
+log = logging.getLogger(__name__)
 TIMEOUT_S = 10.0
 
 
@@ -27,25 +31,55 @@ def begin(health_id: str) -> None:
     def prepare(session: Session) -> bool:
         check = results.get(session, HealthRow, health_id)
         schedule = None if check.schedule_id is None else session.get(ScheduleRow, check.schedule_id)
-        if schedule is None or not schedule.webhook_url or (schedule.webhook_on == "alarm" and not check.alarm):
+        if schedule is None or (schedule.webhook_on == "alarm" and not check.alarm):
             return False
-        if session.get(WebhookRow, delivery_id) is None:
-            at = now()
-            session.add(
-                WebhookRow(
-                    id=delivery_id,
-                    schedule_id=schedule.id,
-                    health_id=health_id,
-                    url=schedule.webhook_url,
-                    state=PENDING,
-                    created_at=at,
-                    updated_at=at,
-                )
-            )
-        return True
+        return schedules.add_delivery(session, schedule, delivery_id, _contents(worker, check), health_id)
 
     if worker.database.surely(prepare):
-        worker.dispatcher.notify(delivery_id)
+        _hand_over(worker.database, worker.dispatcher, delivery_id)
+
+
+def begin_failed(job_id: str, run: int) -> None:
+    """Tell the webhook of a check's schedule that the check failed: silence would pass for a healthy rig."""
+    worker = context()
+    delivery_id = f"{derived_id('whd', job_id)}f{run}"
+
+    def prepare(session: Session) -> bool:
+        job = jobs.get(session, job_id)
+        schedule = None if job.schedule_id is None else session.get(ScheduleRow, job.schedule_id)
+        if schedule is None or job.run != run or job.state != jobs.FAILED:
+            return False
+        rig = rigs.get(session, job.rig_id)
+        url = worker.settings.link(f"/jobs/{job.id}")
+        contents = webhook.failed_payload(
+            schedule.id, job.id, rig.id, rig.name, job.error_title, job.error_detail, job.ended_at or now(), url
+        )
+        return schedules.add_delivery(session, schedule, delivery_id, contents)
+
+    if worker.database.surely(prepare):
+        _hand_over(worker.database, worker.dispatcher, delivery_id)
+
+
+def hand_over_all(database: Database, dispatcher: Dispatcher) -> None:
+    """Tell the engine of every message that it was not told of."""
+    with database.read() as session:
+        waiting = schedules.undispatched(session)
+    for delivery_id in waiting:
+        _hand_over(database, dispatcher, delivery_id)
+
+
+def _hand_over(database: Database, dispatcher: Dispatcher, delivery_id: str) -> None:
+    try:
+        dispatcher.notify(delivery_id)
+        with database.write() as session:
+            schedules.dispatched(session, delivery_id)
+    except Exception as error:  # the row is kept, and a worker hands it over
+        log.warning("message %s waits for the job engine: %s", delivery_id, str(error).splitlines()[0])
+
+
+def _contents(worker: Context, check: HealthRow) -> dict[str, Any]:
+    url = worker.settings.link(f"/health-checks/{check.id}")
+    return webhook.payload(check.id, check.rig_id, check.document, check.created_at, url)
 
 
 def attempt(delivery_id: str) -> float | None:
@@ -55,13 +89,11 @@ def attempt(delivery_id: str) -> float | None:
         delivery = session.get(WebhookRow, delivery_id)
         if delivery is None or delivery.state != PENDING:
             return None
-        check = results.get(session, HealthRow, delivery.health_id)
+        contents = delivery.contents or _contents(worker, results.get(session, HealthRow, delivery.health_id))
         schedule = session.get(ScheduleRow, delivery.schedule_id)
     secret = "" if schedule is None else schedule.webhook_secret
-    address = f"/api/v1/health-checks/{check.id}"
-    body = webhook.payload(check.id, check.rig_id, check.document, check.created_at, address)
     try:
-        message = webhook.signed(body, secret, delivery.id, time.time())
+        message = webhook.signed(contents, secret, delivery.id, time.time())
     except webhook.WebhookError as error:  # the webhook was removed before its messages were given up
         why = str(error) if secret else REMOVED
         worker.database.surely(lambda session: schedules.give_up_deliveries(session, delivery.schedule_id, why))

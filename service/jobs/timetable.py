@@ -8,10 +8,13 @@ from datetime import datetime, timedelta
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action, AuditEvent
+from service.config import Settings
 from service.errors import ServiceError
 from service.health import schedule as cron
+from service.health import webhook
 from service.storage import audit, jobs, results, rigs, schedules
 from service.storage.database import Database, now
+from service.storage.ids import derived_id, new_id
 from service.storage.tables import ScheduleRow
 
 GRACE = timedelta(minutes=15)
@@ -20,8 +23,10 @@ SCHEDULED_PRIORITY = 7
 log = logging.getLogger(__name__)
 
 
-def keep(database: Database, at: datetime | None = None) -> int:
+def keep(database: Database, settings: Settings, at: datetime | None = None) -> int:
     """Submit what is due, in one transaction with the note that it was: once, however many workers there are.
+
+    What is not submitted is noted too, with the message that tells the schedule's webhook of it.
 
     Returns
     -------
@@ -33,22 +38,43 @@ def keep(database: Database, at: datetime | None = None) -> int:
         if not schedules.due(session, at, lock=False):
             return 0
     with database.write() as session:
-        return sum(_kept(session, row, at) for row in schedules.due(session, at))
+        return sum(_kept(session, settings, row, at) for row in schedules.due(session, at))
 
 
-def _kept(session: Session, row: ScheduleRow, at: datetime) -> bool:
+def _kept(session: Session, settings: Settings, row: ScheduleRow, at: datetime) -> bool:
     assert row.next_at is not None
     due = [row.next_at, *cron.due_runs(row.cron, row.next_at, at, row.timezone)]
     row.next_at = cron.next_run(row.cron, at, row.timezone)
-    for time in due[:-1]:
-        schedules.record_run(session, row.id, time, schedules.MISSED, detail="the service was down")
-    if at - due[-1] > GRACE:
-        schedules.record_run(session, row.id, due[-1], schedules.MISSED, detail="the service was down")
+    too_late = at - due[-1] > GRACE
+    if missed := due if too_late else due[:-1]:
+        _not_made(session, settings, row, missed, schedules.MISSED, "the service was down")
+    return not too_late and _submitted(session, settings, row, due[-1])
+
+
+def _not_made(
+    session: Session,
+    settings: Settings,
+    row: ScheduleRow,
+    due: list[datetime],
+    state: str,
+    why: str,
+    message_id: str | None = None,
+) -> None:
+    """Note checks that are not made, and tell the webhook; of each ``message_id`` once."""
+    for time in due:
+        schedules.record_run(session, row.id, time, state, detail=why)
+    rig = rigs.get(session, row.rig_id)
+    url = settings.link(f"/schedules/{row.id}/runs")
+    contents = webhook.missed_payload(row.id, rig.id, rig.name, due[-1], len(due), why, now(), url)
+    schedules.add_delivery(session, row, message_id or new_id("whd"), contents)
+
+
+def _submitted(session: Session, settings: Settings, row: ScheduleRow, due: datetime) -> bool:
+    if (before := jobs.unfinished_of(session, row.id)) is not None:
+        why = f"the check before it, {before.id}, has not ended: {before.phase or before.state}"
+        log.warning("schedule %s: no check: %s", row.id, why)
+        _not_made(session, settings, row, [due], schedules.MISSED, why, f"{derived_id('whd', before.id)}m")
         return False
-    return _submitted(session, row, due[-1])
-
-
-def _submitted(session: Session, row: ScheduleRow, due: datetime) -> bool:
     try:
         rig = rigs.active(session, row.rig_id)
         if not rigs.version(session, rig).controller_url:
@@ -56,7 +82,7 @@ def _submitted(session: Session, row: ScheduleRow, due: datetime) -> bool:
         baseline = results.baseline(session, rig)
     except ServiceError as error:
         log.warning("schedule %s: no check: %s", row.id, error)
-        schedules.record_run(session, row.id, due, schedules.REFUSED, detail=str(error))
+        _not_made(session, settings, row, [due], schedules.REFUSED, str(error))
         return False
     by, key = f"schedule {row.id}", f"schedule:{row.id}"
     job = jobs.submit(

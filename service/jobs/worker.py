@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session
 
 from service.config import Settings
 from service.errors import ConfigurationError, ConflictError
-from service.jobs import steps, submission, timetable
+from service.jobs import notices, steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
 from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls, shared_s
@@ -142,9 +142,10 @@ class Worker:
 
     def _hand_over(self) -> None:
         submission.hand_over_all(self.context.database, self.context.dispatcher)
+        notices.hand_over_all(self.context.database, self.context.dispatcher)
 
     def _keep_schedules(self) -> None:
-        timetable.keep(self.context.database)
+        timetable.keep(self.context.database, self.settings)
 
     def _share_polls(self) -> None:
         """Look into the queues the less often the more workers do; whoever comes or goes is noticed by all."""

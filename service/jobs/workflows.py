@@ -58,6 +58,8 @@ def health(job_id: str, run: int) -> None:
     _end(job_id, run, found)
     if found["state"] == jobs.DONE:
         DBOS.run_step({"name": "notify"}, notices.begin, found["result"]["health"])
+    elif found["state"] == jobs.FAILED:
+        DBOS.run_step({"name": "notify"}, notices.begin_failed, job_id, run)
 
 
 @DBOS.workflow(name=NOTICE, max_recovery_attempts=None)

@@ -87,6 +87,12 @@ def listed(
     return page(session, JobRow, *conditions, after=after, limit=limit)
 
 
+def unfinished_of(session: Session, schedule_id: str) -> JobRow | None:
+    """The job of a schedule that has not ended, if there is one."""
+    query = select(JobRow).where(JobRow.state.in_((QUEUED, RUNNING)), JobRow.schedule_id == schedule_id).limit(1)
+    return session.scalar(query)
+
+
 def counts(session: Session) -> dict[str, int]:
     """Number of jobs by state."""
     found = session.execute(select(JobRow.state, func.count()).group_by(JobRow.state))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
@@ -74,6 +75,51 @@ def runs(session: Session, schedule_id: str, after: int | None = None, limit: in
         key="due_at",
         told=lambda due: str((due - _EPOCH) // _MICROSECOND),
     )
+
+
+def add_delivery(
+    session: Session, schedule: ScheduleRow, delivery_id: str, contents: dict[str, Any], health_id: str = ""
+) -> bool:
+    """Have the webhook of a schedule told something, once for each id; whether there is one to be told."""
+    if not schedule.webhook_url:
+        return False
+    if session.get(WebhookRow, delivery_id) is None:
+        at = now()
+        session.add(
+            WebhookRow(
+                id=delivery_id,
+                schedule_id=schedule.id,
+                health_id=health_id,
+                url=schedule.webhook_url,
+                contents=contents,
+                state=PENDING,
+                created_at=at,
+                updated_at=at,
+            )
+        )
+    return True
+
+
+def undispatched(session: Session, limit: int = 200) -> list[str]:
+    """Ids of messages that the engine was not told of."""
+    query = select(WebhookRow.id).where(WebhookRow.dispatched.is_(False)).order_by(WebhookRow.id).limit(limit)
+    return list(session.scalars(query))
+
+
+def dispatched(session: Session, delivery_id: str) -> None:
+    """Note that the engine knows of a message."""
+    session.execute(update(WebhookRow).where(WebhookRow.id == delivery_id).values(dispatched=True))
+
+
+def switch_off(session: Session, rig_id: str) -> list[ScheduleRow]:
+    """Check a rig no more by the clock; the schedules that did."""
+    query = select(ScheduleRow).where(
+        ScheduleRow.rig_id == rig_id, ScheduleRow.enabled, ScheduleRow.deleted_at.is_(None)
+    )
+    found = list(session.scalars(query.with_for_update()))
+    for row in found:
+        row.enabled, row.updated_at = False, now()
+    return found
 
 
 def give_up_deliveries(session: Session, schedule_id: str, why: str) -> None:

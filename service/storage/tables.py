@@ -8,7 +8,20 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 
-from sqlalchemy import JSON, Boolean, DateTime, Dialect, Float, ForeignKey, Index, Integer, LargeBinary, String, Text
+from sqlalchemy import (
+    JSON,
+    Boolean,
+    DateTime,
+    Dialect,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    String,
+    Text,
+    true,
+)
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
@@ -210,8 +223,13 @@ class WebhookRow(Base):
 
     id: Mapped[str] = _id()
     schedule_id: Mapped[str] = _reference("schedules.id")
-    health_id: Mapped[str] = mapped_column(ID, index=True)
+    health_id: Mapped[str] = mapped_column(ID, default="", index=True)
+    """The check that it tells of; empty where there is none to tell of."""
     url: Mapped[str] = mapped_column(Text)
+    contents: Mapped[Document] = mapped_column(default=dict, server_default="{}")
+    """What is sent; empty in rows of an earlier version, which tell of their check."""
+    dispatched: Mapped[bool] = mapped_column(Boolean, default=False, server_default=true(), index=True)
+    """Whether the engine knows of it."""
     state: Mapped[str] = mapped_column(String(20))
     """pending, delivered or failed."""
     attempts: Mapped[int] = mapped_column(Integer, default=0)

@@ -28,6 +28,7 @@ def test_databases_are_in_home_unless_told_otherwise(tmp_path):
         ("colour = 1", {}, "ambit.toml: colour: there is no such setting"),
         ("", {"AMBIT_PORT": "many"}, "AMBIT_PORT: port: "),
         ("", {"AMBIT_DATABASE_URL": "mysql://h/d"}, "neither sqlite"),
+        ("", {"AMBIT_PUBLIC_URL": "rotor.example.org"}, "no address of a service"),
         ("port =", {}, "cannot read the settings"),
     ],
 )

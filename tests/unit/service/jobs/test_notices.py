@@ -1,15 +1,17 @@
 """Webhooks: a real receiver checks the signature; what it does not take is sent again, and then given up."""
 
+import json
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
 import pytest
 
+from service.config import Settings
 from service.health.webhook import Message, new_secret, verify
 from service.jobs import context as contexts
-from service.jobs import notices
-from service.storage import rigs, schedules
+from service.jobs import notices, steps, workflows
+from service.storage import jobs, rigs, schedules
 from service.storage.database import now
 from service.storage.tables import ExperimentRow, HealthRow, ModelRow, ScheduleRow, WebhookRow
 from tests.support.databases import migrated
@@ -53,9 +55,13 @@ def told(tmp_path, monkeypatch):
     """Deliveries that were handed to the engine."""
     with migrated("sqlite", tmp_path) as database:
         handed = []
-        dispatcher = SimpleNamespace(notify=handed.append)
-        monkeypatch.setattr(contexts, "_context", SimpleNamespace(database=database, dispatcher=dispatcher))
-        yield SimpleNamespace(database=database, handed=handed)
+        context = SimpleNamespace(
+            database=database,
+            dispatcher=SimpleNamespace(notify=handed.append),
+            settings=Settings(home=tmp_path, public_url="https://rotor.example.org"),
+        )
+        monkeypatch.setattr(contexts, "_context", context)
+        yield SimpleNamespace(database=database, handed=handed, dispatcher=context.dispatcher)
 
 
 def check(database, url, alarm, secret="", on="alarm"):
@@ -108,7 +114,69 @@ def test_an_alarm_is_signed_and_heard(told, receiver):
     (message,) = receiver.messages  # once
     verify(message, secret, now().timestamp())
     assert b'"type":"health.alarm"' in message.body
+    assert b'"url":"https://rotor.example.org/api/v1/health-checks/hc_1"' in message.body
     assert (delivery(told).state, delivery(told).attempts, delivery(told).status_code) == ("delivered", 1, 204)
+
+
+def failed_check(told, url):
+    """A scheduled check that failed; its id."""
+    check(told.database, url, False, new_secret())
+    with told.database.write() as session:
+        rig = session.get(ScheduleRow, "sch_1").rig_id
+        job = jobs.submit(session, "health", rig, 1, "schedule sch_1", schedule_id="sch_1")
+        jobs.finish(session, job.id, 1, jobs.FAILED, {}, "bus error", "no answer")
+        return job.id
+
+
+def test_a_check_that_failed_is_told_whatever_the_webhook_wants_to_know(told, receiver):
+    job = failed_check(told, f"http://127.0.0.1:{receiver.server_port}/")
+    for _ in range(2):  # a step that is repeated
+        notices.begin_failed(job, 1)
+    assert len(set(told.handed)) == 1
+    assert notices.attempt(told.handed[0]) is None
+    (message,) = receiver.messages
+    body = json.loads(message.body)
+    assert (body["type"], body["data"]["job"]) == ("health.failed", job)
+    assert body["data"]["url"] == f"https://rotor.example.org/api/v1/jobs/{job}"
+    assert "bus error: no answer" in body["data"]["sentence"]
+    with told.database.write() as session:  # tried again, and failed again: another message
+        jobs.retry(session, job, "me")
+        jobs.finish(session, job, 2, jobs.FAILED, {}, "bus error", "no answer")
+    notices.begin_failed(job, 1)  # a late word of the first run
+    notices.begin_failed(job, 2)
+    assert len(set(told.handed)) == 2
+
+
+def test_the_workflow_of_a_check_tells_that_it_failed(monkeypatch):
+    begun = []
+    answers = {"measure": {"state": "failed", "result": {}, "title": "bus error", "detail": "no answer"}}
+    monkeypatch.setattr(notices, "begin_failed", lambda *run: begun.append(run))
+    monkeypatch.setattr(steps, "finish", lambda *_: None)
+    monkeypatch.setattr(
+        workflows.DBOS, "run_step", lambda options, work, *given: answers.get(options["name"]) or work(*given)
+    )
+    workflows.health.__wrapped__("job_1", 2)
+    assert begun == [("job_1", 2)]
+
+
+def test_a_message_that_the_engine_was_not_told_of_is_handed_over_later(told):
+    def away(_):
+        raise OSError("no engine")
+
+    health, told.dispatcher.notify = check(told.database, "http://127.0.0.1:9/", True, new_secret()), away
+    notices.begin(health)
+    told.dispatcher.notify = told.handed.append
+    for _ in range(2):
+        notices.hand_over_all(told.database, told.dispatcher)
+    assert told.handed == ["whd_1"]
+
+
+def test_a_message_of_an_earlier_version_is_sent_all_the_same(told, receiver):
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    with told.database.write() as session:
+        session.get(WebhookRow, "whd_1").contents = {}
+    notices.attempt("whd_1")
+    assert b'"type":"health.alarm"' in receiver.messages[0].body
 
 
 def test_what_is_not_taken_is_sent_again_and_at_last_given_up(told, receiver):
