@@ -27,7 +27,7 @@ from service.identification.figures import (
     roots,
     stiffness,
 )
-from service.identification.judged import cross_validation, frequency_fit, residual_tests, unseen_modes
+from service.identification.judged import cross_validation, frequency_fit, residual_tests, unseen_modes, unseen_splits
 from service.identification.margins import axis_margins, dense_grid
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
@@ -80,7 +80,7 @@ def assemble(
         fit_percent=fit,
         cross_validation_fit_percent=cross,
         cross_validation_rms=cross_rms,
-        staged=_staged(staged),
+        staged=_staged(staged, held_out),
         residual_rms=rms,
         residual_rms_total=total,
         tests=tests,
@@ -146,11 +146,11 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
     return tuple(warnings)
 
 
-def _staged(fit: StagedFit) -> Staged:
+def _staged(fit: StagedFit, held_out: PlanePoints | None) -> Staged:
     flexible = fit.flexible
     return Staged(
         fit.split_rad_s / (2 * np.pi),
-        fit.split_evidence,
+        unseen_splits(fit, held_out),
         fit.rigid_model.ki,
         fit.rigid_model.ks,
         fit.rigid_fit_percent,

@@ -12,6 +12,7 @@ from service.identification.plane_model import Amplitude, PlaneModel, Points
 from service.identification.points import PlanePoints, same_frequency
 from service.identification.refine import FAR, NEAR, Refined, amplitude_of, noise_of
 from service.identification.selection import Selected
+from service.identification.staged import StagedFit
 from service.identification.validation import CorrelationTest, independence, nrmse_matrix, whiteness
 from service.identification.zoh import Complex, Real
 
@@ -81,5 +82,19 @@ def unseen_modes(selected: Selected, points: PlanePoints | None) -> tuple[Eviden
     out = []
     for e, model in zip(selected.evidence, selected.candidates, strict=True):
         y = model.predict(Points(points.omega, points.u), amplitude_of(model, points, NEAR)).y
+        out.append(replace(e, unseen_rms=float(np.sqrt(np.mean(np.abs((points.y - y) / sigma) ** 2)))))
+    return tuple(out)
+
+
+def unseen_splits(staged: StagedFit, points: PlanePoints | None) -> tuple[Evidence, ...]:
+    """The evidence on the split, with how each does on points that no fit has seen, in units of their noise."""
+    if points is None:
+        return staged.split_evidence
+    model = staged.rigid_model
+    sigma = noise_of(model, points, None).sigma[:, -2:]
+    current = model.amplifier_response(points.omega) * points.u
+    out = []
+    for e, stacked in zip(staged.split_evidence, staged.splits, strict=True):
+        y = np.einsum("pab,pb->pa", stacked.response(model, points.omega), current)
         out.append(replace(e, unseen_rms=float(np.sqrt(np.mean(np.abs((points.y - y) / sigma) ** 2)))))
     return tuple(out)

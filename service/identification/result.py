@@ -136,7 +136,7 @@ class Staged:
     """The thesis's steps one after another, before the joint refinement."""
 
     split_hz: float
-    split_evidence: tuple[dict[str, float], ...]
+    split_evidence: tuple[Evidence, ...]
     ki: Real
     ks: Real
     rigid_fit_percent: Real
@@ -237,7 +237,7 @@ class PlaneResult:
                 "flexible_fit_percent": _matrix(self.staged.flexible_fit_percent),
                 "complete_fit_percent": self.staged.complete_fit_percent.tolist(),
                 "split_hz": self.staged.split_hz,
-                "split_evidence": list(self.staged.split_evidence),
+                "split_evidence": [evidence_document(e) for e in self.staged.split_evidence],
                 "ki_n_per_a": self.staged.ki.tolist(),
                 "ks_n_per_m": self.staged.ks.tolist(),
             },

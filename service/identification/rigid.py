@@ -6,23 +6,10 @@ is linear in the four factors, which gives a start that needs no datasheet value
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real
-
-
-@dataclass(frozen=True)
-class RigidFit:
-    """Four factors and how well the rigid model with them fits."""
-
-    ki: Real
-    ks: Real
-    limit_rad_s: float
-    fit_percent: Real
-    """(2, 2) NRMSE below the limit."""
 
 
 def inverse_mass(mass_kg: float, inertia_kgm2: float, bearing_from_cog_m: tuple[float, float]) -> Real:

@@ -168,7 +168,7 @@ def _more(plane: PlaneResult) -> str:
         "small",
     )
     return (
-        f"<details><summary>How many modes, and of which order the amplifiers</summary>{evidence}</details>"
+        f"<details><summary>Number of modes, split of the steps, order of the amplifiers</summary>{evidence}</details>"
         f"<details><summary>Inertia and centre of gravity</summary>{_extended(plane)}</details>"
         f"<details><summary>State space of the plant, modal form</summary>{_state_space(plane)}</details>"
     )
@@ -176,7 +176,7 @@ def _more(plane: PlaneResult) -> str:
 
 def _candidates(plane: PlaneResult) -> list[tuple[str, Evidence]]:
     """Every alternative that was tried, with its name."""
-    found = [(e.name, e) for e in plane.mode_evidence]
+    found = [(e.name, e) for e in (*plane.mode_evidence, *plane.staged.split_evidence)]
     for axis, a in plane.amplifiers.items():
         found += [(f"amplifier {plane.plane}{axis}, {e.name}", e) for e in a.evidence]
     return found
