@@ -1,4 +1,4 @@
-"""Tails of the normal, Student's and the chi-squared distribution, and the values that are exceeded with a probability.
+"""Tails of the normal, Student's, the chi-squared and the F distribution, and the values that they exceed.
 
 They are what `scipy.stats` calls; importing that takes a second, which every command and every process would wait for.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from scipy.special import chdtrc, chdtri, ndtr, ndtri, stdtr, stdtrit
+from scipy.special import chdtrc, chdtri, fdtrc, ndtr, ndtri, stdtr, stdtrit
 
 
 def normal_tail(x: Any) -> Any:
@@ -62,3 +62,12 @@ def chi2_above(probability: Any, freedom: Any) -> Any:
     18.307038
     """
     return chdtri(freedom, probability)
+
+
+def f_tail(x: Any, above: Any, below: Any) -> Any:
+    """Probability that F with these degrees of freedom exceeds x.
+
+    >>> round(float(f_tail(4.102821, 2, 10)), 6)
+    0.05
+    """
+    return fdtrc(above, below, x)

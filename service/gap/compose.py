@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.candidates import Candidate
+from service.gap.evidence import log_likelihood
 from service.gap.fit import Fit, Problem
 from service.gap.interference import Interference
 from service.gap.nuisance import Nuisance
@@ -16,8 +17,8 @@ from service.gap.observation import Observation
 from service.gap.part import STANDSTILL, driven_by_current
 from service.gap.search import Explained
 from service.gap.shrinkage import closure_of
-from service.gap.significance import significance
-from service.gap.verdict import VISIBLE, Ranked, Verdict, decide
+from service.gap.significance import overall, significance
+from service.gap.verdict import HeldOut, Ranked, Verdict, decide
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
@@ -114,21 +115,30 @@ def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observ
     return o, there.residuals(candidate.fit)[0]
 
 
-def held_out_closure(e: Explained, unseen: Observation) -> float | None:
-    """Closure of a part's best explanation on the unseen sweep; None where the plain twin has no gap there."""
-    before, after = (
-        float(np.mean(np.abs(on_sweep(e, c, unseen)[1]) ** 2) / 2) for c in (e.null.candidate, e.order[0].candidate)
-    )
-    return closure_of(before, after) if before > VISIBLE else None
+def held_out(e: Explained, unseen: Observation) -> HeldOut:
+    """A part on the unseen sweep, with the plain twin and with the best explanation."""
+    o, before = on_sweep(e, e.null.candidate, unseen)
+    _, after = on_sweep(e, e.order[0].candidate, unseen)
+    f = o.fundamental
+    gap, left = (max(significance(z[:, [f]], o), overall(z[:, f])) for z in (before, after))
+    J_b, J_a, J_fb, J_fa = (float(np.mean(np.abs(z) ** 2) / 2) for z in (before, after, before[:, f], after[:, f]))
+    apart = np.arange(before.shape[1]) == f
+    support = 0.0
+    for group in (apart, ~apart):
+        b, a = (float(np.sum(np.abs(z[:, group]) ** 2)) for z in (before, after))
+        noise = min(float(2 * before[:, group].size), a, b)
+        support += float(log_likelihood(np.array(a - noise)) - log_likelihood(np.array(b - noise)))
+    closes = closure_of(J_fb, J_fa)
+    return HeldOut(J_b, J_a, gap, left, 1.0 if closes is None else closes, support)
 
 
-def verdict_of(found: Sequence[Explained], closures: Mapping[str, float | None], unseen: Observation) -> Verdict:
+def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen: Observation) -> Verdict:
     """One verdict from the parts': what nothing explains in one part outweighs what is explained in others."""
     own = {}
     for e in found:
-        there, z = on_sweep(e, e.null.candidate, unseen)
-        significant = max(e.significance, significance(z, there))
-        own[e.part.path] = decide(e.order, e.remaining, closures[e.part.path], significant)
+        seen, z = on_sweep(e, e.null.candidate, unseen)
+        significant = max(e.significance, significance(z, seen))
+        own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant)
         if own[e.part.path].kind != "no_gap" and (reason := other_rig(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,))
     by_size = sorted(found, key=lambda e: -_excess(e))

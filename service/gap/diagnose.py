@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from service.experiment.data import Experiment, Sweep
+from service.experiment.data import Experiment
 from service.gap.candidates import Candidate, Fitter
 from service.gap.compose import (
     Composition,
     chosen_in,
     composed,
     dated,
-    heard_too,
-    held_out_closure,
     on_sweep,
-    verdict_of,
     with_interference,
 )
-from service.gap.document import gap_document
+from service.gap.conditions import same_condition
+from service.gap.document import gap_document, listed
 from service.gap.interference import hums_hz, interference, measured_by, scatter_shrinkage
+from service.gap.judged import judged
 from service.gap.log import log_fault
 from service.gap.loop import loop_figures
 from service.gap.modes import with_identified_modes
@@ -32,16 +31,16 @@ from service.gap.observation import GapError, Observation, observe
 from service.gap.part import Ground, Values, driven_by_current, parts
 from service.gap.predict import at_speed_of
 from service.gap.search import MOST, Explained, explain, plain_twin
+from service.gap.settling import DRIFTS
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
-from service.gap.significance import significance
+from service.gap.significance import SIGNIFICANT, significance
+from service.gap.sweeps import halves, notes_on, span_s, sweeps_for
 from service.gap.telling import ProgressCallback, Telling
 from service.gap.thin import thinned
 from service.gap.verdict import VISIBLE, Ranked, Verdict
-from service.gap.where import SIGNIFICANT, Where, locate
+from service.gap.where import Where, locate
 from sim.datasheet import Datasheet
 
-CLOSED = 12
-"""Best explanations whose closure on the unseen sweep is computed."""
 ONE_SWEEP, FITTED = 80.0, 97.0
 """Percent that are done when the main sweep is explained, and when every fit is done."""
 UNDERSTOOD = 4.0
@@ -59,7 +58,7 @@ class Diagnosis:
     order: tuple[Ranked, ...]
     verdict: Verdict
     shrinkage: Shrinkage
-    closures: dict[tuple[str, ...], float]
+    closures: dict[tuple[str, ...], float | None]
     gap_before: float
     noise_floor: float
     gaps_after: dict[tuple[str, ...], float]
@@ -85,22 +84,6 @@ class Diagnosis:
         return next((r.candidate for r in self.order if r.candidate.effects == self.verdict.effects), self.null)
 
 
-def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
-    """The sweep to fit, the one that no fit sees, and its name; only excited sweeps of the plant count."""
-    # Lines of a multisine drive the magnets' nonlinearity together, and the fits here know one tone at a time.
-    excited = [
-        (k, s)
-        for k, s in enumerate(experiment.sweeps)
-        if s.kind == "stepped-sine" and s.comment not in ("amplifier", "coarse")
-    ]
-    if not excited:
-        raise GapError("the experiment has no stepped-sine sweep of the plant; run one, then diagnose")
-    main = excited[0][1]
-    for k, s in excited[1:]:
-        return main, s, f"sweeps/{k}"
-    return main, None, "every other line of sweeps/0"
-
-
 def diagnose(
     experiment: Experiment, datasheet: Datasheet, jobs: int = 1, progress: ProgressCallback | None = None
 ) -> Diagnosis:
@@ -121,7 +104,7 @@ def diagnose(
     if experiment.axes != datasheet.axes:
         raise GapError(f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}")
     main, other, name = sweeps_for(experiment)
-    notes = _notes(main, other, datasheet)
+    notes = notes_on(main, other, datasheet)
     if not datasheet.modes:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
@@ -132,39 +115,36 @@ def diagnose(
         main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)
     sources = interference(main, nu.rig)
     hums = hums_hz(sources)
-    span_s = _span_s(main, other)
-    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span_s)
-    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span_s)
-    if o.unsettled > 0.3:
-        notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled; their weight is reduced")
-    amplitude_dependent = False
+    span = span_s(main, other)
+    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span)
+    unseen = whole_other = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span)
+    if o.unsettled > DRIFTS:
+        notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
+    if not lines_only and (same := same_condition(o, unseen)):
+        notes.append(same)
     telling = Telling(progress)
     with Fitter(jobs, telling.fitted) as fitter:
         aloud = not all(s.heard_hz for s in sources)
         found, fault = _explained(fitter, nu, (o,), {}, aloud, telling, (0.0, FITTED if lines_only else ONE_SWEEP))
         failing = {} if lines_only or fault else {e.part.path: e for e in found if _fails_on(e, unseen)}
         if failing:
-            amplitude_dependent = True
-            seen, unseen, name = _halves(other, nu, name, hums, span_s)
+            seen, unseen, name = halves(other, nu, name, hums, span)
             known = {e.part.path: e for e in found if e.part.path not in failing}
             found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED), failing)
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
     telling.judging(FITTED)
-    whole = dated(composed(nu, found), nu.rig, None if span_s is None else span_s[1] - span_s[0])
+    whole = dated(composed(nu, found), nu.rig, None if span is None else span[1] - span[0])
     fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
     sources = [measured_by(s, main, fitted) if s.heard_hz else s for s in sources]
     whole = with_interference(whole, sources)
     null = whole.null.candidate
+    verdict = judged(found, o, unseen, relative_gap(null.fit.rig, o), sources, fault)
     closures, gaps = {}, {}
     before = shrinkage(null.fit.rig, null.fit.rig, unseen, name)
-    for r in whole.order[:CLOSED]:
+    for r in listed(whole.order, verdict.effects):
         after = shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, name)
         closures[r.candidate.effects] = after.closure
         gaps[r.candidate.effects] = relative_gap(r.candidate.fit.rig, unseen)
-    verdict = verdict_of(found, {e.part.path: held_out_closure(e, unseen) for e in found}, unseen)
-    verdict = heard_too(verdict, sources)
-    if fault is not None:
-        verdict = Verdict("none_of_these", (), (), 0.9, (fault,))
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     shrunk = shrinkage(null.fit.rig, chosen.fit.rig, unseen, name) if verdict.effects else before
     if sources and len(verdict.effects) == len(sources):
@@ -172,7 +152,7 @@ def diagnose(
         closures[verdict.effects] = shrunk.closure
     return Diagnosis(
         experiment.rig,
-        locate(found, amplitude_dependent, sources),
+        locate(found, whole_other, verdict.effects, sources),
         whole.order,
         verdict,
         shrunk,
@@ -244,32 +224,6 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
     return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
 
 
-def _span_s(*sweeps: Sweep) -> tuple[float, float] | None:
-    """When the first point of all was measured and when the last, s; None where the file does not tell."""
-    times = [s.time_s for s in sweeps if s.time_s is not None and np.isfinite(s.time_s).all() and s.n_points]
-    if len(times) < len(sweeps):
-        return None
-    first, last = min(float(t.min()) for t in times), max(float(t.max()) for t in times)
-    return (first, last) if last > first else None
-
-
-def _halves(
-    other: Sweep, nu: Nuisance, name: str, hums: Sequence[float], span_s: tuple[float, float] | None
-) -> tuple[Observation, Observation, str]:
-    """The other sweep in two: even lines to fit, odd lines unseen."""
-    line = np.unique(other.frequency_hz, return_inverse=True)[1]
-    seen, unseen = (
-        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums, span_s)
-        if (line % 2 == k).sum() * 2 > 16
-        else None
-        for k in (0, 1)
-    )
-    if seen is None or unseen is None:
-        whole = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span_s)
-        return whole, whole, name + " (fitted too)"
-    return seen, unseen, name + ", every other line"
-
-
 def _left(whole: Composition, verdict: Verdict) -> list[Candidate]:
     """Explanations that are still to be told apart: of one alias class, or of nearly the same evidence."""
     if verdict.kind in ("no_gap", "none_of_these"):
@@ -281,18 +235,3 @@ def _left(whole: Composition, verdict: Verdict) -> list[Candidate]:
         for r in whole.order
         if r.candidate.effects and (set(r.candidate.effects) <= names or r.log_evidence > best.log_evidence - 5.0)
     ][:2]
-
-
-def _notes(main: Sweep, other: Sweep | None, datasheet: Datasheet) -> list[str]:
-    notes = []
-    if other is None:
-        notes.append(
-            "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
-        )
-    if main.I is None:
-        notes.append("the coil current was not logged: amplifier and plant cannot be told apart, alias classes grow")
-    if datasheet.n_axes == 2:
-        notes.append("two axes only: effects that couple x and y cannot be seen")
-    if not datasheet.tolerance_stated:
-        notes.append("the datasheet states no tolerances: this product's defaults are assumed")
-    return notes

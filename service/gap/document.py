@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from service.gap.shrinkage import Closed
 from service.gap.verdict import Ranked
 
 if TYPE_CHECKING:
@@ -13,6 +15,26 @@ if TYPE_CHECKING:
 
 SHOWN = 10
 """Candidates in the report."""
+
+
+def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = SHOWN) -> list[Ranked]:
+    """Explanations for the report: the chosen one, rivals by falling evidence, then what adds to the chosen one.
+
+    What contains the chosen one is no rival of it, and there are so many that they would crowd out all others.
+    """
+    effects = [r for r in order if r.candidate.effects]
+    if not chosen:
+        return effects[:most]
+    named = [r for r in effects if r.candidate.effects == chosen]
+    more = [r for r in effects if set(chosen) < set(r.candidate.effects)]
+    rivals = [r for r in effects if r not in named and r not in more]
+    return [*named, *rivals, *more][:most]
+
+
+def runner_up(order: Sequence[Ranked], chosen: tuple[str, ...]) -> Ranked | None:
+    """The best explanation that does not contain the chosen one."""
+    rivals = (r for r in order if r.candidate.effects and not set(chosen) <= set(r.candidate.effects))
+    return next(rivals, None) if chosen else None
 
 
 def verdict_path(d: Diagnosis) -> str:
@@ -50,9 +72,15 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
     }
 
 
+def _closed(c: Closed) -> dict[str, Any]:
+    return {"before": c.before, "after": c.after, "closure": c.closure, "closure_95": list(c.closure_95)}
+
+
 def gap_document(d: Diagnosis) -> dict[str, Any]:
     """gap.json as plain values; numbers are finite or None."""
-    w, s, v = d.where, d.shrinkage, d.verdict
+    w, s, v, axes = d.where, d.shrinkage, d.verdict, d.null.fit.rig.axes
+    rival = runner_up(d.order, v.effects)
+    second = None if rival is None else rival.candidate.effects
     document = {
         "format": "amb-gap-report",
         "version": 1,
@@ -63,11 +91,12 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
             "paths": [
                 {"path": p.path, "gap": p.gap, "significance": p.significance, "logged": p.logged} for p in w.paths
             ],
-            "bands": [{"from_hz": a, "to_hz": b, "gap": g} for a, b, g in w.bands],
-            "channels": [{"output": a, "input": b, "gap": g} for a, b, g in w.channels],
+            "bands": [{"from_hz": a, "to_hz": b, "gap": g, "significance": z} for a, b, g, z in w.bands],
+            "channels": [{"output": a, "input": b, "gap": g, "significance": z} for a, b, g, z in w.channels],
+            "bands_and_channels_of": w.blamed,
             "harmonics": [{"signal": a, "harmonic": h, "significance": g} for a, h, g in w.harmonics],
-            "amplitude_dependent": w.amplitude_dependent,
-            "speed_dependent": w.speed_dependent,
+            "amplitude_dependent": w.depends.amplitude,
+            "speed_dependent": w.depends.speed,
         },
         "verdict": {
             "kind": v.kind,
@@ -77,7 +106,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
             "reasons": list(v.reasons),
             "sentence": sentence(d),
         },
-        "candidates": [_candidate(d, r) for r in d.order if r.candidate.effects][:SHOWN],
+        "candidates": [_candidate(d, r) for r in listed(d.order, v.effects)],
         "shrinkage": {
             "held_out": s.held_out,
             "before": s.before,
@@ -85,7 +114,13 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
             "noise_floor": s.noise_floor,
             "closure": s.closure,
             "closure_95": list(s.closure_95),
-            "by_path": s.by_path,
+            "by_path": {path: c.closure for path, c in s.paths.items() if c.closure is not None},
+            "runner_up": None if second is None else {"effects": list(second), "closure": d.closures.get(second)},
+            "paths": [{"path": path, "noise_floor": s.noise_floor} | _closed(c) for path, c in s.paths.items()],
+            "channels": [
+                {"signal": signal, "output": axes[a], "input": axes[b], "noise_floor": s.noise_floor} | _closed(c)
+                for (signal, a, b), c in s.channels.items()
+            ],
         },
         "loop": d.loop,
         "next_experiment": d.next_experiment,
@@ -109,19 +144,23 @@ def _finite(value: Any) -> Any:
 def sentence(d: Diagnosis) -> str:
     """The diagnosis in one sentence: where, which, how far, how sure."""
     v, s = d.verdict, d.shrinkage
-    gap = f"{100 * d.gap_before:.2g} %"
+    gap, sure = f"{100 * d.gap_before:.2g} %", f"probability {100 * v.probability:.0f} %"
     if v.kind == "no_gap":
-        return f"No gap: the twin explains the rig to {gap}, which is noise and the datasheet's tolerances."
+        return f"No gap ({sure}): the twin explains the rig to {gap}, which is noise and the datasheet's tolerances."
+    if not v.settled:
+        return f"Nothing can be said of the gap: {v.reasons[0]}."
     if v.kind == "none_of_these":
         why = f" ({v.reasons[0]})" if v.reasons else ""
         return (
             f"The rig differs from its twin by {gap}, most of all in the {verdict_path(d)}, "
-            f"and no known effect explains it{why}."
+            f"and no known effect explains it{why}, {sure}."
         )
     words = " and ".join(e.replace("_", " ") for e in v.effects)
     others = [e.replace("_", " ") for group in v.indistinguishable for e in group if e not in v.effects]
     unsure = f", not told apart from {', '.join(others)}" if others else ""
-    return (
-        f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} "
-        f"(probability {100 * v.probability:.0f} %), which closes {100 * s.closure:.0f} % of the gap on unseen data."
+    far = (
+        "; the unseen sweep does not show this gap, so how much of it closes is not known"
+        if s.closure is None
+        else f", which closes {100 * s.closure:.0f} % of the gap on unseen data"
     )
+    return f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} ({sure}){far}."

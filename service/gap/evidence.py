@@ -43,7 +43,12 @@ def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float
     harmonics does not drown one that shows in the fundamental.
     """
     excess = np.array([max(chi - level, 0.0) for (chi, _), level in zip(fit.groups, noise, strict=True)])
-    return float(-0.5 * MODEL_ERRORS * np.log1p(excess / MODEL_ERRORS).sum() - 0.5 * fit.penalty + occam_factor)
+    return float(log_likelihood(excess).sum() - 0.5 * fit.penalty + occam_factor)
+
+
+def log_likelihood(excess: Real) -> Real:
+    """Log likelihood of groups that leave so much chi-square beyond a right twin's."""
+    return np.asarray(-0.5 * MODEL_ERRORS * np.log1p(excess / MODEL_ERRORS))
 
 
 def probabilities(log_evidence: Real) -> Real:

@@ -18,7 +18,7 @@ from service.experiment.data import Sweep
 from service.gap.candidates import LAW_ERROR
 from service.gap.coherent import coherence, hum_power, without_hum
 from service.gap.observation import HUMMED, block_scatter, near_hum, usable
-from service.gap.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of
+from service.gap.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
 from sim.rig import Rig
 from sim.twin import linear_model
 
@@ -212,9 +212,9 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
     resampled = [
         closure_of(float(b), float(a)) for b, a in zip(before[drawn].mean(1), after[drawn].mean(1), strict=True)
     ]
-    low, high = np.quantile(resampled, [0.025, 0.975])
+    told = interval_95([c for c in resampled if c is not None], len(resampled))
     J_b, J_a = float(before.mean()), float(after.mean())
-    return Shrinkage(name, J_b, J_a, NOISE, closure_of(J_b, J_a), (float(low), float(high)), {})
+    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), told, name, NOISE)
 
 
 def hums_hz(sources: Sequence[Interference]) -> tuple[float, ...]:

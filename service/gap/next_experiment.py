@@ -80,7 +80,8 @@ def planned(rig: Rig, o: Observation, option: Option) -> Observation:
     noise = [np.broadcast_to(np.median(sd, axis=0), shape) for sd in (o.sd_u, o.sd_i, o.sd_y)]
     return Observation(
         option.frequency_hz, line, axis, o.harmonics, R, U, None if o.I is None else U, np.zeros(shape, dtype=complex),
-        noise[0], noise[1], noise[2], np.linspace(1, 2, len(line)), 0.0, option.speed_rad_s,
+        noise[0], noise[1], noise[2], np.linspace(1, 2, len(line)), np.zeros(len(line), dtype=bool),
+        np.zeros(len(line)), option.speed_rad_s,
     )  # fmt: skip
 
 

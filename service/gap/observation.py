@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
 from service.gap.coherent import PATTERNS, deviation, left_in_mean, without_hum
+from service.gap.settling import drifting
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
@@ -77,14 +78,21 @@ class Observation:
     sd_y: Real
     progress: Real
     """(P,) when each was measured, 0 to 1 over the sweeps looked at"""
-    unsettled: float
-    """Share of points that still drift from their first block to their last."""
+    drifting: NDArray[np.bool_]
+    """(P,) which points had not settled"""
+    drift: Real
+    """(P,) change along the trend of a point's blocks, relative to its size"""
     speed_rad_s: float
 
     @property
     def points_hz(self) -> Real:
         """Excited frequency of each point, (P,)."""
         return self.frequency_hz[self.line]
+
+    @property
+    def unsettled(self) -> float:
+        """Share of points that still drift from their first block to their last."""
+        return float(self.drifting.mean())
 
     @property
     def fundamental(self) -> int:
@@ -210,8 +218,7 @@ def observe(
     mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
     sd_u, sd_y = (_with_floor(sd, mean, sweep.harmonics) for sd, mean in ((sd_u, mean_u), (sd_y, mean_y)))
     sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
-    drift_y, unsettled = _drift(Y[:, :, f], sd_y[:, f], blocks)
-    drift_u, _ = _drift(U[:, :, f], sd_u[:, f], blocks)
+    drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _drift(U[:, :, f], sd_u[:, f], blocks)
     sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
     rings = _ringing(rig, sweep)
     sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
@@ -231,7 +238,7 @@ def observe(
         sd_i,
         sd_y,
         _progress(sweep, progress, span_s),
-        unsettled,
+        *drifting(sweep),
         sweep.speed_rad_s,
     )
 
@@ -285,9 +292,7 @@ def _ringing(rig: Rig, sweep: Sweep) -> NDArray[np.bool_]:
     return np.asarray(np.any(np.abs(at[..., None] - modes) < RINGING * modes, axis=-1))
 
 
-def _drift(Y: Complex, sd: Real, blocks: int) -> tuple[Real, float]:
-    """Significant change of each point from its first block to its last, (P,), m, and the share of points with one."""
+def _drift(Y: Complex, sd: Real, blocks: int) -> Real:
+    """Change of each point from its first block to its last beyond what noise allows, (P,), m or A."""
     change = np.abs(Y[:, -1] - Y[:, 0])
-    expected = 4 * sd * np.sqrt(2 * blocks)
-    excess = np.maximum(change - expected, 0.0)
-    return excess.max(axis=1), float(np.mean(np.any(excess > 0, axis=1)))
+    return np.asarray(np.maximum(change - 4 * sd * np.sqrt(2 * blocks), 0.0).max(axis=1))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,8 @@ from service.gap.observation import Observation
 
 Complex = NDArray[np.complex128]
 
+SIGNIFICANT = 5.0
+"""Standard deviations, after the number of bands and channels looked at, beyond which there is a gap."""
 OUTLIER = 12.0
 """Largest squared residual (over its expectation) that one value adds to a cell."""
 
@@ -21,10 +25,18 @@ def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OU
     """
     edges = np.quantile(o.frequency_hz, np.linspace(0, 1, n_bands + 1))
     which = np.clip(np.searchsorted(edges, o.points_hz, side="right") - 1, 0, n_bands - 1)
+    return worst([z[which == band] for band in range(n_bands)], bound)
+
+
+def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -> float:
+    """Significance of the worst channel of some cells, weighted residuals (points, ...channels) each.
+
+    ``looked_at`` is how many times as many cells were looked at.
+    """
     deviates = []
-    for band in range(n_bands):
+    for z in cells:
         # A few outliers at a sharp peak are not a gap: each value counts up to a bound.
-        cell = np.minimum(np.abs(z[which == band]) ** 2 / 2, bound)  # mean one
+        cell = np.minimum(np.abs(z) ** 2 / 2, bound)  # mean one
         if not len(cell):
             continue
         mean = cell.reshape(len(cell), -1).mean(axis=0)
@@ -32,8 +44,17 @@ def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OU
     if not deviates:
         return 0.0
     values = np.concatenate(deviates)
-    worst = float(values.max())
-    if worst > 30:
-        return worst
-    p = min(1.0, float(normal_tail(worst)) * len(values))
+    largest = float(values.max())
+    if largest > 30:
+        return largest
+    p = min(1.0, float(normal_tail(largest)) * len(values) * looked_at)
     return float(max(normal_above(p), 0.0)) if p < 1 else 0.0
+
+
+def overall(z: Complex) -> float:
+    """Excess of the mean square of all residuals as a normal deviate: what every cell leaves a little of adds up.
+
+    As in `significance` a value counts half and up to a bound.
+    """
+    size = np.minimum(np.abs(z) ** 2 / 2, OUTLIER)
+    return float((size.mean() - 1.0) * np.sqrt(size.size / 2)) if size.size else 0.0

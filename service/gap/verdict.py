@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from service.gap.candidates import Candidate
-from service.gap.evidence import log_evidence, probabilities
+from service.gap.evidence import TEMPERATURE, log_evidence, probabilities
+from service.gap.shrinkage import closure_of
+from service.gap.significance import SIGNIFICANT
 from sim.effects import CATALOGUE
 
 DETECTED = 5.0
@@ -56,6 +59,30 @@ class Verdict:
     probability: float
     """that exactly these are there, each or one of its class"""
     reasons: tuple[str, ...]
+    settled: bool = True
+    """False where the rig drifted so much that the gap could not be judged"""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One part of the loop on the unseen sweep: with the plain twin, and with the explanation that is best."""
+
+    before: float
+    """J of the plain twin, harmonics included"""
+    after: float
+    gap: float = 0.0
+    """significance of what the plain twin leaves at the excited frequency"""
+    left: float = 0.0
+    """the same of the explanation"""
+    closes: float = 1.0
+    """closure at the excited frequency alone"""
+    support: float = 0.0
+    """log likelihood of the explanation less the plain twin's; negative where what it predicts is not there"""
+
+    @property
+    def closure(self) -> float | None:
+        """Share of the gap that is closed, harmonics included; None where the plain twin has none there."""
+        return closure_of(self.before, self.after) if self.before > VISIBLE else None
 
 
 def noise_levels(null: Candidate, candidates: Sequence[Candidate]) -> list[float]:
@@ -130,13 +157,13 @@ def at_the_end_of_its_range(candidate: Candidate) -> bool:
     )
 
 
-def decide(order: Sequence[Ranked], remaining: float, closure: float | None, significant: float) -> Verdict:
+def decide(order: Sequence[Ranked], remaining: float, there: HeldOut, significant: float) -> Verdict:
     """Verdict on one part of the loop, from its ranked explanations.
 
     Parameters
     ----------
     remaining : significance (normal deviate) of what the best explanation leaves
-    closure : share of the part's gap that the best explanation closes on the unseen sweep; None where it has none
+    there : the part on the unseen sweep
     significant : significance of the plain twin's gap on the sweeps fitted and unseen
     """
     best = order[0]
@@ -145,16 +172,40 @@ def decide(order: Sequence[Ranked], remaining: float, closure: float | None, sig
             return Verdict("none_of_these", (), (), 0.9, ("no effect of the catalogue explains any of the gap",))
         return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
-    closed = 1 - best.unexplained if closure is None else closure
+    words = " + ".join(effects)
+    closed = 1 - best.unexplained if there.closure is None else there.closure
     bent = len(effects) > 1 or at_the_end_of_its_range(best.candidate)
     allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
     of_one_sweep = max(best.shares[::2], default=0.0)  # one that explains another sweep only explains neither
     if remaining > 6.0 and (best.unexplained > allowed or of_one_sweep > UNEXPLAINED or closed < CLOSES):
         share = min(max(best.unexplained, of_one_sweep, 1 - closed), 1.0)
-        reason = f"the best explanation, {' + '.join(effects)}, leaves {100 * share:.0f} % of the gap"
+        reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap"
+        return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
+    # A small gap may be closed in part by chance, so what is left must be beyond chance itself.
+    if min(there.gap, there.left) > SIGNIFICANT and there.closes < CLOSES:
+        share = min(1 - there.closes, 1.0)
+        reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap on unseen data"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     group = alike(best, order) if len(effects) == 1 else ()
     classes = (group,) if len(group) > 1 else ()
     singles = [r for r in order if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
     probability = sum(r.probability for r in singles) if classes else best.probability
-    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, float(probability), ())
+    probability = supported(float(probability), there.support)
+    if probability < 0.5 and there.support < 0:
+        if significant <= SIGNIFICANT:
+            return Verdict("no_gap", (), (), 1 - probability, ())
+        reason = f"the best explanation, {words}, predicts a gap on unseen data that is not there"
+        return Verdict("none_of_these", (), (), 1 - probability, (reason,))
+    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, probability, ())
+
+
+def supported(probability: float, support: float) -> float:
+    """Probability of an explanation after unseen data spoke against it; data for it are for its rivals too.
+
+    >>> supported(0.9, 3.0), round(supported(0.9, -2.0 * math.log(9.0)), 3)
+    (0.9, 0.5)
+    """
+    if support >= 0:
+        return probability
+    odds = math.exp(support / TEMPERATURE)
+    return probability * odds / (probability * odds + 1 - probability)

@@ -14,16 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap.conditions import Dependence, dependence
 from service.gap.interference import Interference
 from service.gap.observation import Observation
 from service.gap.predict import measured_signal, weight
 from service.gap.search import Explained
-from service.gap.significance import significance
+from service.gap.significance import SIGNIFICANT, significance, worst
+from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]
 
-SIGNIFICANT = 5.0
-"""Standard deviations, after the number of bands and channels looked at, beyond which a part has a gap."""
+BANDS = 6
+"""Bands, evenly wide in log frequency, by which the gap is told."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +45,15 @@ class Where:
     """Where the twin, its datasheet's values refitted, differs from the rig."""
 
     paths: tuple[PathGap, ...]
-    bands: tuple[tuple[float, float, float], ...]
-    """(from_hz, to_hz, gap)"""
-    channels: tuple[tuple[str, str, float], ...]
-    """(output, input, gap)"""
+    bands: tuple[tuple[float, float, float, float], ...]
+    """(from_hz, to_hz, gap, significance) of the blamed part"""
+    channels: tuple[tuple[str, str, float, float], ...]
+    """(output, input, gap, significance) of the blamed part"""
     harmonics: tuple[tuple[str, int, float], ...]
     """(signal, harmonic, significance) of what linear theory and the twin's magnets do not explain"""
-    amplitude_dependent: bool
-    speed_dependent: bool
+    depends: Dependence
+    blamed: str
+    """the part that bands, channels and dependence are of"""
 
     @property
     def path(self) -> str:
@@ -64,8 +67,21 @@ def relative_gap(e: Complex, x: Complex) -> float:
     return float(np.linalg.norm(e)) / size if size else 0.0
 
 
-def locate(found: Sequence[Explained], amplitude_dependent: bool, sources: Sequence[Interference] = ()) -> Where:
-    """Where the plain twin fails, from what the search left of every part, plant last, and from interference."""
+def locate(
+    found: Sequence[Explained],
+    other: Observation,
+    effects: Sequence[str] = (),
+    sources: Sequence[Interference] = (),
+) -> Where:
+    """Where the plain twin fails, from what the search left of every part, plant last, and from interference.
+
+    Parameters
+    ----------
+    other
+        The other sweep, all of it.
+    effects
+        What the verdict names; the part of the first one is blamed, else the part whose gap stands out most.
+    """
     paths, harmonics = [], []
     for e in found:
         o, z = e.ground.observations[0], e.plain[0]
@@ -76,25 +92,49 @@ def locate(found: Sequence[Explained], amplitude_dependent: bool, sources: Seque
         paths.append(PathGap(e.part.path, gap, own, z, not e.part.from_control))
         if signal != "u":
             harmonics += [(signal, h, significance(z[:, [k]], o)) for k, h in enumerate(o.harmonics) if h > 1]
-    o, f = found[-1].ground.observations[0], found[-1].ground.observations[0].fundamental
-    edges = np.geomspace(o.frequency_hz[0] * 0.999, o.frequency_hz[-1] * 1.001, 7)
-    bands = []
-    for low, high in itertools.pairwise(edges):
-        inside = (o.points_hz >= low) & (o.points_hz < high)
-        if inside.any():
-            bands.append((float(low), float(high), relative_gap(error[inside][:, f], o.Y[inside][:, f])))
-    names = found[-1].ground.nuisance.rig.axes
-    channels = [
-        (names[a], names[b], relative_gap(error[o.axis == b][:, f, a], o.Y[o.axis == b][:, f, a]))
-        for b in sorted(set(o.axis.tolist()))
-        for a in range(len(names))
-    ]
+    named = CATALOGUE[effects[0]].path if effects else max(paths, key=lambda p: p.significance).path
+    blamed = next((e for e in found if e.part.path == named), found[-1])
+    distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
+    bent = any(CATALOGUE[name].nonlinear for name in effects)
+    depends = dependence(blamed, other, distorted or bent)
+    if "thermal_drift" in effects:  # the sweeps differ in time too
+        depends = Dependence(distorted or bent or None, None)
     for source in sources:
         amplitude = max(source.parameters[name] for name in source.parameters if name.startswith("amplitude"))
         measured = float(np.sqrt(np.mean(np.abs(measured_signal(o, source.signal)[:, f]) ** 2)))
         paths.append(PathGap("additive", amplitude / measured, source.significance, np.zeros_like(o.Y)))
-    distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
-    return Where(tuple(paths), tuple(bands), tuple(channels), tuple(harmonics), amplitude_dependent or distorted, False)
+    bands, channels = _bands(blamed), _channels(blamed)
+    return Where(tuple(paths), bands, channels, tuple(harmonics), depends, blamed.part.path)
+
+
+def _fundamental(e: Explained) -> tuple[Observation, Complex, Complex, Complex]:
+    """A part on the fitted sweep: weighted residuals, errors and measured signal, (P, n) each."""
+    o, f, signal = e.ground.observations[0], e.ground.observations[0].fundamental, e.part.signal
+    return o, e.plain[0][:, f], unweighted(e.plain[0], o, signal)[:, f], measured_signal(o, signal)[:, f]
+
+
+def _bands(e: Explained) -> tuple[tuple[float, float, float, float], ...]:
+    o, z, error, seen = _fundamental(e)
+    edges = np.geomspace(o.frequency_hz[0] * 0.999, o.frequency_hz[-1] * 1.001, BANDS + 1)
+    out = []
+    for low, high in itertools.pairwise(edges):
+        inside = (o.points_hz >= low) & (o.points_hz < high)
+        if inside.any():
+            sure = worst([z[inside]], looked_at=BANDS)
+            out.append((float(low), float(high), relative_gap(error[inside], seen[inside]), sure))
+    return tuple(out)
+
+
+def _channels(e: Explained) -> tuple[tuple[str, str, float, float], ...]:
+    o, z, error, seen = _fundamental(e)
+    names = e.ground.nuisance.rig.axes
+    out = []
+    for b in sorted(set(o.axis.tolist())):
+        of = o.axis == b
+        for a in range(len(names)):
+            sure = worst([z[of, a]], looked_at=len(names) ** 2)
+            out.append((names[a], names[b], relative_gap(error[of, a], seen[of, a]), sure))
+    return tuple(out)
 
 
 def unweighted(z: Complex, o: Observation, signal: str) -> Complex:

@@ -57,7 +57,7 @@ def gap_page(diagnosis: Diagnosis) -> str:
 def _how_far(document: dict[str, Any], unseen: draw.Compared) -> list[Part]:
     s, gap = document["shrinkage"], document["gap"]
     low, high = s["closure_95"]
-    runner = _runner_up(document)
+    runner = s["runner_up"]
     rows = [
         ["relative gap on unseen data, before", f"{100 * gap['before']:.3g} %"],
         ["the same of noise alone", f"{100 * gap['noise_floor']:.3g} %"],
@@ -67,17 +67,33 @@ def _how_far(document: dict[str, Any], unseen: draw.Compared) -> list[Part]:
     ]
     if document["verdict"]["effects"]:
         rows.append(["closure", f"{_percent(s['closure'])} (95 %: {_percent(low)} to {_percent(high)})"])
-        rows += [[f"closure in the {k}", _percent(v)] for k, v in s["by_path"].items()]
         if runner is not None:
-            rows.append([f"closure of the runner-up, {_words(runner['effect'])}", _percent(runner["closure"])])
+            rows.append(
+                [f"closure of the runner-up, {_words('+'.join(runner['effects']))}", _percent(runner["closure"])]
+            )
     caption = "Distance of measured and twin, all axes together, line by line on the sweep that no fit has seen."
-    return [table(["", document["shrinkage"]["held_out"]], rows), Captioned(draw.gap_figure(unseen), caption)]
+    parts: list[Part] = [table(["", document["shrinkage"]["held_out"]], rows)]
+    if document["verdict"]["effects"] and s["paths"]:
+        parts.append(_closed_by(s))
+    return [*parts, Captioned(draw.gap_figure(unseen), caption)]
 
 
-def _runner_up(document: dict[str, Any]) -> dict[str, Any] | None:
-    chosen = document["verdict"]["effects"]
-    others = [c for c in document["candidates"] if c["effects"] != chosen and not set(chosen) <= set(c["effects"])]
-    return others[0] if others else None
+def _closed_by(s: dict[str, Any]) -> str:
+    """Closure of every path, then of the channels that show a gap."""
+    shown = [c for c in s["channels"] if c["closure"] is not None]
+
+    def row(name: str, c: dict[str, Any]) -> list[str]:
+        low, high = c["closure_95"]
+        told = MISSING if c["closure"] is None else f"{_percent(low)} to {_percent(high)}"
+        return [name, number(c["before"], 4), number(c["after"], 4), _percent(c["closure"]), told]
+
+    head = ["residual over noise, mean square", "before", "after", "closure", "95 %"]
+    found = [table(head, [row(p["path"], p) for p in s["paths"]])]
+    if shown:
+        rows = [row(f"{c['signal']} {c['output']} from {c['input']}", c) for c in shown]
+        channels = table(["channel", *head[1:]], rows)
+        found.append(f"<details><summary>{count(len(shown), 'channel')} that show a gap</summary>{channels}</details>")
+    return "".join(found)
 
 
 def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tuple[str, ...]) -> list[Part]:
@@ -90,10 +106,7 @@ def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tup
         ]
         for p in where["paths"]
     ]
-    words = [
-        f"It does {'' if where['amplitude_dependent'] else 'not '}depend on the amplitude",
-        f"and does {'' if where['speed_dependent'] else 'not '}depend on the speed, as far as these data tell.",
-    ]
+    words = [_depends(where[f"{condition}_dependent"], condition) for condition in ("amplitude", "speed")]
     return [
         table(["block of the loop", "gap by itself", "significance, standard deviations"], rows),
         paragraph(" ".join(words)),
@@ -108,6 +121,12 @@ def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tup
         ),
         Captioned(draw.channel_figure(fitted, path, axes), "The same in the blamed block by output and excited axis."),
     ]
+
+
+def _depends(found: bool | None, condition: str) -> str:
+    if found is None:
+        return f"Whether it depends on the {condition} was not tested."
+    return f"It {'depends' if found else 'does not depend'} on the {condition}, as far as these data tell."
 
 
 def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:

@@ -68,7 +68,7 @@ def test_a_stop_that_only_the_larger_amplitude_reaches_is_named() -> None:
     stop = {f"clearance_{axis}_m": clearance for axis in rig.axes} | {"stiffness_n_per_m": 3e5, "side": 0.0}
     d = diagnose(experiment(with_effects(rig, {"touchdown_contact": stop})), datasheet)
     assert d.verdict.effects == ("touchdown_contact",)
-    assert d.where.amplitude_dependent
+    assert d.where.depends.amplitude
     assert "every other line" in d.shrinkage.held_out, "what was fitted is not what closure is measured on"
     found = d.chosen.fit.values[0]
     assert found["clearance_xA_m"] == pytest.approx(clearance, rel=0.1)

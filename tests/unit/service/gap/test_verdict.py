@@ -7,7 +7,7 @@ import pytest
 
 from service.gap.candidates import Candidate
 from service.gap.fit import Fit
-from service.gap.verdict import Ranked, decide
+from service.gap.verdict import HeldOut, Ranked, decide
 from sim.reference import reference_rig
 
 RIG = reference_rig()
@@ -22,8 +22,12 @@ def explanation(effects: tuple[str, ...], evidence: float, left: float, shares: 
 PLAIN = explanation((), -100.0, 1.0, (1.0, 0.0, 1.0, 0.0))
 
 
-def said(best: Ranked, remaining: float, closure: float | None = 0.95) -> str:
-    return decide([best, PLAIN], remaining, closure, significant=50.0).kind
+CLOSED = HeldOut(before=21.0, after=2.0, gap=40.0, left=2.0, closes=0.95, support=300.0)
+NOT_SHOWN = HeldOut(before=0.9, after=0.9, gap=0.0, left=0.0)
+
+
+def said(best: Ranked, remaining: float, there: HeldOut = CLOSED) -> str:
+    return decide([best, PLAIN], remaining, there, significant=50.0).kind
 
 
 def test_an_explanation_that_leaves_little_is_named() -> None:
@@ -47,5 +51,39 @@ def test_what_is_left_must_be_significant_to_count(remaining: float) -> None:
 
 
 def test_nothing_named_and_much_left_is_none_of_these() -> None:
-    assert decide([PLAIN], 20.0, None, significant=30.0).kind == "none_of_these"
-    assert decide([PLAIN], 2.0, None, significant=30.0).kind == "no_gap"
+    assert decide([PLAIN], 20.0, NOT_SHOWN, significant=30.0).kind == "none_of_these"
+    assert decide([PLAIN], 2.0, NOT_SHOWN, significant=30.0).kind == "no_gap"
+
+
+NAMED = explanation(("sensor_gain",), 0.0, 0.1, (0.1, 0.0))
+
+
+def test_an_explanation_that_does_not_close_what_unseen_data_clearly_show_is_none() -> None:
+    """The sweep that was fitted leaves nothing significant; only the unseen one tells that it is something else."""
+    half = HeldOut(before=1.9, after=1.3, gap=26.0, left=12.0, closes=0.53, support=14.0)
+    verdict = decide([NAMED, PLAIN], 3.7, half, significant=15.0)
+    assert verdict.kind == "none_of_these"
+    assert "47 % of the gap on unseen data" in verdict.reasons[0]
+
+
+def test_a_small_gap_may_be_closed_in_part_only_by_chance() -> None:
+    faint = HeldOut(before=1.4, after=1.2, gap=9.0, left=3.0, closes=0.5, support=4.0)
+    assert said(NAMED, 2.0, faint) == "effect"
+
+
+def test_an_effect_that_the_unseen_sweep_cannot_show_keeps_its_probability() -> None:
+    verdict = decide([NAMED, PLAIN], 2.0, NOT_SHOWN, significant=50.0)
+    assert verdict.effects == ("sensor_gain",)
+    assert verdict.probability == NAMED.probability
+
+
+def test_a_predicted_gap_that_is_absent_costs_probability_and_then_the_verdict() -> None:
+    def verdict(support: float, significant: float = 50.0):
+        absent = HeldOut(before=0.9, after=1.4, gap=0.0, left=4.0, support=support)
+        return decide([NAMED, PLAIN], 2.0, absent, significant)
+
+    assert 0.5 < verdict(-2.0).probability < NAMED.probability
+    assert verdict(-2.0).kind == "effect"
+    assert verdict(-10.0).kind == "none_of_these"
+    assert "that is not there" in verdict(-10.0).reasons[0]
+    assert verdict(-10.0, significant=3.0).kind == "no_gap"

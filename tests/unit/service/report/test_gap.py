@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from service.gap.candidates import Candidate
+from service.gap.conditions import Dependence
 from service.gap.diagnose import Diagnosis
 from service.gap.fit import Fit
 from service.gap.loop import loop_figures
@@ -17,7 +18,7 @@ from service.gap.verdict import Ranked, Verdict
 from service.gap.where import PathGap, Where
 from service.identification.synthetic import plane_model_of, synthetic_sweep
 from service.report.gap import gap_page
-from sim.effects import effect
+from sim.effects import CATALOGUE, effect
 from sim.reference import reference_rig
 
 DELAY_S = 40e-6
@@ -49,11 +50,11 @@ def diagnosis() -> Diagnosis:
     z = np.zeros((len(main.axis), len(main.harmonics), 4), dtype=complex)
     where = Where(
         (PathGap("controller", 0.0, 0.3, z), PathGap("amplifier", 0.04, 22.0, z), PathGap("plant", 0.001, 0.5, z)),
-        ((10.0, 100.0, 0.01), (100.0, 950.0, 0.1)),
-        (("xA", "xA", 0.04),),
+        ((10.0, 100.0, 0.01, 6.0), (100.0, 950.0, 0.1, 20.0)),
+        (("xA", "xA", 0.04, 22.0),),
         (("i", 2, 0.4), ("y", 3, 7.5)),
-        False,
-        False,
+        Dependence(amplitude=False, speed=None),
+        "amplifier",
     )
     return Diagnosis(
         "reference",
@@ -97,6 +98,47 @@ def test_where_which_how_far_and_how_sure_come_first(diagnosis):
     first = lead(gap_page(diagnosis))
     for word in ("amplifier", "loop delay", "90 %", "closes"):
         assert word in first
+
+
+def test_a_gap_that_the_unseen_sweep_does_not_show_is_not_said_to_close_by_nothing(diagnosis):
+    unseen = replace(diagnosis.shrinkage, before=0.9, closure=None, closure_95=(None, None))
+    page = gap_page(replace(diagnosis, shrinkage=unseen))
+    assert "the unseen sweep does not show this gap" in lead(page)
+    assert "closes" not in lead(page).replace("how much of it closes", "")
+
+
+@pytest.mark.parametrize("kind", ["no_gap", "none_of_these"])
+def test_how_sure_is_told_whatever_the_verdict(diagnosis, kind):
+    assert "probability 87 %" in lead(gap_page(replace(diagnosis, verdict=Verdict(kind, (), (), 0.87, ("why",)))))
+
+
+def test_closure_is_told_by_path_and_channel(diagnosis):
+    s = diagnosis.to_dict()["shrinkage"]
+    by_path = {p["path"]: p for p in s["paths"]}
+    assert set(by_path) == {"controller", "amplifier", "plant"}
+    assert by_path["amplifier"]["before"] > 2 > by_path["amplifier"]["after"]
+    low, high = by_path["amplifier"]["closure_95"]
+    assert low <= by_path["amplifier"]["closure"] <= high
+    assert by_path["controller"]["closure"] is None, "a delay behind the log of u leaves the controller as it is"
+    own = {c["output"] for c in s["channels"] if c["signal"] == "i" and c["output"] == c["input"] and c["closure"]}
+    assert own == set(diagnosis.null.fit.rig.axes)
+    assert "i xA from xA" in gap_page(diagnosis)
+
+
+def test_the_runner_up_is_kept_whatever_adds_to_the_chosen_one(diagnosis):
+    """A second effect beside the right one always fits a little better: ten such are no rivals."""
+    chosen, rival, plain = diagnosis.order
+    names = [e for e in CATALOGUE if e not in ("loop_delay", "sensor_lag")][:12]
+    found = {"delay_s": DELAY_S}
+    rig = chosen.candidate.fit.rig
+    more = [replace(chosen, candidate=candidate(rig, "loop_delay", e, values=(found, {}))) for e in names]
+    crowded = replace(diagnosis, order=(chosen, *more, rival, plain))
+    document = crowded.to_dict()
+    assert document["shrinkage"]["runner_up"]["effects"] == ["sensor_lag"]
+    shown = [c["effects"] for c in document["candidates"]]
+    assert shown[:2] == [["loop_delay"], ["sensor_lag"]]
+    assert len(shown) == 10
+    assert "runner-up, sensor lag" in gap_page(crowded)
 
 
 def test_every_figure_is_there(diagnosis):

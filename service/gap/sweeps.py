@@ -1,0 +1,80 @@
+"""The sweeps of an experiment that a diagnosis uses: the one to fit, the one that no fit sees, what they lack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.nuisance import Nuisance
+from service.gap.observation import GapError, Observation, observe
+from service.gap.thin import thinned
+from sim.datasheet import Datasheet
+from sim.effects import CATALOGUE
+
+
+def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
+    """The sweep to fit, the one that no fit sees, and its name; only excited sweeps of the plant count."""
+    # Lines of a multisine drive the magnets' nonlinearity together, and the fits here know one tone at a time.
+    excited = [
+        (k, s)
+        for k, s in enumerate(experiment.sweeps)
+        if s.kind == "stepped-sine" and s.comment not in ("amplifier", "coarse")
+    ]
+    if not excited:
+        raise GapError("the experiment has no stepped-sine sweep of the plant; run one, then diagnose")
+    main = excited[0][1]
+    for k, s in excited[1:]:
+        return main, s, f"sweeps/{k}"
+    return main, None, "every other line of sweeps/0"
+
+
+def span_s(*sweeps: Sweep) -> tuple[float, float] | None:
+    """When the first point of all was measured and when the last, s; None where the file does not tell."""
+    times = [s.time_s for s in sweeps if s.time_s is not None and np.isfinite(s.time_s).all() and s.n_points]
+    if len(times) < len(sweeps):
+        return None
+    first, last = min(float(t.min()) for t in times), max(float(t.max()) for t in times)
+    return (first, last) if last > first else None
+
+
+def halves(
+    other: Sweep, nu: Nuisance, name: str, hums: Sequence[float], span: tuple[float, float] | None
+) -> tuple[Observation, Observation, str]:
+    """The other sweep in two: even lines to fit, odd lines unseen."""
+    line = np.unique(other.frequency_hz, return_inverse=True)[1]
+    seen, unseen = (
+        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums, span)
+        if (line % 2 == k).sum() * 2 > 16
+        else None
+        for k in (0, 1)
+    )
+    if seen is None or unseen is None:
+        whole = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span)
+        return whole, whole, name + " (fitted too)"
+    return seen, unseen, name + ", every other line"
+
+
+def unseen_across(datasheet: Datasheet, turning: bool) -> list[str]:
+    """Effects that couple x and y, which two axes cannot show."""
+    if datasheet.n_axes > 2:
+        return []
+    return [e.id for e in CATALOGUE.values() if e.needs_axes > 2 and (turning or not e.needs_speed)]
+
+
+def notes_on(main: Sweep, other: Sweep | None, datasheet: Datasheet) -> list[str]:
+    """What the data or the datasheet lack, in words."""
+    notes = []
+    if other is None:
+        notes.append(
+            "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
+        )
+    if main.I is None:
+        notes.append("the coil current was not logged: amplifier and plant cannot be told apart, alias classes grow")
+    if across := unseen_across(datasheet, main.speed_rad_s != 0):
+        names = ", ".join(name.replace("_", " ") for name in across)
+        notes.append(f"two axes only: effects that couple x and y cannot be seen ({names}); one may look like another")
+    if not datasheet.tolerance_stated:
+        notes.append("the datasheet states no tolerances: this product's defaults are assumed")
+    return notes
