@@ -122,9 +122,16 @@ def _told(scores: dict[str, Any]) -> Iterator[tuple[str, str]]:
         ("closure over that of the true effect, median", scores["closure"]["of_true_effect_median"]),
     ):
         yield name, "–" if share is None else f"{100 * share:.0f} %"
+    found = scores["parameters"]
+    for name, share in (
+        ("error of a strength, median", found["relative_error_median"]),
+        ("strengths within 15 %", found["within_15_percent"]),
+        ("95 % intervals that hold the true value", found["coverage_95"]),
+    ):
+        yield name, "–" if share is None else f"{100 * share:.1f} %"
     for name, value in (("expected calibration error", "ece"), ("Brier score", "brier")):
-        found = scores["calibration"][value]
-        yield name, "–" if found is None else f"{found:.3f}"
+        error = scores["calibration"][value]
+        yield name, "–" if error is None else f"{error:.3f}"
 
 
 def _candidates(found: list[dict[str, Any]]) -> Table:

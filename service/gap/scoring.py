@@ -99,9 +99,13 @@ class Outcome:
     @property
     def closure_share(self) -> float | None:
         """Closure of the verdict's explanation over that of the true effects refitted; None where it says nothing."""
-        truth = self.candidate(self.effects) if self.effects else None
-        reached = self.report["shrinkage"]["closure"]
-        if truth is None or truth.get("closure") is None or reached is None or not self.named:
+        if not self.effects or not self.named:
+            return None
+        truth, reached = self.candidate(self.effects), self.report["shrinkage"]["closure"]
+        if truth is None:
+            # It is not among the listed ones. Refitted it would close all at most: the least that the share can be.
+            return None if reached is None else float(reached)
+        if truth.get("closure") is None or reached is None:
             return None
         ideal = float(truth["closure"])
         return float(reached) / ideal if ideal > WORTH_CLOSING else None
@@ -136,7 +140,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "calibration": calibration([(o.probability, o.right) for o in outcomes]),
         "closure": _closure(outcomes),
         "parameters": parameters([o for o in known if o.right]),
-        "by_detectability": _by_detectability(known),
+        "by_detectability": _by_detectability(outcomes),
         "seconds": {
             "median": _median(o.seconds for o in outcomes),
             "largest": max((o.seconds for o in outcomes), default=None),
@@ -188,7 +192,8 @@ def _unlisted(unlisted: Sequence[Outcome], known: Sequence[Outcome]) -> dict[str
 
 def _closure(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     shares = [s for o in outcomes if o.detectable and (s := o.closure_share) is not None]
-    reached = [float(o.report["shrinkage"]["closure"]) for o in outcomes if o.detectable and o.named and o.right]
+    told = [o.report["shrinkage"]["closure"] for o in outcomes if o.detectable and o.named and o.right]
+    reached = [float(closure) for closure in told if closure is not None]
     return {
         "of_true_effect_median": _median(shares),
         "of_true_effect_tenth": float(np.quantile(shares, 0.1)) if shares else None,
@@ -251,10 +256,14 @@ def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
-def _by_detectability(known: Sequence[Outcome]) -> list[dict[str, Any]]:
+def _by_detectability(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Every score of cases with an effect of the catalogue, by how plainly it shows."""
     rows = []
     for low, high in itertools.pairwise(BINS):
-        here = [o for o in known if low <= o.detectability < high]
+        everything = [o for o in outcomes if o.kind != "clean" and low <= o.detectability < high]
+        here = [o for o in everything if o.kind != "unlisted"]
+        shares = [share for o in here if (share := o.closure_share) is not None]
+        told = calibration([(o.probability, o.right) for o in everything])
         rows.append(
             {
                 "from": low,
@@ -262,6 +271,10 @@ def _by_detectability(known: Sequence[Outcome]) -> list[dict[str, Any]]:
                 "cases": len(here),
                 "found": _share(all(o.answers(e) for e in o.effects) for o in here),
                 "no_gap": _share(o.verdict["kind"] == "no_gap" for o in here),
+                "closure_of_true_effect_median": _median(shares),
+                "brier": told["brier"],
+                "ece": told["ece"],
+                "parameters": parameters([o for o in here if o.right]),
             }
         )
     return rows

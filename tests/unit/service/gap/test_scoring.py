@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from service.cli.gap import _told
 from service.gap.scoring import Outcome, calibration, score
 
 
@@ -82,6 +83,11 @@ def test_undetectable_effects_are_not_asked_for_and_not_finding_them_is_right() 
     assert score([faint])["single"]["top1"] is None
     assert faint.right
     assert not outcome(*SINGLE, said="no_gap").right
+
+
+def test_a_verdict_whose_gap_the_unseen_sweep_does_not_show_has_no_closure_to_score() -> None:
+    faint = outcome(*SINGLE, said="effect", named=("loop_delay",), closure=None)
+    assert score([faint])["closure"]["median_where_right"] is None
 
 
 def test_a_mixture_needs_both() -> None:
@@ -222,6 +228,40 @@ def test_scores_stand_beside_detectability() -> None:
     rows = {row["from"]: row for row in score(cases)["by_detectability"]}
     assert (rows[0.0]["found"], rows[0.0]["no_gap"]) == (0.0, 1.0)
     assert (rows[10.0]["cases"], rows[10.0]["found"]) == (2, 0.5)
+
+
+def test_closure_calibration_and_parameters_stand_beside_detectability() -> None:
+    def found(detectability: float, value: float, closure: float, probability: float) -> Outcome:
+        return outcome(
+            *SINGLE,
+            said="effect",
+            named=("loop_delay",),
+            probability=probability,
+            detectability=detectability,
+            closure=closure,
+            candidates=(candidate("loop_delay", closure=1.0, delay_s=(value, 1e-6)),),
+            parameters={"loop_delay": {"delay_s": 2e-5}},
+        )
+
+    cases = [found(20.0, 2.6e-5, 0.5, 0.6), found(200.0, 2.1e-5, 0.9, 1.0)]
+    rows = {row["from"]: row for row in score(cases)["by_detectability"]}
+    assert rows[10.0]["parameters"]["relative_error_median"] == pytest.approx(0.3)
+    assert (rows[10.0]["parameters"]["coverage_95"], rows[100.0]["parameters"]["coverage_95"]) == (0.0, 1.0)
+    assert rows[10.0]["closure_of_true_effect_median"] == pytest.approx(0.5)
+    assert rows[100.0]["closure_of_true_effect_median"] == pytest.approx(0.9)
+    assert (rows[10.0]["ece"], rows[100.0]["ece"]) == (pytest.approx(0.4), pytest.approx(0.0))
+
+
+def test_closure_counts_where_the_true_effect_is_not_among_the_listed_ones() -> None:
+    """A wrong effect that closes half is then half of what the true one could close at most; it is not left out."""
+    wrong = outcome(*SINGLE, said="effect", named=("sensor_lag",), closure=0.5, candidates=())
+    closure = score([wrong])["closure"]
+    assert (closure["cases"], closure["of_true_effect_median"]) == (1, pytest.approx(0.5))
+
+
+def test_what_a_trial_is_judged_by_is_printed() -> None:
+    printed = dict(_told(score([outcome(*SINGLE, said="effect", named=("loop_delay",))])))
+    assert {"error of a strength, median", "95 % intervals that hold the true value"} <= set(printed)
 
 
 def test_a_trial_without_cases_has_scores_without_values() -> None:
