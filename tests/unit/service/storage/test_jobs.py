@@ -78,6 +78,24 @@ def test_a_job_is_the_doing_of_whoever_tried_it_again(database):
         assert (again.submitted_by, again.requested_by, again.requested_key) == ("laptop", "laptop", "key_2")
 
 
+def test_the_jobs_of_a_rig_are_cancelled_and_those_of_others_are_not(database, job):
+    with database.write() as session:
+        rig = rigs.create(session, "retired", reference_sheet(), "", "", "me").id
+        waits, moves, counts, ended = (
+            jobs.submit(session, kind, rig, 1, "me").id for kind in ("gap", "health", "identification", "gap")
+        )
+        jobs.cancel(session, ended)
+    with database.write() as session:
+        for each in (moves, counts):
+            jobs.claim(session, each, 1, "w1")
+    with database.write() as session:
+        assert [found.id for found in jobs.cancel_of_rig(session, rig, "it was retired")] == sorted([waits, moves])
+    waited = now(database, waits)
+    assert (waited.state, waited.phase) == ("cancelled", "cancelled: it was retired")
+    asked = [now(database, each).cancel_requested for each in (moves, counts, job)]
+    assert asked == [True, False, False]
+
+
 def test_what_has_ended_stays_ended(database, job):
     with database.write() as session:
         jobs.claim(session, job, 1, "w1")
