@@ -84,7 +84,7 @@ def configure(level: str = "info", form: Literal["console", "json"] = "console",
     handler.setFormatter(
         _OneLine(
             foreign_pre_chain=shared,
-            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, _hide_by_name, *last],
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, _plain, _hide_by_name, *last],
             keep_exc_info=True,
         )
     )
@@ -123,6 +123,12 @@ class _OneLine(structlog.stdlib.ProcessorFormatter):
 
     def format(self, record: logging.LogRecord) -> str:
         return redacted(super().format(record))
+
+
+def _plain(_: Any, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Without the second copy of a message that uvicorn adds for terminals."""
+    event.pop("color_message", None)
+    return event
 
 
 def _hide_by_name(_: Any, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:

@@ -5,6 +5,7 @@ The libraries are optional: ``pip install 'amb-commissioning[otel]'``.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -97,6 +98,13 @@ def span(name: str, parent: Mapping[str, str] | None = None, **attributes: str |
             current.set_status(Status(StatusCode.ERROR, redacted(str(error).splitlines()[0] if str(error) else "")))
             current.set_attribute("error.type", type(error).__name__)
             raise
+
+
+def end(within_s: float = 3.0) -> None:
+    """Send what is left before a process ends at once; a collector that is away is not waited for."""
+    last = threading.Thread(target=shutdown, name="last-spans", daemon=True)
+    last.start()
+    last.join(within_s)
 
 
 def headers() -> dict[str, str]:

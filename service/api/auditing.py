@@ -24,4 +24,5 @@ def audit(
     """Note that someone did something."""
     request_id = request.scope.get("state", {}).get("request_id")
     address = request.client.host if request.client else None
+    request.scope.setdefault("state", {})["about"] = {"rig": rig, subject.partition("_")[0]: subject}
     rows.record(session, audited(who, action, subject, rig, request_id, address, **detail))

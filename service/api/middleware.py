@@ -6,6 +6,7 @@ import logging
 import re
 import secrets
 import time
+from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -16,6 +17,8 @@ from service.api.problems import MEDIA_TYPE, Problem
 log = logging.getLogger(__name__)
 _ID = re.compile(rb"[\w.:-]{1,64}")
 _UPLOAD = re.compile(r"/api/v1/rigs/[^/]+/experiments")
+_READING = ("GET", "HEAD", "OPTIONS")
+_TOLD = ("who", "rig", "job", "experiment", "schedule")
 _HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
@@ -82,7 +85,17 @@ class Around:
         self._metrics.requests.labels(scope["method"], route, status).inc()
         if not route.endswith("/events"):
             self._metrics.seconds.labels(scope["method"], route).observe(seconds)
-        log.debug("%s %s %d in %.1f ms", scope["method"], scope["path"], status, 1e3 * seconds)
+        level = logging.DEBUG if scope["method"] in _READING else logging.INFO
+        about = _about(scope) if log.isEnabledFor(level) else {}
+        log.log(level, "%s %s %d in %.1f ms", scope["method"], scope["path"], status, 1e3 * seconds, extra=about)
+
+
+def _about(scope: Scope) -> dict[str, Any]:
+    """Who asked, and about which rig and job: as the audit log has it, or as the address says."""
+    state = scope["state"]
+    named = {name.removesuffix("_id"): value for name, value in scope.get("path_params", {}).items()}
+    found = named | state.get("about", {}) | {"who": getattr(state.get("identity"), "name", None)}
+    return {name: value for name, value in found.items() if value is not None and name in _TOLD}
 
 
 def _too_large(headers: dict[bytes, bytes], limit: int) -> bool:

@@ -10,6 +10,7 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from service import logs, tracing
 from service.config import Settings
 from service.storage.database import sqlite_file, use_wal
 from service.storage.jobs import ON_RIG
@@ -83,6 +84,12 @@ def _prepare(settings: Settings) -> None:
         use_wal(path)
 
 
+def asked_by() -> dict[str, str]:
+    """The request and the trace in which a job is handed over: its log lines and spans say where they come from."""
+    request = logs.bound_ids().get("request")
+    return tracing.headers() | ({} if request is None else {"request": str(request)})
+
+
 class Dispatcher:
     """Hands jobs to the engine; connects when it is first used, and again after an error.
 
@@ -131,7 +138,7 @@ class Dispatcher:
         }
         if job.kind in ON_RIG:
             options["queue_partition_key"] = job.rig_id
-        self._connected().enqueue(options, job.id, job.run)
+        self._connected().enqueue(options, job.id, job.run, asked_by())
 
     def notify(self, delivery_id: str) -> None:
         """Hand over a message to a webhook; a second time changes nothing."""

@@ -36,16 +36,26 @@ def outcome(state: str, result: dict[str, Any], title: str = "", detail: str = "
     return {"state": state, "result": result, "title": title, "detail": detail}
 
 
-def guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int) -> Outcome:
-    """Run a part of a job under its control; what it returns is the result."""
+def guarded(
+    work: Callable[[Context, JobRow, Control], dict[str, Any]],
+    job_id: str,
+    run: int,
+    asked: dict[str, str] | None = None,
+) -> Outcome:
+    """Run a part of a job under its control; what it returns is the result.
+
+    ``asked`` has the id of the request that handed the job over, and the ``traceparent`` of its span.
+    """
     _count("begun", 1)
     try:
-        return _guarded(work, job_id, run)
+        return _guarded(work, job_id, run, asked or {})
     finally:
         _count("begun", -1)
 
 
-def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int) -> Outcome:
+def _guarded(
+    work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int, asked: dict[str, str]
+) -> Outcome:
     worker = context()
     if worker.stopping.is_set():
         park(job_id)
@@ -57,8 +67,8 @@ def _guarded(work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id:
     journal = worker.folder(job_id) / "experiment.journal"
     period_s = POLL_S if job.kind in jobs.ON_RIG else UNHURRIED_POLL_S
     with (
-        logs.bound(job=job_id, rig=job.rig_id),
-        tracing.span(f"job.{job.kind}", job=job_id, rig=job.rig_id, attempt=job.attempt),
+        logs.bound(job=job_id, rig=job.rig_id, request=asked.get("request")),
+        tracing.span(f"job.{job.kind}", asked, job=job_id, rig=job.rig_id, attempt=job.attempt),
         Control(worker, job_id, job.attempt, journal, period_s) as control,
     ):
         log.info("a step of the %s begins, attempt %d", job.kind, job.attempt)

@@ -17,6 +17,7 @@ from types import FrameType
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from service import tracing
 from service.config import Settings
 from service.errors import ConfigurationError, ConflictError
 from service.jobs import notices, steps, submission, timetable
@@ -213,6 +214,7 @@ def serve(settings: Settings, end_with_stdin: bool = False) -> None:
     if end_with_stdin:
         threading.Thread(target=_wait_for_end, args=(worker,), daemon=True).start()
     worker.run()
+    tracing.end()
     os._exit(0)  # the engine must not hear that parked steps end
 
 

@@ -22,39 +22,43 @@ from service.storage.tables import JobRow
 Work = Callable[[Context, JobRow, Control], dict[str, Any]]
 
 
-def _workflow(kind: str) -> Callable[[Callable[[str, int], None]], Callable[[str, int], None]]:
+Asked = dict[str, str]
+"""The request that asked for a job, and its trace; a job that was handed over before these were kept has none."""
+
+
+def _workflow(kind: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return DBOS.workflow(name=workflow_name(kind), max_recovery_attempts=None)
 
 
 @_workflow("experiment")
-def experiment(job_id: str, run: int) -> None:
+def experiment(job_id: str, run: int, asked: Asked | None = None) -> None:
     """Measure a rig, then identify it unless that is not wanted."""
-    found = _step("measure", _measure, job_id, run)
+    found = _step("measure", _measure, job_id, run, asked)
     if found["state"] == jobs.DONE:
         made = found["result"]["experiment"]
-        found = _and(found, _step("identify", lambda w, j, c: _identify_measured(w, j, c, made), job_id, run))
+        found = _and(found, _step("identify", lambda w, j, c: _identify_measured(w, j, c, made), job_id, run, asked))
     _end(job_id, run, found)
 
 
 @_workflow("identification")
-def identification(job_id: str, run: int) -> None:
+def identification(job_id: str, run: int, asked: Asked | None = None) -> None:
     """Identify an experiment that is there."""
-    _end(job_id, run, _step("identify", _identify_given, job_id, run))
+    _end(job_id, run, _step("identify", _identify_given, job_id, run, asked))
 
 
 @_workflow("gap")
-def gap(job_id: str, run: int) -> None:
+def gap(job_id: str, run: int, asked: Asked | None = None) -> None:
     """Diagnose the gap of an experiment that is there."""
-    _end(job_id, run, _step("diagnose", _diagnose_given, job_id, run))
+    _end(job_id, run, _step("diagnose", _diagnose_given, job_id, run, asked))
 
 
 @_workflow("health")
-def health(job_id: str, run: int) -> None:
+def health(job_id: str, run: int, asked: Asked | None = None) -> None:
     """A short experiment, compared with the rig's baseline; whoever wants to know is told."""
-    found = _step("measure", checks.measure, job_id, run)
+    found = _step("measure", checks.measure, job_id, run, asked)
     if found["state"] == jobs.DONE:
         made = found["result"]["experiment"]
-        found = _and(found, _step("compare", lambda w, j, c: checks.compare(w, j, c, made), job_id, run))
+        found = _and(found, _step("compare", lambda w, j, c: checks.compare(w, j, c, made), job_id, run, asked))
     _end(job_id, run, found)
     if found["state"] == jobs.DONE:
         DBOS.run_step({"name": "notify"}, notices.begin, found["result"]["health"])
@@ -69,8 +73,8 @@ def notice(delivery_id: str) -> None:
         DBOS.sleep(wait_s)
 
 
-def _step(name: str, work: Work, job_id: str, run: int) -> Outcome:
-    return DBOS.run_step({"name": name}, steps.guarded, work, job_id, run)
+def _step(name: str, work: Work, job_id: str, run: int, asked: Asked | None) -> Outcome:
+    return DBOS.run_step({"name": name}, steps.guarded, work, job_id, run, asked)
 
 
 def _end(job_id: str, run: int, found: Outcome) -> None:
