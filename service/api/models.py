@@ -114,8 +114,23 @@ def shape(row: ModelRow) -> ModelShape:
             "nyquist": f"{address}/nyquist",
             "step": f"{address}/step",
             "state_space": f"{address}/state-space",
+            **_exports(row, address),
         },
     )
+
+
+def _exports(row: ModelRow, address: str) -> dict[str, str]:
+    """Files for other tools, plane by plane: the state space, and the response that was measured."""
+    measured = f"/api/v1/experiments/{row.experiment_id}/export/responses"
+    return {
+        name: where
+        for plane in row.summary["planes"]
+        for name, where in (
+            (f"state_space_{plane}_mat", f"{address}/export/state-space?plane={plane}&format=mat"),
+            (f"responses_{plane}_mat", f"{measured}?plane={plane}&format=mat"),
+            (f"responses_{plane}_uff", f"{measured}?plane={plane}&format=uff"),
+        )
+    }
 
 
 @router.get("/models", response_model=Listed[ModelShape], responses=etags.documented_list())

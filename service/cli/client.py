@@ -196,8 +196,7 @@ def _finish(ambit: Client, job: Job, out: Path | None, as_json: bool) -> None:
         for kind, made in ended.result.items():
             print(f"{kind}: {made}")
         if "model" in ended.result:
-            report = f"/models/{ended.result['model']}/report.html"
-            print(f"report: {ambit.address(report)}")
+            print(f"report: {ambit.report_address(ended)}")
 
 
 def _watched(ambit: Client, job: Job) -> Job:

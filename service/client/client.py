@@ -12,7 +12,19 @@ from uuid import uuid4
 from service.client.errors import ConflictingError, MissingError
 from service.client.health import HealthChecks, Schedules
 from service.client.jobs import Jobs
-from service.client.shapes import Experiment, Gap, Job, Model, Rig
+from service.client.shapes import (
+    AuditLine,
+    Experiment,
+    Gap,
+    Job,
+    Model,
+    Modes,
+    PlaneStateSpace,
+    Rig,
+    RigVersion,
+    Status,
+    Stiffness,
+)
 from service.client.transport import Transport
 from service.errors import OutputError
 
@@ -57,16 +69,39 @@ class Rigs:
 
     def change(self, rig: Rig, datasheet: str, controller_url: str, note: str = "") -> Rig:
         """Give a rig a new datasheet or controller, if nobody else has changed it since ``rig`` was read."""
+        body = {"datasheet": datasheet, "controller_url": controller_url, "note": note}
+        return self._changed(rig, f"/rigs/{rig.id}", body)
+
+    def choose_baseline(self, rig: Rig, model_id: str | None) -> Rig:
+        """Choose the model that health checks compare with, None for the newest; as `change`."""
+        return self._changed(rig, f"/rigs/{rig.id}/baseline", {"model": model_id})
+
+    def _changed(self, rig: Rig, path: str, body: dict[str, Any]) -> Rig:
         seen = self._transport.send("GET", f"/rigs/{rig.id}")
         if seen.json()["version"] != rig.version:
             raise ConflictingError(412, f"the rig {rig.name!r} was changed by someone else; read it again", [], "")
-        body = {"datasheet": datasheet, "controller_url": controller_url, "note": note}
         headers = {"If-Match": seen.headers["etag"]}
-        return Rig.model_validate(self._transport.send("PUT", f"/rigs/{rig.id}", json=body, headers=headers).json())
+        return Rig.model_validate(self._transport.send("PUT", path, json=body, headers=headers).json())
 
-    def status(self, rig_id: str) -> dict[str, Any]:
+    def versions(self, rig_id: str) -> Iterator[RigVersion]:
+        """Every version of a rig, newest first."""
+        return self._transport.pages(f"/rigs/{rig_id}/versions", RigVersion.model_validate)
+
+    def retire(self, rig_id: str) -> None:
+        """Let a rig take no more jobs; its history stays."""
+        self._transport.send("DELETE", f"/rigs/{rig_id}")
+
+    def stiffness(self, rig_id: str) -> Iterator[Stiffness]:
+        """ki and ks of a rig's bearings, newest model first."""
+        return self._transport.pages(f"/rigs/{rig_id}/stiffness", Stiffness.model_validate)
+
+    def modes(self, rig_id: str) -> Iterator[Modes]:
+        """Natural frequencies and damping ratios of a rig's rotor, newest model first."""
+        return self._transport.pages(f"/rigs/{rig_id}/modes", Modes.model_validate)
+
+    def status(self, rig_id: str) -> Status:
         """What the controller says now: state, trip, displacements, who holds it."""
-        return dict(self._transport.get(f"/rigs/{rig_id}/status"))
+        return Status.model_validate(self._transport.get(f"/rigs/{rig_id}/status"))
 
     def stop(self, rig_id: str) -> None:
         """Ramp the rig's excitation to zero at once, whoever makes it."""
@@ -109,6 +144,13 @@ class Experiments:
         """The experiment's file."""
         return self._transport.save(f"/experiments/{experiment_id}/file", path)
 
+    def export_responses(
+        self, experiment_id: str, to: Path, plane: str = "x", path: str = "u->y", format: str = "uff"
+    ) -> Path:
+        """A plane's measured frequency response as a file: json, csv, mat or uff (UFF-58)."""
+        query = {"plane": plane, "path": path, "format": format}
+        return self._transport.save(f"/experiments/{experiment_id}/export/responses", to, query)
+
 
 class Models:
     """Models of a service."""
@@ -132,9 +174,29 @@ class Models:
         """Measured and modelled frequency responses."""
         return dict(self._transport.get(f"/models/{model_id}/frequency-response"))
 
-    def state_space(self, model_id: str) -> dict[str, Any]:
+    def nyquist(self, model_id: str) -> dict[str, Any]:
+        """The loop of each axis with the others closed, by plane."""
+        return dict(self._transport.get(f"/models/{model_id}/nyquist"))
+
+    def step(self, model_id: str) -> dict[str, Any]:
+        """Displacement of the closed loop after 1 A more on r, by plane."""
+        return dict(self._transport.get(f"/models/{model_id}/step"))
+
+    def curves(self, model_id: str) -> dict[str, Any]:
+        """All curves, whole: amb-model-curves."""
+        return dict(self._transport.get(f"/models/{model_id}/curves.json"))
+
+    def state_space(self, model_id: str) -> dict[str, PlaneStateSpace]:
         """A, B, C, D by plane."""
-        return dict(self._transport.get(f"/models/{model_id}/state-space"))
+        planes = self._transport.get(f"/models/{model_id}/state-space")
+        return {name: PlaneStateSpace.model_validate(plane) for name, plane in planes.items()}
+
+    def export_state_space(
+        self, model_id: str, to: Path, plane: str = "x", part: str = "plant", format: str = "mat"
+    ) -> Path:
+        """A plane's state space as a file: json, csv or mat, continuous time, with names and units of its signals."""
+        query = {"plane": plane, "part": part, "format": format}
+        return self._transport.save(f"/models/{model_id}/export/state-space", to, query)
 
     def save(self, model_id: str, folder: Path) -> dict[str, Path]:
         """result.json and report.html in a folder."""
@@ -166,6 +228,20 @@ class Gaps:
             "gap": self._transport.save(f"/gaps/{gap_id}/gap.json", folder / "gap.json"),
             "gap_report": self._transport.save(f"/gaps/{gap_id}/report.html", folder / "gap.html"),
         }
+
+
+class AuditLog:
+    """The audit log of a service."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    def list(
+        self, rig: str | None = None, action: str | None = None, subject: str | None = None
+    ) -> Iterator[AuditLine]:
+        """Who did what, and who moved which rotor; newest first."""
+        query = {"rig": rig, "action": action, "subject": subject}
+        return self._transport.pages("/audit", AuditLine.model_validate, **query)
 
 
 class Client:
@@ -207,6 +283,7 @@ class Client:
         self.gaps = Gaps(self._transport)
         self.health = HealthChecks(self._transport)
         self.schedules = Schedules(self._transport)
+        self.audit = AuditLog(self._transport)
 
     @property
     def url(self) -> str:
@@ -216,6 +293,15 @@ class Client:
     def address(self, path: str) -> str:
         """URL of something of the API, to open in a browser."""
         return f"{self.url}/api/v1{path}"
+
+    def report_address(self, job: Job) -> str:
+        """URL of a job's report, to open in a browser.
+
+        A browser shows no key by itself: where the service wants one it is the page of the job, which asks for it.
+        """
+        if self._transport.shows_key or "model" not in job.result:
+            return f"{self.url}/#/job/{job.id}"
+        return self.address(f"/models/{job.result['model']}/report.html")
 
     def save(self, job: Job, folder: Path) -> dict[str, Path]:
         """Every file that a job made, and the datasheet that it worked with.

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from service.client.shapes import HealthCheck, Run, Schedule
+from service.client.errors import ConflictingError
+from service.client.shapes import Delivery, HealthCheck, Run, Schedule, Trend
 from service.client.transport import Transport
 
 
@@ -24,9 +25,9 @@ class HealthChecks:
         """Checks, newest first."""
         return self._transport.pages("/health-checks", HealthCheck.model_validate, rig=rig, alarm=alarm)
 
-    def trend(self, rig_id: str) -> dict[str, Any]:
-        """Every monitored figure of a rig over its checks."""
-        return dict(self._transport.get(f"/rigs/{rig_id}/trend"))
+    def trend(self, rig_id: str, after: str | None = None) -> Trend:
+        """Every monitored figure of a rig over its newest checks, or those before."""
+        return Trend.model_validate(self._transport.get(f"/rigs/{rig_id}/trend", after=after))
 
     def save(self, health_id: str, folder: Path) -> dict[str, Path]:
         """health.json and health.html in a folder."""
@@ -81,6 +82,27 @@ class Schedules:
     def runs(self, schedule_id: str) -> Iterator[Run]:
         """The times at which it was due, and those that were missed, newest first."""
         return self._transport.pages(f"/schedules/{schedule_id}/runs", Run.model_validate)
+
+    def deliveries(self, schedule_id: str) -> Iterator[Delivery]:
+        """What its webhook was told, newest first."""
+        return self._transport.pages(f"/schedules/{schedule_id}/deliveries", Delivery.model_validate)
+
+    def change(self, schedule: Schedule) -> Schedule:
+        """Keep a schedule as it is given here (``schedule.model_copy(update={...})``), if nobody else has changed it.
+
+        The webhook's secret stays.
+        """
+        path = f"/schedules/{schedule.id}"
+        seen = self._transport.send("GET", path)
+        if Schedule.model_validate(seen.json()).updated_at != schedule.updated_at:
+            raise ConflictingError(
+                412, f"the schedule {schedule.id} was changed by someone else; read it again", [], ""
+            )
+        names = {"rig", "cron", "timezone", "options", "enabled"}
+        body = schedule.model_dump(mode="json", include=names)
+        body["webhook"] = None if schedule.webhook is None else schedule.webhook.model_dump(include={"url", "on"})
+        headers = {"If-Match": seen.headers["etag"]}
+        return Schedule.model_validate(self._transport.send("PUT", path, json=body, headers=headers).json())
 
     def remove(self, schedule_id: str) -> None:
         """Check no more; what was checked stays."""

@@ -33,6 +33,8 @@ class Rig(_Sent):
     """rig.toml."""
     controller_url: str = ""
     retired_at: datetime | None = None
+    baseline_model: str | None = None
+    """What health checks compare with; None for the newest model of a whole commissioning."""
 
 
 class Progress(_Sent):
@@ -112,6 +114,8 @@ class Model(_Sent):
     job: str | None = None
     summary: dict[str, Any] = Field(default_factory=dict)
     created_at: datetime | None = None
+    links: dict[str, str] = Field(default_factory=dict)
+    """Addresses of its documents and of its files for other tools."""
 
 
 class Gap(_Sent):
@@ -161,6 +165,7 @@ class Schedule(_Sent):
     enabled: bool = True
     webhook: Webhook | None = None
     next_at: datetime | None = None
+    updated_at: datetime | None = None
 
 
 class Run(_Sent):
@@ -170,3 +175,134 @@ class Run(_Sent):
     state: str
     detail: str = ""
     job: str | None = None
+
+
+class Delivery(_Sent):
+    """A message to a schedule's webhook: pending, delivered or failed."""
+
+    id: str
+    health: str = ""
+    url: str = ""
+    state: str
+    attempts: int = 0
+    status_code: int | None = None
+    detail: str = ""
+    created_at: datetime | None = None
+    updated_at: datetime | None = None
+
+
+class RigVersion(_Sent):
+    """A rig as it was from one time to the next."""
+
+    version: int
+    datasheet: str = ""
+    controller_url: str = ""
+    note: str = ""
+    created_at: datetime | None = None
+    created_by: str = ""
+
+
+class Status(_Sent):
+    """A controller now; only the first ones where it does not answer."""
+
+    reachable: bool
+    detail: str = ""
+    controller_url: str = ""
+    identity: str | None = None
+    state: str | None = None
+    trip: str | None = None
+    trip_message: str | None = None
+    excitation_a: float | None = None
+    displacement_m: list[float] | None = None
+    current_a: list[float] | None = None
+    lease_holder: str | None = None
+    lease_seconds_left: float | None = None
+    speed_rad_s: float | None = None
+    uptime_s: float | None = None
+
+
+class Measured(_Sent):
+    """A figure with its standard deviation, in the unit of its place."""
+
+    value: float
+    std: float | None = None
+    unit: str = ""
+
+
+class Stiffness(_Sent):
+    """ki (N/A) and ks (N/m) of a rig, by plane and name, as one model has them."""
+
+    model: str
+    experiment: str = ""
+    created_at: datetime | None = None
+    planes: dict[str, dict[str, Measured]]
+
+
+class Mode(_Sent):
+    """A mode of the rotor."""
+
+    natural_frequency_rad_s: Measured
+    damping_ratio: Measured
+
+
+class Modes(_Sent):
+    """Modes of a rig's rotor by plane, ascending, as one model has them."""
+
+    model: str
+    experiment: str = ""
+    created_at: datetime | None = None
+    planes: dict[str, list[Mode]]
+
+
+class Series(_Sent):
+    """One monitored figure over the checks of a rig, oldest first."""
+
+    at: list[datetime]
+    change_percent: list[float]
+    std_percent: list[float]
+    baseline_std_percent: float
+    drifted: list[bool]
+    slope_percent_per_year: float | None = None
+    slope_std_percent_per_year: float | None = None
+    slope_significance: float | None = None
+    drifting: bool = False
+
+
+class Trend(_Sent):
+    """Every monitored figure of a rig over its checks."""
+
+    rig: str
+    checks: list[str]
+    series: dict[str, Series]
+    next: str | None = None
+    """``after`` of the checks before these."""
+
+
+class StateSpace(_Sent):
+    """Matrices of a continuous-time model."""
+
+    A: list[list[float]]
+    B: list[list[float]]
+    C: list[list[float]]
+    D: list[list[float]]
+
+
+class PlaneStateSpace(_Sent):
+    """A plane's plant and, where they were identified, its amplifiers."""
+
+    plant: StateSpace
+    amplifiers: StateSpace | None = None
+
+
+class AuditLine(_Sent):
+    """Who did what."""
+
+    id: str
+    at: datetime
+    who: str
+    key: str = ""
+    action: str
+    rig: str | None = None
+    subject: str = ""
+    detail: dict[str, Any] = Field(default_factory=dict)
+    request_id: str = ""

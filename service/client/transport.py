@@ -45,6 +45,7 @@ class Transport:
         if key:
             headers["Authorization"] = f"Bearer {key}"
         self.url = url.rstrip("/")
+        self.shows_key = bool(key)
         self.patience_s = patience_s
         try:
             verify: Any = _authority(ca) if ca else True
@@ -114,12 +115,12 @@ class Transport:
             time.sleep(wait)
             pause = min(2 * pause, LONGEST_PAUSE_S)
 
-    def save(self, path: str, to: Path) -> Path:
+    def save(self, path: str, to: Path, query: Mapping[str, Any] | None = None) -> Path:
         """A resource as a file, which appears whole or not at all."""
         temporary = to.with_name(f".{to.name}.part")
         try:
             to.parent.mkdir(parents=True, exist_ok=True)
-            with self.stream(path) as response, temporary.open("wb") as file:
+            with self.stream(path, query=query) as response, temporary.open("wb") as file:
                 for chunk in response.iter_bytes():
                     file.write(chunk)
             temporary.replace(to)
@@ -131,7 +132,11 @@ class Transport:
 
     @contextmanager
     def stream(
-        self, path: str, headers: Mapping[str, str] | None = None, read_timeout_s: float | None = None
+        self,
+        path: str,
+        headers: Mapping[str, str] | None = None,
+        read_timeout_s: float | None = None,
+        query: Mapping[str, Any] | None = None,
     ) -> Iterator[httpx.Response]:
         """A response whose body comes bit by bit; not tried again.
 
@@ -143,7 +148,11 @@ class Transport:
         timeout = httpx.Timeout(self._http.timeout.connect, read=read_timeout_s or self._http.timeout.read)
         try:
             with self._http.stream(
-                "GET", PREFIX + path, headers={"Accept": "*/*"} | dict(headers or {}), timeout=timeout
+                "GET",
+                PREFIX + path,
+                headers={"Accept": "*/*"} | dict(headers or {}),
+                params=_given(query or {}),
+                timeout=timeout,
             ) as response:
                 if not response.is_success:
                     response.read()

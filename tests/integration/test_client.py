@@ -16,12 +16,14 @@ from service.client import (
     RefusedError,
     UnreachableError,
 )
+from service.client.shapes import Job
 from service.config import Settings
 from service.storage import jobs as job_rows
 from service.storage.database import now
 from service.storage.tables import JobRow
 from sim.datasheet import to_toml
 from sim.reference import reference_datasheet
+from tests.support.service import rig_device
 from tests.support.serving import serving
 from tests.support.uploads import HOSTILE, good, good_matlab
 
@@ -210,3 +212,22 @@ def test_a_watch_survives_a_restart_of_the_service(tmp_path):
                     time.sleep(0.02)
         watcher.join(20)
     assert [j.state for j in seen] == ["running", "done"]
+
+
+def test_the_address_of_a_report_is_one_that_a_browser_can_open():
+    """With keys a browser is refused what it cannot show a key for; the page asks for it."""
+    job = Job(id="job_1", kind="identification", rig="rig_1", state="done", result={"model": "mod_1"})
+    with Client("http://plant:1", "") as free, Client("http://plant:1", "ambit_key_secret") as guarded:
+        assert free.report_address(job) == "http://plant:1/api/v1/models/mod_1/report.html"
+        assert guarded.report_address(job) == "http://plant:1/#/job/job_1"
+
+
+def test_a_rig_is_seen_and_stopped_live(ambit, tmp_path):
+    device = rig_device(tmp_path)
+    try:
+        rig = ambit.rigs.create(SHEET, device.url, name="live")
+        status = ambit.rigs.status(rig.id)
+        assert (status.reachable, status.state, status.excitation_a) == (True, "levitated", 0.0)
+        ambit.rigs.stop(rig.id)
+    finally:
+        device.device.end()

@@ -17,9 +17,10 @@ from typing import Any
 
 import httpx
 import pytest
+from scipy.io import loadmat
 
 from service.access.keys import Scope
-from service.client import Client
+from service.client import Client, ConflictingError
 from service.config import Settings
 from service.experiment import file
 from service.jobs import calculations
@@ -116,7 +117,22 @@ def test_the_client_reads_one_of_everything(described, tmp_path):
         model = client.models.get(ids["model_id"])
         assert model.summary["planes"]["x"]["stiffness"]["kiA"]["value"] > 0
         assert client.models.result(model.id)["format"] == "amb-commissioning-result"
-        assert "x" in client.models.state_space(model.id)
+        plant = client.models.state_space(model.id)["x"].plant
+        assert len(plant.A) == len(plant.B) > 0
+        for curve in (client.models.nyquist, client.models.step):
+            assert "x" in curve(model.id)
+        assert client.models.curves(model.id)["format"] == "amb-model-curves"
+        for link in model.links.values():
+            assert client._transport.content(link.removeprefix("/api/v1")), link
+        matrices = loadmat(client.models.export_state_space(model.id, tmp_path / "x.mat"))
+        assert matrices["A"].shape == (len(plant.A), len(plant.A))
+        exported = client.experiments.export_responses(ids["experiment_id"], tmp_path / "x.csv", format="csv")
+        assert exported.stat().st_size > 0
+        (stiffness,) = client.rigs.stiffness(ids["rig_id"])
+        assert stiffness.planes["x"]["kiA"].value == model.summary["planes"]["x"]["stiffness"]["kiA"]["value"]
+        (modes,) = client.rigs.modes(ids["rig_id"])
+        assert modes.planes["x"][0].natural_frequency_rad_s.value > 0
+        assert "rig.created" in [line.action for line in client.audit.list(rig=ids["rig_id"])]
         assert client.models.frequency_response(model.id)
         assert [m.id for m in client.models.list(ids["rig_id"])] == [model.id]
         assert client.gaps.document(ids["gap_id"])["format"] == "amb-gap-report"
@@ -124,14 +140,27 @@ def test_the_client_reads_one_of_everything(described, tmp_path):
         check = client.health.get(ids["health_id"])
         assert check.document["format"] == "amb-health-check"
         assert [c.sentence for c in client.health.list(alarm=check.alarm)] == [check.sentence]
-        assert client.health.trend(ids["rig_id"])["checks"] == [check.id]
+        trend = client.health.trend(ids["rig_id"])
+        assert trend.checks == [check.id]
+        assert len(trend.series["x.kiA"].change_percent) == 1
         (missed,) = client.schedules.runs(ids["schedule_id"])
         assert missed.state == "missed"
         made = client.schedules.create(ids["rig_id"], "0 6 * * 1", webhook_url="https://plant.example/hook")
         assert made.webhook.secret.startswith("whsec_")
         assert client.schedules.get(made.id).webhook.secret is None
+        later = client.schedules.change(made.model_copy(update={"cron": "30 6 * * 1"}))
+        assert (later.cron, later.webhook.url) == ("30 6 * * 1", made.webhook.url)
+        with pytest.raises(ConflictingError, match="changed by someone else"):
+            client.schedules.change(made)
+        assert list(client.schedules.deliveries(made.id)) == []
         client.schedules.remove(made.id)
         assert [s.id for s in client.schedules.list(ids["rig_id"])] == [ids["schedule_id"]]
+        rig = client.rigs.get(ids["rig_id"])
+        assert client.rigs.choose_baseline(rig, model.id).baseline_model == model.id
+        assert [v.version for v in client.rigs.versions(rig.id)] == [1]
+        spare = client.rigs.create(rig.datasheet, name="spare")
+        client.rigs.retire(spare.id)
+        assert client.rigs.get(spare.id).retired_at is not None
         done = client.jobs.get(ids["job_id"])
         result = {"model": model.id, "gap": ids["gap_id"], "health": ids["health_id"], "experiment": done.experiment}
         files = client.save(done.model_copy(update={"result": result}), tmp_path / "out")
