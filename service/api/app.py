@@ -66,7 +66,7 @@ def create_app(settings: Settings) -> FastAPI:
         version=product_version(),
         description=DESCRIPTION,
         lifespan=_lifespan,
-        docs_url="/docs",
+        docs_url=None,  # our own, in page: FastAPI's loads its files from elsewhere
         redoc_url=None,
     )
     app.state.services = services

@@ -58,6 +58,9 @@ class Around:
         body = _Body(receive, limit)
         began = time.perf_counter()
         status = 500
+        asked = scope["method"]
+        if asked == "HEAD":  # as GET, without the body (RFC 9110, 9.3.2)
+            scope["method"] = "GET"
 
         async def sending(message: Message) -> None:
             nonlocal status
@@ -66,6 +69,11 @@ class Around:
             if message["type"] == "http.response.start":
                 status = message["status"]
                 message["headers"] = [*message["headers"], (b"x-request-id", request_id.encode()), *_HEADERS]
+            elif asked == "HEAD":
+                if body.answered:
+                    return
+                body.answered = True
+                message = {"type": "http.response.body"}
             await send(message)
 
         with logs.bound(request=request_id):
@@ -111,10 +119,12 @@ class _Body:
         self._limit = limit
         self._size = 0
         self.exceeded = False
+        self.answered = False
+        """Whether all that the caller of HEAD wants was sent: an answer that goes on for ever ends then."""
 
     async def receive(self) -> Message:
         """The next part; what comes after the limit is as if the caller had gone."""
-        if self.exceeded:
+        if self.exceeded or self.answered:
             return {"type": "http.disconnect"}
         message = await self._receive()
         if message["type"] == "http.request":

@@ -20,9 +20,13 @@ AcceptEncoding = Annotated[str, Header(max_length=1000)]
 @router.get("/")
 def page(if_none_match: IfNoneMatch = None, accept_encoding: AcceptEncoding = "") -> Response:
     """The page."""
-    response = _answer("index.html", if_none_match, accept_encoding)
-    response.headers["Content-Security-Policy"] = web.POLICY
-    return response
+    return _page("index.html", if_none_match, accept_encoding)
+
+
+@router.get("/docs")
+def docs(if_none_match: IfNoneMatch = None, accept_encoding: AcceptEncoding = "") -> Response:
+    """The description of the API for a person; it needs no other server, as a commissioning PC has none."""
+    return _page("docs.html", if_none_match, accept_encoding)
 
 
 @router.get("/web/{name}", responses=documented(404))
@@ -30,9 +34,15 @@ def file(
     name: Annotated[str, InPath(max_length=60)], if_none_match: IfNoneMatch = None, accept_encoding: AcceptEncoding = ""
 ) -> Response:
     """A file of the page."""
-    if name == "index.html":
-        raise NotFoundError("the page is at /")
+    if name in web.PAGES:
+        raise NotFoundError("the pages are at / and /docs")
     return _answer(name, if_none_match, accept_encoding)
+
+
+def _page(name: str, if_none_match: str | None, accept_encoding: str) -> Response:
+    response = _answer(name, if_none_match, accept_encoding)
+    response.headers["Content-Security-Policy"] = web.POLICY
+    return response
 
 
 def _answer(name: str, if_none_match: str | None, accept_encoding: str) -> Response:

@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import DataError, IntegrityError, SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from drivers.errors import BusError, ControllerError, LeaseError
 from service.access.errors import ForbiddenError, RateError, UnauthorisedError
@@ -152,7 +153,20 @@ def _http(request: Request, error: Exception) -> Response:
         detail = "there is nothing at this address; the addresses are in /openapi.json"
     elif error.status_code == 405 and not detail:
         detail = f"{request.method} means nothing at this address; what does is in /openapi.json"
-    return problem(request, error.status_code, detail, headers=error.headers)
+    headers = error.headers
+    if error.status_code == 405:
+        headers = {"Allow": ", ".join(_methods(request))}
+    return problem(request, error.status_code, detail, headers=headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """Methods that an address takes; a router tells those of one route only."""
+    found = [
+        method
+        for method in ("DELETE", "GET", "PATCH", "POST", "PUT")
+        if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in request.app.routes)
+    ]
+    return sorted([*found, "HEAD"] if "GET" in found else found)
 
 
 def _collision(request: Request, error: Exception) -> Response:

@@ -13,7 +13,8 @@ MEDIA = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
 }
-ASSETS = ("style.css", "main.js", "api.js", "dom.js", "plots.js", "rig.js", "tables.js")
+PAGES = ("index.html", "docs.html")
+ASSETS = ("style.css", "main.js", "api.js", "docs.js", "dom.js", "plots.js", "rig.js", "tables.js")
 PLOTLY = "plotly.min.js"
 REPORT_STYLE = "report.css"
 POLICY = (
@@ -37,7 +38,7 @@ class Asset:
 @cache
 def asset(name: str) -> Asset | None:
     """A file by its name; None when the page has no such file."""
-    if name == "index.html" or name in ASSETS:
+    if name in PAGES or name in ASSETS:
         place = files("service.web") / name
     elif name == REPORT_STYLE:
         place = files("service.report") / "style.css"

@@ -118,3 +118,27 @@ def test_options_that_mean_nothing_are_refused(options, word):
 def test_options_are_kept_as_they_were_given():
     given = {"profile": {"from_hz": 20.0}, "identify": False}
     assert checked_options("experiment", given) == given
+
+
+def test_a_person_reads_the_description_without_any_other_server(client):
+    page = client.get("/docs")
+    assert page.status_code == 200
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+    assert "://" not in page.text
+    for name in re.findall(r'(?:src|href)="(web/[\w.]+)"', page.text):
+        assert client.get(f"/{name}").status_code == 200, name
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/", "/api/v1/rigs"])
+def test_head_is_get_without_the_body(client, path):
+    headers = {"accept-encoding": "identity"}
+    head, get = client.head(path, headers=headers), client.get(path, headers=headers)
+    assert (head.status_code, head.content) == (200, b"")
+    for name in ("content-type", "content-length"):
+        assert head.headers.get(name) == get.headers.get(name), name
+
+
+def test_a_method_that_means_nothing_is_told_those_that_do(client):
+    assert client.put("/api/v1/rigs").headers["allow"] == "GET, HEAD, POST"
+    assert client.post("/healthz").headers["allow"] == "GET, HEAD"
+    assert client.post("/api/v1/rigs/rig_1").headers["allow"] == "DELETE, GET, HEAD, PUT"

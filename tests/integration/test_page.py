@@ -264,3 +264,13 @@ def test_what_the_service_refuses_is_said_on_the_page(service):
         page.open(f"{service.url}/#/rig/{new_id('rig')}")
         page.until("!document.getElementById('problem').hidden")
         assert "no" in page.run("document.getElementById('problem').textContent")
+
+
+@needs_browser
+def test_the_description_of_the_api_is_read_in_a_browser(service):
+    with tab() as page:
+        page.open(f"{service.url}/docs")
+        page.until("document.documentElement.dataset.shown === 'docs'")
+        for told in ("POST /api/v1/jobs", "GET /api/v1/rigs/{rig_id}/trend", "ProfileOptions"):
+            assert told in page.text()
+        assert page.complaints == []
