@@ -23,7 +23,7 @@ from service.gap.document import gap_document, listed
 from service.gap.interference import hums_hz, interference, measured_by, scatter_shrinkage
 from service.gap.judged import judged
 from service.gap.log import log_fault
-from service.gap.loop import loop_figures
+from service.gap.loop import drawn_twins, loop_figures
 from service.gap.modes import with_identified_modes
 from service.gap.next_experiment import next_experiment
 from service.gap.nuisance import Nuisance, nuisance
@@ -162,7 +162,9 @@ def diagnose(
         gaps,
         o,
         unseen,
-        loop_figures(null.fit.rig, chosen.fit.rig, o),
+        loop_figures(
+            null.fit.rig, chosen.fit.rig, o, {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
+        ),
         next_experiment(nu, _left(whole, verdict), o),
         tuple(notes),
     )

@@ -2,32 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap.candidates import Candidate
+from service.gap.nuisance import Nuisance
 from service.gap.observation import Observation
 from service.gap.predict import at_speed_of
+from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
+QUANTITIES = ("sensitivity", "complementary_sensitivity", "dynamic_stiffness")
+LEAST = ("dynamic_stiffness",)
+"""Quantities whose smallest value counts; of the others, the largest."""
+MATTERS = 0.05
+"""Relative change over a point's blocks from which it tells nothing of a peak: 0.4 dB."""
+NEAR_A_MODE, FINE = 0.03, 1e-4
+"""Relative distance to a mode within which its peak lies in closed loop, and step there: at a damping of 0.001 that a
+controller takes away almost all of, a peak is some 5e-4 wide."""
+NOTHING: Mapping[str, Sequence[Rig]] = {}
 
-def measured_responses(o: Observation) -> tuple[Complex, Complex, Real] | None:
-    """u/r and y/u at the lines where every axis was excited, (F, n, n) each, and those frequencies; else None."""
+
+def measured_responses(o: Observation) -> tuple[Complex, Complex, Complex, NDArray[np.int64]] | None:
+    """u/r, y/u and y/r at the lines where every axis was excited and had settled, (F, n, n) each, and those lines.
+
+    None where they are fewer than three.
+    """
     n, f = o.U.shape[2], o.fundamental
-    lines = [k for k in range(len(o.frequency_hz)) if set(o.axis[o.line == k].tolist()) == set(range(n))]
+    usable = ~(o.drifting & (o.drift > MATTERS))
+    lines = [k for k in range(len(o.frequency_hz)) if set(o.axis[(o.line == k) & usable].tolist()) == set(range(n))]
     if len(lines) < 3:
         return None
     R, U, Y = (np.empty((len(lines), n, n), dtype=complex) for _ in range(3))
     for row, k in enumerate(lines):
-        for point in np.flatnonzero(o.line == k):
+        for point in np.flatnonzero((o.line == k) & usable):
             column = o.axis[point]
             R[row, :, column], U[row, :, column], Y[row, :, column] = o.R[point, f], o.U[point, f], o.Y[point, f]
-    return _right_divided(U, R), _right_divided(Y, U), o.frequency_hz[lines]
+    return _right_divided(U, R), _right_divided(Y, U), _right_divided(Y, R), np.array(lines)
 
 
 def _right_divided(a: Complex, b: Complex) -> Complex:
@@ -51,25 +70,133 @@ def chordal_distance(a: Complex, b: Complex) -> Real:
     return np.asarray(np.linalg.norm(left @ (b - a) @ right, ord=2, axis=(1, 2)))
 
 
-def loop_figures(before: Rig, after: Rig, o: Observation) -> dict[str, Any]:
-    """Sensitivity peak of each axis on the measured lines, and the largest nu-gap of the loop, before and after."""
+def loop_figures(
+    before: Rig, after: Rig, o: Observation, drawn: Mapping[str, Sequence[Rig]] = NOTHING
+) -> dict[str, Any]:
+    """What the gap means for the loop: S, T and dynamic stiffness, and the largest nu-gap, before and after.
+
+    Parameters
+    ----------
+    drawn
+        Twins "before" and "after" as they could be too, drawn from what the data leave of their values: the spread of
+        the predicted figures.
+    """
     found = measured_responses(o)
     if found is None:
         return {}
-    S, G, frequency = found
-    axes = before.axes
-    peaks: dict[str, Any] = {"measured": dict(zip(axes, _peaks(S), strict=True))}
+    S, G, y_per_r, lines = found
+    axes, frequency = before.axes, o.frequency_hz[lines]
+    twins = {"before": before, "after": after}
+    force = Force(at_speed_of(before, o))
+    measured = force.figures(S, y_per_r, frequency)
+    noise = _noise(o, lines, measured)
+    at_lines = {name: _of_twin(rig, o, frequency, force) for name, rig in twins.items()}
+    dense = _dense(frequency, [before, after])
+    predicted = {name: _of_twin(rig, o, dense, force) for name, rig in twins.items()}
+    spread = {name: [_of_twin(rig, o, dense, force) for rig in drawn.get(name, ())] for name in twins}
     gaps: dict[str, Any] = {"frequency_hz": frequency.tolist()}
-    for name, rig in (("before", before), ("after", after)):
+    for name, rig in twins.items():
         model = linear_model(at_speed_of(rig, o), frequency)
-        peaks[name] = dict(zip(axes, _peaks(model.sensitivity), strict=True))
         C = model.controller[:, None, None]
         distance = chordal_distance(C * model.y_per_u, C * G)
         gaps[name] = distance.tolist()
         gaps[f"largest_{name}"] = float(distance.max())
-    return {"sensitivity_peak": peaks, "nu_gap": gaps}
+    return {
+        "sensitivity_peak": {
+            name: dict(zip(axes, of["sensitivity"].max(axis=0).tolist(), strict=True))
+            for name, of in {"measured": measured, **at_lines}.items()
+        },
+        "extremes": {
+            quantity: {
+                axis: {
+                    "measured": _extreme(quantity, measured[quantity][:, a], frequency, noise[quantity][:, a]),
+                    **{
+                        name: _extreme(quantity, predicted[name][quantity][:, a], dense)
+                        | {
+                            "std": _std([_value(quantity, one[quantity][:, a]) for one in spread[name]]),
+                            "at_measured_lines": _value(quantity, at_lines[name][quantity][:, a]),
+                        }
+                        for name in twins
+                    },
+                }
+                for a, axis in enumerate(axes)
+            }
+            for quantity in QUANTITIES
+        },
+        "not_settled_hz": np.setdiff1d(o.frequency_hz, frequency).tolist(),
+        "nu_gap": gaps,
+    }
 
 
-def _peaks(S: Complex) -> list[float]:
-    diagonal = np.abs(np.diagonal(S, axis1=1, axis2=2))
-    return [float(p) for p in diagonal.max(axis=0)]
+@dataclass(frozen=True)
+class Force:
+    """r as a force at the bearings, ki A r by one twin: a change of units, the same for all that are compared."""
+
+    rig: Rig
+
+    def figures(self, S: Complex, y_per_r: Complex, frequency_hz: Real) -> dict[str, Real]:
+        """|S|, |T| and the dynamic stiffness in closed loop, N/m, of every axis by itself, (F, n) each."""
+        force = _own(linear_model(self.rig, frequency_hz).i_per_u) * self.rig.magnets.ki
+        own = _own(S)
+        stiffness = np.abs(force) / np.maximum(np.abs(_own(y_per_r)), 1e-300)
+        return dict(zip(QUANTITIES, (np.abs(own), np.abs(1 - own), stiffness), strict=True))
+
+
+def _of_twin(rig: Rig, o: Observation, frequency_hz: Real, force: Force) -> dict[str, Real]:
+    model = linear_model(at_speed_of(rig, o), frequency_hz)
+    return force.figures(model.u_per_r, model.y_per_u @ model.u_per_r, frequency_hz)
+
+
+def _own(of: Complex) -> Complex:
+    return np.asarray(np.diagonal(of, axis1=1, axis2=2))
+
+
+def _noise(o: Observation, lines: NDArray[np.int64], measured: dict[str, Real]) -> dict[str, Real]:
+    """Standard deviation of the measured figures, (F, n) each."""
+    f, n = o.fundamental, o.U.shape[2]
+    of_u, of_y = np.zeros((len(lines), n)), np.zeros((len(lines), n))
+    for row, k in enumerate(lines):
+        for point in np.flatnonzero(o.line == k):
+            a = o.axis[point]
+            of_u[row, a] = o.sd_u[point, f, a] / abs(o.R[point, f, a])
+            of_y[row, a] = o.sd_y[point, f, a] / max(abs(o.Y[point, f, a]), 1e-300)
+    # of the size of a complex mean: half of its variance
+    root = np.sqrt(0.5)
+    return dict(zip(QUANTITIES, (root * of_u, root * of_u, root * of_y * measured["dynamic_stiffness"]), strict=True))
+
+
+def _dense(frequency_hz: Real, rigs: Sequence[Rig]) -> Real:
+    """Frequencies of the measured band, close enough for the peaks of flexible modes."""
+    low, high = float(frequency_hz[0]), float(frequency_hz[-1])
+    modes = [m.natural_frequency_rad_s / (2 * np.pi) for rig in rigs for plane in rig.rotor.modes for m in plane]
+    near = [m * np.arange(1 - NEAR_A_MODE, 1 + NEAR_A_MODE, FINE) for m in set(modes)]
+    every = np.concatenate([np.geomspace(low, high, 300), frequency_hz, *near])
+    return np.unique(every[(every >= low) & (every <= high)])
+
+
+def _value(quantity: str, of: Real) -> float:
+    return float(of.min() if quantity in LEAST else of.max())
+
+
+def _extreme(quantity: str, of: Real, frequency_hz: Real, std: Real | None = None) -> dict[str, float]:
+    k = int(of.argmin() if quantity in LEAST else of.argmax())
+    told = {"value": float(of[k]), "frequency_hz": float(frequency_hz[k])}
+    return told if std is None else told | {"std": float(std[k])}
+
+
+def _std(values: Sequence[float]) -> float | None:
+    return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+def drawn_twins(nuisance: Nuisance, candidate: Candidate, count: int = 12, seed: int = 0) -> list[Rig]:
+    """The twin with its datasheet's values drawn from what the data leave of them; its effects stay as fitted."""
+    k = len(nuisance)
+    root = np.linalg.cholesky(np.linalg.inv(candidate.fit.curvature[:k, :k] + np.eye(k)))
+    draws = np.random.default_rng(seed).standard_normal((count, k)) @ root.T
+    out = []
+    for draw in draws:
+        rig = nuisance.at(candidate.fit.theta + draw)
+        for name, values in zip(candidate.effects, candidate.fit.values, strict=True):
+            rig = CATALOGUE[name].on(rig, **values)
+        out.append(rig)
+    return out

@@ -212,6 +212,9 @@ def _loop(document: dict[str, Any]) -> list[Part]:
         rows.append([axis, fixed(seen, 2), fixed(was, 2), fixed(now, 2), signed(was - seen), signed(now - seen)])
     head = ["peak |S| at the measured lines, dB", "measured", "before", "after", "error before", "error after"]
     parts: list[Part] = [table(head, rows)]
+    parts += [_extremes(name, of) for name, of in loop["extremes"].items()]
+    if left_out := loop["not_settled_hz"]:
+        parts.append(paragraph(f"Left out, not settled or not every axis: {count(len(left_out), 'line')}.", "note"))
     nu_gap = draw.nu_gap_figure(document)
     if nu_gap is not None:
         largest = loop["nu_gap"]
@@ -224,6 +227,26 @@ def _loop(document: dict[str, Any]) -> list[Part]:
             )
         )
     return parts
+
+
+EXTREMES = {
+    "sensitivity": ("largest |S|", 1.0, 2),
+    "complementary_sensitivity": ("closed loop: largest |T|", 1.0, 2),
+    "dynamic_stiffness": ("smallest dynamic stiffness, N/µm", 1e-6, 3),
+}
+"""What a quantity's extreme is called, its scale and its digits."""
+
+
+def _extremes(quantity: str, by_axis: dict[str, Any]) -> str:
+    """Extreme of a quantity: measured at the lines, predicted between them too, each with standard deviation."""
+    name, scale, digits = EXTREMES[quantity]
+
+    def told(e: dict[str, Any]) -> str:
+        spread = "" if e["std"] is None else f" ± {number(scale * e['std'], 2)}"
+        return f"{fixed(scale * e['value'], digits)}{spread} at {number(e['frequency_hz'], 4)} Hz"
+
+    rows = [[axis, *(told(of[k]) for k in ("measured", "before", "after"))] for axis, of in by_axis.items()]
+    return table([name, "measured", "before", "after"], rows)
 
 
 def _next(document: dict[str, Any]) -> list[Part]:

@@ -1,0 +1,57 @@
+"""What a gap means for the loop: S, T and stiffness are those of the rig, whatever lies between the measured lines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.loop import QUANTITIES, loop_figures
+from service.gap.observation import observe
+from sim.twin import linear_model, with_effects
+from tests.support.synthetic import known_datasheet, sweep, true_rig
+
+TWIN = true_rig(known_datasheet(seed=1)[1])
+RIG = with_effects(TWIN, {"loop_delay": {"delay_s": 4e-5}})
+HZ = np.geomspace(10.0, 950.0, 24)
+O = observe(sweep(RIG, HZ, 0.1, seed=3), TWIN)
+FIGURES = loop_figures(TWIN, RIG, O, {"before": [TWIN] * 3, "after": [RIG] * 3})
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_the_right_twin_predicts_what_is_measured_where_it_is_measured(quantity: str) -> None:
+    for axis, of in FIGURES["extremes"][quantity].items():
+        seen = of["measured"]
+        assert of["after"]["at_measured_lines"] == pytest.approx(
+            seen["value"], abs=5 * seen["std"] + 2e-3 * seen["value"]
+        ), axis
+        assert seen["std"] < 0.05 * seen["value"]
+
+
+def test_a_peak_between_the_lines_is_predicted() -> None:
+    """Few lines miss the peak of a flexible mode; the prediction does not."""
+    dense = np.linspace(HZ[0], HZ[-1], 40000)
+    peak = np.abs(linear_model(RIG, dense).u_per_r[:, 0, 0]).max()
+    of = FIGURES["extremes"]["sensitivity"]["xA"]["after"]
+    assert of["value"] == pytest.approx(peak, rel=0.05)
+    assert of["value"] > of["at_measured_lines"]
+
+
+def test_the_smallest_stiffness_is_that_of_force_over_displacement() -> None:
+    model = linear_model(TWIN, HZ)
+    y_per_force = np.abs(
+        (model.y_per_u @ model.u_per_r / (model.i_per_u[:, 0, 0] * TWIN.magnets.ki[0])[:, None, None])[:, 0, 0]
+    )
+    of = FIGURES["extremes"]["dynamic_stiffness"]["xA"]["before"]
+    assert of["at_measured_lines"] == pytest.approx(1 / y_per_force.max(), rel=1e-6)
+
+
+def test_a_point_that_had_not_settled_makes_no_peak() -> None:
+    drifting = O.drifting.copy()
+    worst = int(np.argmax(np.abs(O.U[:, O.fundamental]).max(axis=1)))
+    drifting[worst] = True
+    drift = np.where(drifting, 0.3, 0.0)
+    found = loop_figures(TWIN, RIG, replace(O, drifting=drifting, drift=drift))
+    assert O.points_hz[worst] in found["not_settled_hz"]
+    assert O.points_hz[worst] not in [
+        of["measured"]["frequency_hz"] for of in found["extremes"]["sensitivity"].values()
+    ]
