@@ -11,7 +11,6 @@ import numpy as np
 from service.experiment.data import Experiment
 from service.gap.candidates import Candidate, Fitter
 from service.gap.compose import (
-    Composition,
     chosen_in,
     composed,
     dated,
@@ -30,6 +29,7 @@ from service.gap.nuisance import Nuisance, nuisance
 from service.gap.observation import GapError, Observation, observe
 from service.gap.part import Ground, Values, driven_by_current, parts
 from service.gap.predict import at_speed_of
+from service.gap.rivals import left_together
 from service.gap.search import MOST, Explained, explain, plain_twin
 from service.gap.settling import DRIFTS
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
@@ -150,6 +150,11 @@ def diagnose(
     if sources and len(verdict.effects) == len(sources):
         shrunk = scatter_shrinkage(other, nu.rig, sources, name) or shrunk
         closures[verdict.effects] = shrunk.closure
+    pair = left_together(whole.order, verdict)
+    proposal = next_experiment(nu, pair, o, experiment.rig)
+    if pair and proposal is None:
+        one, other_one = (" + ".join(c.effects).replace("_", " ") for c in pair)
+        notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")
     return Diagnosis(
         experiment.rig,
         locate(found, whole_other, verdict.effects, sources),
@@ -165,7 +170,7 @@ def diagnose(
         loop_figures(
             null.fit.rig, chosen.fit.rig, o, {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
         ),
-        next_experiment(nu, _left(whole, verdict), o),
+        proposal,
         tuple(notes),
     )
 
@@ -224,16 +229,3 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
     """Whether what explains the main sweep leaves a clear gap on the other one."""
     o, z = on_sweep(e, chosen_in(e), unseen)
     return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
-
-
-def _left(whole: Composition, verdict: Verdict) -> list[Candidate]:
-    """Explanations that are still to be told apart: of one alias class, or of nearly the same evidence."""
-    if verdict.kind in ("no_gap", "none_of_these"):
-        return []
-    names = {group for alternatives in verdict.indistinguishable for group in alternatives} | set(verdict.effects)
-    best = whole.order[0]
-    return [
-        r.candidate
-        for r in whole.order
-        if r.candidate.effects and (set(r.candidate.effects) <= names or r.log_evidence > best.log_evidence - 5.0)
-    ][:2]

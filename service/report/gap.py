@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from html import escape
 from typing import Any
 
 from service.gap.diagnose import Diagnosis
@@ -260,12 +262,22 @@ def _next(document: dict[str, Any]) -> list[Part]:
             f"standard deviations, odds of telling them apart {_percent(found['odds_of_telling_apart'])}."
         )
     ]
-    others = [[x["experiment"].replace("_", " "), number(x["distance_sd"], 3)] for x in found.get("alternatives", ())]
+    if "rig_seconds" in found:
+        parts.append(paragraph(f"It takes about {number(found['rig_seconds'], 2)} s of the rig."))
+    parts += [paragraph(f"Before, by hand: {step}.") for step in found.get("by_hand", ())]
+    if "command" in found:
+        command = escape(found["command"])
+        job = escape(json.dumps(found["job"]))
+        parts.append(f"<p>Submit it: <code>{command}</code></p><p>or POST /api/v1/jobs: <code>{job}</code></p>")
+    others = [
+        [x["experiment"].replace("_", " "), number(x["distance_sd"], 3), number(x.get("rig_seconds", float("nan")), 2)]
+        for x in found.get("alternatives", ())
+    ]
     if others:
-        parts.append(table(["alternatives", "distance, standard deviations"], others))
+        parts.append(table(["alternatives", "distance, standard deviations", "rig time, s"], others))
     tones = [[t["axis"], number(t["frequency_hz"], 5), number(t["amplitude_a"], 3)] for t in found["tones"]]
     submit = table(["axis", "Hz", "r, A"], tones)
-    parts.append(f"<details><summary>{count(len(tones), 'tone')} ready to submit</summary>{submit}</details>")
+    parts.append(f"<details><summary>{count(len(tones), 'tone')}</summary>{submit}</details>")
     return parts
 
 

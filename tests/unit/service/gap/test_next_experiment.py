@@ -1,0 +1,86 @@
+"""What is left together is told apart by the experiment that can, and the proposal is one that the service takes."""
+
+import json
+import shlex
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.api.options import checked_options
+from service.cli.client import Kind, _options
+from service.gap.candidates import Candidate
+from service.gap.fit import Fit
+from service.gap.next_experiment import Option, next_experiment, options, rig_seconds, submission
+from service.gap.nuisance import nuisance
+from service.gap.observation import observe
+from service.gap.rivals import left_together
+from service.gap.verdict import Ranked, Verdict
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, sweep, true_rig
+
+DATASHEET, TRUTH = known_datasheet(seed=1)
+NU, TWIN = nuisance(DATASHEET), true_rig(TRUTH)
+SEEN = observe(sweep(TWIN, np.geomspace(10.0, 950.0, 24), 0.1, seed=3), TWIN)
+
+
+def explanation(evidence: float, **values: dict[str, float]) -> Ranked:
+    rig, effects, k = with_effects(TWIN, values), tuple(values), len(NU)
+    fit = Fit(effects, np.zeros(k), tuple(values.values()), rig, (), 0.0, np.arange(k), 1e6 * np.eye(k), "converged")
+    return Ranked(Candidate(effects, fit, 0.0, tuple({} for _ in effects)), evidence, 0.9, 0.0)
+
+
+DAMPED = explanation(0.0, modal_damping={"mode1_log_ratio": 1.5, "mode2_log_ratio": 1.5})
+ALIASES = Verdict("effect", ("modal_damping",), (("modal_damping", "internal_damping"),), 0.9, ())
+
+
+def test_an_exact_alias_is_constructed_and_only_speed_tells_it_apart() -> None:
+    """At rest nothing but the log could; what adds an amplifier's limit to the chosen effect is no rival of it."""
+    damping = dict(zip(DAMPED.candidate.effects, DAMPED.candidate.fit.values, strict=True))
+    more = explanation(-1.0, **damping, amplifier_voltage_limit={"slew_inverse_s_per_a": 1e-6, "slope_seen": 0.0})
+    pair = left_together([DAMPED, more], ALIASES)
+    assert pair is not None
+    assert pair[1].effects == ("internal_damping",)
+    proposal = next_experiment(NU, pair, SEEN, "rig 1")
+    assert proposal is not None
+    assert proposal["separates"] == ["modal_damping", "internal_damping"]
+    assert proposal["experiment"] == "speed"
+    assert proposal["alternatives"] == [], "nothing at rest separates them"
+    assert "50 rev/s" in proposal["by_hand"][0]
+
+
+def test_what_contains_the_chosen_explanation_is_no_rival_and_what_does_not_is() -> None:
+    chosen = explanation(0.0, loop_delay={"delay_s": 2e-5})
+    more = explanation(-1.0, loop_delay={"delay_s": 2e-5}, sensor_lag={"time_constant_s": 1e-6})
+    rival = explanation(-3.0, sensor_lag={"time_constant_s": 2e-5})
+    far = replace(rival, log_evidence=-30.0)
+    verdict = Verdict("effect", ("loop_delay",), (), 0.9, ())
+    assert left_together([chosen, more], verdict) is None
+    pair = left_together([chosen, more, rival], verdict)
+    assert pair is not None
+    assert pair[1].effects == ("sensor_lag",)
+    assert left_together([chosen, more, far], verdict) is None
+    assert left_together([chosen, rival], Verdict("none_of_these", (), (), 0.9, ())) is None
+
+
+def test_what_nothing_affordable_separates_gets_no_proposal() -> None:
+    a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
+    b = explanation(-1.0, sensor_lag={"time_constant_s": 2e-5 + 1e-12, "delay_s": 0.0})
+    assert next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1") is None
+    assert next_experiment(NU, None, SEEN, "rig 1") is None
+
+
+@pytest.mark.parametrize("option", options(SEEN, TWIN), ids=lambda o: o.name)
+def test_the_service_takes_what_is_proposed(option: Option) -> None:
+    asked = submission(option, "rig 1")
+    job = asked["job"]
+    assert checked_options(job["kind"], job["options"]) == job["options"]
+    words = shlex.split(asked["command"])
+    assert words[:5] == ["ambit", "submit", "experiment", "--rig", "rig 1"]
+    assert _options([words[-1]], False, None, Kind.experiment) == job["options"]
+    assert json.loads(json.dumps(job)) == job
+
+
+def test_lines_below_ten_hertz_take_their_periods() -> None:
+    slow = Option("slow", "", np.array([1.0, 2.0]))
+    assert rig_seconds(slow, 4) == pytest.approx(4 * 2 * 6 * 1.5)
