@@ -10,6 +10,9 @@ from sim.rig import Amplifiers, Array
 
 Complex = NDArray[np.complex128]
 
+FELT_LAG_S = 1e-15
+"""A further lag below this is none: far less than a fit's step of it, and its pole would leave the range of numbers."""
+
 
 @remembered(32)
 def continuous(amplifiers: Amplifiers, omega_rad_s: Array) -> Complex:
@@ -31,7 +34,7 @@ def poles(amplifiers: Amplifiers) -> Complex:
         root = np.sqrt(zeta**2 - 1)
         root = np.where(np.abs(root) < 1e-6, 1e-6, root)
         own = [w * (-zeta + root), w * (-zeta - root)]
-    if amplifiers.lag_s > 0:
+    if amplifiers.lag_s > FELT_LAG_S:
         lag = np.full(len(w), -1 / amplifiers.lag_s + 0j)
         for p in own:
             lag = np.where(np.abs(lag / p - 1) < 1e-5, lag * (1 + 1e-5), lag)
