@@ -8,7 +8,7 @@ frequency-domain model are built from that rig, so an effect is written once.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from sim.errors import EffectError
@@ -59,6 +59,8 @@ class Effect:
     """True when the response is not proportional to the excitation."""
     restated: Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]] = lambda values, like: values
     """(values, like) -> the same effect as ``values``, its redundant parameters chosen as those of ``like`` are."""
+    likened: Mapping[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = field(default_factory=dict)
+    """By id of an alias: its values -> those with which this effect comes nearest to it; none where nothing does."""
 
     def on(self, rig: Rig, **values: float) -> Rig:
         """Rig with this effect; parameters not given keep their typical value.

@@ -58,6 +58,11 @@ class Support:
     mass_kg: float
     natural_frequency_rad_s: float
     damping_ratio: float
+    pedestals: float = 0.0
+    """Share of the inverse mass that is in a pedestal under each bearing, which moves apart from the other end's; the
+    rest is in one housing that carries both."""
+    frequency_ratio: float = 1.0
+    """Natural frequency of the pedestal at B over that at A."""
 
 
 @dataclass(frozen=True)

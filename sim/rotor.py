@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rig import Array, Rig
+from sim.rig import Array, Rig, Support
 
 Complex = NDArray[np.complex128]
 
@@ -59,7 +59,8 @@ def mechanics(rig: Rig) -> Mechanics:
     sizes = [2 + len(m) for m in rotor.modes]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     n_rotor = int(starts[-1])
-    n_q = n_rotor + (rig.n_planes if rig.support else 0)
+    housings = _housings(rig.support) if rig.support else []
+    n_q = n_rotor + rig.n_planes * len(housings)
     mass, damping, stiffness = np.zeros((n_q, n_q)), np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
     bearing_map, sensor_map = np.zeros((n, n_q)), np.zeros((n, n_q))
     for plane, modes in enumerate(rotor.modes):
@@ -73,19 +74,25 @@ def mechanics(rig: Rig) -> Mechanics:
         bearing_map[rows, columns], sensor_map[rows, columns] = plane_maps(rig, plane)
     if rig.n_planes == 2 and speed:
         _turning(rig, starts, damping, stiffness)
-    if rig.support:
-        housing = rig.support
-        for plane in range(rig.n_planes):
-            k, rows = n_rotor + plane, slice(2 * plane, 2 * plane + 2)
-            mass[k, k] = housing.mass_kg
-            stiffness[k, k] = housing.mass_kg * housing.natural_frequency_rad_s**2
-            damping[k, k] = 2 * housing.damping_ratio * housing.natural_frequency_rad_s * housing.mass_kg
-            bearing_map[rows, k] = sensor_map[rows, k] = -1.0
+    for plane in range(rig.n_planes):
+        for k, (ends, of_housing) in enumerate(housings, start=n_rotor + plane * len(housings)):
+            mass[k, k], damping[k, k], stiffness[k, k] = of_housing
+            bearing_map[2 * plane + ends, k] = sensor_map[2 * plane + ends, k] = -1.0
     if rig.seal_cross_stiffness_n_per_m and rig.n_planes == 2:
         x, y = bearing_map[:2], bearing_map[2:]
         # fx = -k y, fy = +k x on the right-hand side
         stiffness += rig.seal_cross_stiffness_n_per_m * (x.T @ y - y.T @ x)
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
+
+
+def _housings(support: Support) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:
+    """Housings of a plane: the bearings that each carries, 0 and 1 for A and B, and its mass, damping and stiffness."""
+    share, w, ratio = support.pedestals, support.natural_frequency_rad_s, support.frequency_ratio
+    shared_out = (([0, 1], 1 - share, w), ([0], share, w), ([1], share, w * ratio))
+    return [
+        (np.array(ends), (m, 2 * support.damping_ratio * own * m, m * own**2))
+        for ends, m, own in ((e, support.mass_kg / part, own) for e, part, own in shared_out if part > 0)
+    ]
 
 
 def _turning(rig: Rig, starts: Array, damping: Array, stiffness: Array) -> None:

@@ -170,7 +170,8 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
         clearance, side = float(g.uniform(2e-6, 7e-6)), float(g.choice([0.0, 0.0, 1.0, -1.0]))
         return {"side": side, **{f"clearance_{axis}_m": clearance for axis in AXES}}
     if name == "support_resonance":
-        return {"frequency_hz": 15.0 * 50.0 ** float(g.uniform())}
+        pedestals, ratio = float(g.choice([0.0, 0.0, 1.0])), float(g.uniform(0.9, 1.1))
+        return {"frequency_hz": 15.0 * 50.0 ** float(g.uniform()), "pedestals": pedestals, "frequency_ratio": ratio}
     if name == "extra_flexible_mode":
         at_b = 0.06 * share * g.uniform(0.4, 1.0, 2) * g.choice([-1.0, 1.0], 2)
         at_s = at_b * g.uniform(0.7, 1.3, 2)

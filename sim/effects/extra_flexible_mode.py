@@ -7,6 +7,9 @@ from dataclasses import replace
 from sim.effect import Effect, Parameter
 from sim.rig import FlexibleMode, Rig
 
+HIGHEST_DAMPING = 0.1
+"""Damping ratio from which a resonance is no mode of a steel rotor."""
+
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     at_bearings = (p["bearing_A_per_sqrt_kg"], p["bearing_B_per_sqrt_kg"])
@@ -26,12 +29,22 @@ def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping
     return {**values, **{name: -values[name] for name in shape}}
 
 
+def _like_a_support(values: Mapping[str, float]) -> Mapping[str, float]:
+    """The mode that acts as a resonant support: a housing of mass m moves bearings and sensors alike, by 1/sqrt(m)."""
+    shape = math.sqrt(values["inverse_mass_per_kg"])
+    return {
+        "frequency_hz": values["frequency_hz"],
+        "damping_ratio": min(values["damping_ratio"], HIGHEST_DAMPING),
+        **{f"{place}_per_sqrt_kg": shape for place in ("bearing_A", "bearing_B", "sensor_A", "sensor_B")},
+    }
+
+
 EFFECT = Effect(
     id="extra_flexible_mode",
     path="plant",
     parameters=(
         Parameter("frequency_hz", "Hz", 5.0, 3000.0, 700.0, 700.0, "log", "natural frequency", strength=False),
-        Parameter("damping_ratio", "1", 1e-4, 0.1, 2e-3, 2e-3, "log", strength=False),
+        Parameter("damping_ratio", "1", 1e-4, HIGHEST_DAMPING, 2e-3, 2e-3, "log", strength=False),
         Parameter("bearing_A_per_sqrt_kg", "1/sqrt(kg)", -0.3, 0.3, 0.03, 0.0, description="shape, unit modal mass"),
         Parameter("bearing_B_per_sqrt_kg", "1/sqrt(kg)", -0.3, 0.3, -0.02, 0.0, description="shape, unit modal mass"),
         Parameter(
@@ -57,6 +70,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     restated=_restated,
+    likened={"support_resonance": _like_a_support},
     law="+ phi_s phi_b^T/(s^2 + 2 z w s + w^2) in the receptance of each plane",
     signature="one more peak of y/i with a residue of rank one, which may be negative where sensor and bearing differ",
     aliases=("support_resonance",),

@@ -14,9 +14,23 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         return rig
     if rig.support is not None:
         raise EffectError(f"rig {rig.name} already has a resonant support; change that one instead of adding another")
-    return replace(
-        rig, support=Support(1 / p["inverse_mass_per_kg"], 2 * math.pi * p["frequency_hz"], p["damping_ratio"])
+    w = 2 * math.pi * p["frequency_hz"]
+    support = Support(1 / p["inverse_mass_per_kg"], w, p["damping_ratio"], p["pedestals"], p["frequency_ratio"])
+    return replace(rig, support=support)
+
+
+def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
+    """The support whose residue is the mean of a mode's, which a support has of one kind in every channel."""
+    at_bearings, at_sensors = (
+        0.5 * (values[f"{place}_A_per_sqrt_kg"] + values[f"{place}_B_per_sqrt_kg"]) for place in ("bearing", "sensor")
     )
+    if at_bearings * at_sensors <= 0:
+        return {}
+    return {
+        "inverse_mass_per_kg": at_bearings * at_sensors,
+        "frequency_hz": values["frequency_hz"],
+        "damping_ratio": values["damping_ratio"],
+    }
 
 
 EFFECT = Effect(
@@ -26,11 +40,34 @@ EFFECT = Effect(
         Parameter("inverse_mass_per_kg", "1/kg", 1e-6, 2e-2, 1 / 900, 0.0, "log", "of the part that moves, each plane"),
         Parameter("frequency_hz", "Hz", 5.0, 1500.0, 430.0, 430.0, "log", "of the part on its spring", strength=False),
         Parameter("damping_ratio", "1", 1e-3, 0.3, 0.01, 0.01, "log", strength=False),
+        Parameter(
+            "pedestals",
+            "1",
+            0.0,
+            1.0,
+            0.0,
+            0.0,
+            description="share of it in a pedestal under each bearing, of which either moves alone",
+            strength=False,
+        ),
+        Parameter(
+            "frequency_ratio",
+            "1",
+            0.7,
+            1.4,
+            1.0,
+            1.0,
+            "log",
+            "of the pedestal at B over that at A",
+            strength=False,
+        ),
     ),
     apply=_apply,
-    law="mh xh'' + dh xh' + kh xh = -sum f; bearings and sensors see the rotor relative to xh",
+    law="mh xh'' + dh xh' + kh xh = -sum f, of both bearings or of either; bearings and sensors see the rotor relative "
+    "to xh",
     signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
     aliases=("extra_flexible_mode",),
+    likened={"extra_flexible_mode": _like_a_mode},
     separated_by="signs of the residues; speed splits a rotor mode only; an accelerometer on the housing",
     source="Genta, Dynamics of Rotating Systems, Springer 2005, chapter 2 (rotor on compliant supports); "
     "Khader, System Identification of Active Magnetic Bearing for Commissioning, section 5.3.2 (the split first peak)",

@@ -163,6 +163,7 @@ def test_at_its_typical_values_it_shows(one):
 @every_effect
 def test_each_of_its_parameters_counts(one):
     """Strengths set to null and shapes moved, one at a time, beside typical values of the others."""
+    beside = {"frequency_ratio": {"pedestals": 0.5}}  # of pedestals, where there are any
 
     def answer(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
         model = linear_model(rig, TONES_HZ)
@@ -170,10 +171,11 @@ def test_each_of_its_parameters_counts(one):
         return np.stack([model.i_per_u, model.y_per_u, model.u_per_r]), np.stack([record.u, record.i, record.y])
 
     rig = rig_for(one)
-    typical = answer(one.on(rig))
     for p in one.parameters:
+        others = beside.get(p.name, {})
+        typical = answer(one.on(rig, **others))
         moved = p.null if p.strength else 0.1 * p.typical or 0.6 * p.high
-        changed = answer(one.on(rig, **{p.name: min(max(moved, min(p.low, p.null)), p.high)}))
+        changed = answer(one.on(rig, **others, **{p.name: min(max(moved, min(p.low, p.null)), p.high)}))
         assert any(np.any(np.abs(a - b) > 1e-9 * np.abs(b).max()) for a, b in zip(changed, typical, strict=True)), (
             p.name
         )
@@ -317,6 +319,18 @@ def test_an_effect_restated_is_the_same_effect(one):
         for change in ("ki_change", "ks_change"):
             gone = [getattr(d, change) * d.progress(passed_s / d.duration_s) for d in (a, b)]
             assert gone[0] == pytest.approx(gone[1], rel=1e-9)
+
+
+@every_effect
+def test_an_effect_likened_to_its_alias_answers_like_it(one):
+    """Where the alias takes a form that both have: a mode that moves bearings and sensors alike, a housing."""
+    for name, likened in one.likened.items():
+        assert name in one.aliases
+        other = CATALOGUE[name]
+        alike = {p.name: 0.02 if p.name.endswith("sqrt_kg") else p.typical for p in other.parameters}
+        rig = rig_for(one)
+        a, b = (linear_model(r, TONES_HZ) for r in (other.on(rig, **alike), one.on(rig, **likened(alike))))
+        assert differences(a.y_per_u, b.y_per_u).max() < 1e-9
 
 
 def test_effects_of_a_twin_add_up():

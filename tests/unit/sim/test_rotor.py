@@ -156,6 +156,26 @@ def test_a_support_takes_the_reaction():
     np.testing.assert_array_equal(m.sensor_map[:2, 4], -1.0)
 
 
+def test_a_pedestal_moves_under_its_own_bearing_alone():
+    """Displacement relative to a pedestal of its own: one more receptance of a mass on a spring on the diagonal."""
+    mass, hz, zeta, ratio = 900.0, 110.0, 0.03, 1.1
+    rig = effect("support_resonance").on(
+        RIG, inverse_mass_per_kg=1 / mass, frequency_hz=hz, damping_ratio=zeta, pedestals=1.0, frequency_ratio=ratio
+    )
+    (_, free), (_, held) = (rotor.receptances(rotor.mechanics(r), OMEGA) for r in (RIG, rig))
+    own = 2 * np.pi * hz * np.array([1.0, ratio, 1.0, ratio])
+    of_pedestals = 1 / mass / (own**2 - OMEGA[:, None] ** 2 + 2j * zeta * own * OMEGA[:, None])
+    np.testing.assert_allclose(held - free, of_pedestals[:, :, None] * np.eye(4), rtol=1e-9, atol=1e-15)
+
+
+def test_what_is_no_pedestal_is_the_housing_of_both():
+    half = effect("support_resonance").on(RIG, pedestals=0.5)
+    whole, apart = (effect("support_resonance").on(RIG, pedestals=share) for share in (0.0, 1.0))
+    _, free = rotor.receptances(rotor.mechanics(RIG), OMEGA)
+    a, b, c = (rotor.receptances(rotor.mechanics(r), OMEGA)[1] - free for r in (half, whole, apart))
+    np.testing.assert_allclose(a, 0.5 * (b + c), rtol=1e-9, atol=1e-18)
+
+
 def test_a_heavy_support_is_none():
     heavy = effect("support_resonance").on(RIG, inverse_mass_per_kg=1e-6)
     _, still = rotor.receptances(rotor.mechanics(RIG), OMEGA)
