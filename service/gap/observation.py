@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from service.experiment.data import Sweep
 from service.gap.coherent import PATTERNS, deviation, left_in_mean, without_hum
 from service.gap.settling import drifting
+from service.gap.wander import wander
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
@@ -225,6 +226,10 @@ def observe(
     rings[:, f] = False
     sd_y[rings] = np.inf
     sd_u = np.hypot(sd_u, UNSETTLED_SHARE * drift_u[:, None, None])
+    if 0 in sweep.harmonics:
+        k = sweep.harmonics.index(0)
+        means = (mean_u, mean_u if mean_i is None else mean_i, mean_y)
+        sd_y[:, k] = np.hypot(sd_y[:, k], wander(rig, means, sd_y[:, k], k, f, sweep))
     return Observation(
         frequency,
         line,
