@@ -70,21 +70,13 @@ def answer_and_jacobian(
     displacement = (model.y_per_u[o.line] @ U[..., None])[..., 0]
     columns = np.zeros((len(U), 2 * n, len(nuisance)), dtype=complex)
 
-    m = rotor.mechanics(rig)
-    point, rotation = actuator.operating_point(rig), force_rotation(rig)
-    s = 1j * omega
-    stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
-    closed = np.linalg.inv(m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness))
-    eddy = actuator.eddy_factor(rig.magnets, omega)[o.line]
-    base = (model.baseband[o.line] @ U[..., None])[..., 0]
+    m, point, rotation = rotor.mechanics(rig), actuator.operating_point(rig), force_rotation(rig)
     early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    base = (model.baseband[o.line] @ U[..., None])[..., 0]
+    eddy = actuator.eddy_factor(rig.magnets, omega)[o.line]
     magnetic = point.ki * eddy * base * early  # (P, n) force of the current alone
-    q = (closed[o.line] @ (magnetic @ rotation.T @ m.force_map.T)[..., None])[..., 0]
-    at_bearing = q @ m.bearing_map.T
-    total = (magnetic + point.ks * at_bearing) @ rotation.T
-    response = sensor.response(rig.sensors, omega)[o.line]
-    push = response[:, :, None] * (m.sensor_map @ closed)[o.line]
-    motion = _Motion(q, total, push, response, np.asarray(s[o.line]))
+    motion = _motion(rig, m, magnetic, o)
+    push, at_bearing = motion.y_per_push, motion.q @ m.bearing_map.T
 
     per_force = push @ m.force_map  # (P, n, n)
     per_magnet = per_force @ rotation
@@ -100,6 +92,38 @@ def answer_and_jacobian(
     columns[:, n + axes, 5 * n + axes] = displacement
     _mechanical_columns(nuisance, rig, motion, per_force, point.ks, rotation, columns)
     return np.concatenate([current, displacement], axis=1), np.asarray(columns * nuisance.sigma)
+
+
+def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> _Motion:
+    """Motion of mechanics ``m`` under the force of the coil currents alone, (P, n), before it is turned."""
+    omega = 2 * np.pi * o.frequency_hz
+    point, rotation, s = actuator.operating_point(rig), force_rotation(rig), 1j * omega
+    stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
+    closed = np.linalg.inv(m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness))
+    q = (closed[o.line] @ (magnetic @ rotation.T @ m.force_map.T)[..., None])[..., 0]
+    total = (magnetic + point.ks * (q @ m.bearing_map.T)) @ rotation.T
+    response = sensor.response(rig.sensors, omega)[o.line]
+    push = response[:, :, None] * (m.sensor_map @ closed)[o.line]
+    return _Motion(q, total, push, response, np.asarray(s[o.line]))
+
+
+def residue_columns(rig: Rig, o: Observation) -> Complex:
+    """Change of y per residue of one more resonance, (P, n, 2, 2), without its own 1 / (s^2 + 2 zeta w s + w^2).
+
+    The residue is that of a light mode, the same in every plane: displacement at end A or B, by bearing and by sensor
+    alike, for a force at end A or B.
+    """
+    rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
+    n, omega, m = rig.n_axes, 2 * np.pi * o.frequency_hz, rotor.mechanics(rig)
+    point, rotation = actuator.operating_point(rig), force_rotation(rig)
+    base = (linear_model(rig, o.frequency_hz).baseband[o.line] @ o.U[:, o.fundamental, :, None])[..., 0]
+    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    motion = _motion(rig, m, point.ki * actuator.eddy_factor(rig.magnets, omega)[o.line] * base * early, o)
+    per_displacement = motion.y_per_push @ m.force_map @ (rotation * point.ks)
+    per_displacement[:, np.arange(n), np.arange(n)] += motion.sensor
+    planes = (len(motion.s), n, n // 2, 2)
+    force = motion.force.reshape(len(motion.s), -1, 2)
+    return np.asarray(np.einsum("piva,pvb->piab", per_displacement.reshape(planes), force))
 
 
 def _amplifier_changes(rig: Rig, omega: Real) -> list[tuple[Complex, Complex]]:

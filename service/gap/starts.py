@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.jacobian import answer_and_jacobian, stacked
+from service.gap.jacobian import answer_and_jacobian, residue_columns, stacked
 from service.gap.observation import Observation
 from service.gap.part import Ground
-from service.gap.predict import answer, displacement, weight
+from service.gap.predict import answer, weight
 from sim.effect import Effect
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -21,8 +21,10 @@ Complex = NDArray[np.complex128]
 
 CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Shares of each axis's largest displacement at which a stop is looked for."""
-LIGHT = 2e-6
-"""Inverse mass, 1/kg, of a housing that is looked for: small enough for its answer to be proportional."""
+DAMPED = 0.02
+"""Damping ratio of a resonance that is looked for: wide enough not to fall between two lines."""
+APART = 8
+"""Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
 SOFT = 0.02
 """Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
 
@@ -49,8 +51,9 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         for p in effect.parameters
     }
     if effect.id in ("support_resonance", "extra_flexible_mode"):
-        found = [peaks_of_failure(z, o, 1)[0], *resonances(rig, z, o, ground)]
-        return [{**base, "frequency_hz": f} for f in dict.fromkeys((*found, base["frequency_hz"]))]
+        found = resonances(rig, z, o, ground, effect.id == "extra_flexible_mode")
+        others = (peaks_of_failure(z, o, 1)[0], base["frequency_hz"])
+        return [{**base, **f} for f in (*found, *({"frequency_hz": f} for f in dict.fromkeys(others)))]
     if effect.id == "eddy_currents":
         return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
     if effect.id == "touchdown_contact":
@@ -76,34 +79,51 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     return [base]
 
 
-def resonances(rig: Rig, z: Complex, o: Observation, ground: Ground, count: int = 2) -> list[float]:
-    """Frequencies, Hz, best first, at which a light housing would explain most that the datasheet's values cannot.
+def resonances(
+    rig: Rig, z: Complex, o: Observation, ground: Ground, shaped: bool, count: int = 2
+) -> list[dict[str, float]]:
+    """Where one more resonance would explain most that the datasheet's values cannot, best first.
 
-    A score test: the housing is so light that its answer is proportional to its inverse mass, and what the values
-    of the datasheet could do as well is projected out.
+    A score test: the resonance is so light that its answer is proportional to its residues, and what the values of the
+    datasheet could do as well is projected out. A housing moves both ends alike; what is ``shaped`` moves them by the
+    residue of rank one that is nearest, and gets that shape.
     """
-    if rig.support is not None:
+    if rig.support is not None and not shaped:
         return []
     f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
     J = answer_and_jacobian(ground.nuisance, rig, o, ground.part.from_control)[1][:, rig.n_axes :, ground.part.active]
     rows = stacked(J * w[..., None])
     basis = np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]  # the tolerances as data
-
-    def left(x: Complex) -> NDArray[np.float64]:
-        flat = stacked(x[..., None])[:, 0]
-        return np.asarray(flat - basis @ (basis.T @ flat))
-
-    wanted, without, light = left(z[:, f]), displacement(rig, o), CATALOGUE["support_resonance"]
-    grid = o.frequency_hz[:: max(1, len(o.frequency_hz) // 32)]
-    gains = []
-    for hz in grid:
-        housed = light.on(rig, inverse_mass_per_kg=LIGHT, frequency_hz=float(hz), damping_ratio=0.02)
-        change = left((displacement(housed, o) - without) * w)
-        gains.append(max(float(change @ wanted), 0.0) / max(float(np.linalg.norm(change)), 1e-300))
+    columns = residue_columns(rig, o) * w[..., None, None]
+    columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
+    wanted, s = stacked(z[:, f, :, None]), 2j * np.pi * o.points_hz
+    wanted -= basis @ (basis.T @ wanted)
+    between = np.sqrt(o.frequency_hz[:-1] * o.frequency_hz[1:])
+    grid, gains, residues = np.sort(np.concatenate([o.frequency_hz, between])), [], []
+    for own in 2 * np.pi * grid:
+        light = stacked(columns / (s**2 + 2 * DAMPED * own * s + own**2)[:, None, None])
+        along, known = (light.T @ wanted)[:, 0], basis.T @ light
+        power = light.T @ light - known.T @ known
+        residue = np.linalg.solve(power + 1e-9 * np.trace(power) * np.eye(len(power)), along)
+        gains.append(float(along @ residue) if shaped or residue[0] > 0 else 0.0)
+        residues.append(residue)
     order = np.argsort(-np.array(gains))
     best = [int(order[0])]
-    best += [int(k) for k in order if abs(int(k) - best[0]) > 2][: count - 1]
-    return [float(grid[k]) for k in best]
+    best += [int(k) for k in order if abs(int(k) - best[0]) > APART][: count - 1]
+    return [{"frequency_hz": float(grid[k]), **(_shape(residues[k]) if shaped else {})} for k in best]
+
+
+def _shape(residue: NDArray[np.float64]) -> dict[str, float]:
+    """The mode shape whose residue, (4,), is nearest: displacement at A and B for forces at A, then at B."""
+    u, size, v = np.linalg.svd(residue.reshape(2, 2))
+    at_sensors, at_bearings = np.sqrt(size[0]) * u[:, 0], np.sqrt(size[0]) * v[0]
+    known = {p.name: p for p in CATALOGUE["extra_flexible_mode"].parameters}
+    shapes = {
+        f"{place}_{end}_per_sqrt_kg": float(shape[k])
+        for place, shape in (("sensor", at_sensors), ("bearing", at_bearings))
+        for k, end in enumerate("AB")
+    }
+    return {name: float(np.clip(v, known[name].low, known[name].high)) for name, v in shapes.items()}
 
 
 def stops(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.gap.jacobian import answer_and_jacobian
+from service.gap.jacobian import answer_and_jacobian, residue_columns
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.predict import linear_answer
@@ -35,3 +35,22 @@ def test_every_column_is_the_derivative_of_the_answer(effects: dict[str, dict[st
         difference = (ahead - linear_answer(nu.at(theta - e, base), o)) / (2 * step)
         size = np.linalg.norm(difference)
         assert np.linalg.norm(J[:, :, j] - difference) < 2e-3 * size, name
+
+
+@pytest.mark.parametrize("effects", EFFECTS[1:], ids="+".join)
+def test_residues_are_the_change_that_a_light_mode_makes(effects: dict[str, dict[str, float]]) -> None:
+    datasheet, truth = known_datasheet(seed=3)
+    rig = with_effects(nuisance(datasheet).rig, effects)
+    o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), rig)
+    shape, w, zeta = 1e-3 * np.array([1.0, -0.7]), 2 * np.pi * 310.0, 0.02
+    named = dict(zip("AB", shape, strict=True))
+    values = {f"{at}_{end}_per_sqrt_kg": v for at in ("bearing", "sensor") for end, v in named.items()}
+    light = with_effects(
+        rig, {"extra_flexible_mode": {"frequency_hz": w / (2 * np.pi), "damping_ratio": zeta, **values}}
+    )
+    change = (linear_answer(light, o) - linear_answer(rig, o))[:, rig.n_axes :]
+    s = 2j * np.pi * o.points_hz
+    told = (residue_columns(rig, o) * np.outer(shape, shape)).sum(axis=(2, 3)) / (s**2 + 2 * zeta * w * s + w**2)[
+        :, None
+    ]
+    np.testing.assert_allclose(told, change, rtol=0, atol=1e-3 * np.abs(change).max())
