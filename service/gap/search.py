@@ -124,17 +124,19 @@ def explain(
     order, left = ranked(null, found), plain
     fewer = next(r for r in order if r.candidate is null)
     for size in range(1, most + 1):
-        best = order[0]
-        left = _residuals(ground, best.candidate)
-        if len(best.candidate.effects) < size or size == most or not _leaves_something(best, left, ground):
+        left = _residuals(ground, order[0].candidate)
+        # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
+        base = order[0] if size > 1 else next((r for r in order if r.candidate.effects), order[0])
+        beside = left if base is order[0] else _residuals(ground, base.candidate)
+        if len(base.candidate.effects) < size or size == most or not _leaves_something(base, beside, ground):
             break
-        if not any(now < HOPEFUL * before for now, before in zip(best.shares, fewer.shares, strict=True)):
+        if not any(now < HOPEFUL * before for now, before in zip(base.shares, fewer.shares, strict=True)):
             break
-        fewer = best
-        larger = _refined(fitter, ground, null, fitter.run(_larger(order, size, left, ground)))
+        fewer = base
+        larger = _refined(fitter, ground, null, fitter.run(_larger(order, base, beside, ground)))
         found = [*found, *larger]
-        everything = ranked(null, found)
-        order = renormalised([r for r in everything if _worth_it(r, everything)])
+        found += _exchanged(fitter, ground, null, larger, found)
+        order = _worthy(ranked(null, found))
     return Explained(ground, tuple(order), plain, left)
 
 
@@ -174,15 +176,50 @@ def _leaves_something(best: Ranked, left: Sequence[Complex], ground: Ground) -> 
     return any(significance(z, o) > REMAINS for z, o in zip(left, ground.observations, strict=True))
 
 
-def _larger(order: Sequence[Ranked], size: int, left: Sequence[Complex], ground: Ground) -> Iterable[Task]:
-    """Mixtures of ``size + 1``: the best explanation with every other effect, and pairs of good singles."""
-    best, null = order[0].candidate, next(r.candidate for r in order if not r.candidate.effects)
+def _worthy(everything: Sequence[Ranked]) -> list[Ranked]:
+    return renormalised([r for r in everything if _worth_it(r, everything)])
+
+
+def _to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:
+    return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
+
+
+def _exchanged(
+    fitter: Fitter, ground: Ground, null: Candidate, mixtures: Sequence[Candidate], found: Sequence[Candidate]
+) -> list[Candidate]:
+    """The mixture that leaves least, an alias in the place of one of its effects, where it leaves something.
+
+    Alone the two looked alike and one was taken; beside another effect it may be the other that fits.
+    """
+    if not mixtures:
+        return []
+    best = min(mixtures, key=_cost)
+    mixture = next(r for r in ranked(null, found) if r.candidate is best)
+    if not _leaves_something(mixture, _residuals(ground, best), ground):
+        return []
+    singles = {c.effects[0]: c.fit.values[0] for c in found if len(c.effects) == 1}
+    tried = {frozenset(c.effects) for c in found}
+    probed = fitter.run(
+        Task(ground, effects, (values,), best.fit.theta, (PROBE,))
+        for k, name in enumerate(best.effects)
+        for alias in CATALOGUE[name].aliases
+        if alias in singles and alias not in best.effects
+        for effects in [(*best.effects[:k], alias, *best.effects[k + 1 :])]
+        for values in [(*best.fit.values[:k], singles[alias], *best.fit.values[k + 1 :])]
+        if frozenset(effects) not in tried
+    )
+    return fitter.run(_to_the_end(ground, sorted(probed, key=_cost)[:1]))
+
+
+def _larger(order: Sequence[Ranked], base: Ranked, left: Sequence[Complex], ground: Ground) -> Iterable[Task]:
+    """Mixtures of one effect more: those of ``base`` with every other effect, and pairs of good singles."""
+    best, null = base.candidate, next(r.candidate for r in order if not r.candidate.effects)
     tried = set()
     for name in ground.part.effects:
         if name not in best.effects:
             tried.add(frozenset((*best.effects, name)))
             yield _with(name, best, null, left, ground, best.fit.theta)
-    if size > 1:
+    if len(best.effects) > 1:
         return
     singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]
     for a, b in combinations(singles, 2):
@@ -202,8 +239,32 @@ def _refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
     near += [r.candidate for r in order if r.candidate not in near and _aliases(r.candidate, near[0])][:ALIASES]
-    tasks = [Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in near]
-    return [*fitter.run(tasks), *(r.candidate for r in order if r.candidate not in near)]
+    refined = [*fitter.run(_to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
+    lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refined[: len(near)], refined))}
+    kept = []
+    for c in refined:
+        other = lent.pop(frozenset(c.effects), c)
+        kept.append(c if _cost(c) <= _cost(other) else other)
+    return [*kept, *lent.values()]
+
+
+def _lent(ground: Ground, lenders: Sequence[Candidate], known: Sequence[Candidate]) -> Iterable[Task]:
+    """Tasks to fit known aliases from where their like ended, where they did worse: a resonance has many valleys."""
+    costs = {frozenset(c.effects): _cost(c) for c in known}
+    tried: set[frozenset[str]] = set()
+    for lender in sorted(lenders, key=_cost):
+        for k, name in enumerate(lender.effects):
+            for alias in CATALOGUE[name].aliases:
+                likened = CATALOGUE[alias].likened.get(name)
+                effects = (*lender.effects[:k], alias, *lender.effects[k + 1 :])
+                these = frozenset(effects)
+                if likened is None or alias not in ground.part.effects or len(these) < len(effects) or these in tried:
+                    continue
+                values = likened(lender.fit.values[k])
+                if values and costs.get(these, np.inf) > _cost(lender):
+                    tried.add(these)
+                    starts = ((*lender.fit.values[:k], values, *lender.fit.values[k + 1 :]),)
+                    yield Task(ground, effects, starts, lender.fit.theta, (EXACT,))
 
 
 def _aliases(a: Candidate, b: Candidate) -> bool:
