@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.gap.candidates import Candidate
+from service.gap.candidates import LAW_ERROR, Candidate
 from service.gap.evidence import TEMPERATURE, log_evidence, probabilities
 from service.gap.shrinkage import closure_of
 from service.gap.significance import SIGNIFICANT
@@ -131,17 +131,20 @@ def alike(best: Ranked, order: Sequence[Ranked]) -> tuple[str, ...]:
     """Single effects that the data cannot tell from the best one, the best first.
 
     Known aliases that fit as well count whatever the number of their parameters: how many a law has says little
-    of how likely it is.
+    of how likely it is. As well is what leaves no more than the error of the best one's own law would: a large effect
+    shows shapes of a mode that differ by less than two programs do, and a housing has them equal.
     """
     name = best.candidate.effects[0]
+    null = next(r.candidate.fit for r in order if not r.candidate.effects)
     cost = best.candidate.fit.chi_square + best.candidate.fit.penalty
+    as_well = max(2 * ALIKE, LAW_ERROR**2 * (null.chi_square + null.penalty - cost))
 
     def close(r: Ranked) -> bool:
         other = r.candidate.effects[0]
         if r.log_evidence > best.log_evidence - ALIKE:
             return True
         known = other in CATALOGUE[name].aliases or name in CATALOGUE[other].aliases
-        return known and r.candidate.fit.chi_square + r.candidate.fit.penalty < cost + 2 * ALIKE
+        return known and r.candidate.fit.chi_square + r.candidate.fit.penalty < cost + as_well
 
     singles = [r for r in order if len(r.candidate.effects) == 1]
     return tuple(r.candidate.effects[0] for r in singles if close(r))[:LARGEST_CLASS]
