@@ -251,7 +251,7 @@ def _asked(child: subprocess.Popen[str], request: str, times: int) -> None:
 
 def _all_ended(found: Service) -> None:
     while any(found.get("/jobs", params={"state": s, "limit": 1})["items"] for s in ("queued", "running")):
-        time.sleep(0.25)  # what asks takes time from what works
+        time.sleep(1.0)  # what asks takes time from what works, and jobs know when they ended
 
 
 NAMES = {"reads": reads, "list": listing, "start": start, "workers": workers}
