@@ -30,7 +30,7 @@ from service.api import (
     rigs,
     schedules,
 )
-from service.api.kept import Kept
+from service.api.kept import Kept, Momentary
 from service.api.middleware import Around
 from service.api.state import Services
 from service.bootstrap import product_version
@@ -73,6 +73,8 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.gate = access.Gate(database, Rate(settings.requests_per_s, settings.requests_burst))
     app.state.lines = live.Lines()
     app.state.metrics = operations.Metrics(services)
+    app.state.ready = Momentary(operations.FRESH_S)
+    app.state.watchers = events.Watchers()
     problems.install(app)
     for router in (*_routers(), operations.router, page.router):
         app.include_router(router)

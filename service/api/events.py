@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing
 from typing import Annotated, Any
 
 from anyio import to_thread
@@ -12,6 +13,7 @@ from fastapi import APIRouter, Header, Request
 from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
+from service.access.errors import RateError
 from service.api.jobs import JobShape, shape
 from service.api.problems import documented
 from service.api.shapes import JobId, Viewer
@@ -21,6 +23,9 @@ from service.storage import jobs
 router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"])
 
 POLL_S = 0.2
+LARGEST = 100
+"""Watchers at a time: each of them reads the database again and again."""
+RETRY_S = 5.0
 PING_S = 15
 _EVENT = {
     "type": "object",
@@ -37,6 +42,20 @@ _EXAMPLE = (
     '"point": 126, "points": 300, "phase": "main", "time_left_s": 180.0}}\n\n'
     'event: state\nid: 31\ndata: {"id": "job_01k9...", "state": "done"}\n\n'
 )
+
+
+class Watchers:
+    """Streams that are open."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def must_have_room(self) -> None:
+        """Raise RateError when there are as many as this service serves."""
+        if self.count >= LARGEST:
+            raise RateError(
+                f"{LARGEST} watchers are served at a time; ask for the job itself now and then", retry_after_s=RETRY_S
+            )
 
 
 @router.get(
@@ -60,9 +79,21 @@ async def job_events(
     ] = None,
 ) -> EventSourceResponse:
     """Watch a job: an event for every change, with percent, point and time left."""
+    watchers: Watchers = request.app.state.watchers
+    watchers.must_have_room()
     first = await to_thread.run_sync(_job, api, job_id)
     known = int(last_event_id) if last_event_id and last_event_id.isdigit() else -1
-    return EventSourceResponse(_changes(request, api, first, known), ping=PING_S)
+    return EventSourceResponse(_counted(watchers, _changes(request, api, first, known)), ping=PING_S)
+
+
+async def _counted(watchers: Watchers, stream: AsyncGenerator[ServerSentEvent]) -> AsyncIterator[ServerSentEvent]:
+    watchers.count += 1
+    try:
+        async with aclosing(stream):
+            async for event in stream:
+                yield event
+    finally:
+        watchers.count -= 1
 
 
 def _job(api: Services, job_id: str) -> tuple[int, JobShape]:
@@ -73,7 +104,7 @@ def _job(api: Services, job_id: str) -> tuple[int, JobShape]:
 
 async def _changes(
     request: Request, api: Services, first: tuple[int, JobShape], known: int
-) -> AsyncIterator[ServerSentEvent]:
+) -> AsyncGenerator[ServerSentEvent]:
     state = ""
     changes, job = first
     while True:

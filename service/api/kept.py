@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -12,6 +13,24 @@ from fastapi.concurrency import run_in_threadpool
 from service.storage.database import Database
 
 T = TypeVar("T")
+
+
+class Momentary(Generic[T]):
+    """What costs something to find out and may be a moment old; whoever asks meanwhile waits for the same answer."""
+
+    def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._seconds = seconds
+        self._clock = clock
+        self._found: tuple[float, T] | None = None
+        self._lock = threading.Lock()
+
+    def get(self, read: Callable[[], T]) -> T:
+        """The answer, at most so many seconds old."""
+        with self._lock:
+            at = self._clock()
+            if self._found is None or at - self._found[0] >= self._seconds:
+                self._found = at, read()
+            return self._found[1]
 
 
 class Kept(Generic[T]):

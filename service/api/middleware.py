@@ -6,17 +6,22 @@ import logging
 import re
 import secrets
 import time
+from math import ceil
 from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import logs
+from service.access.rate import Limiter, Rate
 from service.api.operations import Metrics
 from service.api.problems import MEDIA_TYPE, Problem
 
 log = logging.getLogger(__name__)
 _ID = re.compile(rb"[\w.:-]{1,64}")
 _UPLOAD = re.compile(r"/api/v1/rigs/[^/]+/experiments")
+PUBLIC = Rate(per_s=50.0, burst=200)
+"""Requests of one address for what needs no key: pages, description, readiness, metrics."""
+_LARGER = "the body is larger than {:,} bytes"
 _READING = ("GET", "HEAD", "OPTIONS")
 _TOLD = ("who", "rig", "job", "experiment", "schedule")
 _HEADERS = (
@@ -44,6 +49,7 @@ class Around:
         self._metrics = metrics
         self._max_body = max_body_bytes
         self._max_upload = max_upload_bytes
+        self._public = Limiter(PUBLIC)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -78,15 +84,25 @@ class Around:
 
         with logs.bound(request=request_id):
             try:
-                if _too_large(headers, limit):
-                    await _refuse(sending, limit, request_id)
+                if wait_s := self._wait_s(scope):
+                    await _refuse(
+                        sending, 429, "too many requests without a key; wait, then try again", request_id, wait_s
+                    )
+                elif _too_large(headers, limit):
+                    await _refuse(sending, 413, _LARGER.format(limit), request_id)
                 else:
                     await self._app(scope, body.receive, sending)
                     if body.exceeded and status == 500:
                         body.exceeded = False
-                        await _refuse(sending, limit, request_id)
+                        await _refuse(sending, 413, _LARGER.format(limit), request_id)
             finally:
                 self._count(scope, status, time.perf_counter() - began)
+
+    def _wait_s(self, scope: Scope) -> float:
+        """Seconds that an address has to wait for what needs no key; for the rest, the gate counts keys."""
+        if scope["path"].startswith("/api/") or scope["path"] == "/healthz":
+            return 0.0
+        return self._public.wait_s(scope["client"][0] if scope.get("client") else "")
 
     def _count(self, scope: Scope, status: int, seconds: float) -> None:
         route = getattr(scope.get("route"), "path", "none")
@@ -135,13 +151,10 @@ class _Body:
         return message
 
 
-async def _refuse(send: Send, limit: int, request_id: str) -> None:
-    body = Problem(
-        title="Content Too Large",
-        status=413,
-        detail=f"the body is larger than {limit:,} bytes",
-        request_id=request_id,
-    )
-    headers = [(b"content-type", MEDIA_TYPE.encode()), (b"connection", b"close")]
-    await send({"type": "http.response.start", "status": 413, "headers": headers})
+async def _refuse(send: Send, status: int, detail: str, request_id: str, wait_s: float = 0.0) -> None:
+    titles = {413: "Content Too Large", 429: "Too Many Requests"}
+    body = Problem(title=titles[status], status=status, detail=detail, request_id=request_id)
+    headers = [(b"content-type", MEDIA_TYPE.encode())]
+    headers.append((b"retry-after", str(ceil(wait_s)).encode()) if wait_s else (b"connection", b"close"))
+    await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": body.model_dump_json().encode()})

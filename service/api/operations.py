@@ -10,6 +10,8 @@ from prometheus_client.registry import Collector
 from pydantic import ConfigDict
 from sqlalchemy.exc import SQLAlchemyError
 
+from service.api.kept import Momentary
+from service.api.problems import Documented, documented
 from service.api.shapes import Shape
 from service.api.state import Api, Services
 from service.storage import jobs, migrate, workers
@@ -17,6 +19,9 @@ from service.storage.database import now
 
 router = APIRouter(tags=["operations"])
 
+FRESH_S = 1.0
+"""Whoever asks again within this time gets the same answer: no key is asked for here."""
+_LIMITED: Documented = {429: documented()[429]}
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 
 
@@ -32,10 +37,14 @@ class Metrics(Collector):
         self.seconds = Histogram(
             "ambit_request_seconds", "Time to answer", ["method", "route"], buckets=BUCKETS, registry=self.registry
         )
+        self._now: Momentary[list[GaugeMetricFamily]] = Momentary(FRESH_S)
         self.registry.register(self)
 
     def collect(self) -> list[GaugeMetricFamily]:
-        """Jobs by state, workers by age of their last sign of life."""
+        """Jobs by state, workers by age of their last sign of life; a second old at most."""
+        return self._now.get(self._read)
+
+    def _read(self) -> list[GaugeMetricFamily]:
         by_state = GaugeMetricFamily("ambit_jobs", "Jobs by state", labels=["state"])
         silence = GaugeMetricFamily(
             "ambit_worker_silence_seconds", "Since a worker's last sign of life", labels=["worker"]
@@ -83,9 +92,15 @@ async def alive() -> Alive:
     return Alive()
 
 
-@router.get("/readyz", response_model=Ready, responses={503: {"model": Ready, "description": "Not ready"}})
-def ready(api: Api) -> Response:
-    """Whether database and store answer: send no requests while they do not."""
+@router.get("/readyz", response_model=Ready, responses=_LIMITED | {503: {"model": Ready, "description": "Not ready"}})
+def ready(request: Request, api: Api) -> Response:
+    """Whether database and store answer: send no requests while they do not. A second old at most."""
+    found: Ready = request.app.state.ready.get(lambda: readiness(api))
+    return JSONResponse(found.model_dump(), 200 if found.ready else 503)
+
+
+def readiness(api: Services) -> Ready:
+    """Whether database and store answer now, and whether there is a worker."""
     from service.bootstrap import product_version
 
     database = store = worker = "ok"
@@ -105,14 +120,13 @@ def ready(api: Api) -> Response:
     except Exception:
         store = "does not answer"
     good = database == store == "ok"
-    shape = Ready(ready=good, database=database, store=store, workers=worker, version=product_version())
-    return JSONResponse(shape.model_dump(), 200 if good else 503)
+    return Ready(ready=good, database=database, store=store, workers=worker, version=product_version())
 
 
 @router.get(
     "/metrics",
     response_class=Response,
-    responses={200: {"description": "Prometheus text", "content": {"text/plain": {}}}},
+    responses=_LIMITED | {200: {"description": "Prometheus text", "content": {"text/plain": {}}}},
 )
 def metrics(request: Request) -> Response:
     """Metrics for Prometheus; no key is needed, and nothing of a rig is told."""

@@ -1,9 +1,9 @@
 """What an installation relies on beyond one process: the health check under TLS, and one store for all machines."""
 
+import httpx
 import pytest
 
 from service import probe
-from service.api.state import Services
 from service.config import Settings
 from service.errors import ConfigurationError
 from service.jobs.worker import Worker
@@ -52,15 +52,9 @@ def test_workers_of_two_machines_do_not_begin_with_a_store_each(tmp_path):
         shared._sign_on()
         shared.context.database.close()
         with serving(settings) as service:
-            told = told_ready(service.services)
-        assert (told.status_code, b"runs on other" in told.body) == (503, True)
+            answer = httpx.get(f"{service.url}/readyz")
+        assert (answer.status_code, "runs on other" in answer.json()["store"]) == (503, True)
         database.close()
-
-
-def told_ready(services: Services):
-    from service.api.operations import ready
-
-    return ready(services)
 
 
 def test_a_store_whose_library_is_missing_names_what_to_install(tmp_path, monkeypatch):

@@ -1,0 +1,61 @@
+"""What needs no key is limited too: nobody keeps the service busy from outside, and watchers have an end."""
+
+import httpx
+import pytest
+
+from service.api import events, middleware
+from service.config import Settings
+from service.storage import jobs
+from tests.support.processes import wait_for
+from tests.support.service import reference_sheet
+from tests.support.serving import serving
+from tests.support.uploads import good
+
+
+@pytest.fixture
+def service(tmp_path):
+    with serving(Settings(home=tmp_path / "home", port=0)) as found:
+        yield found
+
+
+def test_an_address_that_asks_without_end_has_to_wait(service):
+    with httpx.Client(base_url=service.url) as client:
+        answers = [client.get("/web/style.css") for _ in range(middleware.PUBLIC.burst + 100)]
+        refused = next(a for a in answers if a.status_code != 200)
+        assert (refused.status_code, refused.headers["content-type"]) == (429, "application/problem+json")
+        assert int(refused.headers["retry-after"]) >= 1
+        assert client.get("/healthz").status_code == 200
+        assert client.get("/api/v1/rigs").status_code == 200
+
+
+def test_metrics_and_readiness_do_not_read_the_database_for_everyone(service, monkeypatch):
+    asked = []
+    counts = jobs.counts
+    monkeypatch.setattr(jobs, "counts", lambda session: asked.append(1) or counts(session))
+    with httpx.Client(base_url=service.url) as client:
+        for _ in range(20):
+            assert "ambit_jobs" in client.get("/metrics").text
+            assert client.get("/readyz").json()["ready"]
+    assert 1 <= len(asked) <= 10
+
+
+def test_watchers_are_counted_and_leave_room_when_they_go(service, tmp_path, monkeypatch):
+    monkeypatch.setattr(events, "LARGEST", 1)
+    with httpx.Client(base_url=f"{service.url}/api/v1", timeout=30) as client:
+        rig = client.post("/rigs", json={"datasheet": reference_sheet()}).json()["id"]
+        content = good(tmp_path / "e.h5").read_bytes()
+        headers = {"content-type": "application/x-hdf5"}
+        sent = client.post(f"/rigs/{rig}/experiments", content=content, headers=headers).json()["id"]
+        job = client.post("/jobs", json={"kind": "gap", "rig": rig, "experiment": sent}).json()["id"]
+        path = f"/jobs/{job}/events"
+        with client.stream("GET", path) as first:
+            lines = first.iter_lines()  # kept: a reader that is given up closes its stream
+            assert next(lines)
+            second = client.get(path)
+            assert (second.status_code, second.headers["retry-after"]) == (429, "6")
+
+        def served() -> bool:
+            with client.stream("GET", path) as again:
+                return again.status_code == 200
+
+        wait_for(served, "room for a watcher", 20)
