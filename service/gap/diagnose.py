@@ -18,6 +18,7 @@ from service.gap.compose import (
     with_interference,
 )
 from service.gap.conditions import same_condition
+from service.gap.discrepancy import discrepancy
 from service.gap.document import gap_document, listed
 from service.gap.interference import hums_hz, interference, measured_by, scatter_shrinkage
 from service.gap.judged import judged
@@ -68,6 +69,8 @@ class Diagnosis:
     """sensitivity peaks per axis: predicted before and after, measured; largest nu-gap before and after"""
     next_experiment: dict[str, Any] | None = None
     notes: tuple[str, ...] = field(default=())
+    discrepancy: dict[str, Any] | None = None
+    """where nothing explains the gap, its shape over frequency, amplitude and channel"""
 
     def to_dict(self) -> dict[str, Any]:
         """The document gap.json."""
@@ -150,6 +153,7 @@ def diagnose(
     if sources and len(verdict.effects) == len(sources):
         shrunk = scatter_shrinkage(other, nu.rig, sources, name) or shrunk
         closures[verdict.effects] = shrunk.closure
+    where = locate(found, whole_other, verdict.effects, sources)
     pair = left_together(whole.order, verdict)
     proposal = next_experiment(nu, pair, o, experiment.rig)
     if pair and proposal is None:
@@ -157,7 +161,7 @@ def diagnose(
         notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")
     return Diagnosis(
         experiment.rig,
-        locate(found, whole_other, verdict.effects, sources),
+        where,
         whole.order,
         verdict,
         shrunk,
@@ -172,6 +176,7 @@ def diagnose(
         ),
         proposal,
         tuple(notes),
+        discrepancy(found, where.blamed, whole_other) if verdict.kind == "none_of_these" else None,
     )
 
 

@@ -122,6 +122,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
                 for (signal, a, b), c in s.channels.items()
             ],
         },
+        "discrepancy": d.discrepancy,
         "loop": d.loop,
         "next_experiment": d.next_experiment,
         "notes": list(d.notes),

@@ -9,6 +9,7 @@ from typing import Any
 from service.gap.diagnose import Diagnosis
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, decibel, fixed, number, paragraph, quantity, signed, table
+from service.report.gap_discrepancy import discrepancy_figure
 from service.report.page import Captioned, Page, Section, Tone
 from sim.effects import CATALOGUE
 
@@ -143,6 +144,14 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
         names = ", ".join(_words(g) for g in group)
         parts.append(paragraph(f"These data cannot tell apart: {names}. {_separated(group)}", "note"))
     parts += [paragraph(f"Why: {r}.") for r in verdict.get("reasons", ())]
+    if document["discrepancy"]:
+        parts.append(
+            Captioned(
+                discrepancy_figure(document["discrepancy"]),
+                "What is missing, without a law: error of the twin over the measured signal of the excited axis, of "
+                "the most significant channels. The same at both amplitudes: it is in proportion to them.",
+            )
+        )
     bars = draw.candidate_figure(d, document)
     if bars is None:
         return [*parts, paragraph("No effect of the catalogue could be fitted.")]
@@ -263,14 +272,14 @@ def _next(document: dict[str, Any]) -> list[Part]:
         )
     ]
     if "rig_seconds" in found:
-        parts.append(paragraph(f"It takes about {number(found['rig_seconds'], 2)} s of the rig."))
+        parts.append(paragraph(f"It takes about {number(found['rig_seconds'], 3)} s of the rig."))
     parts += [paragraph(f"Before, by hand: {step}.") for step in found.get("by_hand", ())]
     if "command" in found:
         command = escape(found["command"])
         job = escape(json.dumps(found["job"]))
         parts.append(f"<p>Submit it: <code>{command}</code></p><p>or POST /api/v1/jobs: <code>{job}</code></p>")
     others = [
-        [x["experiment"].replace("_", " "), number(x["distance_sd"], 3), number(x.get("rig_seconds", float("nan")), 2)]
+        [x["experiment"].replace("_", " "), number(x["distance_sd"], 3), number(x.get("rig_seconds", float("nan")), 3)]
         for x in found.get("alternatives", ())
     ]
     if others:
