@@ -75,7 +75,7 @@ def _through_the_service(out: Path, seed: int, quick: bool, keep_serving: bool, 
         url = stack.enter_context(local_service(home, WORKER))
         ambit = stack.enter_context(Client(url, key="", ca=""))
         started = time.monotonic()
-        options = {"profile": "quick" if quick else "standard", "comment": f"demo, seed {seed}"}
+        options = {"profile": "quick" if quick else "standard"}
         job, measured = _watched(ambit, _submitted(ambit, device.url, options))
         identified = time.monotonic()
         files = ambit.save(job, out)

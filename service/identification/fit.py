@@ -35,6 +35,10 @@ table 8-1) of the value there; over the usual 0.7 to 0.85 of it, and of the smal
 where discs bend the shape."""
 
 
+FITS = 0.7
+"""Share of a plane's time that its fits take; the rest are the figures with their deviations."""
+
+
 @dataclass(frozen=True)
 class Options:
     """How to identify. The defaults need no thought."""
@@ -98,13 +102,20 @@ def identify(
     if validation is None:
         warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
     found: dict[str, FittedPlane] = {}
-    for plane, pair in planes_of(tuple(experiment.axes)).items():
+    say = progress or (lambda fraction: None)
+    pairs = planes_of(tuple(experiment.axes))
+    steps = len(pairs) + any(speeds)
+    for k, (plane, pair) in enumerate(pairs.items()):
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited and not identified")
             continue
         found[plane] = fit_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
+        say((k + 1) * FITS / steps)
     found = _settled_alike(found, main, tuple(experiment.axes), datasheet, options)
-    planes = {plane: f.result(datasheet) for plane, f in found.items()}
+    planes = {}
+    for k, (plane, f) in enumerate(found.items()):
+        planes[plane] = f.result(datasheet)
+        say((len(pairs) * FITS + (k + 1) * (1 - FITS)) / steps)
     fitted = {plane: f.selected for plane, f in found.items()}
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")

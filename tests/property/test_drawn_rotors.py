@@ -13,9 +13,10 @@ from tests.support.rotors import KINDS, DrawnRig, drawn_rig
 
 FAR = 5.0
 """Reported deviations: no estimate of any draw lies further off."""
-TOLD = {"light and stiff": 0.005, "close modes": 0.005, "node at a sensor": 0.005}
+TOLD = {"light and stiff": 0.005, "close modes": 0.01, "node at a sensor": 0.005}
 """How well ki and ks are told, relative, of rotors whose splits between bearing and sensor matter little to them: those
-of heavy flexible ones do, and without a rotor model nobody knows them."""
+of heavy flexible ones do, and without a rotor model nobody knows them. Of two close modes each has a split, which may
+be as far apart as a free beam's slope makes them."""
 
 
 @st.composite
