@@ -31,7 +31,7 @@ from sim.datasheet import to_toml
 from tests.support.measured import small_experiment
 from tests.support.serving import Serving, serving
 
-EXAMPLES = os.environ.get("AMBIT_API_EXAMPLES", "3")
+EXAMPLES = os.environ.get("AMBIT_API_EXAMPLES", "1")
 """Random requests of each operation, beside those that look at its borders; more of them in a long run."""
 CHECKS = (
     "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,"
