@@ -1,8 +1,8 @@
 """How long a calculation runs before another one has its turn on the same core.
 
 Where more calculations run than there are cores, Linux changes between them every few milliseconds, and each time the
-caches are filled again: four identifications on two cores took 13 % more CPU each than two did. With slices of 100 ms
-it is 2 %. Requests and rigs do not wait for the end of a slice: a process that wakes with a shorter one comes first.
+caches are filled again, which costs every one of them CPU time (`benchmarks/api.py workers` shows what is left of it).
+Requests and rigs do not wait for the end of a slice: a process that wakes with a shorter one comes first.
 """
 
 from __future__ import annotations

@@ -53,6 +53,7 @@ def test_evidence_shows_the_alternatives(result: CommissioningResult) -> None:
     assert all(e.unseen_rms is not None for e in splits)
     # what describes the fitted sweep best does so for the unseen one, or nearly
     assert chosen_split.unseen_rms < 1.5 * min(e.unseen_rms for e in splits)
+    # between the rigid rotor's poles (18 and 37 Hz) and the first mode: a low split keeps the mode's foot out of ki, ks
     assert 50 < plane.staged.split_hz < 450
 
 
