@@ -263,7 +263,13 @@ def _extremes(quantity: str, by_axis: dict[str, Any]) -> str:
 def _next(document: dict[str, Any]) -> list[Part]:
     found = document["next_experiment"]
     if not found:
-        return [paragraph("Nothing is left that an affordable experiment would have to tell apart.")]
+        left = document["verdict"]["indistinguishable"]
+        text = (
+            "No affordable experiment is likely to tell apart what is left together."
+            if left
+            else "Nothing is left that an experiment would have to tell apart."
+        )
+        return [paragraph(text)]
     a, b = (_words(x) for x in found["separates"])
     parts: list[Part] = [
         paragraph(
