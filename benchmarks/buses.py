@@ -23,9 +23,9 @@ from drivers.heartbeat import PERIOD_S
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
 from service import bootstrap
+from service.experiment.aims import Profile
 from service.experiment.campaign import run_campaign
 from service.experiment.data import Experiment
-from service.experiment.plan import Profile
 from sim.reference import reference_datasheet, reference_rig
 
 NOISE_Y_M, NOISE_I_A = 20e-9, 2e-3

@@ -18,9 +18,9 @@ from service.output import json_text, ready_folder, write_text
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
+    from service.experiment.aims import Profile
     from service.experiment.data import Experiment
     from service.experiment.multisine_plan import MultisineProfile
-    from service.experiment.plan import Profile
     from service.experiment.progress import ProgressCallback
     from service.identification.result import CommissioningResult
     from sim.datasheet import Datasheet
@@ -83,7 +83,7 @@ def connected(url: str) -> Iterator[Controller]:
 
 def quick_profile() -> Profile:
     """A coarse experiment for a first look: a third of the time, and of the accuracy."""
-    from service.experiment.plan import Profile
+    from service.experiment.aims import Profile
 
     return Profile(
         accuracy=0.005,

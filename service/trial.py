@@ -19,10 +19,10 @@ from typing import Any
 from drivers.device.machine import RigDevice
 from drivers.simulated.driver import SimulatedController
 from service.experiment import file
+from service.experiment.aims import Profile
 from service.experiment.campaign import EXPERIMENT, run_campaign
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
-from service.experiment.plan import Profile
 from service.gap.blind_trial import Diagnose, checked, run_case, summary
 from service.gap.seal import SealError
 from service.gap.unlisted_laws import TamperedSimulation

@@ -25,11 +25,12 @@ from drivers.controller import (
 )
 from drivers.errors import BusError, CancelledError, ControllerError, LeaseError, TripError
 from service.experiment import file, journal, multisine_plan, phases
+from service.experiment.aims import Limits, Profile
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
 from service.experiment.multisine_phases import MultisinePhases
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
-from service.experiment.plan import Limits, Profile, Request
+from service.experiment.plan import Request
 from service.experiment.points import Point, experiment
 from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from service.experiment import distortion, multisine_plan
+from service.experiment.aims import Limits, Profile
 from service.experiment.errors import CampaignError
 from service.experiment.knowledge import Knowledge
 from service.experiment.multisine import Lines, Multisine, separated, spectra
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest, Responses
 from service.experiment.noise import NoiseSpectra
-from service.experiment.phases import Phases
-from service.experiment.plan import Limits, Profile, Request
+from service.experiment.noise_phases import NoisePhases
+from service.experiment.plan import Request
 from service.experiment.points import Point
 from service.experiment.progress import Meter
 from service.experiment.recorder import Recorder, Trip
@@ -112,9 +113,8 @@ class MultisinePhases:
         self.meter.total = self.limits.n_axes * (
             1 + p.realisations + p.validation_realisations + p.amplifier_realisations
         )
-        rest = Phases(self.recorder, self.limits, Profile(), self.meter, self.done)
-        rest.noise_step(raw_records)
-        self.knowledge = rest.knowledge
+        rest = NoisePhases(self.recorder, self.limits, Profile(), self.meter, self.done)
+        self.knowledge = Knowledge(rest.at_rest(raw_records), self.limits.n_axes)
         self.at_rest()
         responses = self.pilot()
         responses.into(self.knowledge)
@@ -263,8 +263,8 @@ class MultisinePhases:
             if name in SETTLED and (excess := self._excess(multisine, outcome)) > self.tolerance:
                 return Ringing(excess)
             found.append(outcome)
-            self.meter.rig_seconds = self.recorder.rig_seconds
-            self.meter.finished(name, f"realisation {k + 1}, experiment {e + 1}", self.recorder.replaying)
+            told = f"realisation {k + 1}, experiment {e + 1}"
+            self.meter.finished(name, told, self.recorder.replaying, self.recorder.rig_seconds)
         values = {s: np.array([x[s] for x in found]) for s in NAMES}
         second, fourth = np.mean([x["moments"] for x in found], axis=0)
         return Played(

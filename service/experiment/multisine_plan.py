@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment import crest
+from service.experiment.aims import Limits
+from service.experiment.frequencies import mains_harmonics
 from service.experiment.knowledge import Knowledge
 from service.experiment.multisine import Lines, Multisine, choose_lines
-from service.experiment.plan import Limits, mains_harmonics
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment import noise, plan
-from service.experiment.contract import spectral_lines
-from service.experiment.demodulate import BlockPlan, amplitudes
+from service.experiment import frequencies, plan
+from service.experiment.aims import Aim, Limits, Profile, aims
 from service.experiment.errors import CampaignError
 from service.experiment.knowledge import Knowledge
 from service.experiment.noise import NoiseSpectra
+from service.experiment.noise_phases import NoisePhases
 from service.experiment.peaks import densification, merged, peaks, resolved
-from service.experiment.plan import Aim, Limits, Profile, Request
+from service.experiment.plan import Request
 from service.experiment.points import Point, responses, unmeasured
 from service.experiment.progress import Meter
 from service.experiment.quality import judge
@@ -30,9 +30,6 @@ from service.experiment.settling import Agreement, longer, stationary, tolerable
 
 Real = NDArray[np.float64]
 
-NOISE_S = 3.0
-"""Zero-excitation record: twenty independent looks at the noise with 4 Hz resolution."""
-PERIODIC_S = 0.5
 PEAK_ROUNDS = 6
 CLOSELY = 1e-4
 """Relative distance within which a frequency of the profile is met: a tenth of a mode's width at a damping ratio of
@@ -60,101 +57,26 @@ class Phases:
         self, recorder: Recorder, limits: Limits, profile: Profile, meter: Meter, done: dict[str, list[Point]]
     ) -> None:
         self.recorder, self.limits, self.profile, self.meter, self.done = recorder, limits, profile, meter, done
-        self.aims = plan.aims(profile, limits)
+        self.aims = aims(profile, limits)
+        self._noise = NoisePhases(recorder, limits, profile, meter, done)
         self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
 
     # ---- noise
 
     def noise_step(self, raw: bool) -> None:
         """Zero-excitation record: spectra for the plan, and the noise sweep of the file."""
-        rate, blocks = self.limits.sample_rate_hz, self.profile.blocks
-        if not raw:
-            self._noise_from_tones()
-            return
-        samples = min(round(NOISE_S * rate), self.limits.max_samples) // blocks
-        request = Request(0, 0.0, 1, samples, blocks, 0, raw=True)
-
-        def reduction(records: dict[str, Real]) -> dict[str, Any]:
-            spectra = noise.spectra(records, rate)
-            return {
-                **_stored(spectra),
-                **_lines(records, samples, blocks, self.recorder.harmonics),
-            }
-
-        found = self._certainly("noise", request, reduction)
-        spectra = _restored(found)
-        self.knowledge = Knowledge(spectra, self.limits.n_axes)
-        self.done["noise"] = [
-            Point(
-                request=replace(request, periods=int(k), raw=False),
-                frequency_hz=int(k) * rate / samples,
-                R=found["R"][j],
-                U=found["U"][j],
-                I=found["I"][j],
-                Y=found["Y"][j],
-                peak_displacement_m=0.0,
-                peak_current_a=0.0,
-                time_s=self.recorder.rig_seconds,
-            )
-            for j, k in enumerate(found["periods"])
-        ]
-        self._report("noise", "zero-excitation record")
-
-    def _noise_from_tones(self) -> None:
-        """The same from a controller that gives no records: unexcited tones, one frequency at a time."""
-        rate = self.limits.sample_rate_hz
-        requests = []
-        top = min(self.profile.amplifier_to_hz, self.limits.max_frequency_hz)
-        for f in plan.grid(self.profile.from_hz / 2, top, self.profile.coarse_points):
-            periods, samples = plan.whole_periods(f, max(0.1, 1 / f), rate)
-            requests.append(Request(0, 0.0, periods, samples, self.profile.blocks, 0))
-        found = [self._tone_at_rest(r) for r in requests]
-        self.done["noise"] = found
-        f = np.array([p.frequency_hz for p in found])
-        block = np.array([p.request.samples / rate for p in found])
-        values = {s: np.array([getattr(p, s.upper())[:, 1] for p in found]) for s in noise.SIGNALS}
-        self.knowledge = Knowledge(noise.from_blocks(f, values, block), self.limits.n_axes)
-
-    def _tone_at_rest(self, request: Request) -> Point:
-        outcome = self.recorder.point("noise", request, keep_trip=False)
-        if isinstance(outcome, Trip):
-            raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
-        self._report("noise", f"{outcome.frequency_hz:.4g} Hz at rest")
-        return outcome
-
-    def _certainly(self, phase: str, request: Request, reduction: Any) -> dict[str, Any]:
-        outcome = self.recorder.reduced(phase, request, reduction)
-        if isinstance(outcome, Trip):
-            raise CampaignError(f"the rig trips without excitation ({outcome.message}); it cannot be measured")
-        return outcome
+        self.knowledge = Knowledge(self._noise.at_rest(raw), self.limits.n_axes)
 
     def periodic_step(self) -> None:
-        """Noise under excitation: the mean block of a periodic record subtracted, axis by axis (thesis, section 3)."""
-        rate, blocks = self.limits.sample_rate_hz, self.profile.blocks
-        middle = math.sqrt(self.profile.from_hz * min(self.profile.to_hz, self.limits.max_frequency_hz))
-        periods, samples = plan.whole_periods(middle, PERIODIC_S / blocks, rate)
-        for axis in range(self.limits.n_axes):
-            frequency = periods * rate / samples
-            a = plan.amplitude(
-                self.knowledge, axis, frequency, self.aims["coarse"], blocks * samples / rate, self.limits
-            )
-            request = Request(axis, a, periods, samples, blocks, samples, raw=True)
-
-            def reduction(records: dict[str, Real]) -> dict[str, Any]:
-                spectra = noise.spectra(noise.without_mean_block(records, samples), rate)
-                return _stored(spectra)
-
-            outcome = self.recorder.reduced("periodic", request, reduction)
-            if not isinstance(outcome, Trip):
-                self.knowledge.noise = self.knowledge.noise.joined(_restored(outcome))
-            self._report("noise", f"axis {axis} periodic record at {frequency:.4g} Hz")
+        """Noise under excitation, joined with that at rest."""
+        self._noise.excited(self.knowledge, self.aims["coarse"])
 
     # ---- sweeps
 
     def preliminary_sweep(self) -> None:
         """A coarse sweep from the top down, where a rotor moves least per ampere."""
         to = min(self.profile.to_hz, self.limits.max_frequency_hz)
-        for f in plan.grid(self.profile.from_hz, to, self.profile.coarse_points)[::-1]:
+        for f in frequencies.grid(self.profile.from_hz, to, self.profile.coarse_points)[::-1]:
             self._frequency("preliminary", "coarse", float(f))
 
     def main_sweep(self) -> None:
@@ -163,7 +85,7 @@ class Phases:
         if self.profile.frequencies_hz:
             self._given_frequencies()
             return
-        for f in plan.main_grid(self.profile, self.limits, aim, lines):
+        for f in frequencies.main_grid(self.profile, self.limits, aim, lines):
             self._frequency("main", "main", float(f))
         for _ in range(PEAK_ROUNDS):
             new = self._missing_at_peaks()
@@ -175,7 +97,7 @@ class Phases:
 
     def _given_frequencies(self) -> None:
         """The profile's own frequencies, met closely: one may have been chosen for its place on a narrow peak."""
-        given = plan.main_grid(self.profile, self.limits, self.aims["main"], ())
+        given = frequencies.main_grid(self.profile, self.limits, self.aims["main"], ())
         self._expect(len(given), self.profile.points)
         waits = dict(zip(self.profile.frequencies_hz, self.profile.settle_s, strict=False))
         for f in given:
@@ -215,9 +137,9 @@ class Phases:
         f, _, _ = responses(self.done["main"], self.limits.n_axes)
         if len(f) < 2 or not self.profile.validation_points:
             return
-        frequencies = plan.validation_grid(self.profile, self.aims["validation"], f, self.knowledge.noise.lines_hz)
-        self._expect(len(frequencies), self.profile.validation_points)
-        for x in frequencies:
+        between = frequencies.validation_grid(self.profile, self.aims["validation"], f, self.knowledge.noise.lines_hz)
+        self._expect(len(between), self.profile.validation_points)
+        for x in between:
             self._frequency("validation", "validation", float(x), tolerance_hz=0.1 * float(np.min(np.abs(f - x))))
 
     def amplifier_sweep(self) -> None:
@@ -225,7 +147,7 @@ class Phases:
         if not self.profile.amplifier_points:
             return
         aim = self.aims["amplifier"]
-        for f in plan.amplifier_grid(self.profile, self.limits, aim, self.knowledge.noise.lines_hz):
+        for f in frequencies.amplifier_grid(self.profile, self.limits, aim, self.knowledge.noise.lines_hz):
             self._frequency("amplifier", "amplifier", float(f))
 
     def _frequency(
@@ -339,39 +261,12 @@ class Phases:
         self.meter.total += (found - planned) * self.limits.n_axes
 
     def _report(self, phase: str, last: str) -> None:
-        self.meter.rig_seconds = self.recorder.rig_seconds
-        self.meter.finished(phase, last, self.recorder.replaying)
-
-
-def _stored(spectra: NoiseSpectra) -> dict[str, Any]:
-    """Spectra as a journal keeps them."""
-    assert spectra.raw is not None
-    return {
-        "noise_hz": spectra.frequency_hz,
-        "lines_hz": list(spectra.lines_hz),
-        "density": dict(spectra.density),
-        "raw": dict(spectra.raw),
-    }
-
-
-def _restored(stored: dict[str, Any]) -> NoiseSpectra:
-    return NoiseSpectra(stored["noise_hz"], stored["density"], tuple(stored["lines_hz"]), stored["raw"])
+        self.meter.finished(phase, last, self.recorder.replaying, self.recorder.rig_seconds)
 
 
 def _mark(flags: list[str], flag: str) -> None:
     if flag not in flags:
         flags.append(flag)
-
-
-def _lines(records: dict[str, Real], samples: int, blocks: int, harmonics: tuple[int, ...]) -> dict[str, Any]:
-    """Complex amplitudes of a record at the lines of a noise sweep: (lines, blocks, H, n_axes)."""
-    periods = spectral_lines(samples)
-    cut = BlockPlan(0, samples, blocks)
-    names = ("r", "u", "i", "y")
-    n = records["r"].shape[1]
-    stacked = np.concatenate([records[k] for k in names], axis=1)
-    values = np.array([amplitudes(stacked, cut, int(k) / samples, harmonics) for k in periods])
-    return {"periods": periods} | {name.upper(): values[..., j * n : (j + 1) * n] for j, name in enumerate(names)}
 
 
 def run(

@@ -42,8 +42,12 @@ class Meter:
         self.total = 0
         self.rig_seconds = 0.0
 
-    def finished(self, phase: str, last: str, replayed: bool) -> None:
-        """One more point is finished; ``replayed`` when an earlier run had measured it."""
+    def finished(self, phase: str, last: str, replayed: bool, rig_seconds: float) -> None:
+        """One more point is finished; ``replayed`` when an earlier run had measured it.
+
+        ``rig_seconds`` is the time that the rig has spent by now.
+        """
+        self.rig_seconds = rig_seconds
         self.done += 1
         self.total = max(self.total, self.done)
         if replayed:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.experiment.aims import Aim, Limits
 from service.experiment.knowledge import Knowledge
-from service.experiment.plan import Aim, Limits, largest_amplitude, needed_amplitude
+from service.experiment.plan import largest_amplitude, needed_amplitude
 from service.experiment.points import Point
 from service.experiment.settling import Agreement, agreement
 

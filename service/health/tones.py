@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from service.experiment.plan import CLEARANCE_HZ, Profile, mains_harmonics, off_lines
+from service.experiment.aims import Profile
+from service.experiment.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
 from service.health.monitored import plane_figures
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.saved import SavedPlane, saved_planes

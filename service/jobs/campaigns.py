@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from drivers.errors import BusError, CancelledError, LeaseError, RestartError
 from service import bootstrap
 from service.errors import ConflictError, JobError, StoppedError
+from service.experiment.aims import Profile
 from service.experiment.campaign import EXPERIMENT, JOURNAL, run_campaign
 from service.experiment.multisine_plan import MultisineProfile
-from service.experiment.plan import Profile
 from service.experiment.progress import Progress
 from service.jobs.context import Context
 from service.jobs.control import Control

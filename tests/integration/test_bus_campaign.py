@@ -20,9 +20,9 @@ from drivers.modbus.driver import tcp_links
 from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
+from service.experiment.aims import Profile
 from service.experiment.campaign import run_campaign
 from service.experiment.data import Experiment
-from service.experiment.plan import Profile
 from sim.reference import reference_datasheet, reference_rig
 
 SEED = 7

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from drivers.simulated.driver import SimulatedController
 from service.experiment.campaign import run_campaign
-from service.experiment.plan import Profile
+from service.experiment.aims import Profile
 from sim.reference import reference_datasheet, reference_rig
 
 def progress(report):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.experiment.plan import mains_harmonics
+from service.experiment.frequencies import mains_harmonics
 from service.health import tones
 from service.identification.saved import saved_planes
 from sim.errors import AmbError

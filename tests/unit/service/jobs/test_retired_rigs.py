@@ -6,7 +6,7 @@ import pytest
 
 from service import bootstrap
 from service.errors import JobError
-from service.experiment.plan import Profile
+from service.experiment.aims import Profile
 from service.jobs import campaigns
 from service.storage import jobs, rigs
 from service.storage.database import now
