@@ -28,7 +28,7 @@ from foreign.rig import TS, Truth
 from service.experiment.file import read
 from service.identification.fit import identify
 from service.identification.result import CommissioningResult
-from sim.datasheet import read as read_datasheet
+from sim.rig_file import read as read_datasheet
 
 FORMS = ("demodulated", "records", "two axes")
 LIMITS = {"ki": 0.5, "ks": 0.5, "zeta": 10.0}

@@ -19,7 +19,7 @@ from typing import Any
 from service.experiment import file
 from service.gap.scoring import Outcome, score
 from service.trial import diagnose, run_blind_trial
-from sim.datasheet import parse
+from sim.rig_file import parse
 
 PRACTICE = Path(__file__).resolve().parents[2] / "shared" / "practice"
 KNOWN = {

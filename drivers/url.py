@@ -21,10 +21,10 @@ Query = dict[str, str]
 
 def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
     if rig is None:
-        from sim import datasheet, twin
+        from sim import rig_file, twin
         from sim.reference import reference_rig
 
-        rig = twin.rig_from_datasheet(datasheet.read(Path(query["rig"]))) if "rig" in query else reference_rig()
+        rig = twin.rig_from_datasheet(rig_file.read(Path(query["rig"]))) if "rig" in query else reference_rig()
     return SimulatedController(rig, seed=_whole(query, "seed", 0))
 
 

@@ -122,7 +122,7 @@ def measure(
         As the message says; the rig is stopped, and what was measured stays in ``out_dir``.
     """
     from service.experiment.campaign import run_campaign
-    from sim.datasheet import to_toml
+    from sim.rig_file import to_toml
 
     write_text(ready_folder(out_dir) / DATASHEET, to_toml(datasheet))
     return run_campaign(controller, datasheet, out_dir, progress, cancelled, resume, profile)

@@ -46,7 +46,7 @@ def read_baseline(folder: Path) -> tuple[Baseline, Datasheet]:
         One of them is missing or cannot be read.
     """
     from service.health.compare import Baseline
-    from sim.datasheet import read
+    from sim.rig_file import read
 
     return Baseline(read_document(folder / RESULT, "amb-commissioning-result")), read(folder / DATASHEET)
 

@@ -28,8 +28,9 @@ from service.gap.seal import SealError
 from service.gap.unlisted_laws import TamperedSimulation
 from service.gap.withheld import Case, described, draw
 from service.pool import workers
-from sim.datasheet import Datasheet, to_toml
+from sim.datasheet import Datasheet
 from sim.errors import AmbError
+from sim.rig_file import to_toml
 
 Progress = Callable[[int, int, str], None]
 """(cases done, cases in all, what the last one was)."""

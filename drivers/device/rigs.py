@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.device.withheld import draw, seal
-from sim import datasheet, twin
+from sim import rig_file, twin
 from sim.effects import effect
 from sim.errors import EffectError
 from sim.reference import reference_rig
@@ -76,7 +76,7 @@ def build_rig(options: RigOptions) -> BuiltRig:
         As their messages say.
     """
     noise = reference_rig().noise if options.noise else Noise()
-    rig = reference_rig() if options.rig is None else twin.rig_from_datasheet(datasheet.read(options.rig))
+    rig = reference_rig() if options.rig is None else twin.rig_from_datasheet(rig_file.read(options.rig))
     rig = replace(rig, noise=noise)
     if options.gravity_m_per_s2 is not None:
         rig = replace(rig, gravity_m_per_s2=options.gravity_m_per_s2)

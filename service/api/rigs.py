@@ -35,7 +35,7 @@ from service.errors import ConflictError
 from service.storage import jobs, results, rigs, schedules
 from service.storage.database import now
 from service.storage.tables import ModelRow, Rig, RigVersion
-from sim import datasheet
+from sim import rig_file
 
 router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
 RETIRED = "the rig was retired"
@@ -151,7 +151,7 @@ def shape(rig: Rig, version: RigVersion) -> RigShape:
         id=rig.id,
         name=rig.name,
         version=version.version,
-        axes=list(datasheet.parse(version.datasheet).axes),
+        axes=list(rig_file.parse(version.datasheet).axes),
         controller_url=version.controller_url,
         datasheet=version.datasheet,
         note=version.note,
@@ -171,7 +171,7 @@ def _checked(wanted: RigWanted, services: Services) -> str:
     DatasheetError, UnprocessableError
         It cannot.
     """
-    sheet = datasheet.parse(wanted.datasheet, "datasheet")
+    sheet = rig_file.parse(wanted.datasheet, "datasheet")
     checked_url(wanted.controller_url, services.settings)
     name = wanted.name or sheet.name
     if len(name) > LONGEST_NAME or "\0" in name:  # TOML has an escape for every character

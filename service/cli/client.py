@@ -158,7 +158,7 @@ def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, k
 def _rig(ambit: Client, given: str, controller: str | None) -> Rig:
     """The rig that is meant; a datasheet makes it known, or gives it a new version where something differs."""
     from service.client import MissingError
-    from sim.datasheet import read
+    from sim.rig_file import read
 
     path = Path(given)
     if path.suffix != ".toml":

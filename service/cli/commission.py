@@ -64,7 +64,7 @@ def commission(
     """Measure a rig through its controller, identify it, and write result.json and report.html."""
     from service import bootstrap
     from service.output import ready_folder
-    from sim.datasheet import read
+    from sim.rig_file import read
 
     datasheet = read(rig)
     ready_folder(out)
@@ -92,7 +92,7 @@ def identify(
     from service.experiment import file
     from service.experiment.merge import merged
     from service.output import ready_folder
-    from sim.datasheet import read
+    from sim.rig_file import read
 
     datasheet = read(rig)
     ready_folder(out)

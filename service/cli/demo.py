@@ -123,8 +123,8 @@ def _submitted(ambit: Client, controller: str, options: dict[str, Any]) -> Job:
 
 def _rig(ambit: Client, controller: str) -> Rig:
     from service.client import MissingError
-    from sim.datasheet import to_toml
     from sim.reference import reference_datasheet
+    from sim.rig_file import to_toml
 
     sheet = reference_datasheet()
     text = to_toml(sheet)

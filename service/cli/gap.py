@@ -30,7 +30,7 @@ def diagnose(
     from service.cli.progress import percent_progress
     from service.experiment import file
     from service.output import ready_folder
-    from sim.datasheet import read
+    from sim.rig_file import read
 
     datasheet = read(rig)
     ready_folder(out)
@@ -61,7 +61,7 @@ def apply(
     """Write a twin that has the effects that a diagnosis found."""
     from service.gap.apply import applied
     from service.output import read_document, ready_folder, write_text
-    from sim.datasheet import read, to_toml
+    from sim.rig_file import read, to_toml
 
     ready_folder(out.parent)
     twin = applied(read(rig), read_document(report, "amb-gap-report"))

@@ -34,8 +34,8 @@ def datasheet(
 ) -> None:
     """Write the datasheet of the reference rig: what was known before the experiment."""
     from service.output import write_text
-    from sim.datasheet import to_toml
     from sim.reference import reference_datasheet
+    from sim.rig_file import to_toml
 
     text = to_toml(reference_datasheet())
     if out is None:

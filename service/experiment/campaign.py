@@ -35,7 +35,8 @@ from service.experiment.points import Point, experiment
 from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback
 from service.experiment.recorder import Recorder, Trip
-from sim.datasheet import Datasheet, to_toml
+from sim.datasheet import Datasheet
+from sim.rig_file import to_toml
 
 T = TypeVar("T")
 

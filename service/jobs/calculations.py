@@ -11,7 +11,7 @@ from typing import Any
 from service import bootstrap
 from service.experiment import file
 from service.output import json_text, write_text
-from sim import datasheet
+from sim import rig_file
 
 Tell = Callable[[str, float], None]
 """Told the phase and the percent that are done."""
@@ -48,7 +48,7 @@ def identification(
     from service.report.curves import curves
 
     percents = {"identifying": ("identification", 2.0), "writing the report": ("report", 90.0)}
-    sheet = datasheet.read(Path(rig))
+    sheet = rig_file.read(Path(rig))
     measured = file.read(Path(experiment))
     done = bootstrap.identify_into(
         measured,
@@ -66,7 +66,7 @@ def identification(
 
 def gap(experiment: str, rig: str, out: str, processes: int, tell: Tell = silent) -> dict[str, Any]:
     """Diagnose the gap of an experiment; gap.json and gap.html are in ``out``; the summary."""
-    sheet = datasheet.read(Path(rig))
+    sheet = rig_file.read(Path(rig))
     document, _ = bootstrap.diagnose_into(file.read(Path(experiment)), sheet, Path(out), processes, tell)
     verdict = document["verdict"]
     return {
@@ -87,7 +87,7 @@ def health_plan(baseline: str, rig: str, budget_s: float, tell: Tell = silent) -
     from service.output import read_document
 
     document = read_document(Path(baseline), "amb-commissioning-result")
-    plan = checkup.plan_for(Baseline(document), datasheet.read(Path(rig)), budget_s)
+    plan = checkup.plan_for(Baseline(document), rig_file.read(Path(rig)), budget_s)
     return asdict(plan.profile)
 
 
@@ -105,7 +105,7 @@ def health_compare(
     tell("comparison", 2.0)
     done = checkup.compare_into(
         then,
-        datasheet.read(Path(rig)),
+        rig_file.read(Path(rig)),
         measured,
         Path(out),
         Path(history),

@@ -26,7 +26,7 @@ from service.storage.database import now
 from service.storage.ids import derived_id
 from service.storage.tables import ExperimentRow, JobRow
 from service.uploads.child import summary
-from sim import datasheet
+from sim import rig_file
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
@@ -76,7 +76,7 @@ def measure(
         return {"experiment": whole}
     _must_be_active(worker, job)
     version, path = datasheet_file(worker, job)
-    sheet = datasheet.read(path)
+    sheet = rig_file.read(path)
     folder = worker.folder(job.id)
     _restore_journal(worker, job, folder / JOURNAL, control)
     run = _Campaign(worker, job, control, sheet, version.controller_url, profile, folder, Part(control, share))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.experiment import file
-from sim.datasheet import to_toml
+from sim.rig_file import to_toml
 from tests.support.command import refusal
 from tests.support.measured import small_experiment
 

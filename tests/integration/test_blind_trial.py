@@ -17,8 +17,9 @@ from service.gap.blind_trial import checked, summary
 from service.gap.seal import SealError, opened
 from service.gap.withheld import draw
 from service.trial import PROFILE, run_blind_trial, run_one
-from sim.datasheet import Datasheet, read
+from sim.datasheet import Datasheet
 from sim.errors import AmbError
+from sim.rig_file import read
 
 pytestmark = pytest.mark.timeout(900)
 

@@ -21,8 +21,8 @@ from service.config import Settings
 from service.storage import jobs as job_rows
 from service.storage.database import now
 from service.storage.tables import JobRow
-from sim.datasheet import to_toml
 from sim.reference import reference_datasheet
+from sim.rig_file import to_toml
 from tests.support.service import rig_device
 from tests.support.serving import serving
 from tests.support.uploads import HOSTILE, good, good_matlab

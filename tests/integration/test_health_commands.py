@@ -8,9 +8,9 @@ import pytest
 from service.cli import run
 from service.experiment import file
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
-from sim.datasheet import to_toml
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
+from sim.rig_file import to_toml
 from tests.support.commissioned import AXES, LAW, SHEET, plan, result
 
 

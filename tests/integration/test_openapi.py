@@ -27,7 +27,7 @@ from service.jobs import calculations
 from service.storage.database import now
 from service.storage.ids import new_id
 from service.storage.tables import GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
-from sim.datasheet import to_toml
+from sim.rig_file import to_toml
 from tests.support.measured import small_experiment
 from tests.support.serving import Serving, serving
 

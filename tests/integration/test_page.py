@@ -20,8 +20,8 @@ from service.storage import jobs, rigs
 from service.storage.database import now
 from service.storage.ids import new_id
 from service.storage.tables import ExperimentRow, GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
-from sim.datasheet import to_toml
 from sim.reference import reference_rig
+from sim.rig_file import to_toml
 from tests.support.browser import BROWSER
 from tests.support.commissioned import AXES, LAW, SHEET, plan, result
 from tests.support.serving import Serving, serving

@@ -224,8 +224,8 @@ def free_port() -> int:
 
 def reference_sheet() -> str:
     """Datasheet of the reference rig."""
-    from sim.datasheet import to_toml
     from sim.reference import reference_datasheet
+    from sim.rig_file import to_toml
 
     return to_toml(reference_datasheet())
 

@@ -13,8 +13,8 @@ from service.storage.blobs import Blobs
 from service.storage.database import Database, now
 from service.storage.ids import new_id
 from service.storage.tables import ExperimentRow, JournalPart
-from sim.datasheet import to_toml
 from sim.reference import reference_datasheet
+from sim.rig_file import to_toml
 
 
 def lived_in(settings: Settings) -> dict[str, str]:

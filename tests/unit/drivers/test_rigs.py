@@ -10,9 +10,9 @@ import pytest
 
 from drivers.device.rigs import RigOptions, build_rig, parse_effect
 from drivers.device.withheld import Withheld, draw, opened, seal
-from sim.datasheet import to_toml
 from sim.errors import AmbError, DatasheetError, EffectError
 from sim.reference import reference_datasheet, reference_rig
+from sim.rig_file import to_toml
 
 
 def test_without_options_it_is_the_reference_rig() -> None:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from sim import datasheet
+from sim import datasheet, rig_file
 from sim.datasheet import Tolerance
 from sim.errors import AmbError, DatasheetError
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import rig_from_datasheet
 
-TEXT = datasheet.to_toml(
+TEXT = rig_file.to_toml(
     replace(
         reference_datasheet(),
         modes=(datasheet.Mode(492.9, 0.001, (0.08, -0.04), (0.08, 0.14)),),
@@ -78,7 +78,7 @@ REQUIRED = [
 
 def refusal(text: str) -> str:
     with pytest.raises(DatasheetError) as caught:
-        datasheet.parse(text, "my/rig.toml")
+        rig_file.parse(text, "my/rig.toml")
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith("my/rig.toml")
@@ -86,14 +86,14 @@ def refusal(text: str) -> str:
 
 
 def test_what_is_written_is_read_back():
-    once = datasheet.parse(TEXT)
-    assert datasheet.parse(datasheet.to_toml(once)) == once
+    once = rig_file.parse(TEXT)
+    assert rig_file.parse(rig_file.to_toml(once)) == once
     assert once.tolerance_stated
     assert once.sensor_bandwidth_hz == (9e3,) * 4
 
 
 def test_one_number_stands_for_all_axes():
-    sheet = datasheet.parse(with_line("current_stiffness_n_per_a", "340"))
+    sheet = rig_file.parse(with_line("current_stiffness_n_per_a", "340"))
     assert sheet.current_stiffness_n_per_a == (340.0,) * 4
 
 
@@ -122,11 +122,11 @@ def test_values_per_axis_are_one_or_one_per_axis(value):
 
 
 def test_zones_of_the_sensitivity_peak_are_the_standards_or_the_rigs_own():
-    assert datasheet.parse(TEXT).sensitivity_zones_db == datasheet.ISO_14839_3_DB
+    assert rig_file.parse(TEXT).sensitivity_zones_db == datasheet.ISO_14839_3_DB
     own = 'sensitivity_zones = ["fine", "bad"]\nsensitivity_zone_limits_db = [20]\n'
-    sheet = datasheet.parse(TEXT.replace("[limits]\n", "[limits]\n" + own))
+    sheet = rig_file.parse(TEXT.replace("[limits]\n", "[limits]\n" + own))
     assert sheet.sensitivity_zones_db == (("fine", 20.0), ("bad", float("inf")))
-    assert datasheet.parse(datasheet.to_toml(sheet)) == sheet
+    assert rig_file.parse(rig_file.to_toml(sheet)) == sheet
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_an_amplifier_is_of_first_or_of_second_order_and_not_of_both():
     half = "[amplifier]\nnatural_frequency_hz = 1500\n"
     head, tail = TEXT.split("[amplifier]", 1)
     tail = tail[tail.index("[sensor]") :]
-    assert datasheet.parse(f"{head}{first}\n{tail}").amplifier_damping_ratio is None
+    assert rig_file.parse(f"{head}{first}\n{tail}").amplifier_damping_ratio is None
     for wrong in (both, half, "[amplifier]\ngain = 1\n"):
         assert "either bandwidth_hz, or natural_frequency_hz with damping_ratio" in refusal(f"{head}{wrong}\n{tail}")
 
@@ -182,25 +182,25 @@ def test_text_that_is_no_toml_is_refused():
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(DatasheetError, match=r"cannot read the datasheet .*absent\.toml"):
-        datasheet.read(tmp_path / "absent.toml")
+        rig_file.read(tmp_path / "absent.toml")
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DatasheetError, match=r"binary\.toml"):
-        datasheet.read(binary)
+        rig_file.read(binary)
     with pytest.raises(AmbError):
-        datasheet.read(tmp_path)
+        rig_file.read(tmp_path)
 
 
 def test_numbers_that_toml_cannot_hold_are_not_written():
     with pytest.raises(DatasheetError, match="finite"):
-        datasheet.to_toml(replace(reference_datasheet(), mass_kg=float("inf")))
+        rig_file.to_toml(replace(reference_datasheet(), mass_kg=float("inf")))
 
 
 def test_a_tolerance_that_is_not_stated_has_its_documented_default():
     head = TEXT[: TEXT.index("[tolerance]")]
-    assert datasheet.parse(head).tolerance == Tolerance()
-    assert not datasheet.parse(head).tolerance_stated
-    partly = datasheet.parse(f"{head}[tolerance]\nmass = 0.1\n")
+    assert rig_file.parse(head).tolerance == Tolerance()
+    assert not rig_file.parse(head).tolerance_stated
+    partly = rig_file.parse(f"{head}[tolerance]\nmass = 0.1\n")
     assert partly.tolerance == replace(Tolerance(), mass=0.1)
     for f in fields(Tolerance):
         assert f.name in TEXT
@@ -209,11 +209,11 @@ def test_a_tolerance_that_is_not_stated_has_its_documented_default():
 def test_modes_are_sorted_by_frequency():
     late_first = TEXT.replace("[[modes]]", "[[modes]]\nfrequency_hz = 900.0\ndamping_ratio = 0.001\n"
                               "shape_at_bearings = [0.2, 0.1]\nshape_at_sensors = [0.2, 0.1]\n\n[[modes]]")  # fmt: skip
-    assert [m.frequency_hz for m in datasheet.parse(late_first).modes] == [492.9, 900.0]
+    assert [m.frequency_hz for m in rig_file.parse(late_first).modes] == [492.9, 900.0]
 
 
 def test_the_rig_of_a_datasheet_has_its_values_stands_still_and_is_silent():
-    sheet = datasheet.parse(TEXT)
+    sheet = rig_file.parse(TEXT)
     rig = rig_from_datasheet(sheet)
     assert rig.rotor.mass_kg == 280.0
     assert rig.magnets.ki.tolist() == [340.0] * 4
@@ -224,11 +224,11 @@ def test_the_rig_of_a_datasheet_has_its_values_stands_still_and_is_silent():
 
 
 def test_effects_that_a_diagnosis_has_added_are_in_the_rig():
-    sheet = datasheet.parse(TEXT + "\n[effects.loop_delay]\ndelay_s = 2e-5\n")
+    sheet = rig_file.parse(TEXT + "\n[effects.loop_delay]\ndelay_s = 2e-5\n")
     assert rig_from_datasheet(sheet).amplifiers.delay_s.tolist() == [2e-5] * 4
-    assert datasheet.parse(datasheet.to_toml(sheet)) == sheet
+    assert rig_file.parse(rig_file.to_toml(sheet)) == sheet
     with pytest.raises(AmbError, match="no effect 'loop_lag'"):
-        rig_from_datasheet(datasheet.parse(TEXT + "\n[effects.loop_lag]\ndelay_s = 2e-5\n"))
+        rig_from_datasheet(rig_file.parse(TEXT + "\n[effects.loop_lag]\ndelay_s = 2e-5\n"))
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="no practice cases beside the repository")
@@ -236,6 +236,6 @@ def test_every_practice_case_has_a_datasheet_that_is_read():
     sheets = sorted(PRACTICE.glob("p*/rig.toml"))
     assert sheets
     for path in sheets:
-        sheet = datasheet.read(path)
+        sheet = rig_file.read(path)
         assert sheet.n_axes == 4
-        assert datasheet.parse(datasheet.to_toml(sheet)) == sheet
+        assert rig_file.parse(rig_file.to_toml(sheet)) == sheet

@@ -10,7 +10,7 @@ import pytest
 
 from service.experiment.file import read as read_experiment
 from service.identification.fit import identify
-from sim.datasheet import read as read_datasheet
+from sim.rig_file import read as read_datasheet
 
 PRACTICE = Path(__file__).parents[5] / "shared" / "practice"
 KI = (181.0, 186.0, 184.0, 198.0)
