@@ -205,7 +205,7 @@ def decide(order: Sequence[Ranked], remaining: float, there: HeldOut, significan
 def supported(probability: float, support: float) -> float:
     """Probability of an explanation after unseen data spoke against it; data for it are for its rivals too.
 
-    >>> supported(0.9, 3.0), round(supported(0.9, -2.0 * math.log(9.0)), 3)
+    >>> supported(0.9, 3.0), round(supported(0.9, -TEMPERATURE * math.log(9.0)), 3)
     (0.9, 0.5)
     """
     if support >= 0:
