@@ -34,7 +34,7 @@ from service.gap.rivals import left_together
 from service.gap.search import MOST, Explained, explain, plain_twin
 from service.gap.settling import DRIFTS
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
-from service.gap.significance import SIGNIFICANT, significance
+from service.gap.significance import SIGNIFICANT, shows_alone_hz, significance
 from service.gap.sweeps import halves, notes_on, span_s, sweeps_for
 from service.gap.telling import ProgressCallback, Telling
 from service.gap.thin import thinned
@@ -130,8 +130,10 @@ def diagnose(
         aloud = not all(s.heard_hz for s in sources)
         found, fault = _explained(fitter, nu, (o,), {}, aloud, telling, (0.0, FITTED if lines_only else ONE_SWEEP))
         failing = {} if lines_only or fault else {e.part.path: e for e in found if _fails_on(e, unseen)}
-        if failing:
-            seen, unseen, name = halves(other, nu, name, hums, span)
+        alone = {} if lines_only or fault else {e.part.path: hz for e in found if (hz := _fails_alone_hz(e, unseen))}
+        if failing or alone:
+            seen, unseen, name = halves(other, nu, name, hums, span, next(iter(alone.values()), None))
+            failing |= {e.part.path: e for e in found if e.part.path in alone}
             known = {e.part.path: e for e in found if e.part.path not in failing}
             found, fault = _explained(fitter, nu, (o, seen), known, aloud, telling, (ONE_SWEEP, FITTED), failing)
             notes.append("the twin fits the main sweep but not the other: half of the other's lines were fitted too")
@@ -211,7 +213,9 @@ def _explained(
         if part.path not in known:
             telling.part(part, [p for p in looked_at if p.path not in known], *percent)
         result = known.get(part.path)
-        if result is None:
+        if result is not None:  # what was found in the other parts has changed
+            result = replace(result, ground=replace(result.ground, theta=theta, found=tuple(named)))
+        else:
             sooner = (before or {}).get(part.path)
             plain = plain_twin(fitter, ground, sooner)
             if part.path == "plant" and not aloud:
@@ -234,3 +238,11 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
     """Whether what explains the main sweep leaves a clear gap on the other one."""
     o, z = on_sweep(e, chosen_in(e), unseen)
     return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
+
+
+def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
+    """The line of the other sweep that alone shows a gap in the amplifiers, Hz; other parts have peaks that look so."""
+    if e.part.path != "amplifier":
+        return None
+    o, z = on_sweep(e, chosen_in(e), unseen)
+    return shows_alone_hz(z, o)

@@ -13,8 +13,8 @@ from service.gap.candidates import Candidate, Fitter, Task
 from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE, Problem, Stage, slow_to_compute
 from service.gap.observation import Observation
 from service.gap.part import Ground, Part
-from service.gap.significance import significance
-from service.gap.starts import starts
+from service.gap.significance import shows_alone_hz, significance
+from service.gap.starts import largest_rate, starts
 from service.gap.verdict import MIXED, Ranked, ranked, renormalised
 from sim.effects import CATALOGUE
 
@@ -163,17 +163,25 @@ def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex],
 def _starts(
     first: Candidate, name: str, residuals: Sequence[Complex], ground: Ground
 ) -> tuple[tuple[dict[str, float], ...], ...]:
-    """Starts of an effect beside those of ``first``; a nonlinear one's found where the rotor moves most."""
+    """Starts of an effect beside those of ``first``; a nonlinear one's found in the sweep that drives it most."""
     sweeps = range(len(ground.observations))
-    k = max(sweeps, key=lambda k: float(np.abs(ground.observations[k].Y).max())) if CATALOGUE[name].nonlinear else 0
+    k = max(sweeps, key=lambda k: _driven(name, ground.observations[k])) if CATALOGUE[name].nonlinear else 0
     o, z = ground.observations[k], residuals[k]
     return tuple((*first.fit.values, s) for s in starts(CATALOGUE[name], first.fit.rig, z, o, ground))
+
+
+def _driven(name: str, o: Observation) -> float:
+    """How far a sweep drives a nonlinear effect: by the rate of the current, A/s, or by the rotor's motion, m."""
+    return largest_rate(o) if CATALOGUE[name].path == "amplifier" else float(np.abs(o.Y).max())
 
 
 def _leaves_something(best: Ranked, left: Sequence[Complex], ground: Ground) -> bool:
     if max(best.shares) < MIXED:
         return False
-    return any(significance(z, o) > REMAINS for z, o in zip(left, ground.observations, strict=True))
+    everywhere = list(zip(left, ground.observations, strict=True))
+    if any(significance(z, o) > REMAINS for z, o in everywhere):
+        return True
+    return ground.part.path == "amplifier" and any(shows_alone_hz(z, o) is not None for z, o in everywhere)
 
 
 def _worthy(everything: Sequence[Ranked]) -> list[Ranked]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.gap.observation import Observation
 from service.gap.predict import measured, residual, weights
-from service.gap.significance import SIGNIFICANT, overall, significance
+from service.gap.significance import SIGNIFICANT, overall, shows_alone_hz, significance
 from sim.rig import Rig
 
 Real = NDArray[np.float64]
@@ -66,9 +66,12 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
     n, used = before.n_axes, [k for k in range(3) if k != 1 or o.I is not None]
     drawn = _drawn(len(o.frequency_hz), seed)
 
+    of_i = slice(n, 2 * n)
+    alone = o.I is not None and shows_alone_hz(z_b[..., of_i], o) is not None
+
     def closed(rows: NDArray[np.bool_], columns: slice) -> Closed:
         b, a, known = z_b[rows][..., columns], z_a[rows][..., columns], w[rows][..., columns]
-        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows]))
+        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows])) or (alone and columns == of_i)
         return _closed(_per_point(b, known), _per_point(a, known), o.line[rows], drawn, shown)
 
     everywhere = np.ones(len(o.axis), dtype=bool)
@@ -83,7 +86,7 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
         np.mean([_per_point(z[..., k * n : (k + 1) * n], w[..., k * n : (k + 1) * n]) for k in used], axis=0)
         for z in (z_b, z_a)
     )
-    whole = _closed(b, a, o.line, drawn, shows(z_b, o))
+    whole = _closed(b, a, o.line, drawn, shows(z_b, o) or alone)
     return Shrinkage(whole.before, whole.after, whole.closure, whole.closure_95, name, NOISE, paths, channels)
 
 

@@ -17,6 +17,10 @@ SIGNIFICANT = 5.0
 OUTLIER = 12.0
 """Largest squared residual (over its expectation) that one value adds to a cell."""
 
+ALONE = 2 * OUTLIER
+"""Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap: noise
+does so in one line of some dozen values with a probability of 1e-19."""
+
 
 def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OUTLIER) -> float:
     """Largest excess of mean square over bands and channels, as a one-sided normal deviate after Bonferroni.
@@ -49,6 +53,21 @@ def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -
         return largest
     p = min(1.0, float(normal_tail(largest)) * len(values) * looked_at)
     return float(max(normal_above(p), 0.0)) if p < 1 else 0.0
+
+
+def shows_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line that alone shows a gap, Hz: of all the one where two values are furthest off; None where none is so far.
+
+    For amplifiers, which reach a voltage limit in the highest line alone, perhaps, where it drowns in a band. Other
+    parts have peaks that look so. One value alone may be a transient.
+    """
+    off = np.abs(z) ** 2 / 2
+    at, largest = 0, 0.0
+    for line in range(len(o.frequency_hz)):
+        values = np.sort(off[o.line == line][:, [k for k, h in enumerate(o.harmonics) if h > 0]], axis=None)
+        if len(values) > 1 and values[-2] > largest:
+            at, largest = line, float(values[-2])
+    return float(o.frequency_hz[at]) if largest > ALONE else None
 
 
 def overall(z: Complex) -> float:

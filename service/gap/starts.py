@@ -59,8 +59,7 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "touchdown_contact":
         return stops(effect, base, rig, z, o)
     if effect.id == "amplifier_voltage_limit":
-        current = np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1)
-        rate = float((current * 2 * np.pi * o.points_hz).max())
+        rate = largest_rate(o)
         return [
             {"slew_inverse_s_per_a": 1 / (share * rate), "slope_seen": seen}
             for share in (0.9, 0.7)
@@ -77,6 +76,12 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "off_centre_rotor":
         return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]
     return [base]
+
+
+def largest_rate(o: Observation) -> float:
+    """Largest slope of the coil current, A/s; of the control signal where the current was not logged."""
+    current = np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1)
+    return float((current * 2 * np.pi * o.points_hz).max())
 
 
 def resonances(

@@ -40,10 +40,17 @@ def span_s(*sweeps: Sweep) -> tuple[float, float] | None:
 
 
 def halves(
-    other: Sweep, nu: Nuisance, name: str, hums: Sequence[float], span: tuple[float, float] | None
+    other: Sweep,
+    nu: Nuisance,
+    name: str,
+    hums: Sequence[float],
+    span: tuple[float, float] | None,
+    fitted_hz: float | None = None,
 ) -> tuple[Observation, Observation, str]:
-    """The other sweep in two: even lines to fit, odd lines unseen."""
-    line = np.unique(other.frequency_hz, return_inverse=True)[1]
+    """The other sweep in two: every other line to fit, with the one at ``fitted_hz`` or else the first; unseen ones."""
+    frequency, line = np.unique(other.frequency_hz, return_inverse=True)
+    if fitted_hz is not None:
+        line = line + int(np.argmin(np.abs(frequency - fitted_hz)))
     seen, unseen = (
         observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums, span)
         if (line % 2 == k).sum() * 2 > 16

@@ -1,0 +1,88 @@
+"""A voltage limit that the amplifiers reach in one line alone is found, wherever that line is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.diagnose import diagnose
+from service.gap.nuisance import nuisance
+from service.gap.observation import Observation, observe
+from service.gap.significance import shows_alone_hz
+from service.gap.sweeps import halves
+from sim.datasheet import Datasheet
+from sim.rig import Rig
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, sweep, true_rig
+from tests.support.two_axes import one_plane
+
+MAIN_HZ = np.geomspace(12.0, 800.0, 12)
+OTHER_HZ = np.geomspace(15.0, 930.0, 12)
+HIGHEST = float(OTHER_HZ[-1])
+
+
+@pytest.fixture(scope="module")
+def limited() -> tuple[Experiment, Datasheet]:
+    """Two axes whose amplifiers reach their limit in the highest line of the other, larger sweep alone."""
+    datasheet, truth = known_datasheet(seed=3)
+    plain = true_rig(truth)
+    limit = {"amplifier_voltage_limit": {"slew_inverse_s_per_a": 1 / (0.9 * largest_rate(plain, HIGHEST))}}
+    rig = with_effects(plain, limit)
+    sweeps = (
+        replace(sweep(rig, MAIN_HZ, 0.1, 1), comment="main"),
+        replace(sweep(rig, OTHER_HZ, 0.2, 2, during=(0.8, 1.0)), comment="other amplitude"),
+    )
+    return one_plane(Experiment(rig.name, rig.axes, sweeps), datasheet)
+
+
+def largest_rate(rig: Rig, hz: float) -> float:
+    """Slope of the coil current that a tone of the other sweep asks for, A/s."""
+    s = sweep(rig, np.array([hz]), 0.2, 2)
+    return float(2 * np.pi * hz * np.abs(s.I[:, 0, s.harmonics.index(1)]).max())
+
+
+def test_a_limit_that_only_the_other_sweep_reaches_and_in_one_line_is_named_and_measured(
+    limited: tuple[Experiment, Datasheet],
+) -> None:
+    measured, datasheet = limited
+    d = diagnose(measured, datasheet)
+    assert d.verdict.effects == ("amplifier_voltage_limit",)
+    found = d.to_dict()["candidates"][0]["parameters"]["slew_inverse_s_per_a"]
+    true = 1 / (0.9 * largest_rate(true_rig(known_datasheet(seed=3)[1]), HIGHEST))
+    assert found["value"] == pytest.approx(true, rel=0.02)
+    assert any("not the other" in note for note in d.notes)
+
+
+def test_the_line_that_alone_shows_a_gap_is_among_those_that_are_fitted_too(
+    limited: tuple[Experiment, Datasheet],
+) -> None:
+    other: Sweep = limited[0].sweeps[1]
+    for hz in OTHER_HZ[-2:]:
+        seen, unseen, _ = halves(other, nuisance(limited[1]), "sweeps/1", (), None, float(hz))
+        assert hz in seen.frequency_hz
+        assert hz not in unseen.frequency_hz
+
+
+@pytest.fixture
+def quiet(limited: tuple[Experiment, Datasheet]) -> tuple[Observation, np.ndarray]:
+    """The other sweep and residuals that are noise alone."""
+    o = observe(limited[0].sweeps[1], nuisance(limited[1]).rig)
+    parts = np.random.default_rng(1).standard_normal((2, *o.Y.shape))
+    return o, parts[0] + 1j * parts[1]
+
+
+def test_noise_and_one_wild_value_are_no_line_alone(quiet: tuple[Observation, np.ndarray]) -> None:
+    o, z = quiet
+    assert shows_alone_hz(z, o) is None
+    z[3, o.fundamental, 0] = 100.0
+    assert shows_alone_hz(z, o) is None
+    z[0, o.fundamental, 0] = 100.0  # nor two in two lines
+    assert shows_alone_hz(z, o) is None
+
+
+def test_a_fundamental_and_an_odd_harmonic_off_in_one_line_show_there(quiet: tuple[Observation, np.ndarray]) -> None:
+    o, z = quiet
+    point = int(np.flatnonzero(o.line == 5)[0])
+    z[point, [o.fundamental, o.harmonics.index(3)], 1] = 9.0
+    assert shows_alone_hz(z, o) == o.frequency_hz[5]
