@@ -86,7 +86,7 @@ class Dialogue:
         """Snapshot of a group."""
         return self.patiently(lambda link: readable(lambda: link.read(group)), patience_s)
 
-    def status(self, expect_boot: bool = True) -> dict[str, Value]:
+    def status(self, expect_boot: bool = True, patience_s: float | None = None) -> dict[str, Value]:
         """The device's status, younger than any before.
 
         Raises
@@ -103,7 +103,7 @@ class Dialogue:
             self._snapshot = (boot, snapshot)
             return values
 
-        values = self.patiently(fresh)
+        values = self.patiently(fresh, patience_s)
         if expect_boot and self.token:
             self.require_same_boot(values)
         return values

@@ -11,7 +11,8 @@
         ├── BusyError            the controller is playing another tone
         ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
         ├── MapError             a rig's own map of registers or objects is wrong; names the object
-        └── CancelledError       the caller asked to stop; excitation is off
+        └── CancelledError       the excitation was stopped, and is off
+            └── StoppedElsewhereError  by somebody else than the caller: see to the rig before it is excited again
 """
 
 from sim.errors import AmbError
@@ -63,4 +64,8 @@ class RestartError(ControllerError):
 
 
 class CancelledError(ControllerError):
-    """The caller asked to stop; the excitation is off."""
+    """The excitation was stopped, and is off."""
+
+
+class StoppedElsewhereError(CancelledError):
+    """Somebody else than the caller stopped the excitation; see to the rig before it is excited again."""

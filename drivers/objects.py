@@ -13,7 +13,7 @@ result          ro      header of the last finished tone; its payload is read fr
 lease           wo      take the lease (idempotent under one token)
 release         wo      give it back
 beat            wo      heartbeat: the counter must move
-stop            wo      ramp the excitation to zero; any token, and none, will do
+stop            wo      ramp the excitation to zero; any token, and none, will do. The holder hears of others' stops
 acknowledge     wo      clear a latched trip
 tone            wo      play a tone (idempotent under one command number)
 window          wo      choose which part of a raw record the data area shows
@@ -147,7 +147,7 @@ STATUS = Group(
         _scaled("excitation_a", "amplitude of the excitation now", "A", 1_000_000),
         _scaled("lease_seconds_left", "time left of the lease", "s", 1000, required=False),
         _u32("command", "number of the tone that was accepted last"),
-        _u16("outcome", "of that tone: 0 under way, 1 done, 2 stopped, 3 tripped, 4 failed", 0, 4),
+        _u16("outcome", "of that tone: 0 under way, 1 done, 2 stopped, 3 tripped, 4 failed, 5 stopped by others", 0, 5),
         _u32("result", "number of the last result"),
         Object("speed_rad_s", Type.F32, "rotational speed", "rad/s", required=False),
         _scaled("uptime_s", "time since the start", "s", 1000, required=False),
@@ -194,7 +194,13 @@ LEASE = Group(
 )  # fmt: skip
 RELEASE = Group("release", 5, "wo", "give the lease back; ends its excitation", (_TOKEN, CRC))
 BEAT = Group("beat", 6, "wo", "heartbeat of the holder", (_TOKEN, _u32("count", "must differ from the last"), CRC))
-STOP = Group("stop", 7, "wo", "ramp the excitation to zero; needs no lease", (_TOKEN,))
+STOP = Group(
+    "stop",
+    7,
+    "wo",
+    "ramp the excitation to zero; needs no lease",
+    (_u32("token", "token of the host's lease, or of its last or next one; 0 for none"),),
+)
 ACKNOWLEDGE = Group("acknowledge", 8, "wo", "clear a latched trip", (_TOKEN, CRC))
 TONE = Group("tone", 9, "wo", "play a tone", (_TOKEN, _u32("command", "number of this command, rising"), *_TONE, CRC))
 WINDOW = Group(
@@ -214,6 +220,8 @@ class Outcome(enum.IntEnum):
     STOPPED = 2
     TRIPPED = 3
     FAILED = 4
+    STOPPED_ELSEWHERE = 5
+    """By anyone but the holder of the lease."""
 
 
 class Refusal(enum.Enum):

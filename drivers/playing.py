@@ -7,7 +7,7 @@ import time
 
 from drivers.controller import HARMONICS, Capabilities, PointResult, Tone, TripCause
 from drivers.dialogue import Dialogue, held_by, number, readable
-from drivers.errors import BusError, CancelledError, ControllerError, TripError
+from drivers.errors import BusError, CancelledError, ControllerError, StoppedElsewhereError, TripError
 from drivers.link import Link
 from drivers.objects import BY_NAME, Outcome
 from drivers.packing import Values, encode
@@ -37,6 +37,8 @@ class Playing:
     def play(self, tone: Tone, command: int) -> PointResult:
         """Result of a tone that is played under this command's number."""
         began = time.monotonic()
+        if self._stop_asked.is_set():
+            raise CancelledError("stopped before the tone began")
         self._start(tone, command)
         looks = self._wait(tone, command)
         played = time.monotonic() - began
@@ -46,10 +48,10 @@ class Playing:
         self._seconds_per_sample = played / max(point.rig_seconds * self._capabilities.sample_rate_hz, 1.0)
         return point
 
-    def is_done(self, command: int) -> bool:
-        """Whether the device's last tone is that of this command, and done."""
-        values = self._dialogue.status()
-        return values["command"] == command and values["outcome"] == Outcome.DONE
+    def outcome(self, command: int, patience_s: float | None = None) -> Outcome | None:
+        """What became of this command; None when the device's last tone is another one."""
+        values = self._dialogue.status(patience_s=patience_s)
+        return Outcome(int(number(values["outcome"]))) if values["command"] == command else None
 
     def _start(self, tone: Tone, command: int) -> None:
         self._dialogue.command(
@@ -100,6 +102,8 @@ class Playing:
     def _judge(self, outcome: Outcome, status: Values) -> None:
         if outcome == Outcome.STOPPED:
             raise CancelledError("stopped; the excitation is off")
+        if outcome == Outcome.STOPPED_ELSEWHERE:
+            raise StoppedElsewhereError("stopped from elsewhere; the excitation is off")
         if outcome == Outcome.TRIPPED:
             if status["trip"] == TripCause.NONE:  # a status that came in pieces may be from before and after
                 status = self._dialogue.status()

@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
+from drivers.device.lease import drawn_token
 from drivers.device.limits import check_tone
 from drivers.dialogue import Dialogue, held_by, number, numbers
-from drivers.errors import BusError, ControllerError, LeaseError
+from drivers.errors import BusError, ControllerError, LeaseError, StoppedElsewhereError
 from drivers.heartbeat import Heartbeat
 from drivers.link import LinkFactory
+from drivers.objects import Outcome
 from drivers.playing import Playing
 
 PATIENCE_S = 10.0
@@ -45,6 +47,9 @@ class RemoteController:
         """The last tone, and its command, when the bus failed before its result was here."""
         self._measuring = False
         self._stop_asked = threading.Event()
+        self._next_token = drawn_token()
+        self._own_token = self._next_token
+        """Of the last lease, or the first: a stop that this host says without a lease is its own, not a stranger's."""
         try:
             self._capabilities = self._identify()
         except ControllerError:
@@ -97,12 +102,19 @@ class RemoteController:
         Asked for a tone whose result the failing bus kept back, it fetches that one: what was measured once is not
         measured again.
         """
-        self._require_lease()
-        check_tone(tone, self._capabilities)
-        self._stop_asked.clear()
+        self._measuring = True
+        self._stop_asked.clear()  # first of all: what is said from now on is meant for this tone
         self._dialogue.impatient.clear()
         try:
-            self._measuring = True
+            self._require_lease()
+            check_tone(tone, self._capabilities)
+            return self._measured(tone)
+        finally:
+            self._measuring = False
+            self._dialogue.impatient.clear()
+
+    def _measured(self, tone: Tone) -> PointResult:
+        try:
             point = self._kept_back(tone)
             if point is None:
                 self._command = self._command % (2**32 - 1) + 1
@@ -120,22 +132,28 @@ class RemoteController:
                 with suppress(Exception):
                     self._dialogue.stop(self._dialogue.token)
             raise
-        finally:
-            self._measuring = False
-            self._dialogue.impatient.clear()
 
     def _kept_back(self, tone: Tone) -> PointResult | None:
-        """Result of this tone, if it was played and only its result was lost."""
-        if self._lost is None or self._lost[0] != tone or not self._playing.is_done(self._lost[1]):
+        """Result of this tone, if it was played and only its result was lost.
+
+        Raises
+        ------
+        StoppedElsewhereError
+            The tone that was lost sight of ended because somebody else had said stop.
+        """
+        if self._lost is None:
             return None
-        return self._playing.fetch(*self._lost)
+        outcome = self._playing.outcome(self._lost[1])
+        if outcome is Outcome.STOPPED_ELSEWHERE:
+            raise _stopped_out_of_sight()
+        return self._playing.fetch(*self._lost) if self._lost[0] == tone and outcome is Outcome.DONE else None
 
     def stop(self) -> None:
         """Ramp the excitation to zero; needs no lease, and goes past a transfer that is under way."""
         self._stop_asked.set()
         if self._measuring:
             self._dialogue.impatient.set()
-        self._dialogue.stop(self._dialogue.token)
+        self._dialogue.stop(self._dialogue.token or self._own_token)
 
     def acknowledge(self) -> None:
         """Clear a latched trip; needs the lease."""
@@ -151,12 +169,19 @@ class RemoteController:
 
     @contextmanager
     def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
-        """Hold the rig; a heartbeat on its own connection renews the lease and feeds the watchdog."""
+        """Hold the rig; a heartbeat on its own connection renews the lease and feeds the watchdog.
+
+        Raises
+        ------
+        StoppedElsewhereError
+            At its end: somebody else had stopped the last tone, and the bus failed before that was heard.
+        """
         self._acquire(holder, seconds)
         try:
             yield
         finally:
-            self._release()
+            if self._release():
+                raise _stopped_out_of_sight()
 
     def _acquire(self, holder: str, seconds: float) -> None:
         to = self._dialogue
@@ -164,15 +189,18 @@ class RemoteController:
             raise LeaseError(to.holder, seconds)
         to.boot_id = int(number(to.status(expect_boot=False).get("boot_id", 0)))
         self._lost = None
-        token = secrets.randbelow(2**32 - 1) + 1
+        token = self._next_token
         to.command("lease", {"token": token, "seconds": seconds, "holder": holder})
         to.token, to.holder = token, holder
+        self._own_token, self._next_token = token, drawn_token()
         self._heartbeat = Heartbeat(to.links.link(urgent=True), token)
 
-    def _release(self) -> None:
+    def _release(self) -> bool:
+        """Give the lease back; whether somebody else had stopped a tone whose end was out of sight."""
+        stopped = self._was_stopped_out_of_sight()
         token, self._dialogue.token = self._dialogue.token, 0
         if not token:
-            return  # closed under the lease: a word on it now would open the link again
+            return False  # closed under the lease: a word on it now would open the link again
         heartbeat, self._heartbeat = self._heartbeat, None
         try:
             # A bus that is down cannot be told; then the watchdog ends the excitation and the lease runs out.
@@ -181,8 +209,21 @@ class RemoteController:
         finally:
             if heartbeat is not None:
                 heartbeat.close()
+        return stopped
+
+    def _was_stopped_out_of_sight(self) -> bool:
+        """Looked up before the lease is given back: a host that does so knows of all stops, the device will think."""
+        if self._lost is None or not self._dialogue.token:
+            return False
+        with suppress(ControllerError):
+            return self._playing.outcome(self._lost[1], RELEASE_PATIENCE_S) is Outcome.STOPPED_ELSEWHERE
+        return False
 
     def _require_lease(self) -> int:
         if not self._dialogue.token:
             raise held_by(self._dialogue.status(expect_boot=False))
         return self._dialogue.token
+
+
+def _stopped_out_of_sight() -> StoppedElsewhereError:
+    return StoppedElsewhereError("stopped from elsewhere while the bus was failing; the excitation is off")

@@ -65,12 +65,13 @@ def measure_check(
     out_dir: Path,
     progress: ProgressCallback | None = None,
     cancelled: Callable[[], bool] | None = None,
-    holder: str = "ambit health",
+    holder: str = "",
 ) -> Experiment:
     """Run the short experiment into a folder; it resumes like any campaign."""
-    from service.experiment.campaign import run_campaign
+    from service.experiment.campaign import alone, run_campaign
 
-    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, holder)
+    name = holder or alone("ambit health")
+    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name)
 
 
 def compare_into(

@@ -19,6 +19,7 @@ from drivers.errors import (
     CancelledError,
     LeaseError,
     LimitError,
+    StoppedElsewhereError,
     TripError,
 )
 from drivers.link import RefusedError
@@ -219,8 +220,8 @@ class DeviceFront:
             self._accepted = (0, 0)
             try:
                 play = self.device.arm(tone, token)
-            except CancelledError:
-                self._command, self._outcome = command, Outcome.STOPPED
+            except StoppedElsewhereError:
+                self._command, self._outcome = command, Outcome.STOPPED_ELSEWHERE
                 self._accepted = (token, command)
                 return
             self._command, self._outcome = command, Outcome.UNDER_WAY
@@ -248,6 +249,8 @@ class DeviceFront:
                 point, command, self.device.boot_id, encode_lockin(point, self.order), encode_raw(point, self.order)
             )
             outcome = Outcome.DONE
+        except StoppedElsewhereError:
+            outcome = Outcome.STOPPED_ELSEWHERE
         except CancelledError:
             outcome = Outcome.STOPPED
         except TripError:

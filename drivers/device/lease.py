@@ -14,6 +14,11 @@ WATCHDOG_S = 0.2
 """Silence of the host after which a controller ends the excitation, unless it is told otherwise."""
 
 
+def drawn_token() -> int:
+    """A token for a lease."""
+    return secrets.randbelow(2**32 - 1) + 1
+
+
 @dataclass
 class Lease:
     """A lease that is held. Times are of the table's clock."""
@@ -67,7 +72,7 @@ class LeaseTable:
                 return held.token
             if held is not None:
                 raise LeaseError(held.holder, held.seconds if held.attached else held.deadline - now)
-            token = token or secrets.randbelow(2**32 - 1) + 1
+            token = token or drawn_token()
             self._lease = Lease(token, holder, seconds, now + seconds, attached, now)
             return token
 

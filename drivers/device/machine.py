@@ -24,10 +24,11 @@ from drivers.controller import (
     Waveform,
     WaveformResult,
 )
-from drivers.device.lease import WATCHDOG_S, LeaseTable
+from drivers.device.lease import NO_TOKEN, WATCHDOG_S, LeaseTable
 from drivers.device.limits import MAX_SAMPLES, check_tone, check_waveform
 from drivers.device.play import Gauges, Interruption, Pace, Player
-from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, TripError
+from drivers.device.stops import Stops
+from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, StoppedElsewhereError, TripError
 from sim.rig import Rig
 from sim.stepping import Simulation
 
@@ -93,7 +94,8 @@ class RigDevice:
         self._playing = False
         self._play_token = 0
         self._stop = threading.Event()
-        self._stopped_from_elsewhere = False
+        self._stops = Stops()
+        self._last_token = NO_TOKEN
         self._trip: Interruption | None = None
         self._sequence = 0
         self._snapshot = 0
@@ -183,8 +185,11 @@ class RigDevice:
             raise LimitError("a lease needs the name of its holder")
         if not 0.1 <= seconds <= 3600:
             raise LimitError(f"a lease lasts 0.1 to 3600 s, not {seconds} s")
-        token = self._leases.acquire(holder, seconds, attached, token)
-        self._stopped_from_elsewhere = False
+        with self._state_lock:
+            renewed = token is not None and self._leases.holds(token)
+            token = self._last_token = self._leases.acquire(holder, seconds, attached, token)
+            if not renewed:
+                self._stops.leased(holder, token)
         self._log(f"leased to {holder}")
         return token
 
@@ -193,7 +198,11 @@ class RigDevice:
         if self._leases.holds(token):
             self.stop(token)
             self._wait_until_quiet()
-            if self._leases.release(token):
+            with self._state_lock:
+                released = self._leases.release(token)
+                if released:
+                    self._stops.known()
+            if released:
                 self._log("lease released")
 
     def heartbeat(self, token: int, count: int) -> bool:
@@ -219,8 +228,8 @@ class RigDevice:
             As the protocol says; nothing is excited.
         BusyError
             Another tone is armed or being played.
-        CancelledError
-            Someone else's stop since the last tone.
+        StoppedElsewhereError
+            Someone else has said stop, and the holder was not told yet.
         """
         self.check(tone)
         self._accept(token)
@@ -238,9 +247,10 @@ class RigDevice:
                 )
             if self._playing:
                 raise BusyError("the controller is playing another tone; wait until it is done, or stop it")
-            if self._stopped_from_elsewhere:
-                self._stopped_from_elsewhere = False
-                raise CancelledError("the excitation was stopped from elsewhere")
+            if self._stops.untold:
+                self._stops.tell()
+                raise StoppedElsewhereError("the excitation was stopped from elsewhere")
+            self._stops.known()
             self._playing = True
             self._play_token = lease.token
             self._stop.clear()
@@ -257,7 +267,7 @@ class RigDevice:
 
         Raises
         ------
-        LimitError, LeaseError, TripError, BusyError, CancelledError
+        LimitError, LeaseError, TripError, BusyError, StoppedElsewhereError
             As `arm` does.
         """
         check_waveform(waveform, self.capabilities())
@@ -272,11 +282,17 @@ class RigDevice:
 
     def _played(self, play: Callable[[], tuple[R | None, Interruption | None]]) -> R:
         """Result of an excitation that was accepted, or the error that its early end is."""
+        interruption: Interruption | None = None
+        elsewhere = False
         try:
             with self._rig_lock:
                 result, interruption = play()
         finally:
             with self._state_lock:
+                # a stop that came too late to end this excitation, or while it ended for another reason, ends the next
+                if interruption is not None and interruption.cause == TripCause.NONE and self._stops.untold:
+                    elsewhere = True
+                    self._stops.tell()
                 self._playing = False
                 self._play_token = 0
                 if self._gauges.state in (State.ARMED, State.SETTLING, State.RECORDING):
@@ -287,21 +303,28 @@ class RigDevice:
             self._gauges.state = State.DONE
             return result
         self._log("excitation off")
+        if elsewhere:
+            raise StoppedElsewhereError("stopped from elsewhere; the excitation is off")
         if interruption.cause == TripCause.NONE:
             raise CancelledError(interruption.message)
         raise TripError(interruption.cause.name.lower(), interruption.message)
 
-    def stop(self, token: int = 0) -> None:
+    def stop(self, token: int = NO_TOKEN) -> None:
         """Ramp the excitation to zero, whoever asks.
 
-        Asked by anyone but the lease's holder, it also ends the holder's next tone if none is playing: a
-        stranger's stop between two points of a sweep must not go unheard.
+        Asked by anyone but the host that holds the lease, or held it last, it is kept until that host was told: it ends
+        the tone that plays, or else the next one, also when the lease has lapsed before that and is taken again.
+
+        Parameters
+        ----------
+        token
+            Of the caller's lease, or of its last one, or of the one that it will ask for; 0 for none.
         """
         with self._state_lock:
             if self._playing:
                 self._stop.set()
-            elif not self._leases.holds(token) and self._leases.holder()[0]:
-                self._stopped_from_elsewhere = True
+            if token == NO_TOKEN or token != self._last_token:
+                self._stops.say(token)
         self._log("stop")
 
     def acknowledge(self, token: int) -> None:
@@ -323,7 +346,8 @@ class RigDevice:
 
     def fault(self, message: str) -> None:
         """Latch a trip from outside the loop: a part of the device failed."""
-        self.stop()
+        with self._state_lock:
+            self._stop.set()
         self._wait_until_quiet()
         self._latch(Interruption(TripCause.FAULT, message))
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from drivers.controller import Capabilities, PointResult, Status, Tone, Waveform, WaveformResult
-from drivers.device.lease import NO_TOKEN
+from drivers.device.lease import NO_TOKEN, drawn_token
 from drivers.device.machine import RigDevice
 from drivers.payload import as_received, records_as_received
 from sim.rig import Rig
@@ -33,6 +33,7 @@ class SimulatedController:
         self._own = not isinstance(rig, RigDevice)
         self._device = rig if isinstance(rig, RigDevice) else RigDevice(rig, seed)
         self._token = NO_TOKEN
+        self._own_token = self._next_token = drawn_token()
 
     def capabilities(self) -> Capabilities:
         """What the controller is and allows."""
@@ -45,7 +46,8 @@ class SimulatedController:
     @contextmanager
     def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
         """Hold the rig; it cannot lapse, for the holder lives in the device's process."""
-        self._token = self._device.acquire(holder, seconds, attached=True)
+        self._token = self._device.acquire(holder, seconds, attached=True, token=self._next_token)
+        self._own_token, self._next_token = self._token, drawn_token()
         try:
             yield
         finally:
@@ -65,7 +67,7 @@ class SimulatedController:
 
     def stop(self) -> None:
         """Ramp the excitation to zero, from any thread, at any time."""
-        self._device.stop(self._token)
+        self._device.stop(self._own_token)  # without a lease, too, it is not a stranger's
 
     def acknowledge(self) -> None:
         """Clear a latched trip; needs the lease."""

@@ -19,11 +19,11 @@ from service.access.audit import Action
 from service.api import etags
 from service.api.auditing import audit
 from service.api.controllers import IN_PROCESS
-from service.api.problems import documented
+from service.api.problems import UnavailableError, documented
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
 from service.errors import ConflictError
-from service.storage import rigs
+from service.storage import jobs, rigs
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
@@ -127,8 +127,10 @@ class Lines:
             line.asked = time.monotonic()
             return line.answer
 
-    def stop(self, url: str) -> None:
-        """Ramp the excitation to zero, whoever holds the lease.
+    def stop(self, url: str) -> str:
+        """Ramp the excitation to zero, whoever holds the lease; the holder, who hears of it from the controller.
+
+        Nobody is waited for who asks a controller that does not answer.
 
         Raises
         ------
@@ -136,9 +138,18 @@ class Lines:
             The controller does not answer.
         """
         line = self._line(url)
-        with line.lock:
-            line.answer = None
-            line.ask(lambda controller: controller.stop())
+        line.answer = None
+        controller = line.controller
+        if controller is not None:
+            with suppress(ControllerError):  # it has restarted, or somebody has just given the line up
+                controller.stop()
+                return controller.status().lease_holder
+        controller = bootstrap.connect(url)
+        try:
+            controller.stop()
+            return controller.status().lease_holder
+        finally:
+            controller.close()
 
     def _line(self, url: str) -> _Line:
         with self._lock:
@@ -199,10 +210,25 @@ def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Respon
 
 @router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))
 def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Response:
-    """Ramp the rig's excitation to zero at once. A running job notices that its tone was stopped, and ends."""
+    """Ramp the rig's excitation to zero at once, and end the job that moves its rotor.
+
+    The job that holds the lease hears of it from the controller and fails, "stopped at the rig". One that does not hold
+    it at this moment, because the controller was away or another host had the rig, is cancelled; so is every job when
+    the controller does not answer, which is told as a problem all the same. Jobs that wait in the queue stay there.
+    """
     url = _url(api, rig_id)
     lines: Lines = request.app.state.lines
-    lines.stop(url)
+    failure: ControllerError | None = None
+    holder = ""
+    try:
+        holder = lines.stop(url)
+    except ControllerError as error:
+        failure = error
     with api.database.write() as session:
-        audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how="stopped by hand")
+        ended = [job.id for job in jobs.cancel_moving(session, rig_id, but=holder)]
+        how = "stopped by hand" if failure is None else "stop asked for by hand; the controller does not answer"
+        audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how=how, cancelled=" ".join(ended))
+    if failure is not None:
+        asked = f"; asked to end: {', '.join(ended)}" if ended else ""
+        raise UnavailableError(f"the stop did not reach the controller: {failure}{asked}") from failure
     return Response(status_code=204)

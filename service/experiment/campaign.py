@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, TypeVar
 
 from drivers.controller import (
@@ -58,7 +59,7 @@ def run_campaign(
     cancelled: Callable[[], bool] | None = None,
     resume: bool = True,
     profile: Profile | MultisineProfile | None = None,
-    holder: str = "ambit campaign",
+    holder: str = "",
 ) -> Experiment:
     """Run the whole experiment on a controller and write ``out_dir/experiment.h5``.
 
@@ -81,7 +82,8 @@ def run_campaign(
         What to reach, and by which excitation: a `Profile` for stepped sine, the default, which suits the reference
         rig; a `MultisineProfile` for multisines on all axes at once, where the controller can play them.
     holder
-        Name under which the rig is leased.
+        Name under which the rig is leased; a further campaign of the same name, as a job that is taken over, hears of
+        stops that this one did not. Empty for one of this campaign alone.
 
     Returns
     -------
@@ -130,7 +132,7 @@ def run_campaign(
         )
 
     try:
-        with controller.lease(holder), _stopped_by(controller, cancelled):
+        with controller.lease(holder or alone("ambit campaign")), _stopped_by(controller, cancelled):
             _make_ready(controller)
             measure = _Patient(controller, cancelled or (lambda: False))
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
@@ -153,6 +155,11 @@ def run_campaign(
     log.close()
     (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
+
+
+def alone(name: str) -> str:
+    """A holder's name of its own for each call: devices tell hosts by their names."""
+    return f"{name} {token_hex(3)}"
 
 
 class _EndOfJournal(Exception):
@@ -346,7 +353,10 @@ def _make_ready(controller: Controller) -> None:
 
 @contextmanager
 def _stopped_by(controller: Controller, cancelled: Callable[[], bool] | None) -> Iterator[None]:
-    """Watch ``cancelled`` from another thread and stop the tone that is being played when it turns true."""
+    """Watch ``cancelled`` from another thread and, once it is true, say stop until the campaign has ended.
+
+    Said once, it might come just before the next tone begins, or be lost on the bus.
+    """
     if cancelled is None:
         yield
         return
@@ -357,7 +367,6 @@ def _stopped_by(controller: Controller, cancelled: Callable[[], bool] | None) ->
             if cancelled():
                 with suppress(ControllerError):
                     controller.stop()
-                return
 
     thread = threading.Thread(target=watch, name="campaign-watch", daemon=True)
     thread.start()

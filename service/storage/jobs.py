@@ -146,6 +146,14 @@ def cancel_of_rig(session: Session, rig_id: str, why: str) -> list[JobRow]:
     return found
 
 
+def cancel_moving(session: Session, rig_id: str, but: str = "") -> list[JobRow]:
+    """Ask the jobs of a rig to end that move its rotor, or are about to, except the one with the id ``but``."""
+    moving = select(JobRow).where(
+        JobRow.rig_id == rig_id, JobRow.state == RUNNING, JobRow.kind.in_(ON_RIG), JobRow.id != but
+    )
+    return [cancel(session, job.id) for job in session.scalars(moving.order_by(JobRow.id).with_for_update())]
+
+
 def retry(session: Session, job_id: str, by: str, key_id: str = "") -> JobRow:
     """Queue a job again that failed or was cancelled; an experiment goes on with what it has measured.
 

@@ -89,6 +89,30 @@ def test_cancelling_stops_a_tone_that_is_being_played(tmp_path):
     assert rig.stops >= 1
 
 
+def test_cancelling_is_said_until_it_is_heard(tmp_path):
+    class Deaf(Faulty):
+        """A stop that comes just before the next tone begins is none of that tone."""
+
+        stopped = threading.Event()
+
+        def measure(self, tone):
+            self.n += 1
+            if self.n < 5:
+                return self.inner.measure(tone)
+            assert self.stopped.wait(30)
+            self.stopped.clear()
+            assert self.stopped.wait(30), "said once, it was never heard"
+            raise CancelledError("stopped; the excitation is off")
+
+        def stop(self):
+            super().stop()
+            self.stopped.set()
+
+    rig = Deaf(None)
+    with pytest.raises(CancelledError):
+        campaign(rig, tmp_path, cancelled=lambda: rig.n >= 5)
+
+
 def test_a_bus_that_fails_now_and_then_costs_nothing(tmp_path, whole):
     def fault(k):
         if k % 40 == 7:

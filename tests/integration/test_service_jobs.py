@@ -125,6 +125,21 @@ def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, r
     assert rig.status().excitation_a == 0
 
 
+@on_sqlite
+def test_a_stop_while_nobody_works_on_the_job_is_heard_by_who_goes_on_with_it(running, rig, rig_id):
+    job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
+    running.wait(job_id, lambda j: j["progress"]["point"] > 10)
+    running.workers["w1"].kill()
+    try:
+        assert running.client.post(f"/api/v1/rigs/{rig_id}/stop").status_code == 204
+        seen = len(rig.events())
+    finally:
+        running.workers["w1"].start()
+    job = running.wait(job_id)
+    assert (job["state"], job["error"]["title"]) == ("failed", "stopped at the rig")
+    assert not [e for e in rig.events()[seen:] if e["text"].startswith("excitation on")]
+
+
 @on_postgresql
 def test_a_silent_workers_job_is_taken_over_elsewhere_with_the_points_it_had(running, rig, rig_id, tmp_path):
     job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})

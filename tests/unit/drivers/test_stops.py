@@ -1,0 +1,285 @@
+"""Somebody says stop: whenever that is, the rotor is not excited again before the host that excites it was told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+
+from drivers.controller import Tone
+from drivers.device.front import DeviceFront
+from drivers.device.machine import RigDevice
+from drivers.device.play import Interruption
+from drivers.device.stops import KEPT, Stops
+from drivers.errors import BusError, CancelledError, StoppedElsewhereError, TripError
+from drivers.objects import BY_NAME
+from drivers.packing import Value, Values, with_crc
+from drivers.remote import RemoteController
+from drivers.simulated.driver import SimulatedController
+from sim.reference import reference_rig
+
+TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
+LONG = Tone(axis=0, amplitude_a=0.02, periods=3000, samples=1_900_000, blocks=1)
+
+
+class _Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> _Clock:
+    return _Clock()
+
+
+@pytest.fixture
+def device(clock: _Clock) -> Iterator[RigDevice]:
+    device = RigDevice(reference_rig(), seed=1, clock=clock, watchdog_s=60.0)
+    yield device
+    device.close()
+
+
+def _after_playing(device: RigDevice, monkeypatch: pytest.MonkeyPatch, do: Callable[[], None]) -> None:
+    """Have something happen when the next tone has been played, before anybody knows that it has."""
+    play = device._player.play
+
+    def late(tone: Tone, sequence: int) -> object:
+        result = play(tone, sequence)
+        monkeypatch.setattr(device._player, "play", play)
+        do()
+        return result
+
+    monkeypatch.setattr(device._player, "play", late)
+
+
+def _while_exciting(device: RigDevice, do: Callable[[], None]) -> threading.Thread:
+    def wait() -> None:
+        while device.status().excitation_a == 0:
+            time.sleep(0.001)
+        do()
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    return thread
+
+
+def test_stop_in_a_tone_s_last_instant_ends_the_next_one(device: RigDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    token = device.acquire("host", attached=True)
+    _after_playing(device, monkeypatch, device.stop)
+    assert device.measure(TONE, token).tone == TONE
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, token)
+    device.measure(TONE, token)
+
+
+def test_own_stop_in_a_tone_s_last_instant_does_not(device: RigDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    token = device.acquire("host", attached=True)
+    _after_playing(device, monkeypatch, lambda: device.stop(token))
+    device.measure(TONE, token)
+    device.measure(TONE, token)
+
+
+def test_stop_after_a_lapsed_lease_is_told_to_the_host_that_comes_back(device: RigDevice, clock: _Clock) -> None:
+    device.measure(TONE, device.acquire("job", 5.0))
+    clock.now += 6.0
+    device.stop()
+    again = device.acquire("job", 5.0)
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, again)
+    device.measure(TONE, again)
+
+
+def test_stop_between_two_leases_is_told_to_the_host_that_comes_back(device: RigDevice) -> None:
+    device.release(device.acquire("job"))
+    device.stop()
+    other = device.acquire("another job")
+    device.measure(TONE, other)  # was not meant
+    device.release(other)
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, device.acquire("job"))
+
+
+def test_stop_is_not_forgotten_when_the_lease_is_given_back_before_the_next_tone(device: RigDevice) -> None:
+    token = device.acquire("job")
+    device.stop()
+    device.release(token)
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, device.acquire("job"))
+
+
+def test_stop_is_not_forgotten_when_the_lease_is_asked_for_once_more(device: RigDevice) -> None:
+    """The answer to the first time was lost on the bus."""
+    device.acquire("job", token=7)
+    device.stop()
+    device.acquire("job", token=7)
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, 7)
+
+
+def test_stop_at_the_moment_of_a_trip_outlives_the_trip(device: RigDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    token = device.acquire("host", attached=True)
+    latch = device._player._latch
+
+    def stopped_too(interruption: Interruption) -> None:
+        latch(interruption)
+        device.stop()
+
+    monkeypatch.setattr(device._player, "_latch", stopped_too)
+    with pytest.raises(TripError):
+        device.measure(Tone(axis=0, amplitude_a=5.9, periods=1, samples=200), token)
+    device.acknowledge(token)
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, token)
+
+
+def test_host_that_vanishes_before_it_knows_of_a_stop_is_told_again(device: RigDevice, clock: _Clock) -> None:
+    token = device.acquire("job", 5.0)
+    stranger = _while_exciting(device, device.stop)
+    with pytest.raises(StoppedElsewhereError):  # an answer that the host never got
+        device.measure(LONG, token)
+    stranger.join()
+    clock.now += 6.0
+    again = device.acquire("job", 5.0)
+    with pytest.raises(StoppedElsewhereError):
+        device.measure(TONE, again)
+    device.release(again)  # now it knows
+    device.measure(TONE, device.acquire("job", 5.0))
+
+
+def test_fault_of_the_device_is_a_trip_and_no_stop_of_a_stranger(device: RigDevice) -> None:
+    token = device.acquire("host", attached=True)
+    device.fault("sensor supply lost")
+    device.acknowledge(token)
+    device.measure(TONE, token)
+
+
+def test_own_stop_without_a_lease_is_not_a_stranger_s(device: RigDevice) -> None:
+    """A host that is not sure says stop before it begins and after it has ended."""
+    device.release(device.acquire("job"))
+    controller = SimulatedController(device)
+    for _ in range(2):
+        controller.stop()
+        with controller.lease("job"):
+            controller.measure(TONE)
+        controller.stop()
+
+
+def test_hosts_of_long_ago_are_forgotten() -> None:
+    stops = Stops()
+    for k in range(KEPT + 1):
+        stops.leased(f"job {k}", k)
+    stops.say(0)
+    stops.leased("job 1", 1000)
+    assert stops.untold
+    stops.leased("job 0", 1001)
+    assert not stops.untold
+
+
+# ---- over a bus
+
+
+class _Bus:
+    """The objects of a device, and connections to them that fail while ``down``."""
+
+    description = "test bus"
+    order = "big"
+
+    def __init__(self, device: RigDevice) -> None:
+        self.front = DeviceFront(device, "big")
+        self.down = threading.Event()
+        self.before: Callable[[str], None] = lambda group: None
+
+    def link(self, urgent: bool = False) -> _Bus:
+        return self
+
+    def read(self, group: str) -> dict[str, Value]:
+        self._carry(group)
+        return self.front.read(group)
+
+    def write(self, group: str, values: Values) -> None:
+        self._carry(group)
+        self.front.write(group, with_crc(BY_NAME[group], values))
+
+    def lockin_payload(self, size: int) -> bytes:
+        return self.front.lockin_payload()
+
+    def raw_record(self, result: int, size: int) -> bytes:
+        return self.front.raw_record()
+
+    def wait_for_change(self, seconds: float) -> int | None:
+        time.sleep(seconds)
+        return None
+
+    def close(self) -> None:
+        pass
+
+    def _carry(self, group: str) -> None:
+        self.before(group)
+        if self.down.is_set():
+            raise BusError("no answer")
+
+
+@pytest.fixture
+def bus() -> Iterator[_Bus]:
+    device = RigDevice(reference_rig(), seed=1, watchdog_s=60.0)
+    bus = _Bus(device)
+    yield bus
+    bus.front.close()
+    device.close()
+
+
+def _cut_off_and_stopped(bus: _Bus, controller: RemoteController) -> None:
+    """A tone of the controller that somebody else stops while the bus is down."""
+
+    def happens() -> None:
+        bus.down.set()
+        bus.front.device.stop()
+
+    stranger = _while_exciting(bus.front.device, happens)
+    with pytest.raises(BusError):
+        controller.measure(LONG)
+    stranger.join()
+    while bus.front.exciting():
+        time.sleep(0.001)
+    bus.down.clear()
+
+
+def test_stop_that_a_failing_bus_kept_back_is_heard_at_the_next_try(bus: _Bus) -> None:
+    controller = RemoteController(bus, patience_s=0.05)
+    with controller.lease("job"):
+        _cut_off_and_stopped(bus, controller)
+        with pytest.raises(StoppedElsewhereError, match="while the bus was failing"):
+            controller.measure(LONG)
+        controller.measure(TONE)
+
+
+def test_stop_that_a_failing_bus_kept_back_is_heard_at_the_end_of_the_lease(bus: _Bus) -> None:
+    controller = RemoteController(bus, patience_s=0.05)
+    with pytest.raises(StoppedElsewhereError, match="while the bus was failing"), controller.lease("job"):
+        _cut_off_and_stopped(bus, controller)
+        raise BusError("gives up")
+
+
+def test_own_stop_before_the_tone_is_accepted_keeps_it_from_being_played(bus: _Bus) -> None:
+    controller = RemoteController(bus, patience_s=0.05)
+    with controller.lease("job"):
+        lost = threading.Event()
+
+        def stop_then(group: str) -> None:
+            if group == "status" and not lost.is_set():  # looked at between a lost tone and the next one
+                lost.set()
+                controller.stop()
+
+        with suppress(BusError):
+            bus.before = lambda group: bus.down.set() if group == "result" else None
+            controller.measure(TONE)
+        bus.down.clear()
+        bus.before = stop_then
+        with pytest.raises(CancelledError, match="before the tone began"):
+            controller.measure(LONG)
+        assert lost.is_set()
