@@ -20,12 +20,14 @@ from service.identification.combine import levitated_frequencies
 from service.identification.fit import fit_plane, identify
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.points import plane_points
-from service.identification.refine import Data, Refined, Weights, amplitude_of, refine
+from service.identification.refine import Refined, amplitude_of, refine
+from service.identification.residuals import Data, Weights
 from service.identification.result import PlaneResult
 from service.identification.split import Posterior, Split, log_ratios
 from service.identification.start import joint_start, with_split
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
+from service.identification.whitening import whitener
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.reference import reference_datasheet, reference_rig
 
@@ -91,7 +93,7 @@ def told_the_noise(data: Experiment, truth: PlaneModel, noise: float, max_iterat
     points = Data(plane_points(data.main, reference_datasheet().axes, "x"))
     p = truth.predict(Points(points.plant.omega, points.plant.u), amplitude_of(truth, points.plant))
     size = noise * np.abs(np.hstack([p.i, p.y]))
-    weights = Weights(np.einsum("pc,cd->pcd", 1.0 / size, np.eye(4)).astype(complex), None)
+    weights = Weights(whitener(np.einsum("pc,cd->pcd", size**2, np.eye(4)).astype(complex)), None)
     split = Split(log_ratios(truth))
     return refine(truth, points, truth.layout.free(), weights=weights, split=split, max_iterations=max_iterations)
 
@@ -235,9 +237,10 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--noise", type=float, default=0.01)
-    parser.add_argument("--peers-only", action="store_true", help="no Monte Carlo")
+    parser.add_argument("--peers-only", action="store_true", help="the table of tools alone")
     arguments = parser.parse_args()
-    one_fit(arguments.noise)
+    if not arguments.peers_only:
+        one_fit(arguments.noise)
     beside(arguments.noise)
     if arguments.peers_only:
         return

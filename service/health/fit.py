@@ -10,7 +10,8 @@ from service.experiment.data import Experiment
 from service.health.noise import check_weights
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points
-from service.identification.refine import Data, Refined, refine, residuals, weights_of
+from service.identification.refine import Refined, refine
+from service.identification.residuals import Data, residuals, weights_of
 from service.identification.saved import SavedPlane
 from service.identification.split import Posterior, Split, log_ratios
 from service.identification.uncertainty import Uncertainty, uncertainty_of

@@ -17,7 +17,8 @@ from service.experiment.data import Experiment, Sweep
 from service.identification.noise import DRIFT, block_noise
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints, planes_of, same_frequency
-from service.identification.refine import Weights, predicted_blocks, residual_blocks
+from service.identification.residuals import Weights, predicted_blocks, residual_blocks
+from service.identification.whitening import whitener
 from service.identification.zoh import Complex, Real
 
 OCTAVES = 0.5
@@ -51,7 +52,7 @@ def check_weights(model: PlaneModel, points: PlanePoints, experiment: Experiment
         # what has not settled is off by more than its noise
         off = np.where(points.suspect[:, None], np.maximum(ratio / level, 1.0) * blocks * DRIFT, 1.0 + leak)
         covariance = covariance * np.sqrt(off)[:, :, None] * np.sqrt(off)[:, None, :]
-    return Weights(np.asarray(np.linalg.inv(np.linalg.cholesky(covariance))), None)
+    return Weights(whitener(covariance), None)
 
 
 def rest_density(model: PlaneModel, points: PlanePoints, experiment: Experiment) -> Complex | None:

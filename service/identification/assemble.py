@@ -31,7 +31,8 @@ from service.identification.judged import cross_validation, frequency_fit, resid
 from service.identification.margins import axis_margins, dense_grid
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
-from service.identification.refine import Data, Refined
+from service.identification.refine import Refined
+from service.identification.residuals import Data
 from service.identification.result import Curves, Displacement, Estimate, PlaneResult, Staged
 from service.identification.rigid import rigid_response
 from service.identification.selection import Selected

@@ -16,7 +16,8 @@ from service.identification.figures import correlations
 from service.identification.least_squares import covariance_of
 from service.identification.plane_model import EXTENDED
 from service.identification.profile import profiles
-from service.identification.refine import Data, Refined, residuals
+from service.identification.refine import Refined
+from service.identification.residuals import Data, residuals
 from service.identification.split import HELD, Posterior
 from service.identification.uncertainty import Uncertainty
 from service.identification.zoh import Real

@@ -16,7 +16,7 @@ from service.identification.margins import sensitivity, sensitivity_peaks
 from service.identification.noise import block_noise
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
-from service.identification.refine import Data
+from service.identification.residuals import Data
 from service.identification.result import AmplifierResult, Correlations, Estimate, ModeResult, RootResult
 from service.identification.split import Posterior
 from service.identification.uncertainty import Uncertainty

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.refine import FAR, NEAR, Data, Refined, amplitude_of, refine, residuals
+from service.identification.refine import FAR, NEAR, Refined, amplitude_of, refine
+from service.identification.residuals import Data, residuals
 from service.identification.split import ROWS, Knowledge, Posterior, Split, log_ratios
 from service.identification.split_posterior import posterior
 
@@ -54,7 +55,7 @@ def _fitted(
         max_iterations=MOST_STEPS,
         reach=reach,
     )
-    return replace(found, noise=refined.noise, relative=refined.relative)
+    return replace(found, told_noise=refined.noise, relative=refined.relative)
 
 
 def _data_cost(refined: Refined, data: Data) -> float:

@@ -15,7 +15,7 @@ from service.identification.coupling import told as told_coupling
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
-from service.identification.refine import Data
+from service.identification.residuals import Data
 from service.identification.result import CommissioningResult, PlaneResult
 from service.identification.rotating import speeds_of, turned
 from service.identification.selection import Selected, choose_modes

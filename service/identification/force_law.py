@@ -7,6 +7,8 @@ The bias current i0 is known, so the correction brings no parameter.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +16,34 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 SAMPLES = 16
-"""Samples of one period: exact for products of up to 14 sinusoids."""
+"""Samples of one period: exact for products of up to 14 sinusoids. The law is odd, so half of them tell all."""
 
-_ANGLE = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
-_WAVE = np.exp(1j * _ANGLE)
+_ANGLE = 2 * np.pi * np.arange(SAMPLES // 2) / SAMPLES
+_FORTH = np.stack([np.cos(_ANGLE), -np.sin(_ANGLE)], axis=1)
+"""(samples, 2) of the real and the imaginary part of an amplitude."""
+_BACK = np.stack([np.cos(_ANGLE), -np.sin(_ANGLE)]) * (4.0 / SAMPLES)
+"""(2, samples) real and imaginary part of the fundamental."""
+NEAREST = 0.9
+"""Displacement in units of the gap beyond which the law is not followed."""
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Half a period of the currents and displacements at the bearings."""
+
+    current: Real
+    """(n, samples, P) A."""
+    displacement: Real
+    """(n, samples, P) m."""
+
+    @staticmethod
+    def of(current: Complex, displacement: Complex) -> Waves:
+        """Of complex amplitudes, (P, n) each."""
+        return Waves(_wave(current), _wave(displacement))
+
+
+def _wave(phasor: Complex) -> Real:
+    return np.asarray(_FORTH @ np.stack([phasor.real, phasor.imag]).transpose(2, 0, 1))
 
 
 def excess_of_many(
@@ -74,14 +100,43 @@ def excess_force(
     force, d_force_d_ki, d_force_d_ks
         (P, 2) each, N, N per (N/A), N per (N/m); the amplitudes are held fixed.
     """
-    gap = bias_current_a * ki / ks
-    a = (current[..., None] / bias_current_a[:, None] * _WAVE).real
-    b = np.clip((displacement[..., None] / gap[:, None] * _WAVE).real, -0.9, 0.9)
-    free = 1.0 / (1.0 - b**2)
-    sum_, product = a + b, 1.0 + a * b
-    excess = sum_ * product * free**2 - sum_
-    slope = (product + a * sum_) * free**2 + 4.0 * b * sum_ * product * free**3 - 1.0
-    back = np.conj(_WAVE) * (2.0 / SAMPLES)
-    g = excess @ back
-    along = (b * slope) @ back
-    return ki * bias_current_a * g, bias_current_a * (g - along), ki * bias_current_a / ks * along
+    force, d_ki, d_ks = excess_of_waves(ki, ks, bias_current_a, Waves.of(current, displacement))
+    return force.T, d_ki.T, d_ks.T
+
+
+def excess_of_waves(ki: Real, ks: Real, bias_current_a: Real, waves: Waves) -> tuple[Complex, Complex, Complex]:
+    """As `excess_force`, from the waves and with the points last, (n, P) each."""
+    scale = ki * bias_current_a
+    a, b = _in_gaps(ki, ks, bias_current_a, waves)
+    free, total, product = 1.0 / (1.0 - b * b), a + b, 1.0 + a * b
+    free2, both = free * free, total * product
+    slope = (product + a * total) * free2 + 4.0 * b * both * free2 * free - 1.0
+    g, along = _fundamental(both * free2 - total), _fundamental(b * slope)
+    return (
+        scale[:, None] * g,
+        bias_current_a[:, None] * (g - along),
+        (scale / ks)[:, None] * along,
+    )
+
+
+def force_beyond_linear(ki: Real, ks: Real, bias_current_a: Real, waves: Waves) -> Complex:
+    """The force of `excess_of_waves` alone, (n, P)."""
+    a, b = _in_gaps(ki, ks, bias_current_a, waves)
+    free, total = 1.0 / (1.0 - b * b), a + b
+    return np.asarray((ki * bias_current_a)[:, None] * _fundamental(total * (1.0 + a * b) * free * free - total))
+
+
+def _in_gaps(ki: Real, ks: Real, bias_current_a: Real, waves: Waves) -> tuple[Real, Real]:
+    """Currents in bias currents and displacements in gaps."""
+    b = waves.displacement * (ks / (bias_current_a * ki))[:, None, None]
+    np.minimum(b, NEAREST, out=b)
+    np.maximum(b, -NEAREST, out=b)
+    return waves.current / bias_current_a[:, None, None], b
+
+
+def _fundamental(wave: Real) -> Complex:
+    """Complex amplitudes (n, P) of (n, samples, P)."""
+    parts = _BACK @ wave
+    out = np.empty(wave.shape[::2], dtype=np.complex128)
+    out.real, out.imag = parts[:, 0], parts[:, 1]
+    return out

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from service.identification.evidence import Evidence, leave_one_out
 from service.identification.plane_model import PlaneModel
-from service.identification.refine import NEAR, Data, Refined, Weights, refine, residuals
+from service.identification.refine import NEAR, Refined, refine
+from service.identification.residuals import Data, Weights, residuals
 from service.identification.split import Knowledge, knowledge_rows, likeliest
 from service.identification.start import with_modes, with_split
 

@@ -10,7 +10,8 @@ from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.evidence import Evidence
 from service.identification.plane_model import Amplitude, PlaneModel, Points
 from service.identification.points import PlanePoints, same_frequency
-from service.identification.refine import FAR, NEAR, Refined, amplitude_of, noise_of
+from service.identification.refine import FAR, NEAR, Refined, amplitude_of
+from service.identification.residuals import noise_of
 from service.identification.selection import Selected
 from service.identification.staged import StagedFit
 from service.identification.validation import CorrelationTest, independence, nrmse_matrix, whiteness

@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr_multiply, solve_triangular
+from scipy.linalg import qr_multiply
 
 from service.identification.zoh import Real
 
 Residual = Callable[[Real, bool], tuple[Real, Real | None] | None]
-"""(theta, with Jacobian) -> (residual (N,), Jacobian (N, size) or None), or None outside the physical range."""
+"""(theta, with Jacobian) -> (residual (N,), Jacobian or None), or None outside the physical range. The Jacobian is
+(N, size), or (N, n) to the n parameters that may move."""
+DONE = "converged: no step lowers the cost noticeably"
+CLEAR = 1e-4
+"""Least pivot of scaled columns that a Cholesky factor of their products still tells to eight digits."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +46,15 @@ def minimise(
     free: NDArray[np.bool_],
     max_iterations: int = 60,
     tolerance: float = 1e-4,
+    polish: bool = True,
+    damping: float = 1e-3,
 ) -> Fit:
     """Smallest sum of squares from a start.
 
     Parameters
     ----------
     residual
-        The residuals and their Jacobian to every parameter.
+        The residuals and their Jacobian.
     theta, free
         Start, and which parameters may move.
     max_iterations
@@ -56,6 +62,10 @@ def minimise(
     tolerance
         Stop when the predicted fall of the cost is below this many units: 1e-4 is a hundredth of a standard deviation
         for residuals in units of their noise. Relative to the cost, where the model is wrong, a millionth.
+    polish
+        Whether the last step is taken, which is known not to matter.
+    damping
+        That of the first step, in units of the columns' squares. A direction that the data hardly tell is held by it.
 
     Raises
     ------
@@ -65,21 +75,27 @@ def minimise(
     first = residual(theta, True)
     if first is None or first[1] is None:
         raise ValueError("the start is outside the physical range")
-    r, jacobian = first[0], first[1][:, free]
+    n = int(free.sum())
+    r, jacobian = first[0], _moving(first[1], free)
     cost = float(r @ r)
-    damping, growth = 1e-3, 2.0
-    scale = np.zeros(int(free.sum()))
+    growth = 2.0
+    scale = np.zeros(n)
     status, converged, iteration = "iteration limit reached", False, 0
     while iteration < max_iterations:
         norms = np.sqrt(np.einsum("nk,nk->k", jacobian, jacobian))
         scale = np.maximum(scale * 0.3, norms)
         scale[scale == 0] = 1.0
-        qtr, upper = qr_multiply(jacobian / scale, r, mode="right")
+        upper, qtr = _triangle(jacobian, r, scale)
         gain = 0.0
         while iteration < max_iterations:
             iteration += 1
             step = _damped_step(upper, qtr, damping)
-            predicted = float(2 * (-qtr @ (upper @ step)) - np.sum((upper @ step) ** 2))
+            along = upper @ step
+            predicted = float(-2 * (qtr @ along) - along @ along)
+            small = predicted <= max(tolerance, 1e-6 * cost if damping < 1e-2 else 1e-9 * cost)
+            if small and not polish:
+                status, converged = DONE, True
+                break
             trial = theta.copy()
             trial[free] += step / scale
             now = residual(trial, True)
@@ -89,13 +105,12 @@ def minimise(
                 continue
             new_cost = float(now[0] @ now[0])
             gain = (cost - new_cost) / predicted if predicted > 0 else -1.0
-            small = predicted <= max(tolerance, 1e-6 * cost if damping < 1e-2 else 1e-9 * cost)
             if gain > 0 or (small and new_cost <= cost * (1 + 1e-9)):
-                theta, r, jacobian, cost = trial, now[0], now[1][:, free], new_cost
+                theta, r, jacobian, cost = trial, now[0], _moving(now[1], free), new_cost
                 damping *= max(1 / 10.0, 1 - (2 * min(gain, 1.0) - 1) ** 3)
                 growth = 2.0
                 if small:
-                    status, converged = "converged: no step lowers the cost noticeably", True
+                    status, converged = DONE, True
                 break
             if small or damping > 1e12:
                 status, converged = "converged: at the floor of rounding", True
@@ -107,12 +122,32 @@ def minimise(
     return Fit(theta, cost, r, jacobian, free, iteration, converged, status)
 
 
+def _moving(jacobian: Real, free: NDArray[np.bool_]) -> Real:
+    return jacobian if jacobian.shape[1] < len(free) else jacobian[:, free]
+
+
+def _triangle(matrix: Real, vector: Real, scale: Real) -> tuple[Real, Real]:
+    """R and Q^T vector of matrix / scale = Q R.
+
+    By the columns' products where they are clear of one another, which costs a fraction; by reflections where not.
+    """
+    products = np.asarray((matrix.T @ matrix) / np.outer(scale, scale))
+    try:
+        lower = np.asarray(np.linalg.cholesky(products), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        lower = np.zeros_like(products)
+    if lower.diagonal().min(initial=1.0) > CLEAR:
+        return lower.T, np.asarray(np.linalg.solve(lower, (vector @ matrix) / scale))
+    qtr, upper = qr_multiply(matrix / scale, vector, mode="right")
+    return np.asarray(upper), np.asarray(qtr)
+
+
 def _damped_step(upper: Real, qtr: Real, damping: float) -> Real:
     """Solution of min |R p + qtr|^2 + damping |p|^2."""
     n = upper.shape[1]
-    stacked = np.vstack([upper, np.sqrt(damping) * np.eye(n)])
-    q, r = np.linalg.qr(stacked)
-    return np.asarray(solve_triangular(r, -(q[: len(qtr)].T @ qtr), check_finite=False))
+    stacked = np.concatenate([upper, np.sqrt(damping) * np.eye(n)])
+    triangle, along = _triangle(stacked, np.concatenate([qtr, np.zeros(n)]), np.ones(n))
+    return np.asarray(-np.linalg.solve(triangle, along))
 
 
 def covariance_of(jacobian: Real) -> Real:

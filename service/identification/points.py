@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
 from service.identification.many_lines import ManyLines
-from service.identification.plane_model import Together
+from service.identification.prediction import Points, Together
 from service.identification.zoh import Complex, Real
 from sim.errors import AmbError
 
@@ -93,6 +93,21 @@ class PlanePoints(Blocks):
     def r(self) -> Complex:
         """(P, 2) A, mean over the blocks."""
         return np.asarray(self.R.mean(axis=1))
+
+    @cached_property
+    def at(self) -> Points:
+        """Where a model is evaluated for the means."""
+        return Points(self.omega, self.u)
+
+    @cached_property
+    def i_rows(self) -> Complex | None:
+        """(2, P) i, the points along memory; so is y."""
+        return None if self.i is None else np.ascontiguousarray(self.i.T)
+
+    @cached_property
+    def y_rows(self) -> Complex:
+        """(2, P) m."""
+        return np.ascontiguousarray(self.y.T)
 
     def select(self, keep: NDArray[np.bool_]) -> Self:
         """Some of the points."""

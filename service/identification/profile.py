@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from service.identification.least_squares import minimise
 from service.identification.plane_model import N_MODE, Amplitude, PlaneModel
-from service.identification.refine import Data, Refined, residuals
+from service.identification.refine import Refined
+from service.identification.residuals import Data, residuals
 from service.identification.split import Posterior, Split, split_rows
 from service.identification.zoh import Real
 

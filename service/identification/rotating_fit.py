@@ -64,7 +64,7 @@ def _inflated(noise: NoiseModel, points: SpeedPoints) -> NoiseModel:
 def weights_of(
     model: RotatingModel, points: SpeedPoints, amplitude: Amplitude | None, relative: float
 ) -> tuple[Complex, NoiseModel]:
-    """Whitening by the measured noise; ``relative`` as in `refine.weights_of`."""
+    """Whitening by the measured noise; ``relative`` as in `residuals.weights_of`."""
     noise = noise_of(model, points, amplitude)
     covariance = noise.covariance
     if relative:

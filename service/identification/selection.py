@@ -14,7 +14,8 @@ from service.identification.flexible import is_visible, search, tells
 from service.identification.joint import JointFits
 from service.identification.plane_model import N_MODE, PlaneModel
 from service.identification.rational import LONE_LINE
-from service.identification.refine import Data, Refined, Weights
+from service.identification.refine import Refined
+from service.identification.residuals import Data, Weights
 from service.identification.split import Knowledge, Posterior, likeliest
 from service.identification.start import modes_from, remote, searched_starts, with_modes, with_split
 

@@ -26,7 +26,8 @@ from service.identification.closed_loop import Sampled, closed_loop_poles, compa
 from service.identification.noise import NoiseModel
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
-from service.identification.refine import Data, noise_of, predicted_blocks, refine, residual_blocks
+from service.identification.refine import refine
+from service.identification.residuals import Data, noise_of, predicted_blocks, residual_blocks
 from service.identification.split import Split, log_ratios
 from service.identification.zoh import Complex, Real
 

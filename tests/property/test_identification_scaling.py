@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from service.identification.fit import identify
 from service.identification.plane_model import Known, Layout, PlaneModel, Points
 from service.identification.points import plane_points
-from service.identification.refine import Data, refine
+from service.identification.refine import refine
+from service.identification.residuals import Data
 from service.identification.rigid import rigid_start
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet

@@ -231,7 +231,8 @@ def test_ignoring_the_force_law_would_bias_the_stiffness(
     datasheet: Datasheet, truth: dict[str, PlaneModel], controller
 ) -> None:
     from service.identification.points import plane_points
-    from service.identification.refine import Data, refine
+    from service.identification.refine import refine
+    from service.identification.residuals import Data
 
     f = np.unique(np.concatenate([np.geomspace(10, 1000, 40), 493 + np.linspace(-6, 6, 5)]))
     sweep = synthetic_sweep(truth, datasheet.axes, controller, f, np.where(f < 60, 0.2, 0.4), seed=5)

@@ -42,3 +42,41 @@ def test_covariance_has_huge_variance_where_the_data_are_blind() -> None:
     assert covariance[2, 2] < 1.0
     seen = covariance_of(jacobian[:, 1:])
     assert np.allclose(seen, np.linalg.inv(jacobian[:, 1:].T @ jacobian[:, 1:]))
+
+
+def test_columns_that_are_nearly_one_direction_are_told_apart() -> None:
+    """Their products tell nothing of 1e-8; reflections do."""
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(40, 3))
+    matrix[:, 2] = matrix[:, 1] + 1e-8 * rng.normal(size=40)
+    truth = np.array([1.0, 2.0, -3.0])
+
+    def residual(theta, gradient):
+        return matrix @ (theta - truth), matrix
+
+    fit = minimise(residual, np.zeros(3), np.ones(3, dtype=bool), 200, 1e-30, damping=1e-25)
+    np.testing.assert_allclose(fit.theta, truth, rtol=1e-5)
+
+
+def test_a_jacobian_to_the_moving_parameters_alone_leads_to_the_same() -> None:
+    free = np.array([True, True, False])
+
+    def narrow(theta, gradient):
+        r, j = rosenbrock(theta, gradient)
+        return r, j[:, free]
+
+    wide, same = (minimise(f, np.array([-1.2, 1.0, 5.0]), free, 200, 1e-12) for f in (rosenbrock, narrow))
+    np.testing.assert_array_equal(wide.theta, same.theta)
+
+
+def test_a_step_that_does_not_matter_is_left_out_where_it_is_not_asked_for() -> None:
+    calls = []
+
+    def line(theta, gradient):
+        calls.append(1)
+        return np.array([theta[0] - 1.0]), np.array([[1.0]])
+
+    fit = minimise(line, np.array([1.05]), np.array([True]), tolerance=0.01, polish=False)
+    assert fit.converged
+    assert len(calls) == 1
+    assert abs(minimise(line, np.array([1.05]), np.array([True]), tolerance=0.01).theta[0] - 1) < 1e-3

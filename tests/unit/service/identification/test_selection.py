@@ -9,7 +9,7 @@ from service.identification.fit import Options, split_knowledge, start_model
 from service.identification.flexible import PoleResidue
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
-from service.identification.refine import Data
+from service.identification.residuals import Data
 from service.identification.selection import Selected, choose_modes
 from service.identification.staged import staged_fit
 from service.identification.start import joint_start, modes_from, with_modes

@@ -10,7 +10,8 @@ import pytest
 from service.identification.finish import finished
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
-from service.identification.refine import Data, Refined, refine
+from service.identification.refine import Refined, refine
+from service.identification.residuals import Data
 from service.identification.split import (
     ROWS,
     Knowledge,

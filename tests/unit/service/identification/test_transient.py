@@ -9,7 +9,7 @@ from service.experiment.data import Sweep
 from service.identification.closed_loop import companion, sampled
 from service.identification.fit import fit_plane, identify
 from service.identification.points import plane_points
-from service.identification.refine import Data, noise_of
+from service.identification.residuals import Data, noise_of
 from service.identification.synthetic import plane_model_of, synthetic_experiment
 from service.identification.transient import Transient, settled
 from sim.reference import reference_datasheet, reference_rig
