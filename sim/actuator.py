@@ -164,10 +164,11 @@ def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:
     sqrt(tau / wc) / 2 below it; wc = 0 is solid iron (Zhu, Knospe and Maslen 2005; Stoll 1974 for sheets).
     """
     s = np.asarray(1j * np.asarray(omega_rad_s)[:, None])
-    return np.asarray(_eddy(m.eddy_time_constant_s, m.eddy_corner_rad_s, s))
+    return np.asarray(eddy_response(m.eddy_time_constant_s, m.eddy_corner_rad_s, s))
 
 
-def _eddy(time_constant_s: Array | float, corner_rad_s: float, s: Complex) -> Complex:
+def eddy_response(time_constant_s: Array | float, corner_rad_s: float, s: Complex) -> Complex:
+    """The same for time constants by themselves, at s = jw, broadcast against them."""
     shifted = np.sqrt(time_constant_s * (s + corner_rad_s)) - np.sqrt(time_constant_s * corner_rad_s)
     return np.asarray(1.0 / (1.0 + shifted))
 
@@ -181,7 +182,7 @@ def eddy_states(time_constant_s: float, corner_rad_s: float, n_states: int = 12)
     poles = np.geomspace(2 * math.pi * 0.3, 2 * math.pi * 3e5, n_states)
     omega = 2 * math.pi * np.geomspace(0.5, 8000.0, 200)
     basis = np.column_stack([np.ones(len(omega), dtype=complex), 1 / (1 + 1j * omega[:, None] / poles)])
-    target = _eddy(time_constant_s, corner_rad_s, np.asarray(1j * omega))
+    target = eddy_response(time_constant_s, corner_rad_s, np.asarray(1j * omega))
     real = np.concatenate([basis.real, basis.imag])
     weights, *_ = np.linalg.lstsq(real, np.concatenate([target.real, target.imag]), rcond=1e-12)
     return np.concatenate([[np.inf], poles]), weights
