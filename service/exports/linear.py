@@ -88,7 +88,7 @@ def of_result(document: Mapping[str, Any], plane: str, part: Part = "plant") -> 
     ----------
     part
         "plant": coil currents to displacements; "amplifiers": control signals to coil currents; "whole": one after
-        the other. Hold and delay of the controller are in none of them.
+        the other. Hold and delay of the controller are in none of them, nor is the chain of effects that a twin names.
 
     Raises
     ------
@@ -108,7 +108,14 @@ def of_result(document: Mapping[str, Any], plane: str, part: Part = "plant") -> 
         chosen = series(amplifiers, plant)
     else:
         raise ExportError(f"no part {part!r} can be exported; give one of {', '.join(PARTS)}")
-    return linear(f"{document['rig']} {plane} {part}", chosen, f"identified from {document.get('experiment', '')}")
+    comment = f"identified from {document.get('experiment', '')}"
+    if effects := document.get("known_effects"):
+        names = ", ".join(str(e["effect"]) for e in effects)
+        comment += (
+            f"; with effects that the twin names known ({names}): what they put between u and the magnets' flux, or "
+            "into the sensors, is in no state of this model"
+        )
+    return linear(f"{document['rig']} {plane} {part}", chosen, comment)
 
 
 def _space(document: Mapping[str, Any]) -> StateSpace:

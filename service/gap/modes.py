@@ -13,6 +13,7 @@ from service.identification.fit import identify
 from service.identification.result import ModeResult
 from sim.datasheet import Datasheet, Mode
 from sim.errors import AmbError
+from sim.folded import folded
 
 SHAPE_TOLERANCE = 0.2
 """Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors
@@ -30,7 +31,11 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
         result = identify(experiment, datasheet)
     except AmbError as error:
         return datasheet, f"the datasheet knows no flexible mode, and none could be identified: {error}"
-    of_planes = [[m for m in plane.modes if m.kind == "rotor"] for plane in result.planes.values()]
+    # a housing or a mode that the twin names as an effect is identified too, and is in the twin already
+    named = [2 * np.pi * m.frequency_hz for m in folded(datasheet).datasheet.modes]
+    of_planes = [
+        [m for m in plane.modes if m.kind == "rotor" and not _among(m, named)] for plane in result.planes.values()
+    ]
     modes = [_mean([mode, *_same(mode, of_planes[1:])]) for mode in of_planes[0]]
     if not modes:
         return datasheet, "the datasheet knows no flexible mode, and the experiment shows none"
@@ -47,6 +52,10 @@ def _same(mode: ModeResult, others: Sequence[Sequence[ModeResult]]) -> list[Mode
     """The mode as the other planes have it."""
     w = mode.natural_frequency_rad_s.value
     return [m for plane in others for m in plane if abs(m.natural_frequency_rad_s.value / w - 1) < SAME]
+
+
+def _among(mode: ModeResult, named_rad_s: Sequence[float]) -> bool:
+    return any(abs(mode.natural_frequency_rad_s.value / w - 1) < SAME for w in named_rad_s)
 
 
 def _mean(modes: Sequence[ModeResult]) -> Mode:

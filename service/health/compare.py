@@ -16,6 +16,8 @@ from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
 from service.identification.etfe import etfe
+from service.identification.known import as_identified, computed, led_back
+from service.identification.points import PlanePoints
 from service.identification.saved import SavedPlane, saved_planes
 from service.identification.uncertainty import ESTIMATED_WEIGHTS
 from service.identification.zoh import Real
@@ -77,7 +79,9 @@ def compare(
             "give the datasheet of the rig that was measured"
         )
     saved = saved_planes(baseline.document, datasheet)
-    controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+    twin, notes = as_identified(datasheet, baseline.document)
+    experiment = led_back(experiment, twin.chain)
+    controller = (np.array(twin.datasheet.numerator), np.array(twin.datasheet.denominator))
     rule = policy or Policy()
     now = {name: plane_now(s, experiment) for name, s in saved.items()}
     figures = {name: plane_figures(s, controller) for name, s in saved.items()}
@@ -93,7 +97,7 @@ def compare(
                 plane=name,
                 axes=s.axes,
                 changes=changes,
-                measured_peak=_measured_peaks(now[name]),
+                measured_peak=_measured_peaks(computed(now[name].points, s.model.known.chain)),
                 rms_over_sigma=now[name].rms,
                 unexplained=_unexplained(s, now[name], level),
                 frequency_hz=np.unique(now[name].points.omega) / (2 * np.pi),
@@ -109,6 +113,7 @@ def compare(
         zones=datasheet.sensitivity_zones_db,
         rig_seconds=_rig_seconds(experiment),
         speed_rad_s=experiment.main.speed_rad_s,
+        notes=notes,
     )
 
 
@@ -150,10 +155,10 @@ def _std(figures: PlaneFigures, saved: SavedPlane, covariance: Real) -> Real:
     return np.asarray(np.sqrt(np.maximum(np.einsum("ka,ab,kb->k", gradient, covariance, gradient), 0.0)))
 
 
-def _measured_peaks(now: PlaneNow) -> tuple[float, float] | None:
+def _measured_peaks(points: PlanePoints) -> tuple[float, float] | None:
     """Largest measured |S| of both axes; the tones of a check are few, so the true peak may be higher."""
     try:
-        s = np.abs(etfe(now.points, "r->u").value)
+        s = np.abs(etfe(points, "r->u").value)
     except ValueError:  # both axes excited at once: S cannot be told apart
         return None
     return float(s[:, 0, 0].max()), float(s[:, 1, 1].max())

@@ -108,6 +108,8 @@ class HealthResult:
     zones: tuple[tuple[str, float], ...]
     rig_seconds: float | None
     speed_rad_s: float = 0.0
+    notes: tuple[str, ...] = ()
+    """What the compared model lacks of the effects that the twin names, in sentences."""
 
     @property
     def changes(self) -> tuple[FigureChange, ...]:
@@ -191,4 +193,5 @@ class HealthResult:
             "speed_rad_s": self.speed_rad_s,
             "frequencies_hz": [float(f) for f in self.planes[0].frequency_hz] if self.planes else [],
             "left_out": [text for p in self.planes for text in p.left_out],
+            "notes": list(self.notes),
         }

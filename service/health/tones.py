@@ -19,6 +19,7 @@ import numpy as np
 from service.experiment.aims import Profile
 from service.experiment.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
 from service.health.monitored import plane_figures
+from service.identification.known import as_identified
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.saved import SavedPlane, saved_planes
 from service.identification.split import Split, log_ratios, split_rows
@@ -88,6 +89,7 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
         The budget holds too few tones, or the document has no parameters.
     """
     planes = saved_planes(baseline_document, datasheet)
+    datasheet = as_identified(datasheet, baseline_document)[0].datasheet
     n_axes = datasheet.n_axes
     designs = [_Design(s, datasheet) for s in planes.values()]
     candidates = candidate_frequencies(planes, datasheet)

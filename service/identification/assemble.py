@@ -28,6 +28,7 @@ from service.identification.figures import (
     stiffness,
 )
 from service.identification.judged import cross_validation, frequency_fit, residual_tests, unseen_modes, unseen_splits
+from service.identification.known import computed
 from service.identification.margins import axis_margins, dense_grid
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
@@ -62,7 +63,8 @@ def assemble(
     omega = dense_grid(model)
     omega = omega[omega <= 1.2 * points.omega.max()]
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
-    peaks = axis_margins(model, controller, u.covariance, u.free, _measured_sensitivity(points))
+    seen = _measured_sensitivity(computed(points, model.known.chain))
+    peaks = axis_margins(model, controller, u.covariance, u.free, seen)
     total = float(np.sqrt(np.mean(rms**2)))
     return PlaneResult(
         plane=points.plane,

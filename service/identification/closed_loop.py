@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, expm
 from scipy.signal import tf2ss
 
+from service.identification.amplifier import Amplifier
 from service.identification.combine import physical_matrices
 from service.identification.etfe import etfe
-from service.identification.margins import sensitivity
+from service.identification.known import computed
+from service.identification.margins import computed_response, sensitivity
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.validation import nrmse_percent
 from service.identification.zoh import Complex, Real
+from sim.chain import Chain
 from sim.errors import AmbError
+from sim.rig import SHORTEST_LAG_S
 
 
 @dataclass(frozen=True)
@@ -36,17 +41,35 @@ class Sampled:
 
 
 def continuous(model: PlaneModel) -> tuple[Real, Real, Real]:
-    """A, B, C from the amplifiers' inputs to the sensors' outputs, without hold and delay."""
+    """A, B, C from the control signals to the sensors' outputs, without hold and delays; amplifiers' states first."""
     a, b, c = physical_matrices(model)
-    parts = [companion(amp.poles, amp.dc_gain) for amp in model.amplifiers]
-    amp_a = block_diag(*[p[0] for p in parts])
-    amp_b = block_diag(*[p[1] for p in parts])
-    amp_c = block_diag(*[p[2] for p in parts])
+    chain = model.known.chain
+    amp_a, amp_b, amp_c = driven(model.amplifiers, chain)
     n = len(amp_a)
     whole_a = np.block([[amp_a, np.zeros((n, len(a)))], [b @ amp_c, a]])
     whole_b = np.vstack([amp_b, np.zeros((len(a), 2))])
     whole_c = np.hstack([np.zeros((2, n)), c])
-    return with_sensor_lags(whole_a, whole_b, whole_c, model.known.sensor_bandwidth_rad_s)
+    return with_known_sensors(whole_a, whole_b, whole_c, model.known.sensor_bandwidth_rad_s, chain)
+
+
+def driven(amplifiers: Sequence[Amplifier], chain: Chain) -> tuple[Real, Real, Real]:
+    """A, B, C from the control signals to the flux-making currents; the amplifiers' own states first."""
+    parts = [companion(amp.poles, amp.dc_gain) for amp in amplifiers]
+    a, b, c = (block_diag(*[p[k] for p in parts]) for k in range(3))
+    b = b @ chain.crosstalk
+    if not chain.is_before_flux:
+        return a, b, c
+    fa, fb, fc, fd = chain.flux_states()
+    whole = np.block([[a, np.zeros((len(a), len(fa)))], [fb @ c, fa]])
+    return whole, np.vstack([b, np.zeros((len(fa), b.shape[1]))]), np.hstack([fd @ c, fc])
+
+
+def with_known_sensors(a: Real, b: Real, c: Real, bandwidth_rad_s: Real, chain: Chain) -> tuple[Real, Real, Real]:
+    """The same system with the lags of its sensors, those of the datasheet and the further one that is known."""
+    a, b, c = with_sensor_lags(a, b, c, bandwidth_rad_s)
+    if chain.sensor_lag_s <= SHORTEST_LAG_S:
+        return a, b, c
+    return with_sensor_lags(a, b, c, np.full(len(c), 1.0 / chain.sensor_lag_s))
 
 
 def with_sensor_lags(a: Real, b: Real, c: Real, bandwidth_rad_s: Real) -> tuple[Real, Real, Real]:
@@ -77,10 +100,13 @@ def companion(poles: Complex, gain: float) -> tuple[Real, Real, Real]:
 
 
 def sampled(model: PlaneModel) -> Sampled:
-    """Exact discretisation with zero-order hold and delay (Astrom and Wittenmark, Computer-Controlled Systems, 3.2)."""
+    """Exact discretisation with zero-order hold and delay (Astrom and Wittenmark, Computer-Controlled Systems, 3.2).
+
+    A dead time of the sensors acts as one before the amplifiers does.
+    """
     a, b, c = continuous(model)
     period = model.known.sample_time_s
-    delay = max(model.delay_s + model.known.computing_delay_s, 0.0)
+    delay = max(model.delay_s + model.known.computing_delay_s + model.known.chain.sensor_delay_s, 0.0)
     whole = math.floor(delay / period + 1e-9)
     rest = max(delay - whole * period, 0.0)
     phi_late, gamma_late = integrated(a, b, rest)
@@ -172,12 +198,13 @@ def predicted_closed_loop(model: PlaneModel, controller: tuple[Real, Real], poin
     points
         Measured with ``controller`` running; best of a sweep that the model was not made from.
     """
+    points = computed(points, model.known.chain)
     try:
         u, y = etfe(points, "r->u"), etfe(points, "r->y")
     except ValueError:
         return None
     s = sensitivity(model, controller, u.omega)
-    t = np.asarray(model.response(u.omega) @ s)
+    t = np.asarray(computed_response(model, u.omega) @ s)
     fits = [
         np.array([[nrmse_percent(m.value[:, a, b], p[:, a, b]) for b in range(2)] for a in range(2)])
         for m, p in ((u, s), (y, t))

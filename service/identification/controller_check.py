@@ -154,6 +154,7 @@ def check_controller(
     reasons: list[str] = []
     warnings: list[str] = []
     axes: list[AxisCheck] = []
+    warnings += dict.fromkeys(note for s in planes.values() for note in s.notes)
     stable, share, decay = True, 1.0, np.inf
     for s in planes.values():
         poles = closed_loop_poles(s.model, law)

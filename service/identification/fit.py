@@ -13,6 +13,7 @@ from service.identification.assemble import assemble
 from service.identification.coupling import cross_planes
 from service.identification.coupling import told as told_coupling
 from service.identification.etfe import FrequencyResponse, etfe
+from service.identification.known import led_back
 from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.residuals import Data
@@ -25,8 +26,10 @@ from service.identification.start import joint_start
 from service.identification.tolerances import Tolerances
 from service.identification.transient import Transient, settled, told
 from service.identification.zoh import Real
+from sim.chain import Chain
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
+from sim.folded import folded
 
 END_SLOPE = 4.0
 """Change of the first mode's shape towards a free shaft's end, in largest values at bearings and sensors per bearing
@@ -68,7 +71,8 @@ def identify(
         for cross-validation and no step of any fit sees it.
     datasheet
         Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted unless
-        ``options`` ask for them as priors.
+        ``options`` ask for them as priors. Effects that it names are part of the model as far as that can have them
+        (`sim.folded`), and the result says which.
     progress
         Told the fraction that is done, after the fits and after the figures of every plane.
 
@@ -78,11 +82,14 @@ def identify(
         Data that cannot be identified: one line that names what is missing and the remedy.
     """
     options = options or Options()
+    twin = folded(datasheet)
+    datasheet = twin.datasheet
     if tuple(experiment.axes) != tuple(datasheet.axes):
         raise AmbError(
             f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
             "give the datasheet of the rig that was measured"
         )
+    experiment = led_back(experiment, twin.chain)
     excited = [s for s in experiment.sweeps if s.kind != "noise" and s.n_points and np.any(s.amplitude_a > 0)]
     if not excited:
         raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
@@ -93,7 +100,7 @@ def identify(
     others = [s for s in slowest if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
     validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
 
-    warnings: list[str] = []
+    warnings = [sentence for e in twin.effects for sentence in e.sentences()]
     if main.speed_rad_s:
         remedy = "" if len(speeds) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(
@@ -109,7 +116,9 @@ def identify(
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited and not identified")
             continue
-        found[plane] = fit_plane(main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options)
+        found[plane] = fit_plane(
+            main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options, twin.chain
+        )
         say((k + 1) * FITS / steps)
     found = _settled_alike(found, main, tuple(experiment.axes), datasheet, options)
     planes = {}
@@ -137,6 +146,7 @@ def identify(
         tuple(warnings),
         rotating=rotating,
         cross_planes=across,
+        known_effects=twin.effects,
     )
 
 
@@ -185,15 +195,21 @@ def fit_plane(
     plane: str,
     datasheet: Datasheet,
     options: Options | None = None,
+    chain: Chain | None = None,
 ) -> FittedPlane:
-    """Identify one plane: the six steps, then the joint refinement."""
+    """Identify one plane: the six steps, then the joint refinement.
+
+    ``chain``: what is known of the axes beside the datasheet; the sweeps are led back to where the model begins
+    (`known.led_back`).
+    """
     options = options or Options()
+    own = Chain() if chain is None else chain.of(list(planes_of(axes)[plane]))
     points = plane_points(main, axes, plane)
     check_excitation(points)
     told = Tolerances.of(datasheet, points.axes)
     prior = told if options.priors else told.of_amplifiers() if points.I is None else None
     data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior)
-    found = _fit_points(data, datasheet, axes, options)
+    found = _fit_points(data, datasheet, axes, options, own)
     found = _settled(found, main, axes, datasheet, options, _block_s(main, points))
     held_out = None if validation is None else plane_points(validation, axes, plane)
     if held_out is not None and len(held_out.omega) == 0:
@@ -218,7 +234,8 @@ def _settled(
     data, transients = settled(found.data, refined.model, refined.fit.free, controller, block_s, suspected)
     if not transients:
         return found
-    return replace(_fit_points(data, datasheet, axes, options), held_out=found.held_out, transients=transients)
+    again = _fit_points(data, datasheet, axes, options, refined.model.known.chain)
+    return replace(again, held_out=found.held_out, transients=transients)
 
 
 def _settled_alike(
@@ -244,10 +261,10 @@ def _block_s(main: Sweep, points: PlanePoints) -> Real | None:
     return None if main.block_samples is None else main.block_samples[points.index] / main.sample_rate_hz
 
 
-def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options: Options) -> FittedPlane:
+def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options: Options, chain: Chain) -> FittedPlane:
     points = data.plant
     u_to_y = etfe(points, "u->y")
-    start, fits = start_model(datasheet, points.plane, axes, data)
+    start, fits = start_model(datasheet, points.plane, axes, data, chain)
     gain = start.amplifier_response(u_to_y.omega)
     plant = FrequencyResponse(u_to_y.omega, u_to_y.value / gain[:, None, :], u_to_y.std / np.abs(gain)[:, None, :])
     staged = staged_fit(start, points, plant)
@@ -281,9 +298,12 @@ def _amplifier_points(sweep: Sweep | None, axes: tuple[str, ...], plane: str) ->
 
 
 def start_model(
-    datasheet: Datasheet, plane: str, axes: tuple[str, ...], data: Data
+    datasheet: Datasheet, plane: str, axes: tuple[str, ...], data: Data, chain: Chain | None = None
 ) -> tuple[PlaneModel, tuple[AmplifierFit, AmplifierFit] | None]:
-    """Plane with the datasheet's values, and amplifiers fitted where currents are logged (step 3)."""
+    """Plane with the datasheet's values, and amplifiers fitted where currents are logged (step 3).
+
+    ``chain``: what else is known of the plane.
+    """
     pair = list(planes_of(axes)[plane])
     nominal = [_nominal_amplifier(datasheet, k) for k in pair]
     fits = None
@@ -295,7 +315,7 @@ def start_model(
         )
         parameters = [f.parameters for f in fits]
         delay = float(np.mean([f.delay_s for f in fits]))
-    known = known_of(datasheet, plane, axes)
+    known = known_of(datasheet, plane, axes, chain)
     orders = (len(parameters[0]) - 1, len(parameters[1]) - 1)
     theta = np.concatenate(
         [
@@ -310,8 +330,8 @@ def start_model(
     return PlaneModel(known, Layout(orders), theta), fits  # type: ignore[return-value]
 
 
-def known_of(datasheet: Datasheet, plane: str, axes: tuple[str, ...]) -> Known:
-    """What the datasheet tells of a plane and no fit changes."""
+def known_of(datasheet: Datasheet, plane: str, axes: tuple[str, ...], chain: Chain | None = None) -> Known:
+    """What the datasheet tells of a plane and no fit changes, with the plane's ``chain`` of known blocks."""
     pair = list(planes_of(axes)[plane])
     bandwidth = datasheet.sensor_bandwidth_hz
     return Known(
@@ -321,6 +341,7 @@ def known_of(datasheet: Datasheet, plane: str, axes: tuple[str, ...]) -> Known:
         datasheet.sample_time_s,
         datasheet.computing_delay_s,
         np.full(2, np.inf) if bandwidth is None else 2 * np.pi * np.array([bandwidth[k] for k in pair]),
+        Chain() if chain is None else chain,
     )
 
 

@@ -109,10 +109,16 @@ def zone_table(text: str) -> tuple[tuple[str, float], ...]:
     return tuple(found)
 
 
+def computed_response(model: PlaneModel, omega: Real) -> Complex:
+    """Small-signal response from u as the controller computes it to sampled y, (P, 2, 2)."""
+    response, chain = model.response(omega), model.known.chain
+    return np.asarray(response @ chain.crosstalk) if chain.has_crosstalk else response
+
+
 def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -> Complex:
     """S = (I + G C)^-1 at the plant's input, u = S r, from the sampled model, (P, 2, 2)."""
     c = discrete_response(*controller, omega, model.known.sample_time_s)
-    loop = model.response(omega) * c[:, None, None]
+    loop = computed_response(model, omega) * c[:, None, None]
     loop[:, 0, 0] += 1.0
     loop[:, 1, 1] += 1.0
     return np.asarray(np.linalg.inv(loop), dtype=np.complex128)

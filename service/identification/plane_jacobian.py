@@ -73,7 +73,7 @@ def amplifier_gradient(model: PlaneModel, points: Points, motion: Motion, d_i: C
         to_force = motion.loop.through[:, j] * model.ki[j]
         u = points.u_rows[j]
         d_now = amplifier.sampled(points.omega, model.theta[place], delay, period)[1].T * u
-        d_base = amplifier.base_band(points.omega, model.theta[place], delay, period)[1].T * u
+        d_base = model.base_band(j, points.omega)[1].T * u
         d_i[place, j], d_i[layout.delay, j] = d_now[:-1], d_now[-1]
         d_y[place] = to_force * d_base[:-1, None]
         d_y[layout.delay] += to_force * d_base[-1]

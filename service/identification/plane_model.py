@@ -29,6 +29,7 @@ from service.identification.prediction import Points as Points
 from service.identification.prediction import Prediction as Prediction
 from service.identification.prediction import Together as Together
 from service.identification.zoh import Complex, Real
+from sim.chain import Chain
 
 FASTEST = 20.0
 """Frequency times the sample time, and delay over it, beyond which the data tell nothing of either."""
@@ -46,6 +47,8 @@ class Known:
     computing_delay_s: float = 0.0
     sensor_bandwidth_rad_s: Real = field(default_factory=lambda: np.full(2, np.inf))
     """(2,) inf for none."""
+    chain: Chain = field(default_factory=Chain)
+    """What else is known of the plane's chain: effects that the twin names."""
 
 
 @dataclass(frozen=True)
@@ -137,11 +140,26 @@ class PlaneModel:
         return bool(abs(t[layout.delay]) < FASTEST * period)
 
     def sensor_response(self, omega: Real) -> Complex:
-        """Gain and pole of the sensors, (P, 2)."""
-        bandwidth = self.known.sensor_bandwidth_rad_s
+        """Gain and pole of the sensors, and what else is known of them, (P, 2)."""
+        bandwidth, chain = self.known.sensor_bandwidth_rad_s, self.known.chain
         if np.isinf(bandwidth).all():
-            return np.broadcast_to(self.sensor_gain.astype(np.complex128), (len(omega), 2))
-        return np.asarray(self.sensor_gain / (1.0 + 1j * omega[:, None] / bandwidth))
+            own = np.broadcast_to(self.sensor_gain.astype(np.complex128), (len(omega), 2))
+        else:
+            own = np.asarray(self.sensor_gain / (1.0 + 1j * omega[:, None] / bandwidth))
+        return np.asarray(own * chain.sensor(omega)[:, None]) if chain.is_behind_sensor else own
+
+    def base_band(self, axis: int, omega: Real) -> tuple[Complex, Complex]:
+        """Flux-making current at the excited line per ampere of held u, and its derivatives, as `amplifier.base_band`.
+
+        It is the coil current but for what is known to stand between amplifier and flux.
+        """
+        place, known = self.layout.amplifiers[axis], self.known
+        delay = self.delay_s + known.computing_delay_s
+        response, gradient = amplifier.base_band(omega, self.theta[place], delay, known.sample_time_s)
+        if not known.chain.is_before_flux:
+            return response, gradient
+        flux = known.chain.flux(omega)[:, axis]
+        return np.asarray(response * flux), np.asarray(gradient * flux[:, None])
 
     def predict(self, points: Points, amplitude: Amplitude | None = None, gradient: bool = False) -> Prediction:
         """Currents and displacements at the excited lines.
@@ -171,13 +189,14 @@ class PlaneModel:
         return np.asarray((through * self.ki[:, None]).transpose(2, 0, 1))
 
     def amplifier_response(self, omega: Real, base_band: bool = True) -> Complex:
-        """Held amplifiers with delay, base-band or sampled, (P, 2)."""
-        of = amplifier.base_band if base_band else amplifier.sampled
-        delay = self.delay_s + self.known.computing_delay_s
+        """Held amplifiers with delay, (P, 2): base-band up to the flux-making current, or sampled coil current."""
+        if base_band:
+            return np.stack([self.base_band(axis, omega)[0] for axis in range(2)], axis=1)
+        delay, period = self.delay_s + self.known.computing_delay_s, self.known.sample_time_s
         return np.stack(
-            [of(omega, self.theta[p], delay, self.known.sample_time_s)[0] for p in self.layout.amplifiers], axis=1
+            [amplifier.sampled(omega, self.theta[p], delay, period)[0] for p in self.layout.amplifiers], axis=1
         )
 
     def response(self, omega: Real) -> Complex:
-        """Small-signal response from held u to sampled y, (P, 2, 2)."""
+        """Small-signal response from held u, as it reaches the amplifiers, to sampled y, (P, 2, 2)."""
         return np.asarray(self.plant_response(omega) * self.amplifier_response(omega)[:, None, :])

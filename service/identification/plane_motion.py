@@ -88,7 +88,7 @@ class Motion:
     i: Complex
     """Sampled current, A."""
     coil: Complex
-    """Base-band current, A."""
+    """Base-band current that makes flux, A."""
     force: Complex
     """Of the currents, N."""
     total: Complex
@@ -105,9 +105,7 @@ class Motion:
         i, coil = np.empty_like(points.u_rows), np.empty_like(points.u_rows)
         for j, place in enumerate(model.layout.amplifiers):
             np.multiply(amplifier.sampled(points.omega, model.theta[place], delay, period)[0], points.u_rows[j], i[j])
-            np.multiply(
-                amplifier.base_band(points.omega, model.theta[place], delay, period)[0], points.u_rows[j], coil[j]
-            )
+            np.multiply(model.base_band(j, points.omega)[0], points.u_rows[j], coil[j])
         loop = loop_of(model, points.omega)
         if amplitude is None or not slopes:
             return Motion(model, loop, amplitude, i, coil, *_driven(model, loop, coil, _excess(model, amplitude)))

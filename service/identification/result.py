@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from service.identification import known
 from service.identification.closed_loop import Predicted
 from service.identification.combine import StateSpace
 from service.identification.coupling import CrossPlane
@@ -20,6 +21,7 @@ from service.identification.rotating import Turned
 from service.identification.subspace import SubspaceModel
 from service.identification.validation import CorrelationTest
 from service.identification.zoh import Complex, Real
+from sim.folded import KnownEffect
 
 
 @dataclass(frozen=True)
@@ -295,6 +297,8 @@ class CommissioningResult:
     """The rotor over all speeds, of an experiment at speed."""
     cross_planes: tuple[CrossPlane, ...] = ()
     """What of each plane's excitation the other one shows, at standstill."""
+    known_effects: tuple[KnownEffect, ...] = ()
+    """Effects that the twin named, and where the model has them."""
 
     def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
         """The contents of result.json; every number in it is finite or null."""
@@ -311,6 +315,8 @@ class CommissioningResult:
                 **self.provenance,
             },
         }
+        if self.known_effects:
+            document[known.ENTRY] = known.document(self.known_effects)
         if self.cross_planes:
             document["cross_planes"] = [c.document() for c in self.cross_planes]
         if self.rotating is not None:

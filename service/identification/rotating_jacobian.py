@@ -100,7 +100,7 @@ def _amplifier_columns(
         own = slice(start + place.start, start + place.stop)
         u = points.u[:, axis, None]
         d_now = amplifier.sampled(points.omega, plane.theta[place], delay, period)[1] * u
-        d_base = amplifier.base_band(points.omega, plane.theta[place], delay, period)[1] * u
+        d_base = plane.base_band(j, points.omega)[1] * u
         to_y = per_force[:, :, axis] * plane.ki[j]
         d_i[:, axis, own], d_i[:, axis, late] = d_now[:, :-1], d_now[:, -1]
         d_y[:, :, own] = to_y[:, :, None] * d_base[:, None, :-1]

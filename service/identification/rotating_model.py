@@ -262,9 +262,7 @@ class RotatingModel:
             for j, place in enumerate(plane.layout.amplifiers):
                 axis = 2 * k + j
                 now[:, axis] = amplifier.sampled(points.omega, plane.theta[place], delay, period)[0] * points.u[:, axis]
-                base[:, axis] = (
-                    amplifier.base_band(points.omega, plane.theta[place], delay, period)[0] * points.u[:, axis]
-                )
+                base[:, axis] = plane.base_band(j, points.omega)[0] * points.u[:, axis]
         return now, base
 
     def amplifier_response(self, omega: Real, base_band: bool = True) -> Complex:

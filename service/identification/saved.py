@@ -10,10 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.fit import known_of
+from service.identification.known import as_identified
 from service.identification.plane_model import Layout, PlaneModel
+from service.identification.points import planes_of
 from service.identification.zoh import Real
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
+from sim.folded import Folded
+
+OTHER_LAW = (
+    "the controller that ran is not the one of the datasheet (the twin's effects say how it differs): a law is judged "
+    "as it is written; where the same difference would come upon it, write it into the law"
+)
 
 
 @dataclass(frozen=True)
@@ -34,6 +42,8 @@ class SavedPlane:
     adequate: bool
     rotor_modes: tuple[int, ...]
     """Places among the model's modes of those that are the rotor's, by rising frequency."""
+    notes: tuple[str, ...] = ()
+    """What to know of the effects that the twin names, in sentences: above all what the model lacks of them."""
 
 
 def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, SavedPlane]:
@@ -61,10 +71,13 @@ def _checked(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, Sav
             f"the result of rig {document['rig']} has plane {', '.join(sorted(unknown))}, the datasheet "
             f"{datasheet.name} only {', '.join(sorted(names))}; give the datasheet of the rig that was commissioned"
         )
-    return {plane: _saved(found, datasheet, plane) for plane, found in document["planes"].items()}
+    twin, notes = as_identified(datasheet, document)
+    if (twin.datasheet.numerator, twin.datasheet.denominator) != (datasheet.numerator, datasheet.denominator):
+        notes = (*notes, OTHER_LAW)
+    return {plane: _saved(found, twin, plane, notes) for plane, found in document["planes"].items()}
 
 
-def _saved(found: Mapping[str, Any], datasheet: Datasheet, plane: str) -> SavedPlane:
+def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str, ...]) -> SavedPlane:
     kept = found.get("parameters")
     if kept is None:
         raise AmbError(
@@ -75,7 +88,9 @@ def _saved(found: Mapping[str, Any], datasheet: Datasheet, plane: str) -> SavedP
     theta = np.array([float(kept["values"][name]) for name in layout.names])
     free = np.isin(np.array(layout.names), np.array(kept["free"]))
     pair = (f"{plane}A", f"{plane}B")
-    model = PlaneModel(known_of(datasheet, plane, datasheet.axes), layout, theta)
+    axes = twin.datasheet.axes
+    chain = twin.chain.of(list(planes_of(axes)[plane]))
+    model = PlaneModel(known_of(twin.datasheet, plane, axes, chain), layout, theta)
     total = np.array(kept["covariance"], dtype=float)
     own = total if kept["covariance_from_data"] is None else np.array(kept["covariance_from_data"], dtype=float)
     residuals = found["residuals"]
@@ -89,6 +104,7 @@ def _saved(found: Mapping[str, Any], datasheet: Datasheet, plane: str) -> SavedP
         float(residuals["rms_over_sigma"]),
         bool(residuals["model_adequate"]),
         _rotor_modes(model, found["rotor_modes"]),
+        notes,
     )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.identification.margins import computed_response
 from service.identification.plane_model import Known, Layout, PlaneModel, Points, Prediction
 from service.identification.points import planes_of
 from service.identification.refine import amplitude_of
@@ -68,20 +69,21 @@ def closed_loop_points(
     Returns
     -------
     u, i, y
-        (P, 2) each.
+        (P, 2) each, u as it reaches the amplifiers.
     """
     r = np.zeros((len(omega), 2), dtype=complex)
     r[np.arange(len(omega)), axis] = amplitude_a
     c = discrete_response(*controller, omega, model.known.sample_time_s)
-    loop: Complex = np.eye(2) + c[:, None, None] * model.response(omega)
+    g, mixed = computed_response(model, omega), model.known.chain.crosstalk.T
+    loop: Complex = np.eye(2) + c[:, None, None] * g
     u = _solved(loop, r)
     for _ in range(rounds):
-        y = _predicted(model, omega, u).y
+        y = _predicted(model, omega, u @ mixed).y
         # what the linear model does not say of y comes back through the controller
-        beyond = y - np.einsum("pyu,pu->py", model.response(omega), u)
+        beyond = y - np.einsum("pyu,pu->py", g, u)
         u = _solved(loop, r - c[:, None] * beyond)
-    p = _predicted(model, omega, u)
-    return u, p.i, p.y
+    p = _predicted(model, omega, u @ mixed)
+    return u @ mixed, p.i, p.y
 
 
 def _solved(loop: Complex, right: Complex) -> Complex:

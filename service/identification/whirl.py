@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag, eig
 from scipy.signal import tf2ss
 
-from service.identification.closed_loop import companion, integrated, with_sensor_lags
+from service.identification.closed_loop import driven, integrated, with_known_sensors
 from service.identification.rotating_model import RotatingModel
 from service.identification.zoh import Complex, Real
 
@@ -65,7 +65,7 @@ def loop_matrix(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s
     n, period = len(a), model.known[0].sample_time_s
     phi, drives, past = None, [], []
     for k, plane in enumerate(model.planes):
-        delay = max(plane.delay_s + plane.known.computing_delay_s, 0.0)
+        delay = max(plane.delay_s + plane.known.computing_delay_s + plane.known.chain.sensor_delay_s, 0.0)
         whole = math.floor(delay / period + 1e-9)
         rest = max(delay - whole * period, 0.0)
         columns = b[:, 2 * k : 2 * k + 2]
@@ -116,7 +116,7 @@ def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, R
     push = np.vstack([np.zeros((n, 4)), m.bearings.T / m.mass[:, None] * model.ki])
     gain = np.concatenate([p.sensor_gain for p in model.planes])
     seen = np.hstack([gain[:, None] * m.sensors, np.zeros((4, n))])
-    parts = [companion(a.poles, a.dc_gain) for p in model.planes for a in p.amplifiers]
+    parts = [driven(p.amplifiers, p.known.chain) for p in model.planes]
     a_amp, b_amp, c_amp = (block_diag(*[x[j] for x in parts]) for j in range(3))
     size = len(a_amp)
     a = np.block([[a_amp, np.zeros((size, 2 * n))], [push @ c_amp, rotor]])
@@ -125,7 +125,7 @@ def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, R
     scale = np.concatenate([np.ones(size + n), np.full(n, 1e3)])
     c = np.hstack([np.zeros((4, size)), seen]) * scale
     bandwidth = np.concatenate([k.sensor_bandwidth_rad_s for k in model.known])
-    return with_sensor_lags(a / scale[:, None] * scale, b / scale[:, None], c, bandwidth)
+    return with_known_sensors(a / scale[:, None] * scale, b / scale[:, None], c, bandwidth, model.known[0].chain)
 
 
 def whirl(

@@ -17,6 +17,7 @@ from service.report.page import Captioned, Page, Section, Tone
 from service.report.plane import plane_section
 from service.report.rotating import rotating_section
 from sim.datasheet import ISO_14839_3_DB, Datasheet
+from sim.folded import folded
 
 GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
@@ -44,6 +45,7 @@ def commissioning_page(result: CommissioningResult, experiment: Experiment, data
     datasheet
         What was known before.
     """
+    datasheet = folded(datasheet).datasheet
     sections = [_figures_of_merit(result)]
     sections += [plane_section(plane, experiment, datasheet) for plane in result.planes.values()]
     if result.rotating is not None:
@@ -137,8 +139,24 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
             "are the model's; those of the measured sensitivity itself, straight between its lines, in brackets.",
             "small",
         ),
+        *_known_effects(result),
     ]
     return Section("Result", parts)
+
+
+def _known_effects(result: CommissioningResult) -> Iterator[str]:
+    """What the twin names beside the datasheet's values, and where the model has it."""
+    if result.known_effects:
+        rows = [
+            [
+                e.effect.replace("_", " "),
+                ", ".join(f"{name} {number(value, 4)}" for name, value in e.parameters),
+                "; ".join(e.in_model) or MISSING,
+                "; ".join(e.not_in_model) or MISSING,
+            ]
+            for e in result.known_effects
+        ]
+        yield table(["effect that the twin names", "parameters", "in the model", "not in the model"], rows, left=4)
 
 
 def _mode(plane: str, m: ModeResult) -> list[str]:

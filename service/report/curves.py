@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from service.identification.etfe import FrequencyResponse
-from service.identification.margins import sensitivity
+from service.identification.margins import computed_response, sensitivity
 from service.identification.result import CommissioningResult, PlaneResult
 from service.identification.zoh import Complex, Real
 from sim.datasheet import Datasheet
+from sim.folded import folded
 
 FORMAT = "amb-model-curves"
 _STEP_LINES = 1 << 15
@@ -25,6 +26,7 @@ def curves(result: CommissioningResult, datasheet: Datasheet) -> dict[str, Any]:
     ``frequency_response`` is u to y (m/A), as sampled and as measured; ``nyquist`` the loop of each axis with the
     others closed; ``step`` the displacement (m) after 1 A more on r.
     """
+    datasheet = folded(datasheet).datasheet
     return {
         "format": FORMAT,
         "version": 1,
@@ -76,7 +78,7 @@ def _step(plane: PlaneResult, controller: tuple[Real, Real]) -> dict[str, Any]:
     sample_time_s = plane.model.known.sample_time_s
     n = _STEP_LINES
     omega: Real = np.asarray(2 * np.pi * (np.arange(n // 2) + 0.5) / (n * sample_time_s), dtype=np.float64)
-    closed = np.matmul(plane.model.response(omega), sensitivity(plane.model, controller, omega))
+    closed = np.matmul(computed_response(plane.model, omega), sensitivity(plane.model, controller, omega))
     whole = np.concatenate([closed, np.conj(closed[::-1])])
     pulse = np.real(np.exp(1j * np.pi * np.arange(n) / n)[:, None, None] * np.fft.ifft(whole, axis=0))
     count = min(round(_STEP_S / sample_time_s), n)

@@ -35,6 +35,7 @@ def health_page(document: Mapping[str, Any], history: Sequence[Checked]) -> str:
     series = trend(history)
     drifting = [n for n, s in series.items() if s.drifting and n not in document["drifted"]]
     notes = [f"{n} changes steadily over the checks, although no single one shows it" for n in drifting]
+    notes += document.get("notes", [])
     about = f"Checked {document.get('checked_at', 'at an unknown time')}"
     if document["rig_seconds"]:
         about += f"; the rig was busy for {document['rig_seconds']:.0f} s"
