@@ -24,7 +24,7 @@ from service.identification.split import Knowledge
 from service.identification.staged import StagedFit, staged_fit
 from service.identification.start import joint_start
 from service.identification.tolerances import Tolerances
-from service.identification.transient import Transient, settled, told
+from service.identification.transient import LASTING, Transient, settled, told
 from service.identification.zoh import Real
 from sim.chain import Chain
 from sim.datasheet import Datasheet
@@ -181,7 +181,7 @@ class FittedPlane:
             self.staged,
             self.selected,
         )
-        more = [told(t) for t in self.transients]
+        more = [told(t) for t in self.transients if t.left > LASTING]
         if self.data.prior is not None:
             more += self.data.prior.strained(found.model)
         return replace(found, warnings=(*found.warnings, *more))

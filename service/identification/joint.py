@@ -98,6 +98,15 @@ class JointFits:
         r = self.residual(refined)
         return float(r @ r)
 
+    def cost_before_the_end(self, refined: Refined) -> tuple[float, int]:
+        """Sum of squares of the data's residuals but those of the highest line, and their number."""
+        points = self.data.plant
+        r = self.residual(refined)
+        inside = points.omega < points.omega.max() * (1 - 1e-6)
+        size = (2 if points.I is None else 4) * 2 * len(inside)
+        kept = r[:size].reshape(-1, len(inside), 2)[:, inside]
+        return float(np.sum(kept**2) + r[size:] @ r[size:]), kept.size + len(r) - size
+
     def rms(self, refined: Refined) -> float:
         """Of the data's residuals."""
         return float(np.sqrt(np.mean(self.residual(refined) ** 2)))

@@ -231,12 +231,14 @@ class _Counting:
 
         A rotor's mode is a statement and has to shorten the description of the data. One beyond the band only takes up
         what lies there: without it every figure is off by what it would have taken, so it is left out only where it may
-        well be nothing. Where few blocks tell the noise, chance gains more: as much more as the squares are larger.
+        well be nothing. What the highest line gains by it does not count: it could take up that line's error as no mode
+        within the band can. Where few blocks tell the noise, chance gains more: as much more as the squares are larger.
         """
+        if self.fits.beyond(more) > self.fits.beyond(fewer):
+            (without, n), (cost, _) = (self.fits.cost_before_the_end(f) for f in (fewer, more))
+            return bool(n * np.log(without / cost) / more.noise.inflation > BEYOND_GAIN)
         n = len(self.fits.residual(more))
         gain = n * np.log(self.fits.cost(fewer) / self.fits.cost(more)) / more.noise.inflation
-        if self.fits.beyond(more) > self.fits.beyond(fewer):
-            return bool(gain > BEYOND_GAIN)
         return bool(gain > (more.fit.n_free - fewer.fit.n_free) * np.log(n) + CLEAR)
 
     def _pays(self, now: Refined, more: Refined) -> bool:

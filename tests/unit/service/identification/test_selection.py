@@ -1,5 +1,7 @@
 """How many modes: what the search for their starts gets wrong is put right by the joint fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,10 @@ from service.identification.closed_loop import closed_loop_poles
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.fit import Options, split_knowledge, start_model
 from service.identification.flexible import PoleResidue
+from service.identification.joint import JointFits
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
-from service.identification.residuals import Data
+from service.identification.residuals import Data, noise_of
 from service.identification.selection import Selected, choose_modes
 from service.identification.staged import staged_fit
 from service.identification.start import joint_start, modes_from, with_modes
@@ -86,6 +89,37 @@ def test_modes_are_found_although_the_search_took_one_peak_for_three(
     many = with_modes(staged.rigid_model, modes_from(_split_peak(staged.rational.peaks), staged.rigid_model.ki))
     knowledge = split_knowledge(datasheet, Options())
     _is_the_truth(choose_modes(many, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge), truth["x"])
+
+
+def _lines_with_one_off(
+    datasheet: Datasheet, truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray], off: complex
+) -> Selected:
+    """What is chosen where the highest line is so many times its noise off, as one that had not settled is."""
+    peaks = [hz + np.linspace(-6, 6, 7) for hz in (492.6, 907.2)]
+    hz = np.unique(np.concatenate([np.geomspace(10, 997, 80), *peaks]))
+    data, plant, staged = _measured(datasheet, truth, controller, hz, 1)
+    points = data.plant
+    last = (points.omega == points.omega.max()) & (points.axis == 1)
+    y = points.Y.copy()
+    y[last] += off * noise_of(truth["x"], points, None).sigma[last, None, 2:] * np.array([1.0, -1.0])
+    data = replace(data, plant=replace(points, Y=y))
+    start = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
+    knowledge = replace(split_knowledge(datasheet, Options()), end_rad_s=float(points.omega.max()))
+    return choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
+
+
+def test_the_highest_line_alone_makes_no_mode_beyond_the_band(
+    datasheet: Datasheet,
+    truth: dict[str, PlaneModel],
+    controller: tuple[np.ndarray, np.ndarray],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _is_the_truth(_lines_with_one_off(datasheet, truth, controller, -5 - 5j), truth["x"])
+    # that it would: with the highest line's word a third mode is taken
+    monkeypatch.setattr(JointFits, "cost_before_the_end", lambda self, f: (self.cost(f), len(self.residual(f))))
+    found = _lines_with_one_off(datasheet, truth, controller, -5 - 5j).refined.model
+    assert found.layout.n_modes == 3
+    assert found.modes[-1, 0] > 2 * np.pi * 997
 
 
 def test_a_fit_that_ended_anywhere_is_told(

@@ -117,6 +117,25 @@ def test_without_it_the_damping_would_be_off(hasty: Sweep, monkeypatch: pytest.M
     assert abs(plane.modes[0].damping_ratio.value / TRUTH.damping_ratios[0] - 1) > 0.03
 
 
+def test_what_dies_within_the_first_block_is_taken_out_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop damps mode 2 with 60 1/s: in blocks of 0.05 s its start is in the first one alone."""
+    experiment = synthetic_experiment(run(0.05), axes=AXES)
+    found = identify(experiment, sheet()).planes["x"]
+    monkeypatch.setattr("service.identification.transient.GONE", 0.3)
+    left = identify(experiment, sheet()).planes["x"]
+    check(found)
+    now, before = (plane.modes[1].damping_ratio.std for plane in (found, left))
+    assert now < 0.7 * before
+    assert not any("Hz mode" in w and "500" not in w for w in found.warnings)  # nobody need do anything about it
+
+
+def test_what_lasts_is_not_taken_for_what_dies_within_the_first_block() -> None:
+    """Where both are large: the suspension at 15 Hz dies in a twentieth of a second, mode 1 rings on for half one."""
+    plane = identify(synthetic_experiment(run(0.05, seed=1), axes=AXES), sheet()).planes["x"]
+    check(plane)
+    assert any("500.5 Hz mode of the closed loop still rang" in w for w in plane.warnings)
+
+
 def test_settled_points_are_left_as_they_are() -> None:
     sweep = run(2.0, seed=1)
     found = fit_plane(sweep, None, None, AXES, "x", sheet())

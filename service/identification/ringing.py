@@ -1,0 +1,90 @@
+"""What a pole of the closed loop leaves in a point's blocks when a tone starts or follows another.
+
+See `service.identification.transient` for the formula.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from service.identification.closed_loop import Sampled, closed_loop_poles, companion, sampled
+from service.identification.plane_model import PlaneModel
+from service.identification.points import PlanePoints
+from service.identification.zoh import Complex, Real
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """One pole over the points: what a unit of it leaves in the first block, and how it goes on."""
+
+    start: Complex
+    """(P, c) before it is averaged over the first block."""
+    mean: Complex
+    """(P,) what averaging makes of it."""
+    powers: Complex
+    """(P, B)"""
+
+    @property
+    def trace(self) -> Complex:
+        """What is left in the first block, (P, c)."""
+        return self.mean[:, None] * self.start
+
+    def backwards(self) -> Ringing:
+        """The same with time reversed."""
+        return replace(self, powers=self.powers[:, ::-1].conj())
+
+
+@dataclass(frozen=True)
+class RingingPole:
+    """A pole and what it leaves, without what hangs on the length of the blocks."""
+
+    points: PlanePoints
+    away: Complex
+    """(P,) (p - jw) times the sample time."""
+    start: Complex
+    """(P, c) of a transient as large as a start from rest leaves it, before it is averaged over a block."""
+    sample_time_s: float
+
+    @classmethod
+    def of(cls, points: PlanePoints, model: PlaneModel, controller: tuple[Real, Real], pole: complex) -> RingingPole:
+        """For one pole."""
+        period, omega = model.known.sample_time_s, points.omega
+        system = _with_currents(model, sampled(model))
+        z = np.exp(pole * period)
+        at_pole = _transfer(system, np.array([z]))[0]
+        c = complex(np.polyval(controller[0], z) / np.polyval(controller[1], z))
+        _, _, vh = np.linalg.svd(np.eye(2) + c * at_pole[2:])
+        seen = (at_pole - _transfer(system, np.exp(1j * omega * period))) @ vh[-1].conj()
+        start = np.abs(points.r[np.arange(len(omega)), points.axis]) / np.abs(1j * omega - pole)
+        left = start[:, None] * (seen if points.I is not None else seen[:, 2:])
+        return cls(points, np.asarray((pole - 1j * omega) * period, dtype=np.complex128), left, period)
+
+    def ringing(self, block_s: Real) -> Ringing:
+        """For blocks of a length, (P,) s."""
+        turn = np.exp(self.away * (block_s / self.sample_time_s))
+        mean = (turn - 1.0) / (np.expm1(self.away) * block_s / self.sample_time_s)
+        powers = turn[:, None] ** np.arange(self.points.n_blocks)
+        return Ringing(self.start, np.asarray(mean, dtype=np.complex128), np.asarray(powers, dtype=np.complex128))
+
+
+def _with_currents(model: PlaneModel, loop: Sampled) -> Sampled:
+    """The same system with the sampled coil currents before the displacements among its outputs."""
+    seen = block_diag(*[companion(a.poles, a.dc_gain)[2] for a in model.amplifiers])
+    return replace(loop, C=np.vstack([np.pad(seen, ((0, 0), (0, len(loop.A) - seen.shape[1]))), loop.C]))
+
+
+def _transfer(system: Sampled, z: Complex) -> Complex:
+    inner = z[:, None, None] * np.eye(len(system.A)) - system.A
+    right = np.broadcast_to(system.B.astype(complex), (len(z), *system.B.shape))
+    return np.asarray(system.C @ np.linalg.solve(inner, right))
+
+
+def slow_poles(model: PlaneModel, controller: tuple[Real, Real], block_s: float, gone: float) -> list[complex]:
+    """Poles of the loop of which more than ``gone`` is left after a block, one of each pair, rad/s."""
+    z = closed_loop_poles(model, controller)
+    z = z[(np.abs(z) > 1e-6) & (np.abs(z) < 1.0) & (z.imag >= 0)]
+    s = np.log(z) / model.known.sample_time_s
+    return [complex(p) for p in s if np.exp(p.real * block_s) > gone]
