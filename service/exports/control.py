@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from service.exports.errors import ExportError
-from service.exports.linear import Linear, matrix
+from service.exports.linear import Linear, Part, matrix, of_result
+from service.output import read_document
+
+
+def control_of(result: str | Path, plane: str = "x", part: Part = "plant") -> Any:
+    """A plane of a commissioning as a ``control.StateSpace``, from its result.json.
+
+    Parameters
+    ----------
+    result
+        Path of the result.json.
+    plane
+        Its name there, x or y.
+    part
+        "plant": from coil currents i_xA, i_xB, A, to displacements y_xA, y_xB, m; "amplifiers": from control signals to
+        coil currents; "whole": one after the other. Continuous time; hold and delay of the controller are in none.
+
+    Raises
+    ------
+    ExportError
+        No such plane or part.
+    DocumentError
+        The file cannot be read, or is no commissioning result.
+    """
+    return to_control(of_result(read_document(Path(result), "amb-commissioning-result"), plane, part))
 
 
 def to_control(model: Linear) -> Any:

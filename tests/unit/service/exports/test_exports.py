@@ -9,13 +9,17 @@ import pytest
 import pyuff
 from scipy.io import loadmat
 
+from service.errors import DocumentError
 from service.exports import files, linear, responses
-from service.exports.control import from_control, to_control
+from service.exports.control import control_of, from_control, to_control
 from service.exports.errors import ExportError
 from service.identification.saved import saved_planes
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from service.output import json_text, write_text
 from sim.reference import reference_rig
 from tests.support.commissioned import AXES, LAW, SHEET, result
+
+ONE = np.ones(1)
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +52,37 @@ def test_whole_is_amplifiers_and_plant_in_series(plant):
     s = 2j * np.pi * 300.0
     np.testing.assert_allclose(whole(s), to_control(plant)(s) @ amplifiers(s), rtol=1e-9)
     assert whole.params["units"] == {"inputs": ["A", "A"], "outputs": ["m", "m"]}
+
+
+@pytest.fixture(scope="module")
+def result_json(tmp_path_factory):
+    return write_text(tmp_path_factory.mktemp("rig1") / "result.json", json_text(result()))
+
+
+def test_a_result_file_is_one_call_from_python_control(result_json):
+    """What an engineer does next: close the loop around the identified plant, and look at its poles."""
+    plant = control_of(str(result_json), "y")
+    assert (plant.input_labels, plant.output_labels) == (["i_yA", "i_yB"], ["y_yA", "y_yB"])
+    s = 2j * np.pi * 120.0
+    np.testing.assert_allclose(plant(s), saved_planes(result(), SHEET)["y"].model.plant_response(s.imag * ONE)[0])
+    spring = control.ss([], [], [], 3e4 * np.eye(2), inputs=["y_yA", "y_yB"], outputs=["i_yA", "i_yB"])
+    stiffer = control.feedback(plant, spring)
+    assert np.sum(plant.poles().real > 1) == 2
+    assert np.sum(stiffer.poles().real > 1) == 0  # a stiff current law lifts both rigid modes
+    np.testing.assert_allclose(
+        control_of(result_json, "x", "whole")(s),
+        control_of(result_json, "x")(s) @ control_of(result_json, "x", "amplifiers")(s),
+        rtol=1e-9,
+    )
+
+
+def test_a_plane_or_a_file_that_is_not_there_is_named(result_json, tmp_path):
+    with pytest.raises(ExportError, match="no plane 'z'; it has x, y"):
+        control_of(result_json, "z")
+    with pytest.raises(DocumentError, match=r"nowhere\.json"):
+        control_of(tmp_path / "nowhere.json", "x")
+    with pytest.raises(DocumentError, match="amb-commissioning-result"):
+        control_of(write_text(tmp_path / "other.json", '{"format": "amb-gap-report", "version": 1}'), "x")
 
 
 def test_scipy_reads_the_matlab_file(plant, tmp_path):
