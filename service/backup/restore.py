@@ -63,7 +63,7 @@ def restore(
         say("the store")
         blobs = Blobs(settings.store)
         for path in stored:
-            blobs.put_file(path)
+            blobs.put_file(path, repair=True)
         say("the databases")
         _own(database, settings.database, backup, held)
         migrate.upgrade(database)
@@ -215,18 +215,22 @@ def _settle(database: Database, jobs_url: str, cancel: bool) -> None:
 
 
 def _settle_engine(url: str) -> None:
+    table, schema = "workflow_status", None
     if kind_of(url) == "postgresql":
         url = "postgresql+psycopg:" + url.removeprefix("postgresql:")
-        table = f"{JOBS_SCHEMA}.workflow_status"
+        schema = JOBS_SCHEMA
     else:
-        table = "workflow_status"
         if (path := sqlite_file(url)) is None or not path.exists():
             return
     engine = create_engine(url)
     try:
         with engine.begin() as connection:
+            if not inspect(connection).has_table(table, schema=schema):
+                return  # no job was ever handed over
             states = ", ".join(f"'{state}'" for state in ENGINE_UNFINISHED)
-            statement: Any = text(f"UPDATE {table} SET status = 'CANCELLED' WHERE status IN ({states})")
+            statement: Any = text(
+                f"UPDATE {schema + '.' if schema else ''}{table} SET status = 'CANCELLED' WHERE status IN ({states})"
+            )
             connection.execute(statement)
     finally:
         engine.dispose()

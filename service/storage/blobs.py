@@ -15,14 +15,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from fsspec.core import url_to_fs
-from fsspec.implementations.local import LocalFileSystem
-
 from service.errors import NotFoundError, StorageError
+from service.storage.remote import answering, opened
 
 CHUNK = 1 << 20
 _CACHED_BYTES = 64 << 20
 _LARGEST_CACHED = 8 << 20
+_BUCKET = "make the bucket, or correct store_url"
 
 
 class Blobs:
@@ -31,7 +30,7 @@ class Blobs:
     Parameters
     ----------
     url
-        Folder or fsspec URL, such as ``s3://bucket/ambit``.
+        Folder or fsspec URL, such as ``s3://bucket/ambit``, see `service.storage.remote`.
 
     Raises
     ------
@@ -40,12 +39,8 @@ class Blobs:
     """
 
     def __init__(self, url: str) -> None:
-        try:
-            self._fs, self._root = url_to_fs(url)
-        except (ValueError, ImportError) as error:
-            remedy = "; pip install 'amb-commissioning[s3]'" if url.startswith("s3:") else ""
-            raise StorageError(f"cannot use the store {url}: {error}{remedy}") from error
-        self._local = isinstance(self._fs, LocalFileSystem)
+        self._fs, self._root, self._local = opened(url)
+        self._has_folders = not url.startswith("s3:")
         self._cache: OrderedDict[str, bytes] = OrderedDict()
         self._cached_bytes = 0
         self._lock = threading.Lock()
@@ -53,15 +48,24 @@ class Blobs:
     def _path(self, sha256: str) -> str:
         return f"{self._root}/{sha256[:2]}/{sha256}"
 
-    def put_file(self, path: Path) -> str:
-        """Keep a file; its SHA-256."""
+    def put_file(self, path: Path, repair: bool = False) -> str:
+        """Keep a file; its SHA-256. With ``repair``, one that is there and damaged is replaced."""
         digest = hashlib.sha256()
         with path.open("rb") as source:
             while chunk := source.read(CHUNK):
                 digest.update(chunk)
         sha256 = digest.hexdigest()
+        if repair and self.has(sha256) and not self._is_whole(sha256):
+            with answering("repair a file of", self._local):
+                self._fs.rm(self._path(sha256))
         self._keep(sha256, lambda target: _copy(path, target))
         return sha256
+
+    def _is_whole(self, sha256: str) -> bool:
+        digest = hashlib.sha256()
+        for chunk in self.chunks(sha256):
+            digest.update(chunk)
+        return digest.hexdigest() == sha256
 
     def put(self, content: bytes) -> str:
         """Keep bytes; their SHA-256."""
@@ -72,38 +76,48 @@ class Blobs:
     def _keep(self, sha256: str, write: Any) -> None:
         target = self._path(sha256)
         temporary = f"{self._root}/incoming/{sha256}.{secrets.token_hex(4)}"
-        try:
+        with answering("write to", self._local):
             if self._fs.exists(target):
                 return
-            self._fs.makedirs(temporary.rpartition("/")[0], exist_ok=True)
-            self._fs.makedirs(target.rpartition("/")[0], exist_ok=True)
-            with self._fs.open(temporary, "wb") as file:
-                write(file)
-                if self._local:
-                    file.flush()
-                    os.fsync(file.fileno())
-            self._fs.mv(temporary, target)
-        except OSError as error:
-            raise StorageError(f"cannot write to the store: {error}; free space, or check its address") from error
+            for path in (temporary, target):
+                self._make_folder(path.rpartition("/")[0])
+            try:
+                with self._fs.open(temporary, "wb") as file:
+                    write(file)
+                    if self._local:
+                        file.flush()
+                        os.fsync(file.fileno())
+                self._fs.mv(temporary, target)
+            except FileNotFoundError as error:
+                raise StorageError(f"cannot write to the store: {self._root} is not there; {_BUCKET}") from error
+
+    def _make_folder(self, path: str) -> None:
+        """Where there are folders. A bucket is never made: a misspelt one would be."""
+        if self._has_folders:
+            self._fs.makedirs(path, exist_ok=True)
 
     def names(self) -> Iterator[str]:
         """SHA-256 of everything in the store."""
-        try:
-            for path in self._fs.find(self._root):
-                folder, _, name = str(path).rpartition("/")
-                if len(name) == 64 and folder.endswith(f"/{name[:2]}"):
-                    yield name
-        except FileNotFoundError:
-            return
+        with answering("list", self._local):
+            try:
+                found = self._fs.find(self._root)
+            except FileNotFoundError:
+                return
+        for path in found:
+            folder, _, name = str(path).rpartition("/")
+            if len(name) == 64 and folder.endswith(f"/{name[:2]}"):
+                yield name
 
     def has(self, sha256: str) -> bool:
         """Whether the content is there."""
-        return bool(self._fs.exists(self._path(sha256)))
+        with answering("look into", self._local):
+            return bool(self._fs.exists(self._path(sha256)))
 
     def size(self, sha256: str) -> int:
         """Bytes of a content."""
         try:
-            return int(self._fs.size(self._path(sha256)))
+            with answering("look into", self._local):
+                return int(self._fs.size(self._path(sha256)))
         except FileNotFoundError as error:
             raise _missing(sha256) from error
 
@@ -121,15 +135,18 @@ class Blobs:
         ------
         NotFoundError
             It is not there.
+        StorageError
+            It is damaged, or the store does not answer.
         """
         if (found := self.at_hand(sha256)) is not None:
             return found
         try:
-            content: bytes = self._fs.cat_file(self._path(sha256))
+            with answering("read from", self._local):
+                content: bytes = self._fs.cat_file(self._path(sha256))
         except FileNotFoundError as error:
             raise _missing(sha256) from error
-        except OSError as error:
-            raise StorageError(f"cannot read from the store: {error}") from error
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise _damaged(sha256)
         self._remember(sha256, content)
         return content
 
@@ -153,34 +170,56 @@ class Blobs:
             It is not there.
         """
         try:
-            with self._fs.open(self._path(sha256), "rb") as file:
-                while chunk := file.read(CHUNK):
+            with answering("read from", self._local):
+                file = self._fs.open(self._path(sha256), "rb")
+            with file:
+                while chunk := self._piece(file):
                     yield chunk
         except FileNotFoundError as error:
             raise _missing(sha256) from error
 
+    def _piece(self, file: BinaryIO) -> bytes:
+        with answering("read from", self._local):
+            return file.read(CHUNK)
+
     def fetch(self, sha256: str, to: Path) -> Path:
-        """Copy a content into a file of this machine."""
+        """Copy a content into a file of this machine; `StorageError` when it is not what its name says."""
         temporary = to.with_name(f".{to.name}.{secrets.token_hex(4)}")
         to.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as target:
-            for chunk in self.chunks(sha256):
-                target.write(chunk)
-        os.replace(temporary, to)
+        digest = hashlib.sha256()
+        try:
+            with temporary.open("wb") as target:
+                for chunk in self.chunks(sha256):
+                    digest.update(chunk)
+                    target.write(chunk)
+            if digest.hexdigest() != sha256:
+                raise _damaged(sha256)
+            os.replace(temporary, to)
+        finally:
+            temporary.unlink(missing_ok=True)
         return to
 
     def check(self) -> None:
         """Raise `StorageError` when the store does not answer."""
-        try:
-            self._fs.makedirs(self._root, exist_ok=True)
-            self._fs.ls(self._root, refresh=True) if not self._local else self._fs.exists(self._root)
-        except Exception as error:  # whatever a remote file system raises
-            raise StorageError(f"the store does not answer: {error}") from error
+        with answering("use", self._local):
+            if self._has_folders:
+                self._fs.makedirs(self._root, exist_ok=True)
+                self._fs.exists(self._root) if self._local else self._fs.ls(self._root, refresh=True)
+                return
+            bucket = self._root.partition("/")[0]
+            try:
+                self._fs.call_s3("head_bucket", Bucket=bucket)
+            except FileNotFoundError as error:
+                raise StorageError(f"cannot use the store: there is no bucket {bucket}; {_BUCKET}") from error
 
 
 def _copy(path: Path, target: BinaryIO) -> None:
     with path.open("rb") as source:
         shutil.copyfileobj(source, target, CHUNK)
+
+
+def _damaged(sha256: str) -> StorageError:
+    return StorageError(f"the file {sha256} of the store is damaged; restore it from the backup")
 
 
 def _missing(sha256: str) -> NotFoundError:
