@@ -148,6 +148,8 @@ def _show(document: dict[str, Any], files: dict[str, Path], as_json: bool) -> No
         return
     console = stdout()
     console.print(("ALARM: " if document["alarm"] else "") + document["sentence"], soft_wrap=True)
+    for note in document.get("notes", []):
+        console.print(f"note: {note}", soft_wrap=True)
     console.print(_table(document))
     for name, path in files.items():
         console.print(f"{name}: {path}", soft_wrap=True)
