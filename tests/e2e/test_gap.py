@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim import datasheet
+from sim import rig_file
 from tests.support.browser import BROWSER, opened
 from tests.support.command import Running, ambit, refusal, wait_until
 
@@ -57,7 +57,7 @@ def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
     done = ambit("gap", "apply", out / "gap.json", "--rig", case / "rig.toml", "--out", twin)
     assert done.returncode == 0, done.stderr
     assert "loop_delay" in done.stdout
-    assert [name for name, _ in datasheet.read(twin).effects] == ["loop_delay"]
+    assert [name for name, _ in rig_file.read(twin).effects] == ["loop_delay"]
     again = ambit("gap", "diagnose", case / "experiment.h5", "--rig", twin, "--out", tmp_path, "--json", timeout_s=280)
     assert json.loads(again.stdout)["verdict"]["kind"] == "no_gap", again.stderr
     assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from sim import datasheet
+from sim import rig_file
 from sim.reference import reference_datasheet
 from tests.support.command import AMBIT, ENVIRONMENT, ambit, refusal
 
@@ -106,5 +106,5 @@ def test_a_reader_that_leaves_ends_no_one_in_a_traceback():
 def test_the_datasheet_of_the_reference_rig(tmp_path):
     done = ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
     assert done.returncode == 0
-    assert datasheet.read(tmp_path / "rig.toml") == reference_datasheet()
+    assert rig_file.read(tmp_path / "rig.toml") == reference_datasheet()
     assert ambit("rig", "datasheet").stdout == (tmp_path / "rig.toml").read_text()

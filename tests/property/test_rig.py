@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim import actuator, datasheet, rotor
+from sim import actuator, rig_file, rotor
 from sim.datasheet import AXES, Datasheet, Mode, Tolerance
 from sim.effects import CATALOGUE
 from sim.errors import EffectError, LevitationError
@@ -68,7 +68,7 @@ def datasheets(draw: st.DrawFn) -> Datasheet:
 
 @given(datasheets())
 def test_any_datasheet_survives_the_round_trip_and_makes_a_rig(sheet):
-    assert datasheet.parse(datasheet.to_toml(sheet)) == sheet
+    assert rig_file.parse(rig_file.to_toml(sheet)) == sheet
     rig = rig_from_datasheet(replace(sheet, effects=()))
     assert rig.magnets.ki.tolist() == list(sheet.current_stiffness_n_per_a)
     assert rig.n_planes == sheet.n_axes // 2
