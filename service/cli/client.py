@@ -80,7 +80,10 @@ def watch(
     ca: Ca = None,
     as_json: Json = False,
 ) -> None:
-    """Watch a job until it has ended; Ctrl-C ends the watching, not the job."""
+    """Watch a job until it has ended and tell what it found; Ctrl-C ends the watching, not the job.
+
+    Exit status 1 where the job failed or was cancelled, with the reason.
+    """
     with client(url, key, ca) as ambit:
         _finish(ambit, ambit.jobs.get(job), out, as_json)
 
@@ -178,6 +181,7 @@ def _rig(ambit: Client, given: str, controller: str | None) -> Rig:
 
 def _finish(ambit: Client, job: Job, out: Path | None, as_json: bool) -> None:
     """Watch a job to its end, fetch what it made, and fail where it failed."""
+    from service.cli.verdict import verdict
     from service.client.jobs import must_be_done
 
     try:
@@ -197,6 +201,8 @@ def _finish(ambit: Client, job: Job, out: Path | None, as_json: bool) -> None:
             print(f"{kind}: {made}")
         if "model" in ended.result:
             print(f"report: {ambit.report_address(ended)}")
+        if found := verdict(ambit, ended):
+            print(found)
 
 
 def _watched(ambit: Client, job: Job) -> Job:

@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+_WHOLE = 10_000
+
+
 def stderr() -> Console:
     """Console for progress and remarks."""
     from rich.console import Console
@@ -17,10 +20,10 @@ def stderr() -> Console:
 
 
 def stdout() -> Console:
-    """Console for results that a person reads."""
+    """Console for results that a person reads; into a pipe or a file nothing is cut to the width of a terminal."""
     from rich.console import Console
 
-    return Console(highlight=False)
+    return Console(highlight=False, width=None if sys.stdout.isatty() else _WHOLE)
 
 
 def say(text: str) -> None:
