@@ -8,10 +8,11 @@ import * as tables from "./tables.js";
 export async function rig(id, context) {
   const signal = context.signal;
   const of = "?rig=" + encodeURIComponent(id);
-  const [found, jobs, models, gaps, checks, trend, schedules] = await Promise.all([
+  const [found, jobs, models, gaps, checks, trend, schedules, experiments] = await Promise.all([
     get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&limit=1", signal),
     get("/gaps" + of + "&limit=1", signal), get("/health-checks" + of + "&limit=1", signal),
     get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
+    get("/experiments" + of + "&limit=200", signal),
   ]);
   const names = new Map([[id, found.name]]);
   return [
@@ -21,7 +22,7 @@ export async function rig(id, context) {
     actions(found, context),
     section("Jobs", tables.jobs(jobs.items, names, context)),
     section("Model", ...(await model(models.items[0], context))),
-    section("Gap between rig and twin", ...(await gap(gaps.items[0], context))),
+    section("Gap between rig and twin", ...(await gap(gaps.items[0], context)), diagnose(found, experiments.items, context)),
     section("Health", ...health(checks.items[0], trend, context)),
     section("Schedules", ...(await schedule(schedules.items, context))),
   ];
@@ -48,15 +49,16 @@ function live(found, context) {
   return place;
 }
 
+const submit = (kind, about, context) => () => context.doing(async () => {
+  const job = await post("/jobs", { kind, ...about });
+  location.hash = "#/job/" + job.id;
+});
+
 function actions(found, context) {
   if (!found.controller_url || found.retired_at) return "";
-  const submit = (kind, options) => () => context.doing(async () => {
-    const job = await post("/jobs", { kind, rig: found.id, options });
-    location.hash = "#/job/" + job.id;
-  });
   return h("p", { class: "row" },
-    h("button", { onclick: submit("experiment", {}) }, "Commission"),
-    h("button", { onclick: submit("health", {}) }, "Check health"),
+    h("button", { onclick: submit("experiment", { rig: found.id }, context) }, "Commission"),
+    h("button", { onclick: submit("health", { rig: found.id }, context) }, "Check health"),
     h("button", { class: "danger", onclick: () => context.doing(() => post("/rigs/" + found.id + "/stop")) }, "Stop the excitation"));
 }
 
@@ -100,8 +102,16 @@ async function model(found, context) {
   ];
 }
 
+function diagnose(found, experiments, context) {
+  const whole = experiments.find((e) => e.complete && e.purpose === "commissioning"); // the newest
+  if (!whole || found.retired_at) return "";
+  return h("p", { class: "row" },
+    h("button", { class: "diagnose", onclick: submit("gap", { rig: found.id, experiment: whole.id }, context) }, "Diagnose the gap"),
+    h("span", { class: "about" }, "of the experiment of ", when(whole.created_at)));
+}
+
 async function gap(found, context) {
-  if (!found) return [nothing("Not diagnosed yet: submit a gap job for an experiment.")];
+  if (!found) return [nothing("Not diagnosed yet.")];
   const document = await get("/gaps/" + found.id + "/gap.json", context.signal);
   const verdict = document.verdict;
   const place = h("div", { class: "plot gap", id: "gap" });

@@ -1,6 +1,6 @@
 // Tables of jobs, alive: each running one is watched by its events.
 
-import { documentLink, events, post } from "./api.js";
+import { documentLink, events, get, post } from "./api.js";
 import { duration, h, nothing, state, table, when } from "./dom.js";
 
 const WATCHED = 3; // a browser opens six connections to a server; the page itself needs some
@@ -66,7 +66,12 @@ function retry(job, context) {
 
 export async function job(found, names, context) {
   const place = h("div", {});
-  const show = (now) => place.replaceChildren(
+  const told = h("div", {});
+  const show = (now) => {
+    if (now.state === "done" && now.result.gap) context.doing(() => diagnosed(now.result.gap, told, context));
+    draw(now);
+  };
+  const draw = (now) => place.replaceChildren(
     h("p", { class: "lead " + { failed: "bad", cancelled: "warn" }[now.state] }, state(now.state), " ", progress(now)),
     now.error ? h("p", { class: "note" }, now.error.detail) : "",
     table(["", ""], [
@@ -83,7 +88,13 @@ export async function job(found, names, context) {
   );
   show(found);
   if (ACTIVE.includes(found.state)) events("/jobs/" + found.id + "/events", show, context.signal);
-  return [h("h2", {}, "Job ", h("span", { class: "small" }, found.id)), place];
+  return [h("h2", {}, "Job ", h("span", { class: "small" }, found.id)), told, place];
+}
+
+async function diagnosed(id, place, context) {
+  const { verdict } = await get("/gaps/" + id + "/gap.json", context.signal);
+  place.replaceChildren(h("p", { class: "lead" }, verdict.sentence || verdict.kind),
+    h("p", { class: "about" }, documentLink("/gaps/" + id + "/report.html", "report of the diagnosis", "gap.html")));
 }
 
 function results(now) {

@@ -70,9 +70,10 @@ def ids(service: Serving) -> dict[str, str]:
             summary=model_summary(commissioned.document()), **common,
         )  # fmt: skip
         session.add(model)
+        gap = new_id("gap")
         session.add(
             GapRow(
-                id=new_id("gap"), rig_id=rig.id, experiment_id=experiment.id, created_by="local",
+                id=gap, rig_id=rig.id, experiment_id=experiment.id, created_by="local",
                 gap_sha256=blobs.put(json.dumps(GAP).encode()), report_sha256=blobs.put(b""),
                 summary={"verdict": "effect", "gap_before": 0.12, "noise_floor": 0.001, "closure": 0.98}, **common,
             )
@@ -99,7 +100,8 @@ def ids(service: Serving) -> dict[str, str]:
         running, ended = (jobs.submit(session, "identification", rig.id, 1, "laptop") for _ in range(2))
         running.state, ended.state = jobs.RUNNING, jobs.FAILED
         ended.error_title, ended.error_detail = "too few points", "plane x: 3 usable points"
-        return {"rig": rig.id, "running": running.id, "failed": ended.id}
+        made = {"experiment": experiment.id, "gap": gap}
+        return {"rig": rig.id, "running": running.id, "failed": ended.id, **made}
 
 
 def _checks() -> list[dict]:
@@ -220,6 +222,25 @@ def test_cancel_on_the_page_asks_the_service(service, ids):
         page.until("document.querySelector('.state.cancelled')", 10)
     with service.services.database.read() as session:
         assert jobs.get(session, job).state == jobs.CANCELLED
+
+
+@needs_browser
+def test_the_gap_is_diagnosed_from_the_page_and_told_there(service, ids):
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{ids['rig']}")
+        page.until("document.querySelector('button.diagnose')")
+        page.run("document.querySelector('button.diagnose').click()")
+        page.until("location.hash.startsWith('#/job/') && document.querySelector('.state.queued')")
+        made = page.run("location.hash").removeprefix("#/job/")
+        with service.services.database.write() as session:
+            job = jobs.get(session, made)
+            assert (job.kind, job.rig_id, job.experiment_id) == ("gap", ids["rig"], ids["experiment"])
+            job.state, job.result, job.ended_at = jobs.DONE, {"gap": ids["gap"]}, now()
+            job.changes += 1
+        page.until(f"document.body.innerText.includes({json.dumps(GAP['verdict']['sentence'])})", 10)
+        link = "[...document.querySelectorAll('a')].find((a) => a.textContent === 'report of the diagnosis')"
+        assert httpx.get(page.run(f"{link}.href")).status_code == 200
+        assert page.complaints == []
 
 
 @needs_browser
