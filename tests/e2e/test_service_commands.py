@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import select
 import subprocess
 import time
@@ -11,7 +12,11 @@ import numpy as np
 import pytest
 
 from service.experiment import file
+from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from sim.reference import reference_rig
 from tests.support import command
+from tests.support.commissioned import AXES, LAW
+from tests.support.processes import ROOT
 from tests.support.service import QUICK, SLOW, reference_sheet, rig_device, service
 
 PROFILE = f"profile={json.dumps(QUICK)}"
@@ -96,6 +101,22 @@ def test_measured_identified_and_fetched_by_one_command(ambit, running, sheet, t
     assert (tmp_path / "again" / "result.json").exists()
     fetched = json.loads(ambit("fetch", job, "--out", tmp_path / "third", "--json").stdout)
     assert set(fetched["files"]) == {"datasheet", "experiment", "result", "report"}
+
+
+def test_the_readme_s_calls_of_the_main_job_by_http(running, tmp_path):
+    """As they stand there, but for the address; needs nothing but curl."""
+    readme = (ROOT / "README.md").read_text()
+    (calls,) = re.findall(r"```sh\n(api=http.*?)```", readme, re.DOTALL)
+    assert calls.count("curl") > 4
+    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    sweep = synthetic_sweep(models, AXES, LAW, np.geomspace(10, 1000, 40), 0.05, seed=1)
+    file.write(tmp_path / "experiment.h5", synthetic_experiment(sweep, axes=AXES))
+    (tmp_path / "rig.toml").write_text(reference_sheet())
+    script = "set -eu\n" + calls.replace("http://127.0.0.1:8311", running.api.said)
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert '"state":"done"' in done.stdout.replace(" ", "")
+    assert json.loads((tmp_path / "result.json").read_text())["format"] == "amb-commissioning-result"
 
 
 def test_a_rig_whose_controller_plays_waveforms_is_measured_by_multisines(ambit, running, sheet, tmp_path):
