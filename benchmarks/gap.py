@@ -1,13 +1,17 @@
 """Scores of the gap diagnosis: the practice cases where they are at hand, rigs of another program, a blind trial.
 
 `python benchmarks/gap.py [--practice DIR] [--foreign N or DIR] [--trial N] [--seed S] [--jobs J]`. Every part prints
-verdicts as they come, scores and the time that a diagnosis took; 0 leaves a part out.
+verdicts as they come, scores and the time that a diagnosis took; 0 leaves a part out. `--alone` has the practice cases
+diagnosed one after the other, each by a command of its own on all ``--jobs`` cores as a user would, and nothing else:
+the time from its start until its report is written.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterable
@@ -46,6 +50,31 @@ def diagnosed(folder: Path) -> tuple[dict[str, Any], dict[str, Any], float]:
     start = time.perf_counter()
     report = json.loads(json.dumps(diagnose(experiment, datasheet).to_dict()))
     return json.loads((folder / "truth.json").read_text()), report, time.perf_counter() - start
+
+
+def commanded(folder: Path, out: Path, jobs: int) -> tuple[dict[str, Any], float]:
+    """What `ambit gap diagnose` writes on a case folder, and the seconds that the whole command took."""
+    words = [sys.executable, "-m", "service", "gap", "diagnose", str(folder / "experiment.h5")]
+    words += ["--rig", str(folder / "rig.toml"), "--out", str(out), "--jobs", str(jobs)]
+    start = time.perf_counter()
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    return json.loads((out / "gap.json").read_text()), time.perf_counter() - start
+
+
+def alone(folders: list[Path], out: Path, jobs: int) -> None:
+    """Print the wall time of one diagnosis at a time."""
+    took, right = [], 0
+    for k, folder in enumerate(folders):
+        report, seconds = commanded(folder, out / folder.name, jobs)
+        o = outcome(k, json.loads((folder / "truth.json").read_text()), report, seconds)
+        took, right = [*took, seconds], right + o.right
+        verdict = " + ".join(o.named) or o.verdict["kind"]
+        print(f"{folder.name} {'ok   ' if o.right else 'WRONG'} {verdict:38s} {seconds:5.1f} s", flush=True)
+    took.sort()
+    print(
+        f"-- {right} of {len(took)} right; one diagnosis, start and report included, on {jobs} processes: "
+        f"median {took[len(took) // 2]:.1f} s, longest {took[-1]:.1f} s"
+    )
 
 
 def outcome(number: int, truth: dict[str, Any], report: dict[str, Any], seconds: float) -> Outcome:
@@ -132,9 +161,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=2024)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder of what is made; a temporary one when not given")
+    parser.add_argument("--alone", action="store_true", help="time the practice diagnoses one by one, nothing else")
     args = parser.parse_args()
     out = args.out or Path(tempfile.mkdtemp(prefix="gap-"))
     practice = sorted(Path(args.practice).glob("*/truth.json")) if args.practice != "0" else []
+    if args.alone:
+        if not practice:
+            parser.error(f"no practice cases in {args.practice}")
+        alone([p.parent for p in practice], out / "alone", args.jobs)
+        return
     if practice:
         print("== practice cases")
         shown("practice", score(run_folder([p.parent for p in practice], args.jobs)))
