@@ -23,6 +23,8 @@ PLAY_WEIGHTS_A = np.diff(_PLAY_EDGES_A)
 def saturated(m: Magnets, current_a: Array) -> Array:
     """Magnetically effective control current, i_s tanh(i / i_s), limited to the amplifier's current limit."""
     i = np.clip(current_a, -m.current_limit_a, m.current_limit_a)
+    if np.all(np.isinf(m.saturation_current_a)):
+        return i
     with np.errstate(invalid="ignore"):
         limited = m.saturation_current_a * np.tanh(i / m.saturation_current_a)
     return np.where(np.isinf(m.saturation_current_a), i, limited)
@@ -35,9 +37,13 @@ def force(m: Magnets, current_a: Array, displacement_m: Array) -> Array:
     current (Schweitzer and Maslen, Magnetic Bearings, 2009, eq. 4.3). A pole that saturates by its flux pulls less,
     1 / (1 + (B/Bs)^n), relative to its pull at the bias.
     """
-    s0, i0 = m.gap_m, m.bias_current_a
+    return pull(m, saturated(m, current_a), displacement_m)
+
+
+def pull(m: Magnets, effective_a: Array, displacement_m: Array) -> Array:
+    """`force` of a magnetically effective current, N, (..., n): what `saturated` makes of the coil's."""
+    s0, i0, i = m.gap_m, m.bias_current_a, effective_a
     k = m.ki * s0**2 / (4 * i0)
-    i = saturated(m, current_a)
     x = displacement_m + m.offset_m
     upper = np.maximum(i0 + i, 0.0) / (s0 - x)
     lower = np.maximum(i0 - i, 0.0) / (s0 + x)

@@ -9,6 +9,7 @@ weakly nonlinear, so a few rounds converge.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,19 +40,21 @@ class Answer:
 
 def _samples(X: Complex, harmonics: tuple[int, ...], n_time: int) -> Array:
     """Time samples over one period of sum Re(X_h exp(j h wt)), X (P, H, n) -> (P, n_time, n)."""
-    basis = np.exp(2j * np.pi * np.outer(np.arange(n_time), harmonics) / n_time)
+    basis = np.exp(2j * np.pi * np.outer(harmonics, np.arange(n_time)) / n_time)
     P, H, n = X.shape
-    parts = X.transpose(0, 2, 1).reshape(-1, H)
-    real = parts.real @ basis.real.T - parts.imag @ basis.imag.T
-    return np.asarray(real.reshape(P, n, n_time).transpose(0, 2, 1))
+    parts = np.ascontiguousarray(X.transpose(2, 0, 1), dtype=complex).view(float).reshape(n * P, 2 * H)
+    real_and_imag = np.stack([basis.real, -basis.imag], axis=1).reshape(2 * H, n_time)
+    # Axes outermost in memory: what an axis's own values are applied to lies in one piece.
+    return np.asarray((parts @ real_and_imag).reshape(n, P, n_time).transpose(1, 2, 0))
 
 
 def _amplitudes(x: Array, harmonics: tuple[int, ...]) -> Complex:
     """Complex amplitudes of time samples (P, n_time, n) -> (P, H, n)."""
-    n_time = x.shape[1]
+    P, n_time, n = x.shape
     scale = np.where(np.array(harmonics) == 0, 1.0, 2.0) / n_time
-    basis = np.exp(-2j * np.pi * np.outer(harmonics, np.arange(n_time)) / n_time) * scale[:, None]
-    return np.asarray(basis @ x)
+    basis = np.exp(-2j * np.pi * np.outer(np.arange(n_time), harmonics) / n_time) * scale
+    parts = np.ascontiguousarray(x.transpose(2, 0, 1)).reshape(n * P, n_time) @ basis.view(float)
+    return np.asarray(parts.view(complex).reshape(n, P, len(harmonics)).transpose(1, 2, 0))
 
 
 class Responder:
@@ -134,9 +137,9 @@ class Responder:
         x_linear = self._at_points(m.bearing_per_u, U_eff)
         force = np.zeros_like(x_linear)
         y_linear = self._at_points(m.y_per_u, U_eff)
-        x, Y = x_linear, y_linear
+        x, Y, drawn = x_linear, y_linear, self._drawn(flux)
         for _ in range(rounds or (3 if seen is not None else 6 if self._strongly else 3)):
-            force = self._beyond_linear(flux, x if seen is None else x + self._from_sensors(seen - Y))
+            force = self._beyond_linear(drawn, x if seen is None else x + self._from_sensors(seen - Y))
             x = x_linear + self._at_points(m.bearing_per_force, force)
             Y = y_linear + self._at_points(m.y_per_force, force)
         return Answer(current, self._static_real(Y))
@@ -147,14 +150,21 @@ class Responder:
         It corrects a displacement that the model has but for the force in question, so flexibility may be left out;
         the mean is left to the model, as no sensor knows its own zero.
         """
+        own, to_bearings = self._sensed
+        at_sensor = Y * own
+        if self.harmonics[0] == 0:
+            at_sensor[:, 0] = 0.0
+        return np.asarray(at_sensor @ to_bearings)
+
+    @cached_property
+    def _sensed(self) -> tuple[Complex, Array]:
+        """Displacement per signal of each sensor, (P, H, n), and displacements at the sensors -> at the bearings."""
         rotor, n = self.rig.rotor, self.rig.n_axes
         (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
         plane = np.array([[1.0, a], [1.0, -b]]) @ np.linalg.inv([[1.0, sa], [1.0, -sb]])
         own = 1 / sensor.response(self.rig.sensors, self._omega)  # (H F, n)
-        at_sensor = Y * own.reshape(len(self.harmonics), -1, n)[:, self.line].transpose(1, 0, 2)
-        if self.harmonics[0] == 0:
-            at_sensor[:, 0] = 0.0
-        return np.asarray(at_sensor @ np.kron(np.eye(n // 2), plane).T)
+        own = own.reshape(len(self.harmonics), -1, n)[:, self.line].transpose(1, 0, 2)
+        return own, np.kron(np.eye(n // 2), plane).T
 
     def _static_real(self, X: Complex) -> Complex:
         if self.harmonics[0] == 0:
@@ -162,24 +172,33 @@ class Responder:
             X[:, 0] = X[:, 0].real
         return X
 
-    def _beyond_linear(self, flux: Complex, x: Complex) -> Complex:
-        """Bearing force beyond the linear one, on the rotor, (P, H, n)."""
-        rig, point, h = self.rig, self._point, self.harmonics
+    def _drawn(self, flux: Complex) -> tuple[Array, Array]:
+        """Current that makes flux over a period, and what of it is magnetically effective, (P, T, n) each."""
+        rig, h = self.rig, self.harmonics
         plays = np.any(rig.magnets.hysteresis_rad > 0)
         n_time = 64 if plays and rig.magnets.hysteresis_width_a else 32 if self._strongly else 16
-        i_t = _samples(flux, h, n_time) + point.current_a
-        x_t = _samples(x, h, n_time)
+        i_t = _samples(flux, h, n_time) + self._point.current_a
         effective = i_t
         if plays and rig.magnets.hysteresis_width_a:
             effective = i_t + actuator.play_share(rig.magnets) * periodic.play(i_t, rig.magnets.hysteresis_width_a)
         elif plays:
             effective = self._rayleigh(actuator.rayleigh_coefficient(rig.magnets), i_t)
-        total = actuator.force(rig.magnets, effective, x_t)
+        return i_t, actuator.saturated(rig.magnets, effective)
+
+    def _beyond_linear(self, drawn: tuple[Array, Array], x: Complex) -> Complex:
+        """Bearing force beyond the linear one, on the rotor, (P, H, n), of what `_drawn` gives at a displacement."""
+        rig, point, h = self.rig, self._point, self.harmonics
+        i_t, effective = drawn
+        x_t = _samples(x, h, i_t.shape[1])
+        total = actuator.pull(rig.magnets, effective, x_t)
         if rig.drift and self.progress is not None:
             passed = rig.drift.progress(self.progress)[:, None, None]
             ki, ks = 1 + rig.drift.ki_change * passed, rig.drift.ks_change * passed
             total = ki * total + (ks - (ki - 1)) * point.ks * x_t
-        excess = (total - point.ki * (i_t - point.current_a) - point.ks * x_t) @ force_rotation(rig).T + point.load_n
+        excess = total - point.ki * (i_t - point.current_a) - point.ks * x_t
+        if rig.magnets.cross_coupling_rad or rig.magnets.cross_coupling_symmetric:
+            excess = excess @ force_rotation(rig).T
+        excess = excess + point.load_n
         if rig.contact:
             above, below = actuator.stop_stiffness(rig.contact)
             depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)

@@ -118,11 +118,13 @@ def receptances(m: Mechanics, omega_rad_s: Array) -> tuple[Complex, Complex]:
     Modal sums where the matrices are diagonal (no support coupling by inertia, no turning), a solve otherwise.
     """
     s = 1j * np.asarray(omega_rad_s, dtype=float)
-    diagonal = all(not np.any(a - np.diag(np.diag(a))) for a in (m.mass, m.damping, m.stiffness))
+    diagonal = all(np.count_nonzero(a) == np.count_nonzero(a.diagonal()) for a in (m.mass, m.damping, m.stiffness))
     if diagonal:
-        dynamic = np.diag(m.mass) * s[:, None] ** 2 + np.diag(m.damping) * s[:, None] + np.diag(m.stiffness)  # (F, q)
-        q: Complex = m.force_map[None] / dynamic[:, :, None]
-    else:
-        full = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + m.stiffness
-        q = np.asarray(np.linalg.solve(full, np.broadcast_to(m.force_map + 0j, (len(s), *m.force_map.shape))))
+        dynamic = m.mass.diagonal() * s[:, None] ** 2 + m.damping.diagonal() * s[:, None] + m.stiffness.diagonal()
+        n = m.bearing_map.shape[0]
+        maps = np.concatenate([m.bearing_map, m.sensor_map]).T[:, :, None] * m.force_map[:, None, :]  # (q, 2 n, n)
+        both = ((1 / dynamic) @ maps.reshape(len(maps), -1)).reshape(len(s), 2, n, n)
+        return both[:, 0], both[:, 1]
+    full = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + m.stiffness
+    q = np.linalg.solve(full, np.broadcast_to(m.force_map + 0j, (len(s), *m.force_map.shape)))
     return np.asarray(m.bearing_map @ q), np.asarray(m.sensor_map @ q)

@@ -178,40 +178,63 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     cross = rig.amplifiers.crosstalk
     mechanics = rotor.mechanics(rig)
     at_bearings, at_sensors = rotor.receptances(mechanics, omega)
-    point = actuator.operating_point(rig)
-    rotation = force_rotation(rig)
-    eddy = actuator.eddy_factor(rig.magnets, omega)
+    point, rotation, n = actuator.operating_point(rig), force_rotation(rig), rig.n_axes
+    w = omega + 2 * np.pi / period * np.array([[0.0], [-1.0], [1.0]])  # the tone and its first images, (3, F)
+    own, eddy, seen = (
+        x.reshape(*w.shape, n)
+        for x in (
+            _held(rig.amplifiers, period, delay, w.ravel()),
+            actuator.eddy_factor(rig.magnets, w.ravel()),
+            sensor.response(rig.sensors, w.ravel()),
+        )
+    )
+    # An axis's own factors scale columns; to mix axes takes a product of matrices, left out where nothing is mixed.
+    per_current = point.ki * eddy  # force per baseband current, before it is turned
+    per_control = per_current * own
 
-    stiffness = rotation * point.ks  # R Ks
-    closed = np.linalg.inv(np.eye(rig.n_axes) - stiffness @ at_bearings)  # all bearing force per external force
-    y_per_force = sensor.response(rig.sensors, omega)[:, :, None] * (at_sensors @ closed)
+    stiffness = _mixed_from(rotation, point.ks[:, None] * at_bearings)
+    closed = np.linalg.inv(np.eye(n) - stiffness)  # all bearing force per external force
+    y_per_force = seen[0, :, :, None] * (at_sensors @ closed)
     bearing_per_force = at_bearings @ closed
-    magnet = rotation * (point.ki * eddy)[:, None, :]  # force per baseband current
-    plant = y_per_force @ magnet
-
-    def baseband(w: Array) -> Complex:
-        per_axis = amplifier.continuous(rig.amplifiers, w) * np.exp(-1j * w[:, None] * delay)
-        return np.asarray((per_axis * amplifier.hold(w, period)[:, None])[:, :, None] * cross)
-
-    base = baseband(omega)
-    y_per_u = plant @ base
+    y_per_magnet = _mixed(y_per_force, rotation)
+    y_per_u = y_per_magnet * per_control[0, :, None, :]
     limit = mechanics.high_frequency @ rotation
-    for k in (-1, 1):
-        w = omega + k * 2 * np.pi / period
-        gain = sensor.response(rig.sensors, w) / -(w**2)[:, None]
-        image = limit * (point.ki * actuator.eddy_factor(rig.magnets, w))[:, None, :]
-        y_per_u = y_per_u + gain[:, :, None] * image @ baseband(w)
+    for k in (1, 2):
+        gain = seen[k] / -(w[k] ** 2)[:, None]
+        y_per_u += limit * gain[:, :, None] * per_control[k, :, None, :]
+    base = own[0, :, :, None] * cross
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
     return LinearModel(
         omega,
         current_per_control(rig, frequency_hz),
-        y_per_u * logged_early,
-        plant,
+        _mixed(y_per_u, cross) * logged_early,
+        y_per_magnet * per_current[0, :, None, :],
         base,
         control_law.response(rig.controller, omega),
-        eddy[:, :, None] * base,
-        bearing_per_force @ magnet @ base,
+        eddy[0, :, :, None] * base,
+        _mixed(_mixed(bearing_per_force, rotation) * per_control[0, :, None, :], cross),
         bearing_per_force,
         y_per_force,
         logged_early[:, 0, 0],
     )
+
+
+@remembered(32)
+def _held(amplifiers: Amplifiers, sample_time_s: float, delay_s: Array, omega_rad_s: Array) -> Complex:
+    """Component at a frequency of each axis's coil current per held control signal, without crosstalk, (F, n)."""
+    late = np.exp(-1j * omega_rad_s[:, None] * delay_s) * amplifier.hold(omega_rad_s, sample_time_s)[:, None]
+    return np.asarray(amplifier.continuous(amplifiers, omega_rad_s) * late)
+
+
+def _mixed(matrices: Complex, by: Array) -> Complex:
+    """``matrices`` (F, a, n) times one matrix (n, n) that is mostly the identity."""
+    return matrices if _is_identity(by) else np.asarray(matrices @ by)
+
+
+def _mixed_from(by: Array, matrices: Complex) -> Complex:
+    """One matrix (n, n) that is mostly the identity times ``matrices`` (F, n, a)."""
+    return matrices if _is_identity(by) else np.asarray(by @ matrices)
+
+
+def _is_identity(matrix: Array) -> bool:
+    return not np.any(matrix - np.eye(len(matrix)))

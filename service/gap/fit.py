@@ -24,6 +24,8 @@ from sim.twin import LinearModel, linear_model
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Carried = Sequence[Complex | None]
+"""What the magnets' nonlinearity adds to the small-signal displacement of each sweep, (P, H, n); None: not known."""
 
 STEP = 2e-5
 """Forward difference of an effect's parameter, in units of its scale."""
@@ -163,14 +165,20 @@ class Problem:
             return control(rig, o)
         if self._signal == "i":
             return current(rig, o)
+        if carried is None and not closed:
+            return answer(rig, o)[..., rig.n_axes :]
         f = o.fundamental
-        out = self.beyond_linear(rig, o) if carried is None or self.nonlinear else carried.copy()
+        out = self.beyond_linear(rig, o) if carried is None else carried.copy()
         if closed:
             model = linear_model(at_speed_of(rig, o), o.frequency_hz)
             out[:, f] += (model.y_per_u[o.line] @ self._closed_control(o, model)[..., None])[..., 0]
         else:
             out[:, f] += displacement(rig, o)
         return out
+
+    def _carried(self, rig: Rig) -> Carried:
+        """What `predict` is to carry, sweep by sweep; nothing where an effect's own force changes from step to step."""
+        return [None if self.nonlinear else self.beyond_linear(rig, o) for o in self.observations]
 
     def beyond_linear(self, rig: Rig, o: Observation) -> Complex:
         """Displacement without its small-signal fundamental, (P, H, n); other parts have nothing of the kind."""
@@ -197,7 +205,7 @@ class Problem:
         C = model.controller[:, None, None]
         return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 
-    def _effect_columns(self, state: _State, stage: Stage, w: list[Real], carried: list[Complex]) -> list[Complex]:
+    def _effect_columns(self, state: _State, stage: Stage, w: list[Real], carried: Carried) -> list[Complex]:
         """Weighted derivatives of the predictions by the effects' parameters, (P, H, n, e) per sweep."""
         columns = [np.zeros((*p.shape, len(self.scale)), dtype=complex) for p in state.predictions]
         for j in range(len(self.scale)):
@@ -225,7 +233,7 @@ class Problem:
             out.append(w)
         return out
 
-    def _state(self, x: Real, stage: Stage, w: list[Real], carried: list[Complex], prior: Real) -> _State:
+    def _state(self, x: Real, stage: Stage, w: list[Real], carried: Carried, prior: Real) -> _State:
         rig = self.build(x)
         predictions = [self.predict(rig, o, stage.closed, c) for o, c in zip(self.observations, carried, strict=True)]
         residuals = [
@@ -266,7 +274,7 @@ class Problem:
         longest = np.concatenate([bound, self._longest])
         low, high = np.concatenate([-bound, self.low]), np.concatenate([bound, self.high])
         begun = self.build(x)
-        carried = [self.beyond_linear(begun, o) for o in self.observations]
+        carried = self._carried(begun)
         state = self._state(x, stage, w, carried, prior)
         damping, status = 1e-3, "reached the largest number of iterations"
         rows, age = self._nuisance_rows(state.rig, stage, w), 0
@@ -296,7 +304,7 @@ class Problem:
             damping, age = max(damping / 10, 1e-9), age + 1
             drop, state = state.cost - trial.cost, trial
             if not stage.closed and not self.nonlinear and self._signal == "y" and iteration < 4:
-                carried = [self.beyond_linear(state.rig, o) for o in self.observations]
+                carried = self._carried(state.rig)
                 state = self._state(state.x, stage, w, carried, prior)
             if drop < stage.tolerance * max(1.0, state.cost):
                 status = "converged"
@@ -324,9 +332,8 @@ class Problem:
     def residuals(self, fit: Fit) -> list[Complex]:
         """Weighted residuals of a fit of this part, (P, H, n) per sweep."""
         prior = np.zeros(self._a + len(self.scale))
-        nothing = [np.zeros((*o.U.shape[:2], 0), dtype=complex) for o in self.observations]
-        carried = [self.beyond_linear(fit.rig, o) for o in self.observations] if self._signal == "y" else nothing
-        return self._state(self.vector(fit), EXACT, self._weights(EXACT), carried, prior).residuals
+        nothing: Carried = [None] * len(self.observations)
+        return self._state(self.vector(fit), EXACT, self._weights(EXACT), nothing, prior).residuals
 
 
 def slow_to_compute(name: str) -> bool:

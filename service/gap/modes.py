@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Experiment
-from service.identification.fit import identify
-from service.identification.result import ModeResult
 from sim.datasheet import Datasheet, Mode
 from sim.errors import AmbError
 from sim.folded import folded
+
+if TYPE_CHECKING:
+    from service.identification.result import ModeResult
 
 SHAPE_TOLERANCE = 0.2
 """Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors
@@ -27,6 +29,8 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
 
     What lies near a mode and looks like one, a resonant support above all, cannot be told from it then.
     """
+    from service.identification.fit import identify  # takes a while, and few datasheets know no modes
+
     try:
         result = identify(experiment, datasheet)
     except AmbError as error:
