@@ -1,0 +1,87 @@
+"""An experiment and its datasheet made ready for a diagnosis: sweeps as observations, interference, notes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.conditions import same_condition
+from service.gap.interference import Interference, hums_hz, interference
+from service.gap.modes import with_identified_modes
+from service.gap.nuisance import Nuisance, nuisance
+from service.gap.observation import GapError, Observation, observe
+from service.gap.settling import DRIFTS
+from service.gap.sweeps import halves, notes_on, span_s, sweeps_for
+from service.gap.thin import thinned
+from sim.datasheet import Datasheet
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a diagnosis works on."""
+
+    nuisance: Nuisance
+    main: Sweep
+    """the sweep to fit"""
+    other: Sweep
+    """the one that no fit sees, or the other lines of the same one"""
+    name: str
+    """of ``other``"""
+    lines_only: bool
+    """whether it is of the same sweep"""
+    o: Observation
+    """of ``main``"""
+    unseen: Observation
+    """of ``other``"""
+    sources: tuple[Interference, ...]
+    span: tuple[float, float] | None
+    """when the first point was measured and when the last, s; None where the file does not tell"""
+    notes: tuple[str, ...]
+    """what the data or the datasheet lack, in words"""
+
+    @property
+    def duration_s(self) -> float | None:
+        """How long the experiment took."""
+        return None if self.span is None else self.span[1] - self.span[0]
+
+    @property
+    def aloud(self) -> bool:
+        """Whether some interference is heard by its loudness alone."""
+        return not all(s.heard_hz for s in self.sources)
+
+    def halves(self, fitted_hz: float | None) -> tuple[Observation, Observation, str]:
+        """The other sweep in two, one half to fit, the other one unseen, and the name of that: `sweeps.halves`."""
+        return halves(self.other, self.nuisance, self.name, hums_hz(self.sources), self.span, fitted_hz)
+
+
+def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
+    """What a diagnosis of an experiment works on.
+
+    Raises
+    ------
+    GapError
+        The data do not allow it: no excited sweep, too few points or blocks, axes that do not match.
+    """
+    if experiment.axes != datasheet.axes:
+        raise GapError(f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}")
+    main, other, name = sweeps_for(experiment)
+    notes = notes_on(main, other, datasheet)
+    if not datasheet.modes:
+        datasheet, note = with_identified_modes(experiment, datasheet)
+        notes.append(note)
+    nu = nuisance(datasheet)
+    lines_only = other is None
+    if other is None:
+        line = np.unique(main.frequency_hz, return_inverse=True)[1]
+        main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)
+    sources = tuple(interference(main, nu.rig))
+    hums, span = hums_hz(sources), span_s(main, other)
+    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span)
+    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span)
+    if o.unsettled > DRIFTS:
+        notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
+    if not lines_only and (same := same_condition(o, unseen)):
+        notes.append(same)
+    return Observed(nu, main, other, name, lines_only, o, unseen, sources, span, tuple(notes))

@@ -1,0 +1,122 @@
+"""Every part of the loop explained: on the main sweep, then with half of the other where that does not hold there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.gap.candidates import Fitter
+from service.gap.compose import chosen_in, on_sweep
+from service.gap.log import log_fault
+from service.gap.observation import Observation
+from service.gap.observed import Observed
+from service.gap.part import Ground, Values, driven_by_current, parts
+from service.gap.search import MOST, Explained, explain, plain_twin
+from service.gap.significance import SIGNIFICANT, shows_alone_hz, significance
+from service.gap.telling import Telling
+from service.gap.verdict import VISIBLE
+
+ONE_SWEEP, FITTED = 80.0, 97.0
+"""Percent that are done when the main sweep is explained, and when every fit is done."""
+UNDERSTOOD = 4.0
+"""Significance of what is left of the amplifiers up to which the plant is held against u through them."""
+NOISE_ALONE = 2.0
+"""The same for the mean squared residual of a sweep: it counts single lines, of an amplifier at its limit, in full."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The parts of the loop as they were explained, and what no fit has seen."""
+
+    parts: tuple[Explained, ...]
+    fault: str | None
+    """what is wrong with the log"""
+    unseen: Observation
+    name: str
+    """of what is unseen"""
+    notes: tuple[str, ...] = ()
+
+
+def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
+    """The explanations of every part of the loop."""
+    first = FITTED if data.lines_only else ONE_SWEEP
+    found, fault = _explained(fitter, data, (data.o,), {}, telling, (0.0, first))
+    if data.lines_only or fault:
+        return Found(tuple(found), fault, data.unseen, data.name)
+    failing = {e.part.path: e for e in found if _fails_on(e, data.unseen)}
+    alone = {e.part.path: hz for e in found if (hz := _fails_alone_hz(e, data.unseen))}
+    if not failing and not alone:
+        return Found(tuple(found), fault, data.unseen, data.name)
+    seen, unseen, name = data.halves(next(iter(alone.values()), None))
+    failing |= {e.part.path: e for e in found if e.part.path in alone}
+    known = {e.part.path: e for e in found if e.part.path not in failing}
+    found, fault = _explained(fitter, data, (data.o, seen), known, telling, (ONE_SWEEP, FITTED), failing)
+    note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
+    return Found(tuple(found), fault, unseen, name, (note,))
+
+
+def _explained(
+    fitter: Fitter,
+    data: Observed,
+    observations: tuple[Observation, ...],
+    known: Mapping[str, Explained],
+    telling: Telling,
+    percent: tuple[float, float],
+    before: Mapping[str, Explained] | None = None,
+) -> tuple[list[Explained], str | None]:
+    """Every part of the loop explained, each on the ground of those before, and what is wrong with the log.
+
+    ``known`` parts are not looked at again. Where interference is heard aloud, it and not the log is at fault. With a
+    log at fault no mixtures are looked for: their effects would not be there. ``before`` is what fewer sweeps told of
+    the others.
+    """
+    out: list[Explained] = []
+    fault: str | None = None
+    theta = np.zeros(len(data.nuisance))
+    named: list[tuple[str, Values]] = []
+    looked_at = parts(data.nuisance, observations)
+    for part in looked_at:
+        understood = all(_understood(e) for e in out if e.part.path == "amplifier")
+        ground = Ground(data.nuisance, part, observations, theta, tuple(named))
+        if part.path == "plant" and not understood:
+            rig = ground.rig(theta)
+            driven = tuple(driven_by_current(rig, o) for o in observations)
+            ground = replace(ground, observations=driven, from_current=True)
+        if part.path not in known:
+            telling.part(part, [p for p in looked_at if p.path not in known], *percent)
+        result = known.get(part.path)
+        if result is not None:  # what was found in the other parts has changed
+            result = replace(result, ground=replace(result.ground, theta=theta, found=tuple(named)))
+        else:
+            sooner = (before or {}).get(part.path)
+            plain = plain_twin(fitter, ground, sooner)
+            if part.path == "plant" and not data.aloud:
+                fault = log_fault(fitter, out, ground, plain)
+            result = explain(fitter, ground, plain, 1 if fault else MOST, sooner)
+        out.append(result)
+        chosen = chosen_in(result)
+        theta = chosen.fit.theta
+        named += zip(chosen.effects, chosen.fit.values, strict=True)
+    return out, fault
+
+
+def _understood(amplifiers: Explained) -> bool:
+    """Whether the plant can be held against u through the amplifiers: what is left of them is noise, in every line."""
+    groups = chosen_in(amplifiers).fit.groups[::2]
+    return amplifiers.remaining < UNDERSTOOD and all(chi < NOISE_ALONE * count for chi, count in groups)
+
+
+def _fails_on(e: Explained, unseen: Observation) -> bool:
+    """Whether what explains the main sweep leaves a clear gap on the other one."""
+    o, z = on_sweep(e, chosen_in(e), unseen)
+    return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
+
+
+def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
+    """The line of the other sweep that alone shows a gap in the amplifiers, Hz; other parts have peaks that look so."""
+    if e.part.path != "amplifier":
+        return None
+    o, z = on_sweep(e, chosen_in(e), unseen)
+    return shows_alone_hz(z, o)
