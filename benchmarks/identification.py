@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import _peers
 import numpy as np
@@ -24,6 +26,7 @@ from service.identification.refine import Refined, amplitude_of, refine
 from service.identification.residuals import Data, Weights
 from service.identification.result import PlaneResult
 from service.identification.split import Posterior, Split, log_ratios
+from service.identification.staged import staged_fit
 from service.identification.start import joint_start, with_split
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
@@ -33,6 +36,7 @@ from sim.reference import reference_datasheet, reference_rig
 
 PARAMETERS = ("kiA", "kiB", "ksA", "ksB", "w1", "w2", "w1 levitated", "w2 levitated", "zeta1", "zeta2")
 INSIDE = 1.96
+Result = TypeVar("Result")
 
 
 def frequencies() -> np.ndarray:
@@ -188,14 +192,10 @@ def one_fit(noise: float) -> None:
     start = start.at(theta)
     split = Split(log_ratios(truth))
     weights = refine(truth, points, free, split=split).weights
-    times = []
-    for _ in range(20):
-        begin = time.process_time()
-        fit = refine(start, points, free, weights=weights, nonlinear=False, split=split)
-        times.append(time.process_time() - begin)
+    spent, fit = timed(lambda: refine(start, points, free, weights=weights, nonlinear=False, split=split), 20)
     print(
         f"\nOne joint fit, {int(free.sum())} parameters, {len(points.plant.omega)} points: "
-        f"{1e3 * np.median(times):.1f} ms CPU, {fit.fit.iterations} steps"
+        f"{1e3 * spent:.1f} ms CPU, {fit.fit.iterations} steps"
     )
 
 
@@ -211,10 +211,16 @@ def beside(noise: float, data_sets: int = 5) -> None:
     _peers.table(cases, truth, noise)
 
 
-def joint_fit(data: Experiment, sheet: Datasheet) -> tuple[float, PlaneModel]:
-    """CPU of one joint fit from where the staged steps end, amplifiers and noise known, and its model."""
+def joint_fit(data: Experiment, sheet: Datasheet) -> tuple[float, float, PlaneModel]:
+    """CPU of one joint fit, amplifiers and noise known, and of the staged steps that it starts from; and its model."""
     found = fit_plane(data.main, None, None, sheet.axes, "x", sheet)
-    start = joint_start(found.staged.rigid_model, found.staged.rational, found.data.plant, found.plant)
+    points, plant = found.data.plant, found.plant
+
+    def begun() -> PlaneModel:
+        staged = staged_fit(found.staged.rigid_model, points, plant)
+        return joint_start(staged.rigid_model, staged.rational, points, plant)
+
+    starting, start = timed(begun)
     best = found.selected.refined.model
     split = Split(log_ratios(best))
     start = with_split(start, split.log_ratios)
@@ -224,12 +230,18 @@ def joint_fit(data: Experiment, sheet: Datasheet) -> tuple[float, PlaneModel]:
     fixed = tuple(n for n in start.layout.names if n.startswith("amplifier") or n == "delay_s")
     free = start.layout.free(fixed=fixed)
     weights = found.selected.refined.weights
-    times = []
-    for _ in range(5):
+    fitting, refined = timed(lambda: refine(start, found.data, free, weights=weights, split=split))
+    return fitting, starting, refined.model
+
+
+def timed(work: Callable[[], Result], times: int = 7) -> tuple[float, Result]:
+    """Median CPU of some work, s, and what it gives."""
+    spent = []
+    for _ in range(times):
         begin = time.process_time()
-        refined = refine(start, found.data, free, weights=weights, split=split)
-        times.append(time.process_time() - begin)
-    return float(np.median(times)), refined.model
+        result = work()
+        spent.append(time.process_time() - begin)
+    return float(np.median(spent)), result
 
 
 def main() -> None:

@@ -15,6 +15,8 @@ Residual = Callable[[Real, bool], tuple[Real, Real | None] | None]
 """(theta, with Jacobian) -> (residual (N,), Jacobian or None), or None outside the physical range. The Jacobian is
 (N, size), or (N, n) to the n parameters that may move."""
 DONE = "converged: no step lowers the cost noticeably"
+LINEAR = 1e-3
+"""Relative change of every parameter up to which a last step that hardly lowers the cost is not evaluated any more."""
 CLEAR = 1e-4
 """Least pivot of scaled columns that a Cholesky factor of their products still tells to eight digits."""
 
@@ -46,8 +48,8 @@ def minimise(
     free: NDArray[np.bool_],
     max_iterations: int = 60,
     tolerance: float = 1e-4,
-    polish: bool = True,
     damping: float = 1e-3,
+    physical: Callable[[Real], bool] | None = None,
 ) -> Fit:
     """Smallest sum of squares from a start.
 
@@ -62,10 +64,11 @@ def minimise(
     tolerance
         Stop when the predicted fall of the cost is below this many units: 1e-4 is a hundredth of a standard deviation
         for residuals in units of their noise. Relative to the cost, where the model is wrong, a millionth.
-    polish
-        Whether the last step is taken, which is known not to matter.
     damping
         That of the first step, in units of the columns' squares. A direction that the data hardly tell is held by it.
+    physical
+        Whether parameters are within the physical range, where that can be told without the residuals: a last step that
+        changes nothing but digits is then taken without them.
 
     Raises
     ------
@@ -93,11 +96,12 @@ def minimise(
             along = upper @ step
             predicted = float(-2 * (qtr @ along) - along @ along)
             small = predicted <= max(tolerance, 1e-6 * cost if damping < 1e-2 else 1e-9 * cost)
-            if small and not polish:
-                status, converged = DONE, True
-                break
             trial = theta.copy()
             trial[free] += step / scale
+            if small and physical and np.all(np.abs(trial - theta) <= LINEAR * np.abs(theta)) and physical(trial):
+                theta, r, cost = trial, r + jacobian @ (step / scale), cost - predicted
+                status, converged = DONE, True
+                break
             now = residual(trial, True)
             if now is None or now[1] is None:
                 damping *= growth

@@ -144,7 +144,7 @@ def _minimise(
         return r, j
 
     tolerance, damping = TOLERANCE if last else NEARLY, FAR_OFF if first else NEAR_BY
-    fit = minimise(residual, model.theta, free, max_iterations, tolerance, last, damping)
+    fit = minimise(residual, model.theta, free, max_iterations, tolerance, damping, lambda t: model.at(t).is_physical)
     order = _line_after_line(data, len(fit.residual))
     return replace(fit, residual=fit.residual[order], jacobian=fit.jacobian[order])
 

@@ -69,14 +69,22 @@ def test_a_jacobian_to_the_moving_parameters_alone_leads_to_the_same() -> None:
     np.testing.assert_array_equal(wide.theta, same.theta)
 
 
-def test_a_step_that_does_not_matter_is_left_out_where_it_is_not_asked_for() -> None:
+def test_a_last_step_that_changes_nothing_but_digits_is_taken_without_asking_again() -> None:
     calls = []
 
-    def line(theta, gradient):
+    def curved(theta, gradient):
         calls.append(1)
-        return np.array([theta[0] - 1.0]), np.array([[1.0]])
+        return np.array([theta[0] ** 2 - 4.0]), np.array([[2 * theta[0]]])
 
-    fit = minimise(line, np.array([1.05]), np.array([True]), tolerance=0.01, polish=False)
-    assert fit.converged
+    def minimised(start, physical):
+        return minimise(curved, np.array([start]), np.array([True]), tolerance=0.01, physical=physical)
+
+    near = minimised(2.0005, lambda theta: True)
+    assert near.converged
     assert len(calls) == 1
-    assert abs(minimise(line, np.array([1.05]), np.array([True]), tolerance=0.01).theta[0] - 1) < 1e-3
+    assert near.theta[0] == pytest.approx(2.0, abs=1e-6)
+    assert near.residual[0] == pytest.approx(0.0, abs=1e-5)
+    for start, physical in ((2.02, lambda theta: True), (2.0005, lambda theta: theta[0] > 2.0001), (2.0005, None)):
+        calls.clear()
+        assert minimised(start, physical).converged
+        assert len(calls) > 1  # one per cent of a parameter, or a step to where the residuals may tell of no model
