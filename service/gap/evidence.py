@@ -19,8 +19,9 @@ Real = NDArray[np.float64]
 
 TEMPERATURE = 1.5
 """Log evidence is divided by this before it becomes a probability: the widths of priors are judgements, a rig's own law
-of an effect differs from the catalogue's, and effects that hardly show are common. Calibrated on rigs of an independent
-program and on the blind trial: at 2 a verdict promised less than came true. `benchmarks/gap.py` prints the error."""
+of an effect differs from the catalogue's, and effects that hardly show are common. Calibrated on the blind trial, where
+at 2 a verdict promised less than came true; rigs of an independent program, with other laws, come true somewhat less
+often than is said. `benchmarks/gap.py` prints the error of both."""
 MODEL_ERRORS = 40.0
 """Independent values in what a twin leaves: residuals of neighbouring lines and channels go together."""
 
