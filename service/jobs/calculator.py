@@ -16,7 +16,8 @@ from typing import IO, Any
 from service.errors import JobError, StoppedError
 from service.jobs.calculations import Tell, silent
 
-_POLL_S = 0.1
+_POLL_S = 0.25
+"""With the job's own look for its cancellation, a calculation ends in about a second."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
@@ -98,7 +99,7 @@ class Calculator:
         arguments
             What JSON can say; paths as strings.
         stopped
-            Polled ten times a second; True ends the child.
+            Polled four times a second; True ends the child.
         tell
             Told how far it is.
 

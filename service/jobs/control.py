@@ -16,7 +16,7 @@ from service.storage import jobs
 
 POLL_S = 0.15
 """Together with the campaign's own watch, a cancelled tone ends well within a second."""
-UNHURRIED_POLL_S = 0.5
+UNHURRIED_POLL_S = 0.75
 """Of a job that moves nothing: many of them at a time leave the database alone."""
 log = logging.getLogger(__name__)
 

@@ -23,7 +23,7 @@ from service.errors import ConfigurationError, ConflictError
 from service.jobs import notices, steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
-from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, share_polls, shared_s
+from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, quieten, share_polls, shared_s
 from service.storage import idempotency, jobs, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now
@@ -33,7 +33,7 @@ from service.storage.tables import JobRow
 
 log = logging.getLogger(__name__)
 
-BEAT_S = 1.0
+BEAT_S = 2.0
 GRACE_S = 10.0
 """Time that rigs have to stop when the worker ends."""
 KEPT = timedelta(days=30)
@@ -80,7 +80,7 @@ class Worker:
         self._sign_on()
         use(self.context)
         import_module("service.jobs.workflows")  # registers them
-        DBOS(config=engine_config(self.settings))
+        quieten(DBOS(config=engine_config(self.settings)))
         DBOS.launch()
         DBOS.register_queue(RIGS, partition_concurrency=1, polling_interval_sec=poll_s(RIGS, 1))
         DBOS.register_queue(CPU, worker_concurrency=self.settings.cpu_jobs, polling_interval_sec=poll_s(CPU, 1))
@@ -112,10 +112,9 @@ class Worker:
     def run(self) -> None:
         """Work until `Context.stopping` is set; then stop the rigs and leave the jobs to the next worker."""
         chores: list[tuple[float, bool, Callable[[], None]]] = [  # period, whether the workers share it
-            (BEAT_S, False, self._beat),
+            (self.beat_s(), False, self._beat),
             (1.0, True, self._hand_over),
             (1.0, True, self._keep_schedules),
-            (2.0, False, self._share_polls),
             (min(5.0, self.settings.worker_timeout_s / 3), False, self._take_over),
             (3600.0, False, self._tidy),
         ]
@@ -133,13 +132,22 @@ class Worker:
                         log.exception("a chore of the worker failed")
         self._end()
 
+    def beat_s(self) -> float:
+        """Time between signs of life: three at least before the others take a silent worker's jobs."""
+        return min(BEAT_S, self.settings.worker_timeout_s / 3)
+
     def _beat(self) -> None:
+        """Give a sign of life, and notice in the same transaction how many others do."""
         with self.context.database.write() as session:
             mine = workers.beat(session, self.settings.worker, self.instance)
+            alive = workers.count_alive(session)
         if not mine:
             log.error("another process has the name %s: this one ends", self.settings.worker)
             self._lost_name = True
             self.context.stopping.set()
+        elif alive != self._shared_by:  # whoever comes or goes is noticed by all
+            share_polls(alive)
+            self._shared_by = alive
 
     def _hand_over(self) -> None:
         submission.hand_over_all(self.context.database, self.context.dispatcher)
@@ -147,14 +155,6 @@ class Worker:
 
     def _keep_schedules(self) -> None:
         timetable.keep(self.context.database, self.settings)
-
-    def _share_polls(self) -> None:
-        """Look into the queues the less often the more workers do; whoever comes or goes is noticed by all."""
-        with self.context.database.read() as session:
-            alive = workers.count_alive(session)
-        if alive != self._shared_by:
-            share_polls(alive)
-            self._shared_by = alive
 
     def _take_over(self) -> None:
         """Give the jobs of workers that are silent back to the queue.

@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session, sessionmaker
 
 from service.errors import StorageError
 from service.storage.changes import Changes
+from service.storage.pooling import pool_options
 
 T = TypeVar("T")
 
@@ -91,15 +92,18 @@ class Database:
             url,
             pool_size=pool_size,
             max_overflow=2 * pool_size,
-            pool_pre_ping=not self.is_sqlite,
             connect_args=arguments,
+            **({} if self.is_sqlite else pool_options()),
         )
         self._writing = self.engine
+        reading = self.engine
         if self.is_sqlite:
             event.listen(self.engine, "connect", _prepare)
             event.listen(self.engine, "begin", _begin)
             self._writing = self.engine.execution_options(immediate=True)
-        self._read = sessionmaker(self.engine, expire_on_commit=False)
+        else:  # every statement sees its own moment anyway; a transaction around it is two more questions
+            reading = self.engine.execution_options(isolation_level="AUTOCOMMIT")
+        self._read = sessionmaker(reading, expire_on_commit=False)
         self._write = sessionmaker(self._writing, expire_on_commit=False)
         # SQLite has one writer: those of this process queue here, in order, and not in its busy handler
         self._turn = threading.Lock() if self.is_sqlite else None

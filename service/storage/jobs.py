@@ -241,13 +241,10 @@ def note(session: Session, job_id: str, attempt: int, **values: Any) -> tuple[bo
         Whether this attempt is still the one, and whether it shall end.
     """
     if values:
-        changed = session.execute(
-            update(JobRow)
-            .where(JobRow.id == job_id, JobRow.attempt == attempt, JobRow.state == RUNNING)
-            .values(**values, changes=JobRow.changes + 1)
-        )
-        if not _rows(changed):
-            return False, True
+        mine = update(JobRow).where(JobRow.id == job_id, JobRow.attempt == attempt, JobRow.state == RUNNING)
+        written = mine.values(**values, changes=JobRow.changes + 1).returning(JobRow.cancel_requested)
+        cancelled = session.execute(written).scalar_one_or_none()
+        return cancelled is not None, cancelled is None or cancelled
     found = session.execute(
         select(JobRow.attempt, JobRow.state, JobRow.cancel_requested).where(JobRow.id == job_id)
     ).one_or_none()

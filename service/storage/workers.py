@@ -14,7 +14,7 @@ from service.storage.database import now
 from service.storage.tables import WorkerRow
 
 ALIVE_S = 5.0
-"""A worker beats every second; one that was silent for so long is no rival for its name."""
+"""A worker beats every two seconds; one that was silent for so long is no rival for its name."""
 
 
 def machine() -> str:

@@ -56,6 +56,8 @@ def test_a_running_job_is_asked_to_end(database, job):
     with database.read() as session:
         assert jobs.note(session, job, attempt) == (True, True)
     with database.write() as session:
+        assert jobs.note(session, job, attempt, percent=30.0) == (True, True)
+    with database.write() as session:
         jobs.finish(session, job, 1, "cancelled", {"experiment": "exp_1"})
     with database.write() as session, pytest.raises(ConflictError, match="only what failed"):
         jobs.retry(session, jobs.submit(session, "gap", database.rig, 1, "me").id, "me")
