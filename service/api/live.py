@@ -33,6 +33,7 @@ router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
 
 FRESH_S = 0.5
 """Whoever asks again within this time gets the same answer: a page that many look at does not load the bus."""
+STOPPED = "the rig was stopped by hand"
 IDLE_S = 30.0
 """A connection that nobody asked for so long is given up."""
 
@@ -210,11 +211,12 @@ def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Respon
 
 @router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))
 def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Response:
-    """Ramp the rig's excitation to zero at once, and end the job that moves its rotor.
+    """Ramp the rig's excitation to zero at once, and let no job that there is move its rotor again.
 
-    The job that holds the lease hears of it from the controller and fails, "stopped at the rig". One that does not hold
-    it at this moment, because the controller was away or another host had the rig, is cancelled; so is every job when
-    the controller does not answer, which is told as a problem all the same. Jobs that wait in the queue stay there.
+    The job that holds the lease hears of it from the controller and fails, "stopped at the rig". Every other one that
+    moves the rotor or waits to do so is cancelled, that one too when the controller does not answer, which is told as a
+    problem all the same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched
+    off.
     """
     url = _url(api, rig_id)
     lines: Lines = request.app.state.lines
@@ -225,7 +227,7 @@ def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Respon
     except ControllerError as error:
         failure = error
     with api.database.write() as session:
-        ended = [job.id for job in jobs.cancel_moving(session, rig_id, but=holder)]
+        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holder)]
         how = "stopped by hand" if failure is None else "stop asked for by hand; the controller does not answer"
         audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how=how, cancelled=" ".join(ended))
     if failure is not None:

@@ -104,7 +104,7 @@ class Rigs:
         return Status.model_validate(self._transport.get(f"/rigs/{rig_id}/status"))
 
     def stop(self, rig_id: str) -> None:
-        """Ramp the rig's excitation to zero at once, whoever makes it."""
+        """Ramp the rig's excitation to zero at once, whoever makes it; no job that there is moves the rotor again."""
         self._transport.send("POST", f"/rigs/{rig_id}/stop")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import CursorResult, delete, func, select, update
+from sqlalchemy import ColumnElement, CursorResult, delete, func, select, update
 from sqlalchemy.orm import Session
 
 from service.errors import ConflictError
@@ -136,22 +136,26 @@ def cancel_of_rig(session: Session, rig_id: str, why: str) -> list[JobRow]:
     why
         What whoever watches a waiting job is told.
     """
-    unfinished = select(JobRow).where(
-        JobRow.rig_id == rig_id, (JobRow.state == QUEUED) | ((JobRow.state == RUNNING) & JobRow.kind.in_(ON_RIG))
+    return _cancel_all(
+        session,
+        (JobRow.rig_id == rig_id) & ((JobRow.state == QUEUED) | (JobRow.state == RUNNING) & JobRow.kind.in_(ON_RIG)),
+        why,
     )
-    found = [cancel(session, job.id) for job in session.scalars(unfinished.order_by(JobRow.id).with_for_update())]
+
+
+def cancel_moving(session: Session, rig_id: str, why: str, but: str = "") -> list[JobRow]:
+    """Cancel the jobs of a rig that would move its rotor, and ask those to end that do, except the one ``but``."""
+    moving = (JobRow.rig_id == rig_id) & JobRow.state.in_((QUEUED, RUNNING)) & JobRow.kind.in_(ON_RIG)
+    return _cancel_all(session, moving & (JobRow.id != but), why)
+
+
+def _cancel_all(session: Session, which: ColumnElement[bool], why: str) -> list[JobRow]:
+    wanted = select(JobRow).where(which).order_by(JobRow.id).with_for_update()
+    found = [cancel(session, job.id) for job in session.scalars(wanted)]
     for job in found:
         if job.state == CANCELLED:
             job.phase = f"cancelled: {why}"
     return found
-
-
-def cancel_moving(session: Session, rig_id: str, but: str = "") -> list[JobRow]:
-    """Ask the jobs of a rig to end that move its rotor, or are about to, except the one with the id ``but``."""
-    moving = select(JobRow).where(
-        JobRow.rig_id == rig_id, JobRow.state == RUNNING, JobRow.kind.in_(ON_RIG), JobRow.id != but
-    )
-    return [cancel(session, job.id) for job in session.scalars(moving.order_by(JobRow.id).with_for_update())]
 
 
 def retry(session: Session, job_id: str, by: str, key_id: str = "") -> JobRow:

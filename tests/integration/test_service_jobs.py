@@ -103,16 +103,22 @@ def test_a_cancelled_job_keeps_what_was_measured_and_goes_on_with_it(running, ri
 
 
 @on_sqlite
-def test_a_rig_that_is_stopped_by_hand_ends_its_job_with_the_reason(running, rig, rig_id):
-    job_id = running.submit("experiment", rig_id, options={"profile": SLOW})
+def test_a_rig_that_is_stopped_by_hand_ends_its_job_with_the_reason_and_begins_no_other(running, rig, rig_id):
+    job_id, next_id = (running.submit("experiment", rig_id, options={"profile": SLOW}) for _ in range(2))
     running.wait(job_id, lambda j: j["progress"]["phase"] == "main" and j["progress"]["point"] > 40)
     assert running.get(f"/rigs/{rig_id}/status")["lease_holder"] == job_id
     assert running.client.post(f"/api/v1/rigs/{rig_id}/stop").status_code == 204
-    job = running.wait(job_id)
+    seen = len(rig.events())
+    job, waited = running.wait(job_id), running.job(next_id)
     assert job["state"] == "failed"
     assert job["error"]["title"] == "stopped at the rig"
     assert not running.get(f"/experiments/{job['result']['experiment']}")["complete"]
+    assert (waited["state"], waited["progress"]["phase"]) == ("cancelled", "cancelled: the rig was stopped by hand")
     assert rig.status().excitation_a == 0
+    assert not [e for e in rig.events()[seen:] if e["text"].startswith("excitation on")]
+    running.post(f"/jobs/{next_id}/retry")
+    running.wait(next_id, lambda j: j["progress"]["point"] > 3)
+    assert running.client.post(f"/api/v1/rigs/{rig_id}/stop").status_code == 204
 
 
 def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, rig, rig_id):
