@@ -1,0 +1,92 @@
+"""Lists in pages, filters, the audit log, metrics, and the events of a job."""
+
+import json
+
+import httpx
+
+from service.storage import jobs as rows
+from service.storage.database import now
+from service.storage.tables import HealthRow
+
+
+def test_lists_are_pages_and_filters_hold(api, rig, experiment):
+    made = [
+        api.post("/jobs", json={"kind": "gap", "rig": rig, "experiment": experiment}).json()["id"] for _ in range(5)
+    ]
+    api.post(f"/jobs/{made[0]}/cancel")
+    seen, after = [], None
+    while True:
+        page = api.get("/jobs", params={"rig": rig, "limit": 2, **({"after": after} if after else {})}).json()
+        seen += [job["id"] for job in page["items"]]
+        if (after := page["next"]) is None:
+            break
+    assert sorted(seen) == sorted(made)
+    assert seen == sorted(seen, reverse=True)
+    cancelled = api.get("/jobs", params={"rig": rig, "state": "cancelled"}).json()["items"]
+    assert [job["id"] for job in cancelled] == made[:1]
+    assert api.post(f"/jobs/{made[0]}/retry").json()["run"] == 2
+
+
+def test_alarms_are_found(api, service, rig, experiment):
+    document = {"alarm": True, "zone": "B", "drifted": ["x.kiA"], "sentence": "kiA drifted", "parameters": {}}
+    with service.services.database.write() as session:
+        session.add(
+            HealthRow(
+                id=rig.replace("rig_", "hc_"), rig_id=rig, rig_version=1, experiment_id=experiment,
+                model_id=rig.replace("rig_", "mod_"), document=document, report_sha256="0" * 64, alarm=True,
+                created_at=now(),
+            )
+        )  # fmt: skip
+    (found,) = api.get("/health-checks", params={"rig": rig, "alarm": True}).json()["items"]
+    assert (found["zone"], found["drifted"]) == ("B", ["x.kiA"])
+    assert api.get("/health-checks", params={"rig": rig, "alarm": False}).json()["items"] == []
+    assert api.get(f"/health-checks/{found['id']}").json()["document"] == document
+
+
+def test_the_audit_log_tells_who_did_what(api, rig):
+    job = api.post("/jobs", json={"kind": "experiment", "rig": rig}, headers={"x-request-id": "from-me"}).json()
+    api.post(f"/jobs/{job['id']}/cancel")
+    lines = api.get("/audit", params={"rig": rig}).json()["items"]
+    assert [line["action"] for line in lines] == ["job.cancelled", "job.submitted", "rig.created"]
+    assert lines[1]["request_id"] == "from-me"
+    assert all(line["who"] == "local" for line in lines)
+
+
+def test_operations(service):
+    with httpx.Client(base_url=service.url) as client:
+        assert client.get("/healthz").json() == {"alive": True}
+        ready = client.get("/readyz").json()
+        assert ready["ready"] is True
+        assert "jobs wait" in ready["workers"]
+        text = client.get("/metrics").text
+    assert 'ambit_jobs{state="queued"}' in text
+    assert 'ambit_requests_total{method="GET",route="/healthz",status="200"}' in text
+
+
+def test_a_watcher_is_told_every_change_until_the_end(api, service, rig):
+    job = api.post("/jobs", json={"kind": "experiment", "rig": rig}).json()["id"]
+    events = []
+    with api.stream("GET", f"/jobs/{job}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        kind = ""
+        for line in stream.iter_lines():
+            if line.startswith("event: "):
+                kind = line[7:]
+            elif line.startswith("data: "):
+                events.append((kind, json.loads(line[6:])))
+                with service.services.database.write() as session:
+                    step = len(events)
+                    if step == 1:
+                        attempt = rows.claim(session, job, 1, "w1").attempt
+                    elif step == 2:
+                        rows.note(session, job, attempt, percent=50.0, point=3, points=6)
+                    elif step == 3:
+                        rows.finish(session, job, 1, "failed", {}, "bus error", "no answer")
+    assert [(kind, e["state"]) for kind, e in events] == [
+        ("state", "queued"),
+        ("state", "running"),
+        ("progress", "running"),
+        ("state", "failed"),
+    ]
+    assert events[2][1]["progress"]["percent"] == 50.0
+    assert events[3][1]["error"] == {"title": "bus error", "detail": "no answer"}

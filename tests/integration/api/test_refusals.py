@@ -1,0 +1,51 @@
+"""What is no request, or cannot be done, is refused at once as a problem."""
+
+import pytest
+
+from tests.support.api import is_problem
+from tests.support.service import reference_sheet
+
+SHEET = reference_sheet()
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "word"),
+    [
+        ({"kind": "identification"}, 422, "give the field experiment"),
+        ({"kind": "experiment", "experiment": "exp_1"}, 422, "leave the field experiment out"),
+        ({"kind": "experiment", "options": {"profile": {"points": 0}}}, 422, "points"),
+        ({"kind": "experiment", "options": {"speed": 1}}, 422, "speed"),
+        ({"kind": "experiment", "options": {"excitation": "chirp"}}, 422, "options.excitation"),
+        ({"kind": "experiment", "options": {"excitation": "multisine", "profile": {"points": 9}}}, 422, "points"),
+        ({"kind": "experiment", "options": {"profile": {"realisations": 4}}}, 422, "realisations"),
+        ({"kind": "gap", "experiment": "exp_1"}, 404, "exp_1"),
+        ({"kind": "magic"}, 422, "kind"),
+        ({"kind": "experiment", "priority": 0}, 422, "priority"),
+    ],
+)
+def test_a_job_that_cannot_be_done_is_refused_at_once(api, rig, body, status, word):
+    is_problem(api.post("/jobs", json={"rig": rig, **body}), status, word)
+
+
+@pytest.mark.parametrize(
+    ("url", "word"),
+    [
+        ("ftp://host", "begins with one of"),
+        ("replay:///etc/passwd", "begins with one of"),
+        ("modbus://host:1?transcript=/tmp/x", "transcript"),
+        ("modbuss://host:1?ca=/etc/ssl/key.pem", "controllers"),
+        ("simulated://?rig=/etc/passwd", "controllers"),
+        ("modbus://", "names no host"),
+    ],
+)
+def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
+    is_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
+
+
+def test_requests_that_are_no_requests(api):
+    is_problem(api.get("/nothing"), 404, "/openapi.json")
+    is_problem(api.patch("/jobs"), 405, "PATCH", "/openapi.json")
+    is_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422, "JSON")
+    is_problem(api.post("/rigs", content=b"x" * 2_000_000), 413, "1,000,000")
+    is_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
+    is_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")

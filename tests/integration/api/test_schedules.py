@@ -1,0 +1,143 @@
+"""Schedules: kept by the clock, missed runs told, messages to webhooks, what cannot be kept."""
+
+from datetime import timedelta
+
+import pytest
+from sqlalchemy import select
+
+from service.jobs import timetable
+from service.storage import jobs as rows
+from service.storage.database import now
+from service.storage.tables import ModelRow, ScheduleRow, ScheduleRunRow, WebhookRow
+from tests.support.api import is_problem
+
+
+def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, experiment):
+    body = {"rig": rig, "cron": "0 6 * * *", "webhook": {"url": "https://plant.example/hook"}}
+    made = api.post("/schedules", json=body).json()
+    assert made["webhook"]["secret"].startswith("whsec_")
+    read = api.get(f"/schedules/{made['id']}")
+    assert read.json()["webhook"]["secret"] is None  # shown once
+    database, settings = service.services.database, service.services.settings
+    with database.write() as session:
+        row = session.get(ScheduleRow, made["id"])
+        first = row.next_at = row.next_at - timedelta(days=3)
+    assert timetable.keep(database, settings, first + timedelta(days=2, minutes=1)) == 1
+    assert timetable.keep(database, settings, first + timedelta(days=2, minutes=2)) == 0  # another worker, or again
+    runs = api.get(f"/schedules/{made['id']}/runs").json()["items"]
+    assert [run["state"] for run in runs] == ["submitted", "missed", "missed"]
+    job = api.get(f"/jobs/{runs[0]['job']}").json()
+    assert (job["kind"], job["schedule"]) == ("health", made["id"])
+    (line,) = api.get("/audit", params={"subject": job["id"]}).json()["items"]
+    assert (line["action"], line["key"], line["rig"]) == ("job.submitted", f"schedule:{made['id']}", rig)
+    assert timetable.keep(database, settings, first + timedelta(days=3, hours=1)) == 0  # too late to begin
+    assert api.get(f"/schedules/{made['id']}/runs").json()["items"][0]["state"] == "missed"
+    changed = {**body, "cron": "0 7 * * *"}
+    is_problem(api.put(f"/schedules/{made['id']}", json=changed), 428)
+    answer = api.put(f"/schedules/{made['id']}", json=changed, headers={"If-Match": read.headers["etag"]})
+    assert (answer.status_code, answer.json()["webhook"]["secret"]) == (200, None)
+    assert api.delete(f"/schedules/{made['id']}").status_code == 204
+    is_problem(api.get(f"/schedules/{made['id']}"), 404)
+
+
+def test_messages_that_wait_for_a_webhook_end_with_it(api, service, rig):
+    body = {"rig": rig, "cron": "0 6 * * *", "webhook": {"url": "https://plant.example/hook"}}
+    made = api.post("/schedules", json=body).json()
+    with service.services.database.write() as session:
+        common = {"schedule_id": made["id"], "health_id": "hc_1", "url": "u", "created_at": now(), "updated_at": now()}
+        session.add_all(WebhookRow(id=f"{rig}{state}"[4:], state=state, **common) for state in ("pending", "delivered"))
+    tag = api.get(f"/schedules/{made['id']}").headers["etag"]
+    without = {**body, "webhook": None}
+    assert api.put(f"/schedules/{made['id']}", json=without, headers={"If-Match": tag}).status_code == 200
+    with service.services.database.read() as session:
+        found = session.scalars(select(WebhookRow).where(WebhookRow.schedule_id == made["id"]))
+        assert {(d.id[26:], d.state, d.detail) for d in found} == {
+            ("pending", "failed", "the webhook was removed"),
+            ("delivered", "delivered", ""),
+        }
+    api.delete(f"/schedules/{made['id']}")
+
+
+def messages(service, schedule):
+    """What the webhook of a schedule is told, oldest first."""
+    with service.services.database.read() as session:
+        query = select(WebhookRow).where(WebhookRow.schedule_id == schedule).order_by(WebhookRow.created_at)
+        return [(row.contents["type"], row.contents["data"]) for row in session.scalars(query)]
+
+
+def test_checks_that_were_not_made_are_told(api, service, rig, experiment):
+    database, settings = service.services.database, service.services.settings
+    hook = {"url": "https://plant.example/hook", "on": "alarm"}
+    made = api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", "webhook": hook}).json()["id"]
+    day = timedelta(days=1)
+    with database.write() as session:
+        row = session.get(ScheduleRow, made)
+        first = row.next_at = row.next_at - 9 * day
+    assert timetable.keep(database, settings, first + 2 * day) == 1  # back after two missed
+    ((kind, told),) = messages(service, made)
+    assert (kind, told["missed"], told["due_at"]) == ("health.missed", 2, f"{first + day:%Y-%m-%dT%H:%M:%SZ}")
+    assert "the service was down" in told["sentence"]
+    assert told["url"] == f"https://rotor.example.org/api/v1/schedules/{made}/runs"
+
+    # the rig is held by another host: what waits is told of once, and nothing piles up behind it
+    job = api.get("/jobs", params={"rig": rig}).json()["items"][0]["id"]
+    with database.write() as session:
+        attempt = rows.claim(session, job, 1, "w1").attempt
+        rows.note(session, job, attempt, phase="waiting for the rig, which plc 7 holds")
+    assert [timetable.keep(database, settings, first + k * day) for k in (3, 4, 5)] == [0, 0, 0]
+    with database.read() as session:
+        runs = session.scalars(select(ScheduleRunRow).where(ScheduleRunRow.schedule_id == made))
+        assert [run.state for run in runs if "plc 7" in run.detail and job in run.detail] == ["missed"] * 3
+    assert len(api.get("/jobs", params={"rig": rig}).json()["items"]) == 1
+    (kind, told), *_ = messages(service, made)[1:]
+    assert (kind, len(messages(service, made))) == ("health.missed", 2)
+    assert "plc 7" in told["sentence"]
+
+    # it ends, and the next check is made; one that is refused is told, too
+    with database.write() as session:
+        rows.finish(session, job, 1, "cancelled", {})
+    assert timetable.keep(database, settings, first + 6 * day) == 1
+    api.post(f"/jobs/{api.get('/jobs', params={'rig': rig}).json()['items'][0]['id']}/cancel")
+    with database.write() as session:
+        session.delete(session.get(ModelRow, rig.replace("rig_", "mod_")))
+    assert timetable.keep(database, settings, first + 7 * day) == 0
+    kind, told = messages(service, made)[-1]
+    assert (kind, "commission it first" in told["sentence"]) == ("health.missed", True)
+    api.delete(f"/schedules/{made}")
+
+
+def test_a_retired_rig_is_checked_no_more_and_nobody_is_told_of_it(api, service, rig, experiment):
+    made = api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *"}).json()
+    api.delete(f"/rigs/{rig}")
+    read = api.get(f"/schedules/{made['id']}").json()
+    assert (read["enabled"], read["next_at"]) == (False, None)
+    with service.services.database.read() as session:
+        due = session.get(ScheduleRow, made["id"]).next_at
+    assert timetable.keep(service.services.database, service.services.settings, due + timedelta(seconds=1)) == 0
+    assert messages(service, made["id"]) == []
+
+
+def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
+    made = api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *"}).json()
+    with service.services.database.read() as session:
+        due = session.get(ScheduleRow, made["id"]).next_at
+    assert timetable.keep(service.services.database, service.services.settings, due + timedelta(seconds=1)) == 0
+    (run,) = api.get(f"/schedules/{made['id']}/runs").json()["items"]
+    assert run["state"] == "refused"
+    assert "commission it first" in run["detail"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        ({"cron": "every day"}, "five fields"),
+        ({"cron": "* * * * *"}, "at least 5 minutes"),
+        ({"timezone": "Mars/Olympus"}, "Mars/Olympus"),
+        ({"webhook": {"url": "file:///etc/passwd"}}, "http or https"),
+        ({"webhook": {"url": "https://h", "secret": "weak"}}, "secret"),
+        ({"options": {"budget_s": 1}}, "budget_s"),
+    ],
+)
+def test_a_schedule_that_cannot_be_kept_is_refused_and_not_kept(api, rig, wrong, word):
+    is_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422, word)
+    assert api.get("/schedules", params={"rig": rig}).json()["items"] == []
