@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import socket
 import tomllib
 from collections.abc import Mapping
@@ -121,6 +122,12 @@ class Settings(BaseModel):
     def link(self, path: str) -> str:
         """Where people find something of the API."""
         return f"{self.public_url}/api/v1{path}"
+
+    def here(self, command: str) -> str:
+        """A command that works on our own tables, with ``--home`` where it would find other ones without."""
+        if self.database_url or self.home == _default_home():
+            return command
+        return f"{command} --home {shlex.quote(str(self.home))}"
 
     @property
     def store(self) -> str:

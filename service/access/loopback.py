@@ -8,7 +8,8 @@ from urllib.parse import urlsplit
 
 from service.access.errors import UnauthorisedError
 
-NOTICE = "no API key exists: only this machine is served; make the first key with ambit keys create --scope admin"
+FIRST_KEY = "ambit keys create --scope admin"
+_ALONE = "no API key exists: only this machine is served; make the first key with {}"
 _NAMES = {"localhost"}
 _SAME = {"", "none", "same-origin", "same-site"}
 
@@ -31,8 +32,8 @@ def is_loopback(host: str | None) -> bool:
     return (mapped or address).is_loopback
 
 
-def bound_to(host: str, any_key: bool) -> tuple[str, str]:
-    """Address to listen on, and what to tell the operator ("" for nothing).
+def bound_to(host: str, any_key: bool, first_key: str = FIRST_KEY) -> tuple[str, str]:
+    """Address to listen on, and what to tell the operator ("" for nothing): the command that makes the first key.
 
     >>> bound_to("0.0.0.0", any_key=True)
     ('0.0.0.0', '')
@@ -41,7 +42,7 @@ def bound_to(host: str, any_key: bool) -> tuple[str, str]:
     """
     if any_key:
         return host, ""
-    return (host if is_loopback(host) else "127.0.0.1"), NOTICE
+    return (host if is_loopback(host) else "127.0.0.1"), _ALONE.format(first_key)
 
 
 def must_be_this_machine(address: str | None, headers: Mapping[str, str]) -> None:
@@ -71,4 +72,4 @@ def must_be_this_machine(address: str | None, headers: Mapping[str, str]) -> Non
         or (origin is not None and not is_loopback(from_page))
         or headers.get("sec-fetch-site", "") not in _SAME
     ):
-        raise UnauthorisedError(NOTICE)
+        raise UnauthorisedError(_ALONE.format(FIRST_KEY))

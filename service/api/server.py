@@ -8,7 +8,7 @@ import socket
 
 import uvicorn
 
-from service.access.loopback import bound_to
+from service.access.loopback import FIRST_KEY, bound_to
 from service.api.app import create_app
 from service.api.state import Services
 from service.config import Settings
@@ -35,12 +35,13 @@ def prepared(settings: Settings) -> tuple[Server, str]:
     services: Services = app.state.services
     with services.database.read() as session:
         any_key = keys.any_key(session)
+    first_key = settings.here(FIRST_KEY)
     if settings.behind_proxy and not any_key:
         raise ConfigurationError(
             "behind_proxy needs an API key: without one this machine is served, and every caller of the proxy seems to "
-            "be of this machine; make the first key with ambit keys create --scope admin"
+            f"be of this machine; make the first key with {first_key}"
         )
-    host, notice = bound_to(settings.host, any_key)
+    host, notice = bound_to(settings.host, any_key, first_key)
     options = uvicorn.Config(
         app,
         host=host,

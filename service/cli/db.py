@@ -8,20 +8,20 @@ from typing import Annotated
 import typer
 
 from service.cli.console import print_json, say
+from service.cli.installation import Config, Home
 
 app = typer.Typer(no_args_is_help=True, help="Databases and store of the service: upgrade, backup, restore.")
 
-Config = Annotated[Path | None, typer.Option(help="Settings of the service, TOML; else AMBIT_CONFIG.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
 @app.command()
-def upgrade(config: Config = None, as_json: Json = False) -> None:
+def upgrade(config: Config = None, home: Home = None, as_json: Json = False) -> None:
     """Bring both databases to the form of this version. Make a backup first; stop older workers."""
     from service.backup.restore import upgrade as upgraded
     from service.config import load
 
-    before, after = upgraded(load(config))
+    before, after = upgraded(load(config, flags={"home": home}))
     if as_json:
         print_json({"before": before, "after": after})
     else:
@@ -33,13 +33,14 @@ def backup(
     out: Annotated[Path, typer.Option(help="Folder of the backups; all share its folder store.")],
     keep: Annotated[int | None, typer.Option(help="Remove all but so many backups afterwards.", min=1)] = None,
     config: Config = None,
+    home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Back up both databases and the store, while the service runs; prints the folder of this backup."""
     from service.backup.create import create, prune
     from service.config import load
 
-    path, made = create(load(config), out)
+    path, made = create(load(config, flags={"home": home}), out)
     removed = prune(out, keep) if keep else []
     for name in made.missing:
         say(f"missing or damaged in the store, so not in the backup: {name}")
@@ -60,13 +61,14 @@ def restore(
         bool, typer.Option("--resume-jobs", help="Let jobs go on that were not finished: rotors move by themselves.")
     ] = False,
     config: Config = None,
+    home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Restore a backup into the databases and the store that the settings name. Stop the service first."""
     from service.backup.restore import restore as restored
     from service.config import load
 
-    held = restored(load(config), backup, replace, resume_jobs)
+    held = restored(load(config, flags={"home": home}), backup, replace, resume_jobs)
     jobs = held.rows.get("jobs", 0)
     if as_json:
         print_json({"created": held.created, "rows": held.rows, "blobs": held.blobs, "missing": list(held.missing)})

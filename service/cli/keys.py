@@ -11,6 +11,7 @@ import typer
 
 from service.access.keys import Scope
 from service.cli.console import print_json, say, stdout
+from service.cli.installation import Config, Home
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="API keys of the service: create, list, revoke.")
 
-Config = Annotated[Path | None, typer.Option(help="Settings of the service, TOML; else AMBIT_CONFIG.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
@@ -35,6 +35,7 @@ def create(
         float | None, typer.Option(help="Days until it expires; never without it.", min=0.001, max=36_500)
     ] = None,
     config: Config = None,
+    home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Make a key, and print it once: it is kept nowhere, only its hash is."""
@@ -45,7 +46,7 @@ def create(
     from service.storage.database import now
     from service.storage.ids import new_id
 
-    with _database(config) as database, database.write() as session:
+    with _database(config, home) as database, database.write() as session:
         first = not rows.any_key(session)
         scope = scope or (Scope.admin if first else Scope.viewer)
         at = now()
@@ -64,11 +65,11 @@ def create(
 
 
 @app.command("list")
-def list_keys(config: Config = None, as_json: Json = False) -> None:
+def list_keys(config: Config = None, home: Home = None, as_json: Json = False) -> None:
     """List the keys, newest first; never the keys themselves."""
     from service.storage import keys as rows
 
-    with _database(config) as database, database.read() as session:
+    with _database(config, home) as database, database.read() as session:
         found = [_document(row) for row in rows.listed(session)]
     if as_json:
         print_json({"keys": found})
@@ -87,7 +88,9 @@ def list_keys(config: Config = None, as_json: Json = False) -> None:
 
 @app.command()
 def revoke(
-    key_id: Annotated[str, typer.Argument(metavar="ID", help="Id of the key, key_...")], config: Config = None
+    key_id: Annotated[str, typer.Argument(metavar="ID", help="Id of the key, key_...")],
+    config: Config = None,
+    home: Home = None,
 ) -> None:
     """Revoke a key: the next request with it is refused."""
     from service.access import keys
@@ -95,7 +98,7 @@ def revoke(
     from service.storage import audit
     from service.storage import keys as rows
 
-    with _database(config) as database, database.write() as session:
+    with _database(config, home) as database, database.write() as session:
         row = rows.revoke(session, key_id)
         audit.record(session, audited(keys.LOCAL, Action.key_revoked, key_id, name=row.name))
         say(f"{key_id} ({row.name}) is revoked")
@@ -123,7 +126,7 @@ def _time(at: Any) -> str | None:
 
 
 @contextmanager
-def _database(config: Path | None) -> Iterator[Database]:
+def _database(config: Path | None, home: Path | None) -> Iterator[Database]:
     """The service's own database, brought to this version."""
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -132,7 +135,7 @@ def _database(config: Path | None) -> Iterator[Database]:
     from service.storage import migrate
     from service.storage.database import Database
 
-    database = Database(load(config).database)
+    database = Database(load(config, flags={"home": home}).database)
     try:
         migrate.upgrade(database)
         yield database

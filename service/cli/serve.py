@@ -8,9 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.console import say
-
-Config = Annotated[Path | None, typer.Option(help="Settings of the service, TOML; else AMBIT_CONFIG.")]
-Home = Annotated[Path | None, typer.Option(help="Folder of databases, store and work in progress.")]
+from service.cli.installation import Config, Home
 
 
 def serve(
