@@ -10,6 +10,8 @@ import typer
 from service.cli.console import say
 from service.cli.installation import Config, Home
 
+Traces = Annotated[str | None, typer.Option(help="Where OpenTelemetry traces go, http://collector:4318.")]
+
 
 def serve(
     config: Config = None,
@@ -18,6 +20,7 @@ def serve(
     port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.", min=0, max=65535)] = None,
     certificate: Annotated[Path | None, typer.Option(help="TLS certificate, PEM.")] = None,
     key: Annotated[Path | None, typer.Option(help="Its key, PEM.")] = None,
+    otlp_endpoint: Traces = None,
     worker: Annotated[bool, typer.Option(help="Also work on jobs, in a process beside.")] = True,
 ) -> None:
     """Serve the API, and work on jobs, until Ctrl-C; prints the URL when it is ready."""
@@ -27,7 +30,8 @@ def serve(
     from service.config import load
     from service.jobs.supervisor import Supervisor
 
-    flags = {"home": home, "host": host, "port": port, "tls_certificate": certificate, "tls_key": key}
+    tls = {"tls_certificate": certificate, "tls_key": key}
+    flags = {"home": home, "host": host, "port": port, "otlp_endpoint": otlp_endpoint, **tls}
     settings = load(config, flags=flags)
     logs.configure(settings.log_level, settings.log_format)
     tracing.configure(settings.otlp_endpoint, "ambit-api", product_version())
@@ -50,6 +54,7 @@ def worker(
     ] = None,
     config: Config = None,
     home: Home = None,
+    otlp_endpoint: Traces = None,
 ) -> None:
     """Work on jobs until Ctrl-C. Run it under a supervisor that starts it again under the same name."""
     from service import logs, tracing
@@ -57,7 +62,7 @@ def worker(
     from service.config import load
     from service.jobs.worker import serve as work
 
-    settings = load(config, flags={"home": home, "worker_name": name})
+    settings = load(config, flags={"home": home, "worker_name": name, "otlp_endpoint": otlp_endpoint})
     logs.configure(settings.log_level, settings.log_format)
     tracing.configure(settings.otlp_endpoint, "ambit-worker", product_version())
     work(settings)

@@ -4,17 +4,6 @@ schemathesis makes the requests from the description itself, right and wrong one
 application, which has a rig, an experiment, a model, a diagnosis, a health check, a schedule and jobs.
 """
 
-from __future__ import annotations
-
-import json
-import os
-import re
-import subprocess
-import sys
-from datetime import timedelta
-from pathlib import Path
-from typing import Any
-
 import httpx
 import pytest
 from scipy.io import loadmat
@@ -22,25 +11,13 @@ from scipy.io import loadmat
 from service.access.keys import Scope
 from service.client import Client, ConflictingError
 from service.config import Settings
-from service.experiment import file
-from service.jobs import calculations
-from service.storage.database import now
-from service.storage.ids import new_id
-from service.storage.tables import GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
-from sim.rig_file import to_toml
-from tests.support.measured import small_experiment
-from tests.support.serving import Serving, serving
+from tests.support.described import UNLIMITED, filled, tried
+from tests.support.serving import serving
 
-EXAMPLES = os.environ.get("AMBIT_API_EXAMPLES", "1")
-"""Random requests of each operation, beside those that look at its borders; more of them in a long run."""
-CHECKS = (
-    "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,"
-    "response_schema_conformance"
-)
-UNLIMITED: dict[str, Any] = {"port": 0, "requests_per_s": 1e6, "requests_burst": 1_000_000}
+EXAMPLES = 1
+"""Random requests of each operation, beside those that look at its borders; `benchmarks/openapi.py` makes many."""
 HANGS_S = 1200
 """The number of requests bounds the run; this is for one that hangs, on a machine however busy."""
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -49,66 +26,6 @@ def described(tmp_path_factory):
     with serving(Settings(home=home, **UNLIMITED)) as service:
         key = service.key(Scope.admin)
         yield service, key, filled(service, key, home)
-
-
-def filled(service: Serving, key: str, home: Path) -> dict[str, str]:
-    """One of everything; their ids by the names of path parameters."""
-    experiment, datasheet = small_experiment("x")
-    sheet = home / "rig.toml"
-    sheet.write_text(to_toml(datasheet))
-    file.write(home / "experiment.h5", experiment)
-    with Client(service.url, key) as client:
-        rig = client.rigs.create(sheet.read_text(), "simulated://")
-        sent = client.experiments.upload(rig.id, home / "experiment.h5")
-        jobs = [client.jobs.submit("identification", rig.id, sent.id).id for _ in range(2)]
-    (home / "out").mkdir()
-    summary = calculations.identification(str(home / "experiment.h5"), str(sheet), str(home / "out"), "experiment.h5")
-    result, short = home / "out" / "result.json", (home / "short")
-    short.mkdir()
-    (home / "history.jsonl").write_text("")
-    checked = calculations.health_compare(
-        *map(str, (result, sheet, home / "experiment.h5", short, home / "history.jsonl")), now().isoformat()
-    )
-    blobs = service.services.blobs
-    kept = {name: blobs.put_file(home / "out" / name) for name in ("result.json", "report.html", "plots.json")}
-    page, document = blobs.put(b"<!doctype html><title>x</title>"), blobs.put(b'{"format": "amb-gap-report"}')
-    ids = {name: new_id(prefix) for name, prefix in (("model", "mod"), ("gap", "gap"), ("health", "hc"), ("s", "sch"))}
-    common = {"rig_id": rig.id, "rig_version": 1, "experiment_id": sent.id, "created_at": now()}
-    with service.services.database.write() as session:
-        session.get(JobRow, jobs[0]).state = "done"  # the events of one that waits do not end
-        session.add(
-            ModelRow(
-                id=ids["model"], **common, result_sha256=kept["result.json"], report_sha256=kept["report.html"],
-                plots_sha256=kept["plots.json"], summary=summary, created_by="x",
-            )
-        )  # fmt: skip
-        session.add(
-            GapRow(id=ids["gap"], **common, gap_sha256=document, report_sha256=page, summary={}, created_by="x")
-        )
-        session.add(
-            ScheduleRow(
-                id=ids["s"], rig_id=rig.id, cron="0 6 * * *", options={}, enabled=True, created_at=now(),
-                updated_at=now(), created_by="x", next_at=now() + timedelta(days=1),
-            )
-        )  # fmt: skip
-        session.flush()
-        session.add(ScheduleRunRow(schedule_id=ids["s"], due_at=now(), state="missed", recorded_at=now()))
-        session.add(
-            HealthRow(
-                id=ids["health"], **common, model_id=ids["model"], document=checked,
-                alarm=False, report_sha256=page,
-            )
-        )  # fmt: skip
-    return {
-        "rig_id": rig.id,
-        "experiment_id": sent.id,
-        "job_id": jobs[0],
-        "other_job": jobs[1],
-        "model_id": ids["model"],
-        "gap_id": ids["gap"],
-        "health_id": ids["health"],
-        "schedule_id": ids["s"],
-    }
 
 
 def test_the_client_reads_one_of_everything(described, tmp_path):
@@ -227,7 +144,9 @@ def missing(example: object, real: object, at: str = "") -> list[str]:
 @pytest.mark.timeout(HANGS_S + 60)
 def test_the_api_is_what_its_description_says(described, tmp_path):
     pytest.importorskip("schemathesis", reason="schemathesis is not installed")
-    tried(*described, tmp_path)
+    found = tried(*described, tmp_path, EXAMPLES, HANGS_S)
+    assert found.passed, found.said
+    assert found.whole
 
 
 @pytest.mark.pg
@@ -242,28 +161,5 @@ def test_what_changes_something_does_so_on_postgresql_too(tmp_path):
     with empty_database() as url, serving(Settings(home=home, database_url=url, **UNLIMITED)) as service:
         key = service.key(Scope.admin)
         writing = [part for method in ("POST", "PUT") for part in ("--include-method", method)]
-        tried(service, key, filled(service, key, home), tmp_path, *writing)
-
-
-def tried(service: Serving, key: str, ids: dict[str, str], folder: Path, *which: str) -> None:
-    """Every operation, or which of them, by schemathesis."""
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "schemathesis.cli", "run", f"{service.url}/openapi.json"),
-            *("--checks", CHECKS, "--phases", "examples,coverage,fuzzing", "--max-examples", EXAMPLES),
-            *("--header", f"Authorization: Bearer {key}", "--request-timeout", "60", "--generation-deterministic"),
-            *("--no-shrink", "--continue-on-failure", "--suppress-health-check", "all", "--warnings", "off"),
-            *("--no-color", "--output-truncate", "true", *which),
-        ],
-        env=os.environ
-        | {"SCHEMATHESIS_HOOKS": "tests.support.api_hooks", "AMBIT_TEST_IDS": json.dumps(ids), "PYTHONPATH": str(ROOT)},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=HANGS_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout[-20_000:] + done.stderr[-2000:]
-    counted = re.search(r"Selected: (\d+)/(\d+)\n\s*Tested: \1\n", done.stdout)
-    assert counted is not None, done.stdout[-2000:]
-    assert which or counted[1] == counted[2]
+        found = tried(service, key, filled(service, key, home), tmp_path, EXAMPLES, HANGS_S, *writing)
+    assert found.passed, found.said

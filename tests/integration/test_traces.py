@@ -35,7 +35,8 @@ def collector():
 def test_a_job_is_joined_to_the_request_that_asked_for_it(tmp_path, collector):
     messages = pytest.importorskip("opentelemetry.proto.collector.trace.v1.trace_service_pb2", reason="no OTLP here")
     address, arrived = collector
-    with service(tmp_path / "home", "sqlite", "--no-worker", otlp_endpoint=address) as running:
+    with service(tmp_path / "home", "sqlite", "--no-worker", "--otlp-endpoint", address) as running:
+        running.environment["AMBIT_OTLP_ENDPOINT"] = address
         worker = running.worker("w1")
         rig = running.add_rig(reference_sheet(), name="bench")
         experiment = running.upload(rig, good(tmp_path / "e.h5"))
