@@ -91,6 +91,7 @@ def outcome(number: int, truth: dict[str, Any], report: dict[str, Any], seconds:
         detectability=float(truth.get("detectability", 1e9)),
         report=report,
         seconds=seconds,
+        each=truth.get("each", {}),
     )
 
 

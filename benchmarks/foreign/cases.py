@@ -185,7 +185,12 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         factor = float(rng.uniform(1.5, 4.0)) if rng.random() < 0.8 else float(rng.uniform(0.4, 0.7))
         sweeps = plan(nominal, rng, factor)
         levels = [float(rng.uniform(0, level_cap)) for _ in names]
-        changes = {n: (CATALOGUE | UNKNOWN)[n](nominal, rng, x) for n, x in zip(names, levels, strict=True)}
+        changes, without = {}, {n: copy.deepcopy(nominal) for n in names if len(names) > 1}
+        for n, x in zip(names, levels, strict=True):
+            for other, t in without.items():
+                if other != n:
+                    (CATALOGUE | UNKNOWN)[n](t, copy.deepcopy(rng), x)
+            changes[n] = (CATALOGUE | UNKNOWN)[n](nominal, rng, x)
         level_cap = max(0.3, level_cap * 0.93)  # what does not levitate comes back smaller
         if tries > 200:
             raise RuntimeError(f"case {index} with {names}: no rig that levitates")
@@ -194,10 +199,12 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         before = copy.deepcopy(rng)
         try:
             data = measure(nominal, sweeps, rng)
+            quiet = {n: measure(t, sweeps, copy.deepcopy(before)) for n, t in without.items()}
         except LeftLimits:
             continue
         break
     seen = detectability(plain, data, measure(plain, sweeps, before), TOLERANCE) if names else 0.0
+    each = {n: detectability(t, data, quiet[n], TOLERANCE) for n, t in without.items()}
     name = f"c{index + 1:03d}"
     folder = out / name
     folder.mkdir(parents=True, exist_ok=True)
@@ -212,6 +219,7 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         "wide_datasheet": bool(wide),
         "noise_factor": noise,
         "detectability": seen,
+        "each": each,
         "amplitude_factor": factor,
         "path": sorted({PATH.get(n, "plant") for n in names}) if kind in ("single", "mixture") else [],
     }

@@ -279,7 +279,7 @@ def run_tone(
     rest = c.delay[0] - whole * c.sample_time
     queue = np.zeros((whole + 2, 4))
     n1 = int(np.ceil(rest / c.sample_time * substeps - 1e-9))
-    n2 = max(1, substeps - n1)
+    n2 = int(np.ceil((c.sample_time - rest) / c.sample_time * substeps - 1e-9))  # no step longer for a delay
     # times of the grid within a sample and what the sensor saw there, for its delay
     m = n1 + n2 + 1
     grid = np.zeros(m)
