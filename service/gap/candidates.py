@@ -82,7 +82,7 @@ def fit_task(task: Task) -> Candidate:
 
 def _fitted(task: Task) -> Candidate:
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects])
-    active, rough = task.ground.part.active, [s for s in task.stages if s.closed]
+    active, rough = problem.active, [s for s in task.stages if s.closed]
     begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]
     for stage in rough:
         begun = _best_of(problem, begun, stage)
@@ -115,21 +115,22 @@ def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
     A strength that is fitted by its logarithm counts in its own unit here: near nothing its logarithm moves nothing,
     and would seem to leave no room for another parameter that trades against it.
     """
-    k = len(problem.active)
-    value = np.array([fit.values[which][p.name] for which, p in problem.parameters], dtype=float)
-    logarithmic = np.array([p.scale == "log" for _, p in problem.parameters], dtype=bool)
-    strength = np.array([p.strength for _, p in problem.parameters], dtype=bool)
-    ranges = np.array([p.high - p.low for _, p in problem.parameters], dtype=float)
+    k, own = len(problem.active), problem.parameters[: problem.n_own]
+    at = slice(k, k + len(own))
+    value = np.array([fit.values[which][p.name] for which, p in own], dtype=float)
+    logarithmic = np.array([p.scale == "log" for _, p in own], dtype=bool)
+    strength = np.array([p.strength for _, p in own], dtype=bool)
+    ranges = np.array([p.high - p.low for _, p in own], dtype=float)
     unit = np.where(logarithmic & strength, value, 1.0)  # of the fit's, in the parameter's own or its logarithm's
-    width = np.where(logarithmic & strength, ranges, problem.high - problem.low)
-    prior = np.concatenate([np.ones(k), 12.0 / np.maximum(width, 1e-12) ** 2])
-    per = np.concatenate([np.ones(k), 1.0 / unit])
-    covariance = np.linalg.inv(fit.curvature * np.outer(per, per) + np.diag(prior))
+    width = np.where(logarithmic & strength, ranges, (problem.high - problem.low)[: len(own)])
+    prior, per = problem.prior.copy(), np.ones(len(problem.prior))
+    prior[at, at], per[at] = np.diag(12.0 / np.maximum(width, 1e-12) ** 2), 1.0 / unit
+    covariance = np.linalg.inv(fit.curvature * np.outer(per, per) + prior)
     widened = max(1.0, fit.chi_square / fit.n_residuals)
-    sd = np.sqrt(np.maximum(np.diag(covariance)[k:], 0) * widened) * problem.scale
+    sd = np.sqrt(np.maximum(np.diag(covariance)[at], 0) * widened) * problem.scale[: len(own)]
     sd = np.hypot(np.where(logarithmic & ~strength, value * sd, sd), LAW_ERROR * np.abs(value))
     out: list[dict[str, float]] = [{} for _ in problem.effects]
-    for (which, p), s in zip(problem.parameters, sd, strict=True):
+    for (which, p), s in zip(own, sd, strict=True):
         out[which][p.name] = float(s)
     return tuple(out)
 

@@ -60,7 +60,7 @@ def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
     whole: dict[tuple[str, ...], Ranked] = {}
     before = max(sum(_excess(e) for e in found), 1e-9)
     for pick in picks:
-        combined = _combined(nuisance, [pick[k] for k in by_size])
+        combined = _combined(nuisance, found, pick, by_size)
         left = sum(r.unexplained * _excess(e) for r, e in zip(pick, found, strict=True)) / before
         evidence = sum(r.log_evidence for r in pick)
         probability = float(np.prod([r.probability for r in pick]))
@@ -74,17 +74,25 @@ def _excess(e: Explained) -> float:
     return max(e.null.candidate.fit.chi_square + e.null.candidate.fit.penalty - best, 0.0)
 
 
-def _combined(nuisance: Nuisance, pick: Sequence[Ranked]) -> Candidate:
-    """One candidate of the parts' own, the largest gap first."""
+def _combined(
+    nuisance: Nuisance, found: Sequence[Explained], pick: Sequence[Ranked], by_size: Sequence[int]
+) -> Candidate:
+    """One candidate of the parts' own, effects of the largest gap first."""
     theta, k = np.zeros(len(nuisance)), len(nuisance)
     curvature = np.zeros((k, k))
-    for r in pick:
-        active = r.candidate.fit.active
-        theta[active] = r.candidate.fit.theta[active]
-        curvature[np.ix_(active, active)] = r.candidate.fit.curvature[: len(active), : len(active)]
+    moved: dict[str, Mapping[str, float]] = {}
+    for e, r in zip(found, pick, strict=True):  # as they were fitted: what one inherits of another it has moved
+        fit, other = r.candidate.fit, e.ground.inherited
+        active = fit.active
+        if other is not None and other.of in (p.candidate.effects for p in pick):
+            moved |= {name: values for (name, _), values in zip(other.effects, fit.inherited, strict=True)}
+        else:
+            active = e.ground.part.active
+        theta[active] = fit.theta[active]
+        curvature[np.ix_(active, active)] += fit.curvature[: len(active), : len(active)]
     named = [
-        (name, values, sds)
-        for r in pick
+        (name, moved.get(name, values), sds)
+        for r in (pick[n] for n in by_size)
         for name, values, sds in zip(
             r.candidate.effects, r.candidate.fit.values, r.candidate.standard_deviations, strict=True
         )
@@ -95,7 +103,7 @@ def _combined(nuisance: Nuisance, pick: Sequence[Ranked]) -> Candidate:
     fit = Fit(
         tuple(name for name, _, _ in named),
         theta,
-        tuple(values for _, values, _ in named),
+        tuple(dict(values) for _, values, _ in named),
         rig,
         tuple(g for r in pick for g in r.candidate.fit.groups),
         float(theta @ theta),
@@ -138,7 +146,7 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     for e in found:
         seen, z = on_sweep(e, e.null.candidate, unseen)
         significant = max(e.significance, significance(z, seen))
-        own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant)
+        own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
         if own[e.part.path].kind != "no_gap" and (reason := other_rig(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,))
     by_size = sorted(found, key=lambda e: -_excess(e))
@@ -171,10 +179,11 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
 def other_rig(e: Explained) -> str | None:
     """Why the datasheet cannot be this rig's, in words: even beside the best explanation its values are far off."""
     fit, names = chosen_in(e).fit, e.ground.nuisance.names
-    k = len(fit.active)
-    if fit.penalty <= k + IMPLAUSIBLE * np.sqrt(2 * k):
+    own = e.ground.part.active
+    k, off = len(own), float(np.sum(fit.theta[own] ** 2))
+    if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
         return None
-    worst = sorted(fit.active, key=lambda j: -abs(fit.theta[j]))[:3]
+    worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
     told = ", ".join(f"{names[j]} by {abs(fit.theta[j]):.1f}" for j in worst)
     return f"the datasheet seems to be of another rig; its values would be off by many tolerances ({told}): check it"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from service.gap.shrinkage import Closed
-from service.gap.verdict import Ranked
+from service.gap.verdict import ALIKE, Ranked
 
 if TYPE_CHECKING:
     from service.gap.diagnose import Diagnosis
@@ -142,6 +142,24 @@ def _finite(value: Any) -> Any:
     return value
 
 
+def _alike(d: Diagnosis) -> tuple[list[str], list[str]]:
+    """Effects of the verdict's classes that it does not name: about as likely as those, and what only fits as well.
+
+    A law with more parameters of its own, or whose values have to be just so, is much less likely where it leaves as
+    much as a simpler one.
+    """
+    v, rivals, roundabout = d.verdict, list[str](), list[str]()
+    evidence = {frozenset(r.candidate.effects): r.log_evidence for r in d.order}
+    best = evidence.get(frozenset(v.effects), -np.inf)
+    for group in v.indistinguishable:
+        named = next(e for e in group if e in v.effects)
+        for other in (e for e in group if e not in v.effects):
+            own = evidence.get(frozenset({*v.effects, other} - {named}))
+            behind = own is not None and own < best - ALIKE
+            (roundabout if behind else rivals).append(other)
+    return rivals, roundabout
+
+
 def sentence(d: Diagnosis) -> str:
     """The diagnosis in one sentence: where, which, how far, how sure."""
     v, s = d.verdict, d.shrinkage
@@ -157,8 +175,9 @@ def sentence(d: Diagnosis) -> str:
             f"and no known effect explains it{why}, {sure}."
         )
     words = " and ".join(e.replace("_", " ") for e in v.effects)
-    others = [e.replace("_", " ") for group in v.indistinguishable for e in group if e not in v.effects]
-    unsure = f", not told apart from {', '.join(others)}" if others else ""
+    rivals, roundabout = (", ".join(e.replace("_", " ") for e in told) for told in _alike(d))
+    unsure = f", not told apart from {rivals}" if rivals else ""
+    unsure += f"; {roundabout} would fit about as well but takes more to do it" if roundabout else ""
     far = (
         "; the unseen sweep does not show this gap, so how much of it closes is not known"
         if s.closure is None

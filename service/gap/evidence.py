@@ -26,15 +26,23 @@ MODEL_ERRORS = 40.0
 """Independent values in what a twin leaves: residuals of neighbouring lines and channels go together."""
 
 
+def prior_precision(problem: Problem) -> Real:
+    """Inverse covariance of what is known before the fit, (a + e, a + e).
+
+    A parameter of an effect that the data say nothing of keeps its prior, a uniform one between its bounds.
+    """
+    k, own = len(problem.active), problem.n_own
+    width = (problem.high - problem.low)[:own]
+    precision = problem.prior.copy()
+    precision[range(k, k + own), range(k, k + own)] = 12.0 / np.maximum(width, 1e-12) ** 2
+    return precision
+
+
 def occam(problem: Problem, fit: Fit) -> float:
     """Log of the share of the prior that the data leave: -1/2 logdet of curvature, effect priors uniform."""
-    k = len(problem.active)
-    width = problem.high - problem.low
-    # A parameter that the data say nothing of keeps its prior, a uniform one of that width.
-    prior = np.concatenate([np.ones(k), 12.0 / np.maximum(width, 1e-12) ** 2])
-    hessian = fit.curvature + np.diag(prior)
-    _, logdet = np.linalg.slogdet(hessian)
-    return float(-0.5 * logdet + 0.5 * np.sum(np.log(prior)))
+    prior = prior_precision(problem)
+    (_, after), (_, before) = np.linalg.slogdet(fit.curvature + prior), np.linalg.slogdet(prior)
+    return float(0.5 * (before - after))
 
 
 def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float:

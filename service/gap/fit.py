@@ -72,12 +72,15 @@ class Fit:
     groups: tuple[tuple[float, int], ...]
     """(chi-square, number of residuals) of the fundamental and of the other harmonics, sweep by sweep"""
     penalty: float
-    """|theta|^2 of the values fitted, what the datasheet's tolerances hold against the fit"""
+    """|theta|^2 of the values fitted, what the datasheet's tolerances hold against the fit; of another part's what its
+    data hold against it"""
     active: NDArray[np.int64]
     """indices of the values fitted"""
     curvature: Real
     """(a + e, a + e), J^T J of the weighted residuals; effect parameters in units of their scale"""
     status: str
+    inherited: tuple[dict[str, float], ...] = ()
+    """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
 
     @property
     def chi_square(self) -> float:
@@ -107,13 +110,30 @@ class Problem:
     def __init__(self, ground: Ground, effects: Sequence[Effect] = ()) -> None:
         self.ground, self.effects = ground, tuple(effects)
         self.observations, self.active = ground.observations, ground.part.active
-        self.parameters = [(k, p) for k, e in enumerate(effects) for p in e.parameters]
+        other = ground.inherited
+        theirs = [] if other is None else [CATALOGUE[name] for name, _ in other.effects]
+        self.parameters = [(k, p) for k, e in enumerate((*effects, *theirs)) for p in e.parameters]
+        self._n_effects = len(effects) + len(theirs)
+        self.n_own = sum(len(e.parameters) for e in effects)
+        if other is not None:
+            self.active = np.concatenate([self.active, other.active])
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
         self.low: Real = np.array([self._inner(p, p.low) for _, p in self.parameters], dtype=float) / self.scale
         self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
         self.nonlinear = any(slow_to_compute(e.id) for e in effects)
         self._a, self._signal = len(self.active), ground.part.signal
+        self.prior, self._centre = self._priors()
+
+    def _priors(self) -> tuple[Real, Real]:
+        """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""
+        a, size, other = self._a, self._a + len(self.scale), self.ground.inherited
+        precision, centre = np.zeros((size, size)), np.zeros(size)
+        precision[range(a), range(a)] = 1.0
+        if other is not None:
+            at = np.r_[a - len(other.active) : a, a + self.n_own : size]
+            precision[np.ix_(at, at)], centre[at] = other.precision, other.mean
+        return precision, centre
 
     @staticmethod
     def _inner(p: Parameter, value: float) -> float:
@@ -121,15 +141,17 @@ class Problem:
         return float(np.log(np.clip(value, p.low, p.high))) if p.scale == "log" else value
 
     def values(self, e: Real) -> tuple[dict[str, float], ...]:
-        """Effect parameters by name, one dict per effect, from the scaled vector."""
+        """Effect parameters by name, one dict per effect, then per inherited one, from the scaled vector."""
         inside = np.clip(e, self.low, self.high) * self.scale
-        out: list[dict[str, float]] = [{} for _ in self.effects]
+        out: list[dict[str, float]] = [{} for _ in range(self._n_effects)]
         for (k, p), v in zip(self.parameters, inside, strict=True):
             out[k][p.name] = float(np.clip(np.exp(v), p.low, p.high)) if p.scale == "log" else float(v)
         return tuple(out)
 
     def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:
-        """Inverse of `values`; parameters not given keep their typical value."""
+        """Inverse of `values`; parameters not given keep their typical value, inherited ones what was found."""
+        if self.ground.inherited is not None and len(values) < self._n_effects:
+            values = (*values, *(found for _, found in self.ground.inherited.effects))
         inner = [self._inner(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
         return np.asarray(np.array(inner, dtype=float) / self.scale)
 
@@ -141,9 +163,10 @@ class Problem:
 
     def build(self, x: Real) -> Rig:
         """The rig at a vector of deviations and effect parameters, (a + e,)."""
-        rig = self.ground.rig(self.theta(x))
-        for effect, values in zip(self.effects, self.values(x[self._a :]), strict=True):
-            rig = effect.on(rig, **values)
+        values, n = self.values(x[self._a :]), len(self.effects)
+        rig = self.ground.rig(self.theta(x), values[n:])
+        for effect, own in zip(self.effects, values[:n], strict=True):
+            rig = effect.on(rig, **own)
         return rig
 
     # ------------------------------------------------------------------------------------------- predictions
@@ -151,9 +174,11 @@ class Problem:
     def _closed_control(self, o: Observation, model: LinearModel) -> Complex:
         """Control signal that the twin's loop would have for the excitation the controller really saw."""
         f = o.fundamental
-        C = model.controller[o.line, None]
-        excitation = o.U[:, f] + C * o.Y[:, f]  # not r itself: a controller that differs is not the plant's fault
-        return np.asarray((model.sensitivity[o.line] @ excitation[..., None])[..., 0])
+        C, late = model.controller[o.line, None], model.log_phase[o.line, None]
+        # Not r itself: a controller that differs is not the plant's fault. With a log that is off, still of the loop
+        # that runs: that of the log could be nearly unstable.
+        excitation = late * o.U[:, f] + C * o.Y[:, f]
+        return np.asarray((model.u_per_r[o.line] @ excitation[..., None])[..., 0])
 
     def predict(self, rig: Rig, o: Observation, closed: bool, carried: Complex | None = None) -> Complex:
         """The part's output for its measured input, (P, H, n).
@@ -195,14 +220,14 @@ class Problem:
             return np.zeros((len(o.line), n, 0), dtype=complex)
         if self._signal == "i":
             return current_jacobian(nuisance, rig, o)
-        amplifiers = self.ground.part.from_control
+        amplifiers = self.ground.part.from_control or self.ground.inherited is not None
         if not closed:
             return answer_and_jacobian(nuisance, rig, o, amplifiers)[1][:, n:, self.active]
         model = linear_model(at_speed_of(rig, o), o.frequency_hz)
         U = o.U.copy()
         U[:, o.fundamental] = self._closed_control(o, model)
         J = answer_and_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[1][:, n:, self.active]
-        C = model.controller[:, None, None]
+        C = (model.controller / model.log_phase)[:, None, None]
         return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 
     def _effect_columns(self, state: _State, stage: Stage, w: list[Real], carried: Carried) -> list[Complex]:
@@ -233,14 +258,14 @@ class Problem:
             out.append(w)
         return out
 
-    def _state(self, x: Real, stage: Stage, w: list[Real], carried: Carried, prior: Real) -> _State:
+    def _state(self, x: Real, stage: Stage, w: list[Real], carried: Carried) -> _State:
         rig = self.build(x)
         predictions = [self.predict(rig, o, stage.closed, c) for o, c in zip(self.observations, carried, strict=True)]
         residuals = [
             centred(measured_signal(o, self._signal) - p, weight_, o) * weight_
             for o, p, weight_ in zip(self.observations, predictions, w, strict=True)
         ]
-        cost = float(sum(np.vdot(r, r).real for r in residuals) + x**2 @ prior)
+        cost = float(sum(np.vdot(r, r).real for r in residuals)) + self._penalty(x)
         return _State(x, rig, residuals, predictions, cost)
 
     def _nuisance_rows(self, rig: Rig, stage: Stage, w: list[Real]) -> list[Real]:
@@ -269,13 +294,12 @@ class Problem:
     def run(self, x: Real, stage: Stage) -> Fit:
         """One Levenberg-Marquardt pass from ``x`` (a + e,)."""
         a, w = self._a, self._weights(stage)
-        prior = np.concatenate([np.ones(a), np.zeros(len(x) - a)])
         bound = np.full(a, TOLERANCE_BOUND)
         longest = np.concatenate([bound, self._longest])
         low, high = np.concatenate([-bound, self.low]), np.concatenate([bound, self.high])
         begun = self.build(x)
         carried = self._carried(begun)
-        state = self._state(x, stage, w, carried, prior)
+        state = self._state(x, stage, w, carried)
         damping, status = 1e-3, "reached the largest number of iterations"
         rows, age = self._nuisance_rows(state.rig, stage, w), 0
         curvature = np.zeros((len(x), len(x)))
@@ -284,13 +308,13 @@ class Problem:
                 rows, age = self._nuisance_rows(state.rig, stage, w), 0
             columns = self._effect_columns(state, stage, w, carried)
             curvature, gradient = self._normal_equations(state, rows, columns)
-            hessian = curvature + np.diag(prior)
+            hessian = curvature + self.prior
             scale = np.diag(np.maximum(np.diag(hessian), 1e-12))
             trial = None
             for _ in range(7 if age == 0 else 2):
-                step = np.linalg.solve(hessian + damping * scale, gradient - prior * state.x)
+                step = np.linalg.solve(hessian + damping * scale, gradient - self.prior @ (state.x - self._centre))
                 tried = np.clip(state.x + np.clip(step, -longest, longest), low, high)
-                found = self._state(tried, stage, w, carried, prior)
+                found = self._state(tried, stage, w, carried)
                 if np.isfinite(found.cost) and found.cost < state.cost:
                     trial = found
                     break
@@ -305,7 +329,7 @@ class Problem:
             drop, state = state.cost - trial.cost, trial
             if not stage.closed and not self.nonlinear and self._signal == "y" and iteration < 4:
                 carried = self._carried(state.rig)
-                state = self._state(state.x, stage, w, carried, prior)
+                state = self._state(state.x, stage, w, carried)
             if drop < stage.tolerance * max(1.0, state.cost):
                 status = "converged"
                 break
@@ -321,19 +345,35 @@ class Problem:
             ]
         a = self._a
         theta, values = self.theta(state.x), self.values(state.x[a:])
-        penalty = float(state.x[:a] @ state.x[:a])
+        penalty, n = self._penalty(state.x), len(self.effects)
         names = tuple(effect.id for effect in self.effects)
-        return Fit(names, theta, values, state.rig, tuple(groups), penalty, self.active, curvature, status)
+        return Fit(
+            names,
+            theta,
+            values[:n],
+            state.rig,
+            tuple(groups),
+            penalty,
+            self.active,
+            curvature,
+            status,
+            values[n:],
+        )
+
+    def _penalty(self, x: Real) -> float:
+        """What is known beforehand holds so much against a vector, chi-square."""
+        away = x - self._centre
+        return float(away @ self.prior @ away)
 
     def vector(self, fit: Fit) -> Real:
         """The vector (a + e,) at which a fit of this problem ended."""
-        return np.concatenate([fit.theta[self.active], self.scaled(fit.values)])
+        theirs = fit.inherited if self._n_effects > len(self.effects) else ()
+        return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
 
     def residuals(self, fit: Fit) -> list[Complex]:
         """Weighted residuals of a fit of this part, (P, H, n) per sweep."""
-        prior = np.zeros(self._a + len(self.scale))
         nothing: Carried = [None] * len(self.observations)
-        return self._state(self.vector(fit), EXACT, self._weights(EXACT), nothing, prior).residuals
+        return self._state(self.vector(fit), EXACT, self._weights(EXACT), nothing).residuals
 
 
 def slow_to_compute(name: str) -> bool:

@@ -46,6 +46,26 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Inherited:
+    """What the fit of another part leaves uncertain, normal about what it found: it is fitted here too.
+
+    Held at what noisy currents made of it, a delay of the amplifiers that they hardly showed came back as a lag of the
+    plant, which is measured much better.
+    """
+
+    of: tuple[str, ...]
+    """effects of that part's explanation"""
+    active: NDArray[np.int64]
+    """(a,) indices of the nuisance vector"""
+    effects: tuple[tuple[str, Values], ...]
+    """those whose parameters, e in all, are uncertain too"""
+    mean: Real
+    """(a + e,) deviations and effect parameters, in the units of the fit"""
+    precision: Real
+    """(a + e, a + e) inverse of their covariance"""
+
+
+@dataclass(frozen=True)
 class Ground:
     """What every fit of a part shares: data, the values that other parts fixed, and the effects found there."""
 
@@ -58,11 +78,18 @@ class Ground:
     """effects of other parts"""
     from_current: bool = False
     """The plant is driven by the measured current: no amplifier explains how it came to be."""
+    inherited: Inherited | None = None
+    """what is uncertain of another part; its effects are not among ``found``"""
 
-    def rig(self, theta: Real) -> Rig:
-        """The rig at deviations ``theta`` with what other parts have found."""
+    def rig(self, theta: Real, inherited: Sequence[Values] | None = None) -> Rig:
+        """The rig at deviations ``theta`` with what other parts have found.
+
+        ``inherited`` are the parameters of the uncertain ones among their effects, by default as they were found.
+        """
         rig = self.nuisance.at(theta)
-        for name, values in self.found:
+        uncertain = () if self.inherited is None else self.inherited.effects
+        moved = [values for _, values in uncertain] if inherited is None else inherited
+        for name, values in (*self.found, *((n, v) for (n, _), v in zip(uncertain, moved, strict=True))):
             rig = CATALOGUE[name].on(rig, **values)
         if self.from_current:  # the amplifiers' own limits are in that current already
             free = np.full(rig.n_axes, np.inf)

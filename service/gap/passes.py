@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.gap.candidates import Fitter
+from service.gap.between import between
+from service.gap.candidates import Candidate, Fitter
 from service.gap.compose import chosen_in, on_sweep
+from service.gap.inherited import inherited_from
 from service.gap.log import log_fault
 from service.gap.observation import Observation
 from service.gap.observed import Observed
@@ -74,32 +76,58 @@ def _explained(
     """
     out: list[Explained] = []
     fault: str | None = None
-    theta = np.zeros(len(data.nuisance))
-    named: list[tuple[str, Values]] = []
     looked_at = parts(data.nuisance, observations)
     for part in looked_at:
+        theta = chosen_in(out[-1]).fit.theta if out else np.zeros(len(data.nuisance))
+        named = tuple(found for e in out for found in _found(chosen_in(e)))
         understood = all(_understood(e) for e in out if e.part.path == "amplifier")
-        ground = Ground(data.nuisance, part, observations, theta, tuple(named))
+        ground = Ground(data.nuisance, part, observations, theta, named)
         if part.path == "plant" and not understood:
             rig = ground.rig(theta)
             driven = tuple(driven_by_current(rig, o) for o in observations)
             ground = replace(ground, observations=driven, from_current=True)
+        elif part.path == "plant" and out and out[-1].part.path == "amplifier":
+            ground = _through(ground, out[-1], chosen_in(out[-1]))
         if part.path not in known:
             telling.part(part, [p for p in looked_at if p.path not in known], *percent)
         result = known.get(part.path)
         if result is not None:  # what was found in the other parts has changed
-            result = replace(result, ground=replace(result.ground, theta=theta, found=tuple(named)))
+            result = replace(result, ground=replace(result.ground, theta=theta, found=named, inherited=None))
         else:
             sooner = (before or {}).get(part.path)
             plain = plain_twin(fitter, ground, sooner)
             if part.path == "plant" and not data.aloud:
                 fault = log_fault(fitter, out, ground, plain)
             result = explain(fitter, ground, plain, 1 if fault else MOST, sooner)
+            if ground.inherited is not None and not fault:
+                out[-1], result = _shared(fitter, out[-1], result)
         out.append(result)
-        chosen = chosen_in(result)
-        theta = chosen.fit.theta
-        named += zip(chosen.effects, chosen.fit.values, strict=True)
     return out, fault
+
+
+def _shared(fitter: Fitter, amplifiers: Explained, plant: Explained) -> tuple[Explained, Explained]:
+    """Amplifiers and plant, an effect that either may have given to the one where it explains both better."""
+
+    def through(candidate: Candidate) -> Ground:
+        return _through(plant.ground, amplifiers, candidate)
+
+    now, plant = between(fitter, amplifiers, plant, through)
+    if chosen_in(now) is not chosen_in(amplifiers):
+        plant = explain(fitter, through(chosen_in(now)))
+    return now, plant
+
+
+def _found(c: Candidate) -> tuple[tuple[str, Values], ...]:
+    return tuple(zip(c.effects, c.fit.values, strict=True))
+
+
+def _through(ground: Ground, amplifiers: Explained, candidate: Candidate) -> Ground:
+    """The plant's ground behind an explanation of the amplifiers, with what is uncertain of it."""
+    theirs = inherited_from(amplifiers.ground, candidate)
+    uncertain = [name for name, _ in theirs.effects]
+    fixed = tuple((name, values) for name, values in _found(candidate) if name not in uncertain)
+    found = (*amplifiers.ground.found, *fixed)
+    return replace(ground, theta=candidate.fit.theta, found=found, inherited=theirs)
 
 
 def _understood(amplifiers: Explained) -> bool:

@@ -53,6 +53,8 @@ class Explained:
     """weighted residuals of the plain twin, (P, H, n) per sweep"""
     left: tuple[Complex, ...]
     """the same of the best explanation"""
+    elsewhere: tuple[Ranked, ...] = ()
+    """by effects of another part, which would explain this one's gap about as well; log evidence on this one's scale"""
 
     @property
     def part(self) -> Part:
@@ -91,7 +93,7 @@ def plain_twin(
         null = fitter.run([Task(ground, (), ((),), ground.theta, (*_rough(ground), EXACT))])[0]
     else:
         null = fitter.run([Task(ground, (), ((),), before.null.candidate.fit.theta, (EXACT,))])[0]
-    return null, _residuals(ground, null)
+    return null, residuals(ground, null)
 
 
 def explain(
@@ -121,13 +123,16 @@ def explain(
         for name in ground.part.effects
     )
     found = _refined(fitter, ground, null, probed)
+    if plainer := _contained(fitter, ground, null, min(found, key=_cost, default=null)):
+        null, plain = plainer[0], residuals(ground, plainer[0])
+        found = _refined(fitter, ground, null, found)
     order, left = ranked(null, found), plain
     fewer = next(r for r in order if r.candidate is null)
     for size in range(1, most + 1):
-        left = _residuals(ground, order[0].candidate)
+        left = residuals(ground, order[0].candidate)
         # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
         base = order[0] if size > 1 else next((r for r in order if r.candidate.effects), order[0])
-        beside = left if base is order[0] else _residuals(ground, base.candidate)
+        beside = left if base is order[0] else residuals(ground, base.candidate)
         if len(base.candidate.effects) < size or size == most or not _leaves_something(base, beside, ground):
             break
         if not any(now < HOPEFUL * before for now, before in zip(base.shares, fewer.shares, strict=True)):
@@ -136,11 +141,13 @@ def explain(
         larger = _refined(fitter, ground, null, fitter.run(_larger(order, base, beside, ground)))
         found = [*found, *larger]
         found += _exchanged(fitter, ground, null, larger, found)
+        found = _best_of_each([*found, *_contained(fitter, ground, *found)])
         order = _worthy(ranked(null, found))
     return Explained(ground, tuple(order), plain, left)
 
 
-def _residuals(ground: Ground, candidate: Candidate) -> tuple[Complex, ...]:
+def residuals(ground: Ground, candidate: Candidate) -> tuple[Complex, ...]:
+    """What an explanation leaves of a part, weighted, (P, H, n) per sweep."""
     return tuple(Problem(ground, [CATALOGUE[name] for name in candidate.effects]).residuals(candidate.fit))
 
 
@@ -161,12 +168,12 @@ def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex],
 
 
 def _starts(
-    first: Candidate, name: str, residuals: Sequence[Complex], ground: Ground
+    first: Candidate, name: str, left: Sequence[Complex], ground: Ground
 ) -> tuple[tuple[dict[str, float], ...], ...]:
     """Starts of an effect beside those of ``first``; a nonlinear one's found in the sweep that drives it most."""
     sweeps = range(len(ground.observations))
     k = max(sweeps, key=lambda k: _driven(name, ground.observations[k])) if CATALOGUE[name].nonlinear else 0
-    o, z = ground.observations[k], residuals[k]
+    o, z = ground.observations[k], left[k]
     return tuple((*first.fit.values, s) for s in starts(CATALOGUE[name], first.fit.rig, z, o, ground))
 
 
@@ -203,7 +210,7 @@ def _exchanged(
         return []
     best = min(mixtures, key=_cost)
     mixture = next(r for r in ranked(null, found) if r.candidate is best)
-    if not _leaves_something(mixture, _residuals(ground, best), ground):
+    if not _leaves_something(mixture, residuals(ground, best), ground):
         return []
     singles = {c.effects[0]: c.fit.values[0] for c in found if len(c.effects) == 1}
     tried = {frozenset(c.effects) for c in found}
@@ -217,6 +224,30 @@ def _exchanged(
         if frozenset(effects) not in tried
     )
     return fitter.run(_to_the_end(ground, sorted(probed, key=_cost)[:1]))
+
+
+def _contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
+    """The explanations with one effect less than the one that leaves least, where they do better from where that ended.
+
+    A fit that stopped short of its valley leaves what any further effect seems to explain, by going on from there.
+    """
+    best, costs = min(found, key=_cost), {frozenset(c.effects): _cost(c) for c in found}
+    tasks = []
+    for without in best.effects:
+        kept = [k for k, name in enumerate(best.effects) if name != without]
+        values = tuple(best.fit.values[k] for k in kept)
+        tasks.append(Task(ground, tuple(best.effects[k] for k in kept), (values,), best.fit.theta, (EXACT,)))
+    return [c for c in fitter.run(tasks) if _cost(c) < costs.get(frozenset(c.effects), np.inf) - LOST]
+
+
+def _best_of_each(found: Sequence[Candidate]) -> list[Candidate]:
+    """Of explanations by the same effects the one that leaves least."""
+    best: dict[frozenset[str], Candidate] = {}
+    for c in found:
+        these = frozenset(c.effects)
+        if these not in best or _cost(c) < _cost(best[these]):
+            best[these] = c
+    return list(best.values())
 
 
 def _larger(order: Sequence[Ranked], base: Ranked, left: Sequence[Complex], ground: Ground) -> Iterable[Task]:
@@ -233,7 +264,7 @@ def _larger(order: Sequence[Ranked], base: Ranked, left: Sequence[Complex], grou
     for a, b in combinations(singles, 2):
         if frozenset((*a.effects, *b.effects)) in tried:
             continue
-        yield _with(b.effects[0], a, null, _residuals(ground, a), ground, a.fit.theta)
+        yield _with(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta)
 
 
 def _refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:

@@ -127,7 +127,7 @@ def shares(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> tup
     return tuple(out)
 
 
-def alike(best: Ranked, order: Sequence[Ranked]) -> tuple[str, ...]:
+def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = ()) -> tuple[str, ...]:
     """Single effects that the data cannot tell from the best one, the best first.
 
     Known aliases that fit as well count whatever the number of their parameters: how many a law has says little
@@ -146,8 +146,10 @@ def alike(best: Ranked, order: Sequence[Ranked]) -> tuple[str, ...]:
         known = other in CATALOGUE[name].aliases or name in CATALOGUE[other].aliases
         return known and r.candidate.fit.chi_square + r.candidate.fit.penalty < cost + as_well
 
-    singles = [r for r in order if len(r.candidate.effects) == 1]
-    return tuple(r.candidate.effects[0] for r in singles if close(r))[:LARGEST_CLASS]
+    near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
+    near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE]
+    near.sort(key=lambda r: r is not best and -r.log_evidence)
+    return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))[:LARGEST_CLASS]
 
 
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
@@ -160,7 +162,13 @@ def at_the_end_of_its_range(candidate: Candidate) -> bool:
     )
 
 
-def decide(order: Sequence[Ranked], remaining: float, there: HeldOut, significant: float) -> Verdict:
+def decide(
+    order: Sequence[Ranked],
+    remaining: float,
+    there: HeldOut,
+    significant: float,
+    elsewhere: Sequence[Ranked] = (),
+) -> Verdict:
     """Verdict on one part of the loop, from its ranked explanations.
 
     Parameters
@@ -168,6 +176,7 @@ def decide(order: Sequence[Ranked], remaining: float, there: HeldOut, significan
     remaining : significance (normal deviate) of what the best explanation leaves
     there : the part on the unseen sweep
     significant : significance of the plain twin's gap on the sweeps fitted and unseen
+    elsewhere : what would explain it by an effect of another part
     """
     best = order[0]
     if not best.candidate.effects:
@@ -189,10 +198,11 @@ def decide(order: Sequence[Ranked], remaining: float, there: HeldOut, significan
         share = min(1 - there.closes, 1.0)
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap on unseen data"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
-    group = alike(best, order) if len(effects) == 1 else ()
+    weighed = renormalised([*order, *elsewhere]) if elsewhere else order
+    group = alike(best, order, elsewhere) if len(effects) == 1 else ()
     classes = (group,) if len(group) > 1 else ()
-    singles = [r for r in order if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
-    probability = sum(r.probability for r in singles) if classes else best.probability
+    singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
+    probability = sum(r.probability for r in singles) if classes else weighed[0].probability
     probability = supported(float(probability), there.support)
     if probability < 0.5 and there.support < 0:
         if significant <= SIGNIFICANT:

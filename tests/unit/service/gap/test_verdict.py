@@ -1,13 +1,15 @@
 """From what explanations leave to a verdict: what is told when an explanation does not explain."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from service.gap.candidates import Candidate
+from service.gap.document import sentence
 from service.gap.fit import Fit
-from service.gap.verdict import HeldOut, Ranked, decide
+from service.gap.verdict import ALIKE, HeldOut, Ranked, Verdict, decide
 from sim.reference import reference_rig
 
 RIG = reference_rig()
@@ -87,3 +89,30 @@ def test_a_predicted_gap_that_is_absent_costs_probability_and_then_the_verdict()
     assert verdict(-10.0).kind == "none_of_these"
     assert "that is not there" in verdict(-10.0).reasons[0]
     assert verdict(-10.0, significant=3.0).kind == "no_gap"
+
+
+@pytest.mark.parametrize(("behind", "told"), [(1.0, "not told apart from amplifier bandwidth"), (12.0, "takes more")])
+def test_what_is_much_less_likely_is_not_said_to_be_told_apart_by_nothing(behind: float, told: str) -> None:
+    """It fits as well, and stays in the class; but beside a probability of 0 % the reader is told why."""
+    assert abs(behind - ALIKE) > 1
+    order = [
+        explanation(("loop_delay",), -50.0, 0.0, (0.0,)),
+        explanation(("amplifier_bandwidth",), -50.0 - behind, 0.0, (0.0,)),
+    ]
+    verdict = Verdict("effect", ("loop_delay",), (("loop_delay", "amplifier_bandwidth"),), 0.97, ())
+    shown = SimpleNamespace(verdict=verdict, order=order, gap_before=0.01, shrinkage=SimpleNamespace(closure=1.0))
+    words = sentence(shown)
+    assert told in words
+    assert "amplifier bandwidth" in words
+    assert ("not told apart" in words) == (behind < ALIKE)
+
+
+def test_what_another_part_would_explain_as_well_is_in_the_class_and_shares_its_probability() -> None:
+    best, other = explanation(("sensor_gain",), -50.0, 0.0, (0.0,)), explanation(("loop_delay",), -52.0, 0.0, (0.0,))
+    alone = decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0)
+    assert alone.indistinguishable == ()
+    shared = decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[other])
+    assert shared.effects == ("sensor_gain",)
+    assert shared.indistinguishable == (("sensor_gain", "loop_delay"),)
+    far = replace(other, log_evidence=-50.0 - ALIKE - 1)
+    assert decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[far]).indistinguishable == ()
