@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -138,8 +138,23 @@ def integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:
     return both[:n, :n], both[:n, n:]
 
 
-def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Complex:
-    """Eigenvalues of the sampled loop u = C(z)(-y), the same law in both axes; stable within the unit circle.
+def with_currents(model: PlaneModel, plant: Sampled) -> Sampled:
+    """The same system with the sampled coil currents before the displacements among its outputs."""
+    seen = block_diag(*[companion(a.poles, a.dc_gain)[2] for a in model.amplifiers])
+    return replace(plant, C=np.vstack([np.pad(seen, ((0, 0), (0, len(plant.A) - seen.shape[1]))), plant.C]))
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """x+ = A x + N n with u = C(z)(-y - n), n the sensors' noise; the plant's states first."""
+
+    A: Real
+    N: Real
+    """(states, 2)"""
+
+
+def closed_loop(model: PlaneModel, controller: tuple[Real, Real]) -> ClosedLoop:
+    """The sampled loop u = C(z)(-y), the same law in both axes.
 
     Raises
     ------
@@ -159,13 +174,18 @@ def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Compl
         numerator = np.zeros(1)
     if len(denominator) == 1:  # a plain gain has no state
         gain = float(numerator[0] / denominator[0])
-        return np.asarray(np.linalg.eigvals(plant.A - gain * plant.B @ plant.C), dtype=np.complex128)
+        return ClosedLoop(np.asarray(plant.A - gain * plant.B @ plant.C), -gain * plant.B)
     ca, cb, cc, cd = (np.asarray(x, dtype=float) for x in tf2ss(numerator, denominator))
     two = [block_diag(x, x) for x in (ca, cb, cc, cd)]
     ca, cb, cc, cd = two
     top = np.hstack([plant.A - plant.B @ cd @ plant.C, plant.B @ cc])
     bottom = np.hstack([-cb @ plant.C, ca])
-    return np.asarray(np.linalg.eigvals(np.vstack([top, bottom])), dtype=np.complex128)
+    return ClosedLoop(np.vstack([top, bottom]), -np.vstack([plant.B @ cd, cb]))
+
+
+def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Complex:
+    """Eigenvalues of `closed_loop`; stable within the unit circle."""
+    return np.asarray(np.linalg.eigvals(closed_loop(model, controller).A), dtype=np.complex128)
 
 
 def slowest_decay(poles: Complex, sample_time_s: float) -> float:

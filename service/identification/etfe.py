@@ -59,7 +59,7 @@ def etfe(points: PlanePoints, path: Path) -> FrequencyResponse:
         raise AmbError(f"plane {points.plane}: {path} needs the coil currents, which this experiment does not log")
     more = None
     if points.unsettled is not None and target in "iy":
-        variances = np.einsum("pcc->pc", points.unsettled).real
+        variances = np.einsum("pcc->pc", points.unsettled.mean).real
         more = variances[:, -2:] if target == "y" else variances[:, :2]
     return _estimate(x, z, points.omega, points.axis, f"plane {points.plane}", points.axes, path, more)
 

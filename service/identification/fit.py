@@ -10,6 +10,7 @@ import numpy as np
 from service.experiment.data import Experiment, Sweep
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fit
 from service.identification.assemble import assemble
+from service.identification.block_length import block_samples
 from service.identification.coupling import cross_planes
 from service.identification.coupling import told as told_coupling
 from service.identification.etfe import FrequencyResponse, etfe
@@ -167,7 +168,9 @@ class FittedPlane:
     staged: StagedFit
     selected: Selected
     transients: tuple[Transient, ...] = ()
-    """What was still ringing in the points and was taken out."""
+    """What rang in the points and was taken out."""
+    measured: PlanePoints | None = None
+    """The points before, where anything was."""
 
     def result(self, datasheet: Datasheet) -> PlaneResult:
         """Figures with uncertainty, validation, curves."""
@@ -231,17 +234,20 @@ def _settled(
         return found
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
     refined = found.selected.refined
-    data, transients = settled(found.data, refined.model, refined.fit.free, controller, block_s, suspected)
-    if not transients:
+    measured = found.measured or found.data.plant
+    data, transients = settled(
+        replace(found.data, plant=measured), refined.model, refined.fit.free, controller, block_s, suspected
+    )
+    if data.plant is measured:
         return found
     again = _fit_points(data, datasheet, axes, options, refined.model.known.chain)
-    return replace(again, held_out=found.held_out, transients=transients)
+    return replace(again, held_out=found.held_out, transients=transients, measured=measured)
 
 
 def _settled_alike(
     found: dict[str, FittedPlane], main: Sweep, axes: tuple[str, ...], datasheet: Datasheet, options: Options
 ) -> dict[str, FittedPlane]:
-    """Planes in which no transient was found, looked at again where another one shows some: they were recorded alike.
+    """Planes in which no start still rang, looked at again where one did in another: they were recorded alike.
 
     With the length of blocks that the other's told, and asked for less evidence than by themselves.
     """
@@ -251,14 +257,16 @@ def _settled_alike(
     loudest = max(shown, key=lambda t: t.evidence)
     out = {}
     for plane, f in found.items():
-        block_s = loudest.block_s if main.block_samples is None else _block_s(main, f.data.plant)
+        told = _block_s(main, f.data.plant)
+        block_s = loudest.block_s if told is None else told
         out[plane] = f if f.transients else _settled(f, main, axes, datasheet, options, block_s, suspected=True)
     return out
 
 
 def _block_s(main: Sweep, points: PlanePoints) -> Real | None:
-    """Length of each point's blocks, (P,) s, where the file tells it."""
-    return None if main.block_samples is None else main.block_samples[points.index] / main.sample_rate_hz
+    """Length of each point's blocks, (P,) s, where file or lines tell it."""
+    samples = block_samples(main)
+    return None if samples is None else samples[points.index] / main.sample_rate_hz
 
 
 def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options: Options, chain: Chain) -> FittedPlane:

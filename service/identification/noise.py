@@ -8,6 +8,7 @@ Mol. Biol. 3, 2004). No measured magnitude enters a weight.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,8 @@ def block_noise(
     magnitude: Real | None = None,
     suspect: NDArray[np.bool_] | None = None,
     sparse: bool = False,
+    rings: Real | None = None,
+    unknown: Real | None = None,
 ) -> NoiseModel:
     """Noise of the mean residual from its blocks.
 
@@ -79,14 +82,26 @@ def block_noise(
     sparse
         Whether frequencies are so far apart that a resonance may raise the scatter of one and not of its neighbours:
         points of one frequency that together scatter more than chance allows keep their own variance.
+    rings
+        (K, P, c) sizes with which what rings in the blocks grows, pole by pole: the noise is wanted without it, as the
+        law of all points has it, for what rings hides a point's own, and how channels and blocks hang together.
+    unknown
+        (P, c) variance in what was taken out of the blocks, which their scatter no longer shows.
     """
     n, blocks, channels = residual.shape
     dof = blocks - 1
     spread = residual - residual.mean(axis=1, keepdims=True)
     own = np.sum(np.abs(spread) ** 2, axis=1) / dof  # (P, c)
     own = np.maximum(own, 1e-30 + 1e-12 * np.median(own, axis=0))
+    shown = own
+    own = own if unknown is None else own + unknown
     order = np.argsort(omega, kind="stable")
-    trend = np.ones_like(own) if magnitude is None else _trend(own, magnitude, dof)
+    trend, quiet = np.ones_like(own), np.ones_like(own)
+    if magnitude is not None:
+        trend, quiet = _trend(own, [magnitude, *([] if rings is None else rings)], dof)
+        if rings is not None:
+            variance = np.mean(own, axis=0) * trend * quiet
+            return NoiseModel(_diagonal(variance) / blocks, float("inf"), np.zeros(n, dtype=bool))
     own = own / trend
     # a point's blocks are as long for every channel: what all channels share is told apart first
     level = np.exp(_smooth(np.log(own), order, NEIGHBOURS) - _log_bias(dof))
@@ -97,11 +112,10 @@ def block_noise(
     if sparse:
         variance = _own_where_larger(variance, own, omega, dof)
     variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
-    drifting = _drifting(spread, own / trend, order)
+    drifting = _drifting(spread, shown / trend, order)
     if suspect is not None:
         drifting = drifting | suspect[:, None]
     variance = np.where(drifting, np.maximum(variance, own) * blocks * DRIFT, variance)
-    covariance = np.zeros((n, channels, channels), dtype=complex)
     if correlated and channels > 1:
         unit = spread / np.sqrt(own)[:, None, :]
         product = np.einsum("pbc,pbd->pcd", unit, unit.conj()) / dof
@@ -121,7 +135,7 @@ def block_noise(
         root = np.sqrt(variance)
         covariance = correlation * root[:, :, None] * root[:, None, :]
     else:
-        covariance[:, np.arange(channels), np.arange(channels)] = variance
+        covariance = _diagonal(variance)
     alike = float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf")
     freedom = np.array([dof * channels + prior_shared, dof + prior])
     inflation = _weights_allowance(blocks) * float(np.prod(1.0 + 1.0 / np.maximum(freedom - 1.0, 1.0)))
@@ -139,22 +153,39 @@ def _own_where_larger(variance: Real, own: Real, omega: Real, dof: int) -> Real:
     return np.asarray(np.where(shown > limit, shown * variance, variance))
 
 
-def _trend(own: Real, magnitude: Real, dof: int, rounds: int = 30) -> Real:
-    """Variance a + b magnitude^2 of each channel, by maximum likelihood of the block variances, (P, c).
+def _diagonal(variance: Real) -> Complex:
+    """Covariance (P, c, c) of channels that have nothing to do with one another."""
+    return np.asarray(variance[:, :, None] * np.eye(variance.shape[1]), dtype=np.complex128)
 
-    The share b is kept only where it clearly helps, so that plain additive noise stays plain.
+
+def _trend(own: Real, magnitudes: Sequence[Real], dof: int, rounds: int = 30) -> tuple[Real, Real]:
+    """Variance a + sum b_k magnitude_k^2 of each channel, by maximum likelihood of the block variances, (P, c).
+
+    A share b is kept only where it clearly helps, so that plain additive noise stays plain.
+
+    Returns
+    -------
+    trend, quiet
+        Of it all, in units of the mean, and the share of it that does not grow with the second magnitude or a later
+        one.
     """
-    square = magnitude**2 / np.maximum(np.mean(magnitude**2, axis=0), 1e-300)
     flat = np.mean(own, axis=0)
-    a, b = 0.5 * flat, 0.5 * np.sum(own, axis=0) / np.maximum(np.sum(square, axis=0), 1e-300)
-    for _ in range(rounds):  # multiplicative steps keep both positive and never lower the likelihood
-        v = a + b * square
-        a = a * np.sqrt(np.sum(own / v**2, axis=0) / np.sum(1 / v, axis=0))
-        v = a + b * square
-        b = b * np.sqrt(np.sum(own * square / v**2, axis=0) / np.sum(square / v, axis=0))
-    v = a + b * square
-    gain = 2 * dof * np.sum(np.log(flat / v) + own / flat - own / v, axis=0)
-    return np.where(gain > 10.0 + np.log(len(own)), v / flat, 1.0)
+    squares = [m**2 / np.maximum(np.mean(m**2, axis=0), 1e-300) for m in magnitudes]
+    trend, quiet = np.ones_like(own), np.ones_like(own)
+    for kept in range(1, len(squares) + 1):
+        parts = [np.ones_like(own), *squares[:kept]]
+        shares = [flat / len(parts)] * len(parts)
+        for _ in range(rounds):  # multiplicative steps keep all positive and never lower the likelihood
+            for k, q in enumerate(parts):
+                v = sum(b * x for b, x in zip(shares, parts, strict=True))
+                shares[k] = shares[k] * np.sqrt(np.sum(own * q / v**2, axis=0) / np.sum(q / v, axis=0))
+        v = np.asarray(sum(b * x for b, x in zip(shares, parts, strict=True)))
+        gain = 2 * dof * np.sum(np.log(flat * trend / v) + own / (flat * trend) - own / v, axis=0)
+        clear = gain > 10.0 + np.log(len(own))
+        calm = sum((b * x for b, x in zip(shares[:2], parts[:2], strict=True)), np.zeros_like(own))
+        trend = np.where(clear, v / flat, trend)
+        quiet = np.where(clear, calm / v if kept > 1 else 1.0, quiet)
+    return trend, quiet
 
 
 def _mean_factor(unit: Complex, order: NDArray[np.int64]) -> Real:

@@ -64,6 +64,20 @@ class Blocks:
         )
 
 
+@dataclass(frozen=True)
+class Unsettled:
+    """What is not known of what rang in the points, and was taken out of the blocks of i and y, or of y alone."""
+
+    mean: Complex
+    """(P, c, c) covariance of the blocks' mean, beside that of the noise."""
+    scatter: Real
+    """(P, c) variance of a block about the mean."""
+
+    def select(self, keep: NDArray[np.bool_]) -> Unsettled:
+        """Of some of the points."""
+        return Unsettled(self.mean[keep], self.scatter[keep])
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlanePoints(Blocks):
     """The points that excite one plane; axis is 0 for bearing A, 1 for B."""
@@ -80,9 +94,8 @@ class PlanePoints(Blocks):
     """Of a multisine on all axes whose phases are known: its points excite the rotor at the same time."""
     together: Together | None = None
     """Of a multisine whose phases are not."""
-    unsettled: Complex | None = None
-    """(P, c, c) what is not known of the transients that were taken out of the means of i and y, or of y alone: a
-    covariance beside that of the noise."""
+    unsettled: Unsettled | None = None
+    """Where something rang."""
 
     @property
     def n_blocks(self) -> int:
@@ -117,7 +130,7 @@ class PlanePoints(Blocks):
             index=self.index[keep],
             many=None if self.many is None else self.many.select(keep),
             together=None if self.together is None else replace(self.together, group=self.together.group[keep]),
-            unsettled=None if self.unsettled is None else self.unsettled[keep],
+            unsettled=None if self.unsettled is None else self.unsettled.select(keep),
         )
 
 

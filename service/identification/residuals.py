@@ -68,18 +68,31 @@ def predicted_blocks(model: PlaneModel, points: PlanePoints, amplitude: Amplitud
     return i, y
 
 
-def noise_of(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> NoiseModel:
-    """Noise of the residuals under a model, with what is not known of transients that were taken out."""
+def noise_of(
+    model: PlaneModel,
+    points: PlanePoints,
+    amplitude: Amplitude | None,
+    rings: Real | None = None,
+    correlated: bool = True,
+) -> NoiseModel:
+    """Noise of the residuals under a model, with what is not known of what rang and was taken out.
+
+    ``rings``, ``correlated``: see `noise.block_noise`.
+    """
     i, y = predicted_blocks(model, points, amplitude)
     size = y if points.I is None else np.concatenate([i, y], axis=2)
+    left = points.unsettled
     noise = block_noise(
         residual_blocks(points, i, y),
         points.omega,
+        correlated,
         magnitude=np.abs(size.mean(axis=1)),
         suspect=points.suspect,
         sparse=points.many is not None,
+        rings=rings,
+        unknown=None if left is None else left.scatter,
     )
-    return noise if points.unsettled is None else replace(noise, covariance=noise.covariance + points.unsettled)
+    return noise if left is None else replace(noise, covariance=noise.covariance + left.mean)
 
 
 def weights_of(

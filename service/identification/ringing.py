@@ -5,15 +5,17 @@ See `service.identification.transient` for the formula.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from service.identification.closed_loop import Sampled, closed_loop_poles, companion, sampled
+from service.identification.closed_loop import Sampled, closed_loop_poles, sampled, with_currents
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.zoh import Complex, Real
+
+STEPS = 50
+"""In which a loop that grows in the model is made to decay, at most."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,10 @@ class Ringing:
         """What is left in the first block, (P, c)."""
         return self.mean[:, None] * self.start
 
-    def backwards(self) -> Ringing:
-        """The same with time reversed."""
-        return replace(self, powers=self.powers[:, ::-1].conj())
+    @property
+    def left(self) -> Complex:
+        """What is left in every block, (P, B, c)."""
+        return np.asarray(self.powers[:, :, None] * self.trace[:, None, :])
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class RingingPole:
     def of(cls, points: PlanePoints, model: PlaneModel, controller: tuple[Real, Real], pole: complex) -> RingingPole:
         """For one pole."""
         period, omega = model.known.sample_time_s, points.omega
-        system = _with_currents(model, sampled(model))
+        system = with_currents(model, sampled(model))
         z = np.exp(pole * period)
         at_pole = _transfer(system, np.array([z]))[0]
         c = complex(np.polyval(controller[0], z) / np.polyval(controller[1], z))
@@ -70,12 +73,6 @@ class RingingPole:
         return Ringing(self.start, np.asarray(mean, dtype=np.complex128), np.asarray(powers, dtype=np.complex128))
 
 
-def _with_currents(model: PlaneModel, loop: Sampled) -> Sampled:
-    """The same system with the sampled coil currents before the displacements among its outputs."""
-    seen = block_diag(*[companion(a.poles, a.dc_gain)[2] for a in model.amplifiers])
-    return replace(loop, C=np.vstack([np.pad(seen, ((0, 0), (0, len(loop.A) - seen.shape[1]))), loop.C]))
-
-
 def _transfer(system: Sampled, z: Complex) -> Complex:
     inner = z[:, None, None] * np.eye(len(system.A)) - system.A
     right = np.broadcast_to(system.B.astype(complex), (len(z), *system.B.shape))
@@ -88,3 +85,24 @@ def slow_poles(model: PlaneModel, controller: tuple[Real, Real], block_s: float,
     z = z[(np.abs(z) > 1e-6) & (np.abs(z) < 1.0) & (z.imag >= 0)]
     s = np.log(z) / model.known.sample_time_s
     return [complex(p) for p in s if np.exp(p.real * block_s) > gone]
+
+
+def as_it_ran(model: PlaneModel, controller: tuple[Real, Real], decay_per_s: float) -> PlaneModel:
+    """The model; where its loop grows, as no loop did in which a rotor was measured, one that decays with that rate.
+
+    Points in which a mode rang can give it a damping far too small. What is missing is added to the damping of the mode
+    next to what grows.
+    """
+    theta, tamed = model.theta.copy(), model
+    for _ in range(STEPS):
+        z = closed_loop_poles(tamed, controller)
+        s = np.log(z[np.abs(z) > 1e-6]) / model.known.sample_time_s
+        worst = complex(s[np.argmax(s.real)])
+        if (tamed is model and worst.real < 0) or worst.real <= -decay_per_s:
+            return tamed
+        if not model.layout.n_modes:
+            break
+        k = int(np.argmin(np.abs(model.modes[:, 0] - abs(worst.imag))))
+        theta[model.layout.mode(k).start + 1] += 2 * (worst.real + decay_per_s)
+        tamed = model.at(theta)
+    return model

@@ -1,4 +1,4 @@
-"""What had not died away when a point was recorded, taken out of its blocks.
+"""What rang while a point was recorded, taken out of its blocks.
 
 A tone that starts, or follows another, makes the slow poles of the closed loop ring. A mode of 500 Hz that the loop
 damps with 5 1/s still holds a fifth of its transient after 0.3 s, and a damping ratio read from such points is off by a
@@ -8,10 +8,15 @@ tenth. Model and controller know the pole p and the shape c of its ringing in u:
 
 in what y differs from G u in block b of length T (and the same for i with the amplifier), so that one complex number
 alpha per point is all that is unknown. It shows in how the blocks change from one to the next; a mode of 900 Hz that
-the loop damps with 60 1/s dies within the first one, and is still several times the noise in a point's mean. The
-alphas of a pole have a common size (r/(jw - p), times what one start leaves), and what is not known of them
-(`service.identification.transient_size`) is added to the covariance of the point's mean. Where the blocks show no
-transient beyond doubt, and none that looks different with time reversed, nothing is changed.
+the loop damps with 60 1/s dies within the first one, and is still several times the noise in a point's mean.
+
+Noise keeps the loop moving as well (`service.identification.leakage`): beside a mode that the loop damps with 1 1/s
+that is a hundred times the noise itself, all blocks of a point alike, and a damping ratio that takes it for scatter is
+off by half.
+
+What both put into the blocks, and how well that is known, is the business of `service.identification.transient_size`;
+what is not known is added to the covariance of the point's mean. Where the blocks show nothing of either beyond doubt
+nothing is changed.
 """
 
 from __future__ import annotations
@@ -20,22 +25,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 
+from service.identification.leakage import leakage
 from service.identification.noise import NoiseModel
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.refine import refine
 from service.identification.residuals import Data, noise_of, predicted_blocks, residual_blocks
-from service.identification.ringing import RingingPole, slow_poles
+from service.identification.ringing import RingingPole, as_it_ran, slow_poles
 from service.identification.split import Split, log_ratios
-from service.identification.transient_size import Along, Taken, evidence_of
+from service.identification.transient_size import Along, Source, Taken, evidence_of
 from service.identification.zoh import Complex, Real
 
 GONE = 1e-3
 """What is left of a transient after one block below which a pole is not looked at. One that dies within the first block
 is in that block alone, in a form that model and controller know."""
 LASTING = 0.3
-"""The same above which it rings over several blocks: only such a one tells how long they are, and is worth a word."""
+"""The same above which it rings over several blocks: only such a one tells how long they are, can be told from noise
+where noise keeps it up, and is worth a word."""
 EVIDENCE = 6.5
 """Gain of log likelihood beyond which blocks show a transient: chance has more in three of a thousand cases. More by
 the logarithm of how many poles, and lengths of blocks where these are looked for, were tried."""
@@ -43,16 +51,14 @@ SUSPECTED = 2.0
 """The same where the other plane's points, recorded alike, show one: what stays below still biases a damping."""
 BLOCK_S = np.geomspace(0.01, 1.0, 231)
 """Lengths of blocks, s, to be tried where a file does not tell them; each is made whole periods."""
-NOISE = 1.3
-"""So many times as much has to be gained as with time reversed. A mode that noise keeps ringing looks the same either
-way; one that dies away does not."""
-ROUNDS = 3
-"""What is taken out makes the model better, and a better model knows better what to take out."""
+ROUNDS, MOVED = 8, 0.02
+"""What is taken out makes model and noise better, and these know better what to take out: so many times at most, until
+the loop's slow poles move by less than this of the rate at which they decay."""
 
 
 @dataclass(frozen=True)
 class Transient:
-    """A pole that was still ringing."""
+    """A pole that rang."""
 
     pole: complex
     """rad/s, of the closed loop."""
@@ -84,7 +90,7 @@ def settled(
     block_s: Real | float | None,
     suspected: bool = False,
 ) -> tuple[Data, tuple[Transient, ...]]:
-    """The data without what was still ringing, or as they are where nothing was.
+    """The data without what rang, or as they are where nothing did.
 
     Parameters
     ----------
@@ -98,27 +104,76 @@ def settled(
     suspected
         Whether points that were recorded alike show a transient.
     """
-    measured, now = data.plant, data
-    transients: tuple[Transient, ...] = ()
-    for _ in range(ROUNDS):
-        noise = noise_of(model, replace(now.plant, unsettled=None), None)
-        points, found = without_transients(measured, model, controller, noise, block_s, suspected)
-        if not found:
+    measured, now, told_by = data.plant, data, None
+    if block_s is None:
+        block_s = told_by = length_of_blocks(measured, model, controller, suspected)
+        if block_s is None:
             return data, ()
-        now, transients = replace(now, plant=points), found
+    seconds = block_s if isinstance(block_s, np.ndarray) else _whole_periods(measured.omega, block_s)
+    transients: tuple[Transient, ...] = ()
+    poles: list[complex] = []
+    for _ in range(ROUNDS):
+        model = as_it_ran(model, controller, 1 / (measured.n_blocks * float(np.median(seconds))))
+        before, poles = poles, slow_poles(model, controller, float(np.median(seconds)), LASTING)
+        if len(before) == len(poles) and all(abs(p - q) < MOVED * -p.real for p, q in zip(poles, before, strict=True)):
+            break
+        noise = _noise(now.plant, model, controller, seconds)
+        points, transients = without_ringing(measured, model, controller, noise, seconds, suspected)
+        if points is measured:
+            return data, ()
+        now = replace(now, plant=points)
         model = refine(model, now, free, split=Split(log_ratios(model))).model
-    return now, transients
+    return now, tuple(replace(t, block_s=told_by) for t in transients)
 
 
-def without_transients(
+def _noise(points: PlanePoints, model: PlaneModel, controller: tuple[Real, Real], seconds: Real) -> NoiseModel:
+    """That of the points' means beside what rings: by what their blocks hold, or hold once that is taken out."""
+    if points.unsettled is not None:
+        known = replace(points.unsettled, mean=np.zeros_like(points.unsettled.mean))
+        return noise_of(model, replace(points, unsettled=known), None, correlated=False)
+    changes = helmert(points.n_blocks)
+    poles = slow_poles(model, controller, float(np.median(seconds)), LASTING)
+    starts = [RingingPole.of(points, model, controller, p).ringing(seconds).left for p in poles]
+    rings = [np.linalg.norm(np.einsum("nb,pbc->pnc", changes, s), axis=1) for s in starts]
+    kept_up = leakage(points, model, controller, seconds, np.ones(2))
+    if kept_up is not None:
+        rings.append(np.sqrt(np.einsum("nb,pbcxc,nx->pc", changes, kept_up, changes).real))
+    return noise_of(model, points, None, np.array(rings) if rings else None, correlated=False)
+
+
+def length_of_blocks(
+    points: PlanePoints, model: PlaneModel, controller: tuple[Real, Real], suspected: bool = False
+) -> float | None:
+    """Length of the blocks, s, before they are made whole periods, told by the starts that ring on in them."""
+    e, white = _whitened(points, model, noise_of(model, points, None))
+    loops = [
+        RingingPole.of(points, model, controller, p) for p in slow_poles(model, controller, float(BLOCK_S[0]), LASTING)
+    ]
+    best, told_by, loudest = 0.0, None, None
+    for loop in loops:
+        along = Along.of(loop.start, e, white)
+        for t in BLOCK_S:
+            ringing = loop.ringing(_whole_periods(points.omega, float(t)))
+            if np.median(np.abs(ringing.powers[:, 1])) <= LASTING:
+                break
+            gain = evidence_of(ringing, along, points)
+            if gain > best:
+                best, told_by, loudest = gain, float(t), ringing
+    if loudest is None:
+        return None
+    least = (SUSPECTED if suspected else EVIDENCE) + np.log(len(BLOCK_S) * len(loops))
+    return told_by if best > least else None
+
+
+def without_ringing(
     points: PlanePoints,
     model: PlaneModel,
     controller: tuple[Real, Real],
     noise: NoiseModel,
-    block_s: Real | float | None,
+    block_s: Real,
     suspected: bool = False,
 ) -> tuple[PlanePoints, tuple[Transient, ...]]:
-    """The points as they would be had they settled, and what was taken out.
+    """The points as they would be had nothing rung in them, and what was taken out.
 
     Parameters
     ----------
@@ -127,63 +182,50 @@ def without_transients(
     model, controller
         The plane, well enough known to tell where the loop's poles are.
     noise
-        Of the points' means; its own estimate of what scatters may hold the transient the first time.
+        Of the points' means.
     block_s
-        See `settled`; None: lengths are looked for.
+        (P,) s.
     suspected
         See `settled`.
     """
-    i, y = predicted_blocks(model, points, None)
-    e = residual_blocks(points, i, y)
-    white = noise.whitener() / np.sqrt(points.n_blocks)
-    taken, told_by = Taken(e, white), None
-    found: list[Transient] = []
-    lengths = _lengths(points.omega, block_s)
-    least = SUSPECTED if suspected else EVIDENCE
-    poles = slow_poles(model, controller, float(BLOCK_S[0]), GONE)
+    nothing = taken = Taken(*_whitened(points, model, noise))
+    samples = block_s / model.known.sample_time_s
+    # of white noise a block's amplitude has 4/N of the samples' variance
+    sensors = np.median(noise.sigma[:, -2:] * np.sqrt(samples * points.n_blocks / 4)[:, None], axis=0)
+    kept_up = leakage(points, model, controller, block_s, sensors)
+    if kept_up is not None:
+        more = taken.with_one_more(Source(kept_up, np.ones(len(samples))))
+        taken = more if more.likelihood > nothing.likelihood + EVIDENCE else taken
+    typical = float(np.median(block_s))
+    found: list[tuple[complex, float]] = []
+    poles = slow_poles(model, controller, typical, GONE)
     # what lasts over blocks first: nothing else looks like it, while it looks like what dies within the first one
     for reach, end in ((LASTING, 1.0), (GONE, LASTING)):
-        loops = {
-            pole: RingingPole.of(points, model, controller, pole)
+        ringings = {
+            pole: RingingPole.of(points, model, controller, pole).ringing(block_s)
             for pole in poles
-            if any(reach < np.exp(pole.real * np.median(t)) <= end for t in lengths)
+            if reach < np.exp(pole.real * typical) <= end
         }
-        if reach == GONE and len(lengths) > 1:  # it does not tell how long the blocks are
-            break
-        while loops:  # the loudest first: it also tells how long the blocks are
-            along = {pole: Along.of(loop.start, taken.left, white) for pole, loop in loops.items()}
-            tried = {
-                (pole, k): evidence_of(loop.ringing(t), along[pole], points)
-                for pole, loop in loops.items()
-                for k, t in enumerate(lengths)
-                if np.exp(pole.real * np.median(t)) > reach
-            }
-            if not tried:
+        while ringings:  # the loudest first
+            tried = {pole: taken.started(ringing, points.axis) for pole, ringing in ringings.items()}
+            pole, (evidence, size) = max(tried.items(), key=lambda item: item[1][0])
+            if evidence < (SUSPECTED if suspected else EVIDENCE) + np.log(len(ringings)):
                 break
-            (pole, length), (evidence, size) = max(tried.items(), key=lambda item: item[1][0])
-            forwards = loops[pole].ringing(lengths[length])
-            backwards = evidence_of(forwards.backwards(), along[pole], points)[0]
-            if evidence < least + np.log(len(lengths) * len(loops)) + NOISE * backwards:
-                loops.pop(pole)
-                continue
-            told_by = BLOCK_S[length] if len(lengths) > 1 else told_by
-            lengths = [lengths[length]]
-            loops.pop(pole)
-            taken = taken.and_one(forwards, size, points.axis)
-            share = np.abs(taken.alone(-1).mean(axis=1)) / noise.sigma
-            after = float(np.exp(pole.real * np.median(lengths[0])))
-            block = None if told_by is None else float(told_by)
-            found.append(Transient(pole, float(share.max()), evidence, after, block))
-    if not found:
+            taken = taken.with_one_more(Source.started(ringings.pop(pole).left, size, points.axis))
+            found.append((pole, evidence))
+    if not taken.sources:
         return points, ()
-    return replace(_less(points, taken.blocks), unsettled=taken.unknown), tuple(found)
+    transients = []
+    for (pole, evidence), source in zip(found[::-1], taken.sources[::-1], strict=False):
+        share = np.abs(taken.alone(source).mean(axis=1)) / noise.sigma
+        transients.append(Transient(pole, float(share.max()), evidence, float(np.exp(pole.real * typical))))
+    return replace(_less(points, taken.blocks), unsettled=taken.unknown), tuple(transients[::-1])
 
 
-def _lengths(omega: Real, block_s: Real | float | None) -> list[Real]:
-    """Lengths of blocks to be tried, (P,) each."""
-    if isinstance(block_s, np.ndarray):
-        return [block_s]
-    return [_whole_periods(omega, float(t)) for t in (BLOCK_S if block_s is None else [block_s])]
+def _whitened(points: PlanePoints, model: PlaneModel, noise: NoiseModel) -> tuple[Complex, Complex]:
+    """Residuals of the blocks (P, B, c), and what makes one block's noise white, (P, c, c)."""
+    i, y = predicted_blocks(model, points, None)
+    return residual_blocks(points, i, y), np.asarray(noise.whitener() / np.sqrt(points.n_blocks))
 
 
 def _less(points: PlanePoints, taken: Complex) -> PlanePoints:

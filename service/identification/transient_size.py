@@ -1,26 +1,172 @@
-"""How large transients are: by themselves, with the evidence that there is one, and several together.
+"""What of the blocks rang, after starts or kept up by noise: how large it was, and what it put into each block.
 
-The settled value of each point is free, so a transient shows in how the blocks change from one to the next. Its sizes
-at the points have a common variance, estimated by maximum likelihood, and each is drawn towards zero by as much as its
-own uncertainty asks for (empirical Bayes).
+The settled value of each point is free, so what rings shows in how the blocks change from one to the next. Each source
+of it is random with a covariance over the blocks that is known but for its size: what starts make of a pole has a
+common size at the points that excite one bearing. The sizes are those of the largest likelihood, and with them the
+blocks are a Gaussian process: what each source put into them, and how well that is known, follows (empirical Bayes;
+Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.22 to 2.24).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 
-from service.identification.points import PlanePoints
+from service.identification.points import PlanePoints, Unsettled
 from service.identification.ringing import Ringing
 from service.identification.zoh import Complex, Real
 
-SIZES = 121
-"""Of the grid on which the size of a transient is looked for."""
+SIZES = np.concatenate([[0.0], np.geomspace(1e-3, 1e9, 121)])
+"""Variances that are tried for what starts leave, in units of what one point's blocks tell of it on their own."""
 TOGETHER = 6
-"""Steps in which the sizes of several transients find to one another."""
+"""Steps in which the sizes of several sources find to one another."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Something that rings."""
+
+    unit: Complex
+    """(P, B, c, B, c) covariance of what one of size 1 puts into the blocks."""
+    size: Real
+    """(P,)"""
+    group: NDArray[np.int64] | None = None
+    """(P,) points that share a size, one number each; None where the size is known."""
+
+    @property
+    def covariance(self) -> Complex:
+        """The same of one of this size."""
+        return np.asarray(self.size[:, None, None, None, None] * self.unit)
+
+    @classmethod
+    def started(cls, left: Complex, size: Real, axis: NDArray[np.int64]) -> Source:
+        """What starts leave, (P, B, c) for one of size 1."""
+        return cls(np.asarray(left[:, :, :, None, None] * left[:, None, None].conj()), size, axis)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What several sources put into the blocks, estimated together: its posterior, their sizes given."""
+
+    measured: Complex
+    """(P, B, c) residuals."""
+    white: Complex
+    """(P, c, c) what makes one block's noise white."""
+    sources: tuple[Source, ...] = ()
+
+    def with_one_more(self, source: Source) -> Taken:
+        """With one more, of a size by itself; the sizes of all are then made to agree with one another."""
+        now = replace(self, sources=(*self.sources, source))
+        for _ in range(TOGETHER if sum(s.group is not None for s in now.sources) > 1 else 0):
+            now = replace(now, sources=tuple(map(now._resized, now.sources)))  # expectation and maximisation
+        return now
+
+    def started(self, ringing: Ringing, axis: NDArray[np.int64]) -> tuple[float, Real]:
+        """Gain of log likelihood when starts of the best common sizes are allowed beside the sources, and these, (P,).
+
+        Tones at either bearing leave transients of different size.
+        """
+        left = self._changed(ringing.left)
+        told = (left[:, None].conj() @ self._inverse @ left[:, :, None])[:, 0, 0].real
+        seen = np.abs(np.einsum("pn,pn->p", left.conj(), self._weighed)) ** 2
+        gain, size = 0.0, np.zeros(len(axis))
+        for k in np.unique(axis):
+            mine = axis == k
+            if not np.max(told[mine]) > 0:
+                continue
+            sizes = SIZES / np.max(told[mine])
+            more = 1.0 + sizes[:, None] * told[mine]
+            gains = np.sum(sizes[:, None] * seen[mine] / more - np.log(more), axis=1)
+            gain += float(gains.max())
+            size[mine] = sizes[gains.argmax()]
+        return gain, size
+
+    @cached_property
+    def likelihood(self) -> float:
+        """Log likelihood of the blocks' changes, but for what no source changes."""
+        seen = self._changed(self.measured)
+        _, size = np.linalg.slogdet(self._inverse)
+        return float(np.sum(size) - np.sum(np.einsum("pn,pn->p", seen.conj(), self._weighed).real))
+
+    def alone(self, source: Source) -> Complex:
+        """What one source put into the blocks, (P, B, c)."""
+        return np.asarray(self._through(source) @ self._weighed[:, :, None]).reshape(self.measured.shape)
+
+    @cached_property
+    def blocks(self) -> Complex:
+        """What all of them put into the blocks, (P, B, c)."""
+        return np.asarray(sum((self.alone(s) for s in self.sources), np.zeros_like(self.measured)))
+
+    @cached_property
+    def unknown(self) -> Unsettled:
+        """What is not known of it."""
+        points, blocks, channels = self.measured.shape
+        through = np.asarray(sum(self._through(s) for s in self.sources))
+        prior = np.asarray(sum(self._flat(s) for s in self.sources))
+        left = (prior - through @ self._inverse @ _adjoint(through)).reshape(points, blocks, channels, blocks, channels)
+        of_mean = left.mean(axis=(1, 3))
+        scatter = (np.einsum("pbcbc->pc", left) / blocks - np.einsum("pcc->pc", of_mean)).real * blocks / (blocks - 1)
+        # a covariance stays one though it is the small difference of large ones
+        size, along = np.linalg.eigh(self.white @ of_mean @ _adjoint(self.white))
+        back = np.linalg.inv(self.white) @ along
+        return Unsettled((back * np.maximum(size, 0.0)[:, None]) @ _adjoint(back), np.maximum(scatter, 0.0))
+
+    @cached_property
+    def _changes(self) -> Complex:
+        """What makes of blocks the part that does not hang on their mean, in units of the noise, (P, n, B c)."""
+        points, blocks, channels = self.measured.shape
+        both = helmert(blocks)[None, :, None, :, None] * self.white[:, None, :, None, :]
+        return np.asarray(both.reshape(points, (blocks - 1) * channels, blocks * channels))
+
+    def _changed(self, blocks: Complex) -> Complex:
+        """That part of blocks (P, B, c), (P, n)."""
+        return np.asarray(self._changes @ blocks.reshape(len(blocks), -1, 1))[:, :, 0]
+
+    def _flat(self, source: Source) -> Complex:
+        """Covariance of a source's blocks, (P, B c, B c)."""
+        n = self._changes.shape[2]
+        return source.covariance.reshape(-1, n, n)
+
+    def _through(self, source: Source) -> Complex:
+        """Its covariance with that part, (P, B c, n)."""
+        return np.asarray(self._flat(source) @ _adjoint(self._changes))
+
+    def _spread(self, source: Source) -> Complex:
+        """Covariance of that part of it, (P, n, n)."""
+        return np.asarray(self._changes @ self._through(source))
+
+    @cached_property
+    def _inverse(self) -> Complex:
+        """Inverse covariance of that part of what was measured, (P, n, n)."""
+        total = np.eye(self._changes.shape[1], dtype=np.complex128)[None]
+        whole = np.asarray(sum((self._spread(s) for s in self.sources), total))
+        return np.asarray(np.broadcast_to(np.linalg.inv(whole), (len(self.measured), *whole.shape[1:])))
+
+    @cached_property
+    def _weighed(self) -> Complex:
+        """That part of what was measured, through this inverse, (P, n)."""
+        return np.asarray(self._inverse @ self._changed(self.measured)[:, :, None])[:, :, 0]
+
+    def _resized(self, source: Source) -> Source:
+        if source.group is None:
+            return source
+        spread = self._spread(source)
+        weighed = self._weighed[:, :, None]
+        square = (_adjoint(weighed) @ spread @ weighed)[:, 0, 0].real
+        expected = np.einsum("pnm,pmn->p", self._inverse, spread).real
+        size = source.size.copy()
+        for k in np.unique(source.group):
+            mine = source.group == k
+            size[mine] *= max(0.0, 1.0 + float(np.mean(square[mine] - expected[mine])))
+        return replace(source, size=size)
+
+
+def _adjoint(matrices: Complex) -> Complex:
+    return np.asarray(matrices.conj().transpose(0, 2, 1))
 
 
 @dataclass(frozen=True)
@@ -40,92 +186,16 @@ class Along:
         return cls(np.asarray(product), np.sum(np.abs(unit) ** 2, axis=1))
 
 
-@dataclass(frozen=True)
-class Taken:
-    """Transients of several poles, estimated together: each point's posterior, their common sizes given."""
-
-    measured: Complex
-    """(P, B, c) residuals."""
-    white: Complex
-    """(P, c, c)"""
-    ringings: tuple[Ringing, ...] = ()
-    sizes: Real = field(default_factory=lambda: np.empty((0, 0)))
-    """(K, P) variances of alpha."""
-
-    def and_one(self, ringing: Ringing, size: Real, axis: NDArray[np.int64]) -> Taken:
-        """With one pole more, of a size by itself; those of all are then made to agree with one another."""
-        sizes = np.concatenate([self.sizes.reshape(-1, len(size)), size[None]])
-        now = Taken(self.measured, self.white, (*self.ringings, ringing), sizes)
-        for _ in range(TOGETHER if len(sizes) > 1 else 0):  # expectation and maximisation
-            alpha, covariance = now.posterior
-            second = np.abs(alpha) ** 2 + np.einsum("pkk->pk", covariance).real
-            sizes = np.zeros_like(sizes)
-            for k in np.unique(axis):
-                sizes[:, axis == k] = second[axis == k].mean(axis=0)[:, None]
-            now = replace(now, sizes=np.where(now.sizes > 0, sizes, 0.0))
-        return now
-
-    @cached_property
-    def posterior(self) -> tuple[Complex, Complex]:
-        """Mean (P, K) and covariance (P, K, K) of the alphas, the settled values free."""
-        change = np.stack([r.powers - r.powers.mean(axis=1, keepdims=True) for r in self.ringings], axis=1)
-        unit = np.stack([np.einsum("pcd,pd->pc", self.white, r.trace) for r in self.ringings], axis=1)
-        normal = np.einsum("pkb,plb->pkl", change.conj(), change) * np.einsum("pkc,plc->pkl", unit.conj(), unit)
-        seen = np.einsum("pcd,pbd->pbc", self.white, self.measured)
-        right = np.einsum("pkb,pkb->pk", change.conj(), np.einsum("pkc,pbc->pkb", unit.conj(), seen))
-        root = np.sqrt(self.sizes.T)
-        inner = root[:, :, None] * normal * root[:, None, :] + np.eye(len(self.ringings))
-        covariance = root[:, :, None] * np.linalg.inv(inner) * root[:, None, :]
-        return np.asarray(np.einsum("pkl,pl->pk", covariance, right)), np.asarray(covariance)
-
-    def alone(self, k: int) -> Complex:
-        """What one pole put into the blocks, (P, B, c)."""
-        ringing, alpha = self.ringings[k], self.posterior[0][:, k]
-        return np.asarray(alpha[:, None, None] * ringing.powers[:, :, None] * ringing.trace[:, None, :])
-
-    @cached_property
-    def blocks(self) -> Complex:
-        """What all of them put into the blocks, (P, B, c)."""
-        return np.asarray(sum((self.alone(k) for k in range(len(self.ringings))), np.zeros_like(self.measured)))
-
-    @property
-    def left(self) -> Complex:
-        """Residuals without it, (P, B, c)."""
-        return np.asarray(self.measured - self.blocks)
-
-    @property
-    def unknown(self) -> Complex:
-        """Covariance of what is not known of it in the blocks' mean, (P, c, c)."""
-        mean = np.stack([r.powers.mean(axis=1)[:, None] * r.trace for r in self.ringings], axis=1)
-        return np.asarray(np.einsum("pkl,pkc,pld->pcd", self.posterior[1], mean, mean.conj()))
-
-
-def estimates(ringing: Ringing, along: Along) -> tuple[Complex, Real]:
-    """alpha of each point by least squares over the blocks, the settled value free, and its variance, (P,) each."""
+def evidence_of(ringing: Ringing, along: Along, points: PlanePoints) -> float:
+    """`Taken.started` where nothing else rings; quick enough for every length that blocks could have."""
     change = ringing.powers - ringing.powers.mean(axis=1, keepdims=True)
-    weight = np.sum(np.abs(change) ** 2, axis=1) * np.abs(ringing.mean) ** 2 * along.size
-    product = ringing.mean.conj() * np.sum(change.conj() * along.product, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(product / weight), np.asarray(1.0 / weight)
-
-
-def evidence_of(ringing: Ringing, along: Along, points: PlanePoints) -> tuple[float, Real]:
-    """Gain of log likelihood when a transient of the best common size is allowed, and that variance, (P,).
-
-    Tones at either bearing leave transients of different size.
-    """
-    alpha, variance = estimates(ringing, along)
-    total, size = 0.0, np.zeros(len(alpha))
-    for axis in (0, 1):
-        mine = (points.axis == axis) & np.isfinite(variance)
-        if not mine.any():
-            continue
-        square, v = np.abs(alpha[mine]) ** 2, variance[mine]
-        grid = np.geomspace(1e-3 * v.min(), 10 * square.max() + 1e-3 * v.min(), SIZES)
-        sum_ = grid[:, None] + v
-        gain = np.sum(np.log(v / sum_) + square * (1 / v - 1 / sum_), axis=1)
-        best = int(np.argmax(gain))
-        if gain[best] > 0:
-            total += float(gain[best])
-            size[points.axis == axis] = grid[best]
-    return total, size
+    told = np.sum(np.abs(change) ** 2, axis=1) * np.abs(ringing.mean) ** 2 * along.size
+    seen = np.abs(ringing.mean.conj() * np.sum(change.conj() * along.product, axis=1)) ** 2
+    gain = 0.0
+    for k in np.unique(points.axis):
+        mine = points.axis == k
+        if np.max(told[mine]) > 0:
+            sizes = SIZES[:, None] / np.max(told[mine])
+            more = 1.0 + sizes * told[mine]
+            gain += float(np.max(np.sum(sizes * seen[mine] / more - np.log(more), axis=1)))
+    return gain
