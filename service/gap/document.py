@@ -145,10 +145,10 @@ def _finite(value: Any) -> Any:
 def _alike(d: Diagnosis) -> tuple[list[str], list[str]]:
     """Effects of the verdict's classes that it does not name: about as likely as those, and what only fits as well.
 
-    A law with more parameters of its own, or whose values have to be just so, is much less likely where it leaves as
-    much as a simpler one.
+    A law with more parameters, or one that leaves a little more, may fit within what laws of one effect differ by and
+    still be far less likely.
     """
-    v, rivals, roundabout = d.verdict, list[str](), list[str]()
+    v, rivals, unlikely = d.verdict, list[str](), list[str]()
     evidence = {frozenset(r.candidate.effects): r.log_evidence for r in d.order}
     best = evidence.get(frozenset(v.effects), -np.inf)
     for group in v.indistinguishable:
@@ -156,8 +156,8 @@ def _alike(d: Diagnosis) -> tuple[list[str], list[str]]:
         for other in (e for e in group if e not in v.effects):
             own = evidence.get(frozenset({*v.effects, other} - {named}))
             behind = own is not None and own < best - ALIKE
-            (roundabout if behind else rivals).append(other)
-    return rivals, roundabout
+            (unlikely if behind else rivals).append(other)
+    return rivals, unlikely
 
 
 def sentence(d: Diagnosis) -> str:
@@ -175,9 +175,9 @@ def sentence(d: Diagnosis) -> str:
             f"and no known effect explains it{why}, {sure}."
         )
     words = " and ".join(e.replace("_", " ") for e in v.effects)
-    rivals, roundabout = (", ".join(e.replace("_", " ") for e in told) for told in _alike(d))
+    rivals, unlikely = (", ".join(e.replace("_", " ") for e in told) for told in _alike(d))
     unsure = f", not told apart from {rivals}" if rivals else ""
-    unsure += f"; {roundabout} would fit about as well but takes more to do it" if roundabout else ""
+    unsure += f"; {unlikely} would fit nearly as well but is far less likely" if unlikely else ""
     far = (
         "; the unseen sweep does not show this gap, so how much of it closes is not known"
         if s.closure is None

@@ -91,9 +91,11 @@ def test_a_predicted_gap_that_is_absent_costs_probability_and_then_the_verdict()
     assert verdict(-10.0, significant=3.0).kind == "no_gap"
 
 
-@pytest.mark.parametrize(("behind", "told"), [(1.0, "not told apart from amplifier bandwidth"), (12.0, "takes more")])
-def test_what_is_much_less_likely_is_not_said_to_be_told_apart_by_nothing(behind: float, told: str) -> None:
-    """It fits as well, and stays in the class; but beside a probability of 0 % the reader is told why."""
+@pytest.mark.parametrize(
+    ("behind", "told"), [(1.0, "not told apart from amplifier bandwidth"), (12.0, "far less likely")]
+)
+def test_what_fits_as_well_but_is_far_less_likely_is_told_as_that(behind: float, told: str) -> None:
+    """It stays in the class, but "not told apart" beside a probability of 0 % would contradict itself."""
     assert abs(behind - ALIKE) > 1
     order = [
         explanation(("loop_delay",), -50.0, 0.0, (0.0,)),
