@@ -200,7 +200,7 @@ def turned(
     n_x = x.layout.n_modes
     start = joined(x, y, pairs, datasheet.polar_inertia_kgm2 or 0.2 * datasheet.transverse_inertia_kgm2)
     refined = fit_rotating(start, data, (Split(splits.log_ratios[:n_x]), Split(splits.log_ratios[n_x:])))
-    u = uncertainty_of(refined, splits)
+    u = uncertainty_of(refined, splits, estimated_weights=True)
     if not u.adequate:
         warnings.append(
             f"residuals over all speeds are {u.scale:.2g} times the noise: something acts that the rotating model does "

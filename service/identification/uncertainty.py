@@ -85,11 +85,17 @@ class Uncertainty:
 
 
 def uncertainty_of(
-    refined: Fitted, splits: Posterior | None, level: float = 0.999, inflation: float = ESTIMATED_WEIGHTS
+    refined: Fitted,
+    splits: Posterior | None,
+    level: float = 0.999,
+    inflation: float = ESTIMATED_WEIGHTS,
+    estimated_weights: bool = False,
 ) -> Uncertainty:
     """Covariance of a joint fit.
 
-    ``inflation`` is that of the noise model (`noise.NoiseModel`), by default that of six blocks.
+    ``inflation`` is that of the noise model (`noise.NoiseModel`), by default that of six blocks. Chance in estimated
+    weights makes the residuals larger, and the information by the same share; with ``estimated_weights`` that share
+    is taken back.
 
     Noise brings (J^T J)^-1 with the shapes' splits held; what is not known of the splits is added along the direction
     in which the fit moves with them. When the residuals are larger than the noise beyond doubt, the model is wrong
@@ -105,6 +111,8 @@ def uncertainty_of(
     scale = np.sqrt(chi / dof)
     from_data = covariance_of(jacobian)
     adequate = refined.relative == 0 and chi < inflation * chi2_above(1 - level, dof)
+    if adequate and estimated_weights:
+        from_data = from_data * max(scale, 1.0) ** 2
     reported, widening = from_data, 1.0
     if not adequate:
         scaled = from_data * max(scale, 1.0) ** 2
