@@ -101,7 +101,7 @@ def profile_for(excitation: str, quick: bool = False) -> Profile | MultisineProf
     from service.experiment.multisine_plan import MultisineProfile
 
     if excitation == "multisine":
-        return MultisineProfile(realisations=3, periods=2) if quick else MultisineProfile()
+        return MultisineProfile(periods=3) if quick else MultisineProfile()
     return quick_profile() if quick else None
 
 

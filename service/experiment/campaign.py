@@ -37,7 +37,7 @@ from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback
 from service.experiment.recorder import Recorder, Trip
 from sim.datasheet import Datasheet
-from sim.rig_file import to_toml
+from sim.rig_file import parse, to_toml
 
 T = TypeVar("T")
 
@@ -113,7 +113,8 @@ def run_campaign(
         )
     prepare_folder(out_dir, resume)
     speed = float(controller.status().speed_rad_s)
-    header = fingerprint(capabilities, datasheet, limits, profile) | {"about": {"speed_rad_s": speed}}
+    about = {"speed_rad_s": speed, "datasheet": to_toml(datasheet)}
+    header = fingerprint(capabilities, datasheet, limits, profile) | {"about": about}
     log = journal.Journal(out_dir / JOURNAL, header)
     meter = Meter(progress)
     done: _Done = {}
@@ -136,7 +137,7 @@ def run_campaign(
             _make_ready(controller)
             measure = _Patient(controller, cancelled or (lambda: False))
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
-            _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra)
+            _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
         result = assembled()
         make_way(out_dir / EXPERIMENT, result)
         file.write(out_dir / EXPERIMENT, result)
@@ -182,13 +183,24 @@ def recover(out_dir: Path) -> Experiment:
     try:
         limits, profile = Limits(**header["limits"]), _profile(header["profile"])
         harmonics, about = tuple(header["harmonics"]), header["about"]
+        datasheet = parse(about["datasheet"]) if "datasheet" in about else None
     except (KeyError, TypeError) as error:
         raise JournalError(f"{out_dir / JOURNAL} was written by another version: {error}; resume with that") from error
     recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics)
     done: _Done = {}
     extra: _Extra = {}
     with suppress(_EndOfJournal, CampaignError):
-        _run(recorder, limits, profile, header["raw_records"], Meter(None), done, extra)
+        _run(
+            recorder,
+            limits,
+            profile,
+            header["raw_records"],
+            Meter(None),
+            done,
+            extra,
+            datasheet,
+            about["speed_rad_s"],
+        )
     attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
     return experiment(
         header["rig"],
@@ -209,10 +221,12 @@ def _run(
     meter: Meter,
     done: _Done,
     extra: _Extra,
+    datasheet: Datasheet | None,
+    speed_rad_s: float,
 ) -> None:
     """All phases of the excitation that the profile is for."""
     if isinstance(profile, MultisineProfile):
-        MultisinePhases(recorder, limits, profile, meter, done, extra).run(raw_records)
+        MultisinePhases(recorder, limits, profile, meter, done, extra, datasheet, speed_rad_s).run(raw_records)
     else:
         phases.run(recorder, limits, profile, raw_records, meter, done)
 

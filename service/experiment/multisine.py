@@ -11,6 +11,7 @@ holds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,6 +56,7 @@ def choose_lines(
     count: int,
     rng: np.random.Generator,
     avoid_hz: tuple[float, ...] = (),
+    wanted_hz: Sequence[tuple[float, float]] = (),
 ) -> Lines:
     """About ``count`` odd lines, spread evenly in the logarithm of frequency as far as the grid allows.
 
@@ -70,6 +72,8 @@ def choose_lines(
         Draws the odd lines that are left out.
     avoid_hz
         Frequencies, such as the mains, whose nearest line is not used.
+    wanted_hz
+        Bands (from, to) of which every odd line is excited, and those to either side: none is left out there.
 
     Raises
     ------
@@ -91,9 +95,14 @@ def choose_lines(
         if len(chosen) >= min(count, len(odd)):
             break
         wanted = int(1.15 * wanted) + 1
+    wanted_here = np.zeros(len(odd), dtype=bool)
+    for low, high in wanted_hz:
+        wanted_here |= (odd * step > low - 2 * step) & (odd * step < high + 2 * step)
+    others = np.setdiff1d(chosen, odd[wanted_here])
+    chosen = np.union1d(chosen, odd[wanted_here])
     left_out = np.zeros(len(chosen), dtype=bool)
-    for start in range(0, len(chosen) - GROUP + 1, GROUP):
-        left_out[start + int(rng.integers(GROUP))] = True
+    for start in range(0, len(others) - GROUP + 1, GROUP):
+        left_out[np.searchsorted(chosen, others[start + int(rng.integers(GROUP))])] = True
     even = np.arange(first + first % 2, last + 1, 2)
     return Lines(samples, chosen[~left_out], chosen[left_out], even[(even > 0) & ~np.isin(even, hum)])
 

@@ -19,14 +19,17 @@ from service.experiment.aims import Limits, Profile
 from service.experiment.errors import CampaignError
 from service.experiment.knowledge import Knowledge
 from service.experiment.multisine import Lines, Multisine, separated, spectra
+from service.experiment.multisine_design import Design, design_of
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest, Responses
 from service.experiment.noise import NoiseSpectra
 from service.experiment.noise_phases import NoisePhases
 from service.experiment.plan import Request
 from service.experiment.points import Point
+from service.experiment.points import sweep as swept
 from service.experiment.progress import Meter
 from service.experiment.recorder import Recorder, Trip
 from service.experiment.settling import period_change
+from sim.datasheet import Datasheet
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -87,7 +90,10 @@ class MultisinePhases:
     recorder, limits, profile, meter, done
         As for `service.experiment.phases.Phases`.
     extra
-        Filled with what belongs to the experiment beside its points: "distortion" levels as JSON.
+        Filled with what belongs to the experiment beside its points: "distortion" levels as JSON, and why the main
+        sweep was not designed for the rig, where it was not.
+    datasheet, speed_rad_s
+        Of the rig, to fit the pilot's model; None for amplitudes that need no model.
     """
 
     def __init__(
@@ -98,9 +104,12 @@ class MultisinePhases:
         meter: Meter,
         done: dict[str, list[Point]],
         extra: dict[str, str],
+        datasheet: Datasheet | None = None,
+        speed_rad_s: float = 0.0,
     ) -> None:
         self.recorder, self.limits, self.profile, self.meter, self.done = recorder, limits, profile, meter, done
-        self.extra = extra
+        self.extra, self.datasheet, self.speed_rad_s = extra, datasheet, speed_rad_s
+        self.design: Design | None = None
         self.settle_s = profile.settle_s
         self.tolerance = TOLERANCE
         self._rest: dict[str, Real] = {}
@@ -158,6 +167,7 @@ class MultisinePhases:
             outcome = self._realisation("pilot", 0, multisine)
             if isinstance(outcome, Played):
                 columns = {s: v.mean(axis=0) for s, v in outcome.columns().items()}
+                self.design = self._designed(lines, outcome)
                 r = np.einsum("ljj->lj", columns["r"])
                 f = lines.frequency_hz(self.limits.sample_rate_hz)
                 per_ampere = {s: np.swapaxes(columns[s] / r[:, :, None], 1, 2) for s in multisine_plan.SIGNALS}
@@ -169,9 +179,21 @@ class MultisinePhases:
             f"({why}); see to the rig, or raise its limits"
         )
 
+    def _designed(self, lines: Lines, pilot: Played) -> Design | None:
+        if self.datasheet is None:
+            return None
+        rate, to_hz = self.limits.sample_rate_hz, min(self.profile.to_hz, self.limits.max_frequency_hz)
+        measured = swept(self._points("pilot", lines, [pilot], []), (1,), rate, self.speed_rad_s, "pilot")
+
+        def say(why: str) -> None:
+            self.extra["not_designed"] = why
+
+        return design_of(measured, self.datasheet, to_hz, say)
+
     def _lines(self, sweep: str) -> Lines:
         try:
-            return multisine_plan.lines_of(sweep, self.profile, self.limits, self.knowledge.noise.lines_hz)
+            hum = self.knowledge.noise.lines_hz
+            return multisine_plan.lines_of(sweep, self.profile, self.limits, hum, self.design)
         except ValueError as error:
             raise CampaignError(f"no multisine fits: {error}") from error
 
@@ -180,7 +202,9 @@ class MultisinePhases:
     def sweep(self, name: str, responses: Responses) -> None:
         """All realisations of a sweep; each becomes a block of its points."""
         lines = self._lines(name)
-        planned = multisine_plan.realisations(self.profile, self.limits, name, lines, self.knowledge, responses)
+        planned = multisine_plan.realisations(
+            self.profile, self.limits, name, lines, self.knowledge, responses, self.design
+        )
         gain = 1.0
         played: list[Played] = []
         flags: list[str] = []

@@ -19,6 +19,7 @@ from service.experiment.aims import Limits
 from service.experiment.frequencies import mains_harmonics
 from service.experiment.knowledge import Knowledge
 from service.experiment.multisine import Lines, Multisine, choose_lines
+from service.experiment.multisine_design import Design
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -26,6 +27,8 @@ Real = NDArray[np.float64]
 SIGNALS = ("u", "i", "y")
 PILOT_SHARE = 0.05
 """Share of the current's limit that the pilot takes before anything is known, as a first tone does."""
+PILOT_LINES = 2
+"""Lines of the pilot over those of the main and the amplifier sweep: a narrow peak between lines is not seen."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +40,14 @@ class MultisineProfile:
     lines: int = 220
     """Odd lines of the main sweep, the detection lines among them included."""
     period_s: float = 1.0
-    periods: int = 2
-    """Recorded periods of every experiment: two are the fewest that tell a transient, and distortion, from noise."""
-    realisations: int = 5
-    """Draws of the phases, each played in as many experiments as there are axes: the blocks of the main sweep."""
-    settle_s: float = 0.8
+    periods: int = 6
+    """Recorded periods of every experiment: two are the fewest that tell a transient, and distortion, from noise. What
+    noise leaves in the rotor's modes leaks from one into the next and cancels in their mean, so many in one go tell
+    damping best, and less time is spent on settling."""
+    realisations: int = 2
+    """Draws of the phases, each played in as many experiments as there are axes. Its periods are blocks of the main
+    sweep."""
+    settle_s: float = 1.2
     """Settling to begin with, main and validation sweep; doubled as long as the periods still change."""
     short_settle_s: float = 0.3
     """Settling of the pilot and of the amplifier sweep, whose figures no transient spoils."""
@@ -146,20 +152,30 @@ class Responses:
                 knowledge.add(axis, float(f), u, i, y, 0.0)
 
 
-def lines_of(sweep: str, profile: MultisineProfile, limits: Limits, hum_hz: tuple[float, ...]) -> Lines:
-    """Lines of a sweep: "pilot" over the whole band, "main", "validation" (drawn anew) or "amplifier"."""
+def lines_of(
+    sweep: str,
+    profile: MultisineProfile,
+    limits: Limits,
+    hum_hz: tuple[float, ...],
+    design: Design | None = None,
+) -> Lines:
+    """Lines of a sweep: "pilot" over the whole band, "main", "validation" (drawn anew) or "amplifier".
+
+    The main sweep has every line on the peaks of a ``design``.
+    """
     p, rate = profile, limits.sample_rate_hz
     top = min(p.to_hz, limits.max_frequency_hz)
     high = min(p.amplifier_to_hz, limits.max_frequency_hz)
     period, low, to, count = {
-        "pilot": (p.period_s, p.from_hz, high, p.lines + p.amplifier_lines),
+        "pilot": (p.period_s, p.from_hz, high, PILOT_LINES * (p.lines + p.amplifier_lines)),
         "main": (p.period_s, p.from_hz, top, p.lines),
         "validation": (p.period_s, p.from_hz, top, p.lines // 2),
         "amplifier": (p.amplifier_period_s, max(p.from_hz, 0.05 * high), high, p.amplifier_lines),
     }[sweep]
     hums = tuple(mains_harmonics(to)) + hum_hz
     near = tuple(h for h in hums if low < h < to) if period * 50 >= 8 else ()
-    return choose_lines(round(period * rate), rate, low, to, count, generator(profile, sweep, 99), near)
+    peaks = design.peaks_hz() if design is not None and sweep == "main" else []
+    return choose_lines(round(period * rate), rate, low, to, count, generator(profile, sweep, 99), near, peaks)
 
 
 def periods_of(sweep: str, profile: MultisineProfile) -> int:
@@ -199,9 +215,15 @@ def shape(profile: MultisineProfile, sweep: str, knowledge: Knowledge, frequency
 
 
 def realisations(
-    profile: MultisineProfile, limits: Limits, sweep: str, lines: Lines, knowledge: Knowledge, responses: Responses
+    profile: MultisineProfile,
+    limits: Limits,
+    sweep: str,
+    lines: Lines,
+    knowledge: Knowledge,
+    responses: Responses,
+    design: Design | None = None,
 ) -> list[Multisine]:
-    """Realisations of a sweep at their predicted limits, all at one level."""
+    """Realisations of a sweep at their predicted limits, all at one level; the main sweep as ``design`` wants it."""
     count = {
         "main": profile.realisations,
         "validation": profile.validation_realisations,
@@ -211,8 +233,15 @@ def realisations(
     G = responses.at(f)
     a = shape(profile, sweep, knowledge, f, limits.n_axes)
     allowed = Allowed.of(profile, limits)
-    # whichever is nearest to its limit, displacement or current, has its peaks pressed down
-    relative = np.concatenate([G["y"] / allowed.displacement_m, G["i"] / allowed.current_a], axis=1)
+    own = np.zeros((len(f), 0, limits.n_axes))
+    if design is not None and sweep == "main":
+        G = design.responses(f, G)
+        a = design.amplitudes(f, a, allowed.displacement_m, allowed.current_a, allowed.excitation_a)
+        own = np.broadcast_to(np.eye(limits.n_axes), G["y"].shape)
+    # whichever is nearest to its limit, displacement, current or excitation, has its peaks pressed down
+    relative = np.concatenate(
+        [G["y"] / allowed.displacement_m, G["i"] / allowed.current_a, own / allowed.excitation_a], axis=1
+    )
     found = [crest.optimised(lines, a, relative, generator(profile, sweep, k)) for k in range(count)]
     gain = min(level(m, G, allowed) for m in found)
     if sweep == "validation":

@@ -22,7 +22,7 @@ from tests.support.campaigns import Faulty, same
 
 RIG, SHEET = reference_rig(), reference_datasheet()
 SHORT = MultisineProfile(
-    lines=60, realisations=2, validation_realisations=2, amplifier_realisations=2, amplifier_lines=24
+    lines=100, periods=2, realisations=2, validation_realisations=2, amplifier_realisations=2, amplifier_lines=24
 )  # fmt: skip
 
 
@@ -80,6 +80,21 @@ def test_it_takes_a_tenth_of_the_stepped_sines_rig_time_and_says_so(whole):
     seconds = float(whole[1].attributes["rig_seconds"])
     assert 60 < seconds < 130
     assert whole[1].main.time_s.max() < seconds
+
+
+def test_damping_ratios_are_told_as_exactly_as_ki_and_ks_are_by_a_thousand_seconds_of_tones(whole):
+    """The pilot knows the peaks; the stepped sine leaves 0.03 to 0.08 % on this rig (benchmarks/multisine.py)."""
+    assert "not_designed" not in whole[1].attributes
+    for plane in identify(whole[1], SHEET).planes.values():
+        assert all(m.damping_ratio.std_from_data < 6e-4 * m.damping_ratio.value for m in plane.modes)
+
+
+def test_a_rig_whose_pilot_no_model_explains_is_measured_all_the_same(tmp_path, short):
+    other = replace(SHEET, numerator=tuple(1.4 * c for c in SHEET.numerator))
+    found = run_campaign(SimulatedController(RIG, seed=1), other, tmp_path, profile=SHORT)
+    assert "of the pilot" in found.attributes["not_designed"]
+    assert [s.comment for s in found.sweeps] == [s.comment for s in short.sweeps]
+    assert found.main.n_points < short.main.n_points  # without the peaks' own lines
 
 
 def test_the_file_has_all_sweeps_in_the_contracts_form(whole):
@@ -151,6 +166,7 @@ def test_an_interrupt_stops_the_rig_and_the_campaign_goes_on_where_it_stopped(tm
     assert rig.status().lease_holder == ""
     kept = recover(tmp_path)
     assert kept.named("noise") is not None
+    assert "not_designed" not in kept.attributes  # the journal tells the datasheet that the pilot is fitted with
     resumed = Counted(lambda k: None)
     whole = campaign(tmp_path, resumed)
     assert [s.comment for s in whole.sweeps] == [s.comment for s in short.sweeps]
@@ -174,7 +190,9 @@ def test_a_cancel_ends_a_waveform_that_is_being_played(tmp_path):
 def test_a_rig_that_trips_is_measured_at_a_lower_level(tmp_path, short):
     tight = replace(RIG, displacement_limit_m=9e-6)
     experiment = campaign(tmp_path, SimulatedController(tight, seed=1))
-    assert experiment.main.amplitude_a.max() < 0.8 * short.main.amplitude_a.max()
+    # lines on the peaks, which move no rotor, may be as large as ever
+    tight_m, usual_m = (np.linalg.norm(e.main.Y[:, :, 0]) for e in (experiment, short))
+    assert tight_m < 0.3 * usual_m
     assert experiment.main.n_points == short.main.n_points
 
 

@@ -43,6 +43,24 @@ def test_a_band_without_lines_is_refused():
         multisine.choose_lines(100, RATE, 20.0, 60.0, 10, np.random.default_rng(1))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_no_line_of_a_wanted_band_is_left_out_and_others_still_are(seed):
+    samples, band = 8000, (150.0, 250.0)
+    plain, found = (
+        multisine.choose_lines(samples, RATE, 4.0, 400.0, 60, np.random.default_rng(seed), (), wanted)
+        for wanted in ((), (band,))
+    )
+    step = RATE / samples
+    hz = np.arange(1, samples // 2, 2) * step
+    inside = hz[(hz >= band[0]) & (hz <= band[1])]
+    assert len(inside) > 10
+    assert set(np.round(inside / step)) <= set(found.excited)
+    assert 0.5 * len(plain.odd) < len(found.odd) < len(plain.odd)
+    assert not set(found.odd) & set(found.excited)
+    far = found.excited[np.abs(found.excited * step - 200) > 51]
+    assert set(far) <= set(plain.excited) | set(plain.odd)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 6, 8])
 def test_experiments_are_orthogonal(n):
     w = multisine.orthogonal(n)
