@@ -65,8 +65,9 @@ class Design:
         """(from, to) round every peak, Hz."""
         found = []
         for plane in self.planes:
-            for nu, sigma in plane.models[0].modes[:, :2]:
-                reach = min(AROUND * abs(sigma), NARROW * nu)
+            beside = np.abs(plane.models[1].modes[:, 0] - plane.models[0].modes[:, 0])
+            for (nu, sigma), error in zip(plane.models[0].modes[:, :2], beside, strict=True):
+                reach = min(AROUND * abs(sigma) + error, NARROW * nu)
                 found.append(((nu - reach) / (2 * np.pi), (nu + reach) / (2 * np.pi)))
         return found
 
@@ -158,13 +159,16 @@ def design_of(
 
 
 def _misfit(loop: ClosedLoop, points: PlanePoints) -> float:
-    """Of currents and displacements per excitation, relative; the larger one."""
+    """Of currents and displacements per excitation, relative, beyond what blocks scatter by; the larger one."""
     at, r = np.arange(len(points.omega)), points.r[np.arange(len(points.omega)), points.axis]
-    pairs = [(loop.y, points.y)] + ([] if points.i is None else [(loop.i, points.i)])
+    pairs = [(loop.y, points.Y)] + ([] if points.I is None else [(loop.i, points.I)])
     ratios = []
-    for modelled, measured in pairs:
+    for modelled, blocks in pairs:
+        measured, count = blocks.mean(axis=1), blocks.shape[1]
         wanted = modelled[at, :, points.axis] * r[:, None]
-        ratios.append(float(np.linalg.norm(measured - wanted) / np.linalg.norm(measured)))
+        chance = np.sum(np.abs(blocks - measured[:, None]) ** 2) / (count * (count - 1))
+        left, whole = np.sum(np.abs(measured - wanted) ** 2) - chance, np.sum(np.abs(measured) ** 2) - chance
+        ratios.append(float(np.sqrt(max(left, 0.0) / whole)) if whole > 0 else np.inf)
     return max(ratios)
 
 

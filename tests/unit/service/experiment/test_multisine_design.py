@@ -92,6 +92,19 @@ def test_no_line_falls_below_the_floor_and_no_axis_is_beyond_another_limit(
         assert mean_squares(design, amplitudes)[:, pair].max() == pytest.approx(1.0, abs=0.05)
 
 
+def test_noise_is_nothing_that_a_model_should_explain(pilot: Sweep) -> None:
+    """Ten times the pilot's: peaks are placed less well, and their bands are wider."""
+    loud = synthetic_sweep(
+        TRUTH, SHEET.axes, CONTROLLER, PILOT, 1e-3, current_noise_a=3e-4, displacement_noise_m=2e-9, seed=4
+    )
+    said: list[str] = []
+    found = design_of(synthetic_experiment(loud, axes=SHEET.axes).main, SHEET, 1000.0, said.append)
+    assert said == []
+    assert found is not None
+    for (low, high), nu in zip(found.peaks_hz(), np.concatenate([m.modes[:, 0] for m in TRUTH.values()]), strict=True):
+        assert low < nu / (2 * np.pi) < high
+
+
 def test_a_pilot_that_no_model_explains_designs_nothing_and_says_why(pilot: Sweep) -> None:
     said: list[str] = []
     other = replace(SHEET, numerator=tuple(1.4 * c for c in SHEET.numerator))
