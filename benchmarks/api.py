@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import _cpu
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -192,10 +193,12 @@ def workers(folder: Path, seconds: float) -> None:
                 found.submit("identification", rig_id, experiment=experiment)
             _all_ended(found)
             n = max(8, int(seconds / 2)) * (1 if count == 1 else 2) + 2 * count
+            meter = _cpu.Meter(found)
             jobs = [found.submit("identification", rig_id, experiment=experiment) for _ in range(n)]
             _all_ended(found)
+            spent = meter.told(n)
             rate[count] = _rate([found.job(job) for job in jobs], count)
-            print(f"{count} workers on PostgreSQL: {n} identifications, {rate[count]:.3f} per second")
+            print(f"{count} workers on PostgreSQL: {n} identifications, {rate[count]:.3f} per second; {spent}")
     (folder / "experiment.h5").write_bytes(measured)
     (folder / "rig.toml").write_text(reference_sheet(), encoding="utf-8")
     bare = {count: _bare(folder, count, max(8, int(seconds / 2))) for count in (1, 2)}
