@@ -24,6 +24,7 @@ from service.identification.split import (
     log_ratios,
     split_rows,
 )
+from service.identification.split_posterior import posterior
 from service.identification.start import with_modes, with_split
 
 NONE = np.empty(0)
@@ -136,3 +137,36 @@ def test_knowledge_however_sharp_is_reproduced(data: Data, truth: dict[str, Plan
     found = of(data, truth, known, relative=0.3)
     assert np.allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.25)
     assert np.allclose(found.log_ratios, [0.4, -0.3], atol=0.35 * std + 1e-6)
+
+
+@pytest.mark.parametrize("thickness", [0.3, 0.03, 0.003])
+def test_where_data_tell_a_sum_of_two_splits_only_what_is_left_is_knowledge(
+    truth: dict[str, PlaneModel], thickness: float
+) -> None:
+    """However well they tell the sum: against a quadrature across the ridge and along it."""
+    model = with_split(truth["x"], np.array([0.45, 0.0]))
+    free = model.layout.free()
+    places = np.flatnonzero(free)
+    told = np.array([1.0, 1.4]) / thickness
+    largest = [
+        model.layout.mode(k).start + 2 + int(np.argmax(np.abs(m[2:6]))) for k, m in enumerate(model.modes)
+    ]  # without these no other parameter mimics a change of split
+    others = np.flatnonzero(~np.isin(places, largest))
+    jacobian = np.zeros((len(others) + 1, len(places)))
+    jacobian[np.arange(len(others)), others] = 1.0
+    for k, place in enumerate(largest):
+        sign = 0.5 if place < model.layout.mode(k).start + 4 else -0.5
+        jacobian[-1, np.searchsorted(places, place)] = told[k] / (sign * model.theta[place])
+    found = posterior(model, np.zeros(len(jacobian)), jacobian, free, CLOSE).covariance
+
+    first = np.linspace(-6, 6, 2401)[:, None]  # ln a of the first mode
+    second = (np.linspace(-6, 6, 121) - told[0] * np.expm1(first)) / told[1]  # a - 1 of the second
+    inside = second > np.expm1(-6)
+    logs = np.log1p(np.where(inside, second, 0.0))
+    split = log_ratios(model) - np.stack([np.broadcast_to(first, logs.shape), logs], axis=-1).reshape(-1, 2)
+    density = log_prior(model, split, CLOSE).sum(axis=1).reshape(logs.shape) - logs
+    density -= 0.5 * (told[0] * np.expm1(first) + told[1] * second) ** 2
+    weight = np.where(inside, np.exp(density - density[inside].max()), 0.0)
+    weight /= weight.sum()
+    exact = [np.sum(weight * np.expm1(first) ** 2), np.sum(weight * second**2)]
+    assert np.allclose(np.sqrt(np.diag(found)), np.sqrt(exact), rtol=0.1)
