@@ -26,11 +26,11 @@ def block_samples(sweep: Sweep) -> Real | None:
     """Length of each point's blocks, (P,) samples, as the file has it, or as the lines tell it; None where they do not.
 
     >>> import numpy as np
-    >>> lines = np.array([11, 25, 25, 31, 43]) * 1e4 / np.array([508, 518, 502, 513, 511])
+    >>> lines = np.array([2, 3, 10, 11, 25, 31, 43, 47]) * 1e4 / np.array([589, 634, 501, 508, 518, 513, 511, 507])
     >>> shortest(lines, 1e4).tolist()
-    [508, 518, 502, 513, 511]
+    [589, 634, 501, 508, 518, 513, 511, 507]
     >>> told_by(lines, 1e4).tolist()
-    [508, 518, 502, 513, 511]
+    [589, 634, 501, 508, 518, 513, 511, 507]
     >>> told_by(np.array([100.0, 200.0, 500.0]), 1e4) is None
     True
     """

@@ -238,8 +238,8 @@ def _settled(
     data, transients = settled(
         replace(found.data, plant=measured), refined.model, refined.fit.free, controller, block_s, suspected
     )
-    if data.plant is measured:
-        return found
+    if data.plant is measured or (refined.relative and not transients):
+        return found  # what noise alone kept up is not worth a further fit of a model that does not explain the data
     again = _fit_points(data, datasheet, axes, options, refined.model.known.chain)
     return replace(again, held_out=found.held_out, transients=transients, measured=measured)
 

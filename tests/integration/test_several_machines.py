@@ -59,10 +59,13 @@ def test_workers_of_two_machines_do_not_begin_with_a_store_each(tmp_path):
 
 def test_a_store_whose_library_is_missing_names_what_to_install(tmp_path, monkeypatch):
     import sys
+    from importlib import import_module
 
     from service.errors import StorageError
     from service.storage.blobs import Blobs
 
     monkeypatch.setitem(sys.modules, "s3fs", None)
+    opened = import_module("fsspec.registry")._registry  # fsspec.registry itself is a view of it
+    monkeypatch.delitem(opened, "s3", raising=False)
     with pytest.raises(StorageError, match=r"amb-commissioning\[s3\]"):
         Blobs("s3://bucket/ambit")

@@ -184,7 +184,7 @@ def late(delay_s: float) -> PlaneModel:
 def test_what_noise_leaves_in_the_blocks_is_as_large_as_predicted() -> None:
     """Near the mode a hundred times the noise itself; in units of both, the blocks' changes scatter by one."""
     truth = late(30e-6)
-    sweep = run(5.0, seed=4, truth=truth)
+    sweep = run(3.0, seed=4, truth=truth)
     points = plane_points(sweep, AXES, "x")
     seconds = sweep.block_samples[points.index] / RATE
     i, y = predicted_blocks(truth, points, None)
