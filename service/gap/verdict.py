@@ -148,7 +148,7 @@ def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = (
 
     near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
     near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE]
-    near.sort(key=lambda r: r is not best and -r.log_evidence)
+    near.sort(key=lambda r: (r is not best, -r.log_evidence))
     return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))[:LARGEST_CLASS]
 
 

@@ -16,8 +16,8 @@ from service.identification.zoh import Real
 LONGEST = 5_000
 """Samples of a block, at most."""
 EXACT = 1e-7
-"""How far from whole a number of periods may be: rounding of a frequency in double precision is far less, and chance
-meets one of fifty lines within a thousand samples only where they are not chosen so."""
+"""How far from whole a number of periods may be, relative: what rounding a frequency to single precision makes of it.
+Chance meets one line in eight within `LONGEST` samples, and so never `COMMON` of them."""
 COMMON = 0.95
 """Share of the lines that have to agree."""
 
@@ -44,7 +44,7 @@ def block_samples(sweep: Sweep) -> Real | None:
 
 
 def shortest(frequency_hz: Real, sample_rate_hz: float) -> NDArray[np.int64]:
-    """Smallest number of samples that is whole periods of each line, 0 where there is none."""
+    """Smallest number of samples that is whole periods of each line (F,), Hz; (F,), 0 where there is none."""
     n = np.arange(1, LONGEST + 1)
     periods = frequency_hz[:, None] / sample_rate_hz * n
     whole = (np.abs(periods - np.round(periods)) < EXACT * np.maximum(periods, 1.0)) & (periods > 0.5)
@@ -52,7 +52,7 @@ def shortest(frequency_hz: Real, sample_rate_hz: float) -> NDArray[np.int64]:
 
 
 def told_by(frequency_hz: Real, sample_rate_hz: float) -> NDArray[np.int64] | None:
-    """Samples of the blocks at each line, or None where the lines leave none or several lengths."""
+    """Samples of the blocks at each line (F,), Hz, (F,), or None where the lines leave none or several lengths."""
     least = shortest(frequency_hz, sample_rate_hz)
     if np.mean(least > 0) < COMMON:
         return None

@@ -145,15 +145,16 @@ def with_currents(model: PlaneModel, plant: Sampled) -> Sampled:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class LoopStates:
     """x+ = A x + N n with u = C(z)(-y - n), n the sensors' noise; the plant's states first."""
 
     A: Real
+    """(states, states)"""
     N: Real
-    """(states, 2)"""
+    """(states, 2), of n in m."""
 
 
-def closed_loop(model: PlaneModel, controller: tuple[Real, Real]) -> ClosedLoop:
+def loop_states(model: PlaneModel, controller: tuple[Real, Real]) -> LoopStates:
     """The sampled loop u = C(z)(-y), the same law in both axes.
 
     Raises
@@ -174,18 +175,18 @@ def closed_loop(model: PlaneModel, controller: tuple[Real, Real]) -> ClosedLoop:
         numerator = np.zeros(1)
     if len(denominator) == 1:  # a plain gain has no state
         gain = float(numerator[0] / denominator[0])
-        return ClosedLoop(np.asarray(plant.A - gain * plant.B @ plant.C), -gain * plant.B)
+        return LoopStates(np.asarray(plant.A - gain * plant.B @ plant.C), -gain * plant.B)
     ca, cb, cc, cd = (np.asarray(x, dtype=float) for x in tf2ss(numerator, denominator))
     two = [block_diag(x, x) for x in (ca, cb, cc, cd)]
     ca, cb, cc, cd = two
     top = np.hstack([plant.A - plant.B @ cd @ plant.C, plant.B @ cc])
     bottom = np.hstack([-cb @ plant.C, ca])
-    return ClosedLoop(np.vstack([top, bottom]), -np.vstack([plant.B @ cd, cb]))
+    return LoopStates(np.vstack([top, bottom]), -np.vstack([plant.B @ cd, cb]))
 
 
 def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Complex:
-    """Eigenvalues of `closed_loop`; stable within the unit circle."""
-    return np.asarray(np.linalg.eigvals(closed_loop(model, controller).A), dtype=np.complex128)
+    """Eigenvalues of `loop_states`; stable within the unit circle."""
+    return np.asarray(np.linalg.eigvals(loop_states(model, controller).A), dtype=np.complex128)
 
 
 def slowest_decay(poles: Complex, sample_time_s: float) -> float:

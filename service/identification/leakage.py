@@ -5,10 +5,10 @@ periods of the tone, shows in what y differs from G u only how the plant's state
 
     sum over the block of (y - G u) z^-t = C z (z I - A)^-1 (x_start - x_end),    z = exp(jw T)
 
-(Pintelon and Schoukens, System Identification, 2nd ed., 2012, section 2.6.3). A resonance is where (z I - A)^-1 is
-large; and a loop that hardly damps makes x large, and turn so slowly against a tone nearby that all of a point's blocks
-are off alike. Where the noise is white, x has the covariance that Lyapunov's equation of the loop gives, and nothing
-about it is free but the size of n, which the blocks' scatter tells.
+(Pintelon, Schoukens and Vandersteen, IEEE Trans. Autom. Control 42, 1997, 1717-1720). A resonance is where (z I - A)^-1
+is large; and a loop that hardly damps makes x large, and turn so slowly against a tone nearby that all of a point's
+blocks are off alike. Where the noise is white, x has the covariance that Lyapunov's equation of the loop gives, and
+nothing about it is free but the size of n, which the blocks' scatter tells.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, solve_discrete_lyapunov
 
-from service.identification.closed_loop import closed_loop, sampled, with_currents
+from service.identification.closed_loop import loop_states, sampled, with_currents
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints
 from service.identification.zoh import Complex, Real
@@ -35,15 +35,15 @@ def leakage(
     block_s
         (P,) length of each point's blocks, s, whole periods.
     sensor_noise_m
-        (2,) standard deviation of either sensor's samples.
+        (2,) standard deviation of either sensor's samples, as the controller takes them, m.
 
     Returns
     -------
     covariance
-        (P, B, c, B, c), or None where the model's loop is not stable.
+        (P, B, c, B, c), A^2, A m and m^2, or None where the model's loop is not stable.
     """
     plant = with_currents(model, sampled(model))
-    loop = closed_loop(model, controller)
+    loop = loop_states(model, controller)
     if np.max(np.abs(np.linalg.eigvals(loop.A))) >= 1.0:
         return None
     states, blocks, period = len(plant.A), points.n_blocks, model.known.sample_time_s

@@ -48,7 +48,9 @@ EVIDENCE = 6.5
 """Gain of log likelihood beyond which blocks show a transient: chance has more in three of a thousand cases. More by
 the logarithm of how many poles, and lengths of blocks where these are looked for, were tried."""
 SUSPECTED = 2.0
-"""The same where the other plane's points, recorded alike, show one: what stays below still biases a damping."""
+"""The same where the other plane's points, recorded alike, show one: what stays below still biases a damping. Where
+noise keeps the loop ringing any gain is enough to take a start out, not to tell of it: 4 % of it, in what noise keeps
+up, bias a damping by 1 %, and a start's size is nothing where the blocks speak against it."""
 BLOCK_S = np.geomspace(0.01, 1.0, 231)
 """Lengths of blocks, s, to be tried where a file does not tell them; each is made whole periods."""
 ROUNDS, MOVED = 8, 0.02
@@ -196,6 +198,8 @@ def without_ringing(
     if kept_up is not None:
         more = taken.with_one_more(Source(kept_up, np.ones(len(samples))))
         taken = more if more.likelihood > nothing.likelihood + EVIDENCE else taken
+    doubt = SUSPECTED if suspected else EVIDENCE
+    least = 0.0 if taken.sources else doubt
     typical = float(np.median(block_s))
     found: list[tuple[complex, float]] = []
     poles = slow_poles(model, controller, typical, GONE)
@@ -209,17 +213,20 @@ def without_ringing(
         while ringings:  # the loudest first
             tried = {pole: taken.started(ringing, points.axis) for pole, ringing in ringings.items()}
             pole, (evidence, size) = max(tried.items(), key=lambda item: item[1][0])
-            if evidence < (SUSPECTED if suspected else EVIDENCE) + np.log(len(ringings)):
+            if evidence < least + np.log(len(ringings)):
                 break
             taken = taken.with_one_more(Source.started(ringings.pop(pole).left, size, points.axis))
             found.append((pole, evidence))
     if not taken.sources:
         return points, ()
     transients = []
-    for (pole, evidence), source in zip(found[::-1], taken.sources[::-1], strict=False):
+    starts = [s for s in taken.sources if s.group is not None]
+    for (pole, evidence), source in zip(found, starts, strict=True):
+        if evidence < doubt:
+            continue
         share = np.abs(taken.alone(source).mean(axis=1)) / noise.sigma
         transients.append(Transient(pole, float(share.max()), evidence, float(np.exp(pole.real * typical))))
-    return replace(_less(points, taken.blocks), unsettled=taken.unknown), tuple(transients[::-1])
+    return replace(_less(points, taken.blocks), unsettled=taken.unknown), tuple(transients)
 
 
 def _whitened(points: PlanePoints, model: PlaneModel, noise: NoiseModel) -> tuple[Complex, Complex]:

@@ -6,87 +6,17 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.identification.closed_loop import closed_loop_poles, companion, sampled
+from service.identification.closed_loop import closed_loop_poles
 from service.identification.fit import fit_plane, identify
 from service.identification.leakage import leakage
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
 from service.identification.residuals import Data, noise_of, predicted_blocks, residual_blocks
 from service.identification.ringing import as_it_ran
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from service.identification.synthetic import synthetic_experiment, synthetic_sweep
 from service.identification.transient import Transient, settled
 from service.identification.transient_size import Source, Taken
-from sim.reference import reference_datasheet, reference_rig
-
-SHEET = reference_datasheet()
-TRUTH = plane_model_of(reference_rig(), "x")
-CONTROLLER = (np.array(SHEET.numerator), np.array(SHEET.denominator))
-BLOCKS, RATE = 6, 10_000.0
-AXES = ("xA", "xB")
-HZ = np.unique(np.concatenate([np.geomspace(12, 980, 26), 495 + np.linspace(-12, 12, 9), 907 + np.linspace(-9, 9, 7)]))
-
-
-def run(settle_s: float, told: bool = True, seed: int = 0, truth: PlaneModel = TRUTH) -> Sweep:
-    """The sampled linear loop from rest, tone by tone, step by step in time; y is 20 nm noisy, i 2 mA."""
-    plant = sampled(truth)
-    see_i = np.zeros((2, len(plant.A)))
-    at = 0
-    for k, a in enumerate(truth.amplifiers):
-        c = companion(a.poles, a.dc_gain)[2]
-        see_i[k, at : at + c.shape[1]] = c[0]
-        at += c.shape[1]
-    b, a = (np.asarray(x) / CONTROLLER[1][0] for x in CONTROLLER)
-    periods = np.maximum(1, np.round(HZ * 0.05)).astype(int)
-    samples = np.round(periods * RATE / HZ).astype(int)
-    hz, n = np.tile(periods * RATE / samples, 2), np.tile(samples, 2)
-    axis = np.repeat([0, 1], len(HZ))
-    size = np.where(abs(hz / 497 - 1) < 0.03, 0.03, 0.12)
-    start = round(settle_s * RATE)
-    rng = np.random.default_rng(seed)
-    x = np.zeros((len(plant.A), len(hz), 1))[:, :, 0]
-    memory = np.zeros((len(a) - 1, 2, len(hz)))  # of the controller, transposed direct form
-    sums = {name: np.zeros((len(hz), BLOCKS, 2), dtype=complex) for name in "ruiy"}
-    for k in range(start + BLOCKS * int(n.max())):
-        y = plant.C @ x + 20e-9 * rng.standard_normal((2, len(hz)))
-        i = see_i @ x + 2e-3 * rng.standard_normal((2, len(hz)))
-        out = b[0] * -y + memory[0]
-        memory = np.concatenate([memory[1:], np.zeros((1, 2, len(hz)))]) + b[1:, None, None] * -y
-        memory -= a[1:, None, None] * out
-        r = np.zeros((2, len(hz)))
-        r[axis, np.arange(len(hz))] = size * np.cos(2 * np.pi * hz * k / RATE)
-        u = out + r
-        block = (k - start) // n
-        on = (k >= start) & (block < BLOCKS)
-        turn = 2 / n * np.exp(-2j * np.pi * hz * k / RATE)
-        for name, signal in (("r", r), ("u", u), ("i", i), ("y", y)):
-            sums[name][on, block[on]] += (turn * signal).T[on]
-        x = plant.A @ x + plant.B @ u
-    return Sweep(
-        kind="stepped-sine",
-        frequency_hz=hz,
-        axis=axis,
-        amplitude_a=size,
-        harmonics=(1,),
-        **{name.upper(): value[:, :, None, :] for name, value in sums.items()},
-        sample_rate_hz=RATE,
-        block_samples=n if told else None,
-    )
-
-
-def sheet():
-    two = {
-        name: getattr(SHEET, name)[:2]
-        for name in (
-            "current_stiffness_n_per_a",
-            "position_stiffness_n_per_m",
-            "bias_current_a",
-            "amplifier_gain",
-            "amplifier_natural_frequency_hz",
-            "amplifier_damping_ratio",
-            "sensor_gain",
-        )
-    }
-    return replace(SHEET, axes=AXES, **two)
+from tests.support.ringing import AXES, BLOCKS, CONTROLLER, HZ, RATE, SHEET, TRUTH, late, run, sheet
 
 
 @pytest.fixture(scope="module")
@@ -175,16 +105,24 @@ def test_damping_is_right_where_the_loop_hardly_damps_the_mode(monkeypatch: pyte
     assert abs(without.value / truth.damping_ratios[0] - 1) > 0.3
 
 
-def late(delay_s: float) -> PlaneModel:
-    theta = TRUTH.theta.copy()
-    theta[TRUTH.layout.delay] = delay_s
-    return TRUTH.at(theta)
-
-
-def test_what_noise_leaves_in_the_blocks_is_as_large_as_predicted() -> None:
-    """Near the mode a hundred times the noise itself; in units of both, the blocks' changes scatter by one."""
+@pytest.fixture(scope="module")
+def kept_ringing() -> tuple[PlaneModel, Sweep]:
+    """Of the start 4 % are left, and noise keeps up ten times as much."""
     truth = late(30e-6)
-    sweep = run(3.0, seed=4, truth=truth)
+    return truth, run(3.0, truth=truth)
+
+
+def test_what_is_left_of_a_start_is_in_the_deviation_where_noise_keeps_up_more(
+    kept_ringing: tuple[PlaneModel, Sweep],
+) -> None:
+    truth, sweep = kept_ringing
+    mode = identify(synthetic_experiment(sweep, axes=AXES), sheet()).planes["x"].modes[0].damping_ratio
+    assert abs(mode.value - truth.damping_ratios[0]) < 2 * mode.std
+
+
+def test_what_noise_leaves_in_the_blocks_is_as_large_as_predicted(kept_ringing: tuple[PlaneModel, Sweep]) -> None:
+    """Near the mode a hundred times the noise itself; in units of both, the blocks' changes scatter by one."""
+    truth, sweep = kept_ringing
     points = plane_points(sweep, AXES, "x")
     seconds = sweep.block_samples[points.index] / RATE
     i, y = predicted_blocks(truth, points, None)
