@@ -40,19 +40,21 @@ def extended_report(
     scale = np.abs(model.theta)
     scale[model.layout.index("centre_of_gravity_m")] = sum(datasheet.bearing_from_cog_m) / 2
     scale[model.layout.delay] = datasheet.sample_time_s
-    wide = np.zeros((0 if splits is None else len(splits.log_ratios), model.layout.size))
+    n_splits = 0 if splits is None else len(splits.log_ratios)
+    n_known = len(refined.fit.residual) - n_splits  # the data, and what is known beside the splits
+    known, wide = (np.zeros((n, model.layout.size)) for n in (n_known - n_data, n_splits))
+    known[:, refined.fit.free] = refined.fit.jacobian[n_data:n_known]
     if splits is not None:
         # what is known of the shapes' splits, in units of its own spread
         root = np.linalg.inv(np.linalg.cholesky(splits.covariance))
-        wide[:, refined.fit.free] = root @ (HELD * refined.fit.jacobian[n_data:])
-    full = np.vstack([jacobian, wide])
+        wide[:, refined.fit.free] = root @ (HELD * refined.fit.jacobian[n_known:])
+    full = np.vstack([jacobian, known, wide])
+    rest = np.concatenate([r, refined.fit.residual[n_data:n_known], np.zeros(n_splits)])
     asked = ("transverse_inertia_kgm2", "centre_of_gravity_m")
     free = refined.fit.free.copy()
     for name in asked:
         free[model.layout.index(name)] = True
-    step, covariance = _one_step(
-        full[:, free], np.concatenate([r, np.zeros(len(wide))]), 1.0 if u.adequate else u.scale
-    )
+    step, covariance = _one_step(full[:, free], rest, 1.0 if u.adequate else u.scale)
     places = np.flatnonzero(free)
     out: dict[str, Any] = {}
     tolerance = {

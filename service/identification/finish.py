@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.identification.refine import FAR, NEAR, Refined, amplitude_of, refine
 from service.identification.residuals import Data, residuals
-from service.identification.split import ROWS, Knowledge, Posterior, Split, log_ratios
+from service.identification.split import ROWS, Knowledge, Posterior, Split
 from service.identification.split_posterior import posterior
 
 MOST_STEPS = 200
@@ -39,7 +39,7 @@ def finished(
     n = ROWS * n_modes
     r, jacobian = likeliest.fit.residual[:-n], likeliest.fit.jacobian[:-n]
     known = posterior(likeliest.model, r, jacobian, likeliest.fit.free, knowledge, use_data=refined.relative == 0)
-    return _fitted(likeliest, data, free, Split(log_ratios(likeliest.model)), reach), known
+    return _fitted(likeliest, data, free, Split.of(likeliest.model, knowledge.end_rad_s), reach), known
 
 
 def _fitted(

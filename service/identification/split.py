@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Real
@@ -31,9 +32,11 @@ BEYOND = 0.8
 """Standard deviation of ln(|phi_s|/|phi_b|) of a mode beyond the band, 1 within: it stands for many, which even out."""
 ROWS = 4
 """Residuals of knowledge per mode: of the order of its split, of its change at either bearing, and of its damping."""
-USUAL_DAMPING, ITS_SPREAD = 0.005, 0.01
+USUAL_DAMPING, ITS_SPREAD, LEAST_DAMPING = 0.005, 0.01, 0.0005
 """Damping ratio of a mode beyond the band, whose peak no line shows; data alone would give it whatever fits the last
-lines, negative values too."""
+lines, negative values too, and with them a rotor that shakes itself to pieces. While modes are counted it is known
+within an absolute spread, which costs no steps; in the last fit within a factor e, and below the least one, where a
+logarithm would find no end, along its tangent."""
 LIKELY = np.linspace(-2.0, 2.0, 81)
 """Splits among which the likeliest is looked for where a fit begins."""
 
@@ -87,6 +90,13 @@ class Split:
     log_ratios: Real
     """(n,)"""
     std: float = HELD
+    beyond: NDArray[np.bool_] | None = None
+    """(n,) modes beyond the band, whose damping is known as `Knowledge` has it."""
+
+    @classmethod
+    def of(cls, model: PlaneModel, end_rad_s: float) -> Split:
+        """Those of a model, measured up to ``end_rad_s``."""
+        return cls(log_ratios(model), beyond=model.modes[:, 0] > end_rad_s)
 
 
 def log_ratios(model: PlaneModel) -> Real:
@@ -121,8 +131,26 @@ class Posterior:
 
 
 def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:
-    """Residuals, and their Jacobian, of splits that are held or known of."""
-    return split_rows(model, held) if isinstance(held, Split) else knowledge_rows(model, held)
+    """Residuals, and their Jacobian, of splits that are held or known of; those that hold splits last."""
+    if not isinstance(held, Split):
+        return knowledge_rows(model, held)
+    rows, jacobian = split_rows(model, held)
+    if held.beyond is None or not held.beyond.any():
+        return rows, jacobian
+    more, slope = damping_rows(model, np.flatnonzero(held.beyond))
+    return np.concatenate([more, rows]), np.vstack([slope, jacobian])
+
+
+def damping_rows(model: PlaneModel, beyond: NDArray[np.int64]) -> tuple[Real, Real]:
+    """Residuals of what is known of the damping of modes beyond the band, one for each, and their Jacobian."""
+    rows, jacobian = np.zeros(len(beyond)), np.zeros((len(beyond), model.layout.size))
+    for row, k in enumerate(beyond):
+        nu, sigma = model.modes[k, :2]
+        zeta, at = sigma / nu, model.layout.mode(int(k)).start
+        least = max(zeta, LEAST_DAMPING)
+        rows[row] = np.log(least / USUAL_DAMPING) + (zeta - least) / least
+        jacobian[row, at : at + 2] = np.array([-zeta, 1.0]) / nu / least
+    return rows, jacobian
 
 
 def knowledge_rows(model: PlaneModel, knowledge: Knowledge) -> tuple[Real, Real]:

@@ -34,7 +34,7 @@ from service.identification.points import PlanePoints
 from service.identification.refine import refine
 from service.identification.residuals import Data, noise_of, predicted_blocks, residual_blocks
 from service.identification.ringing import RingingPole, as_it_ran, slow_poles
-from service.identification.split import Split, log_ratios
+from service.identification.split import Split
 from service.identification.transient_size import Along, Source, Taken, evidence_of
 from service.identification.zoh import Complex, Real
 
@@ -124,7 +124,7 @@ def settled(
         if points is measured:
             return data, ()
         now = replace(now, plant=points)
-        model = refine(model, now, free, split=Split(log_ratios(model))).model
+        model = refine(model, now, free, split=Split.of(model, float(measured.omega.max()))).model
     return now, tuple(replace(t, block_s=told_by) for t in transients)
 
 
