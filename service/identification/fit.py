@@ -240,7 +240,7 @@ def _settled(
     )
     if data.plant is measured or (refined.relative and not transients):
         return found  # what noise alone kept up is not worth a further fit of a model that does not explain the data
-    again = _fit_points(data, datasheet, axes, options, refined.model.known.chain)
+    again = _fit_points(data, datasheet, axes, options, refined.model.known.chain, found.selected)
     return replace(again, held_out=found.held_out, transients=transients, measured=measured)
 
 
@@ -269,7 +269,15 @@ def _block_s(main: Sweep, points: PlanePoints) -> Real | None:
     return None if samples is None else samples[points.index] / main.sample_rate_hz
 
 
-def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options: Options, chain: Chain) -> FittedPlane:
+def _fit_points(
+    data: Data,
+    datasheet: Datasheet,
+    axes: tuple[str, ...],
+    options: Options,
+    chain: Chain,
+    before: Selected | None = None,
+) -> FittedPlane:
+    """The six steps and the joint refinement; ``before`` is what was chosen with what still rang in the points."""
     points = data.plant
     u_to_y = etfe(points, "u->y")
     start, fits = start_model(datasheet, points.plane, axes, data, chain)
@@ -278,7 +286,7 @@ def _fit_points(data: Data, datasheet: Datasheet, axes: tuple[str, ...], options
     staged = staged_fit(start, points, plant)
     knowledge = replace(split_knowledge(datasheet, options), end_rad_s=float(points.omega.max()))
     begin = joint_start(staged.rigid_model, staged.rational, points, plant)
-    selected = choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
+    selected = choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge, before)
     return FittedPlane(data, None, u_to_y, plant, fits, staged, selected)
 
 

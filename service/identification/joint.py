@@ -17,6 +17,9 @@ from service.identification.start import with_modes, with_split
 MOSTLY = 0.5
 """Of a model's relative error: what is left where modes beyond the band explain most of it."""
 
+LEVELS, FITTING = 8, 0.03
+"""Rounds at most in which the size of a model's error is found, and how near to 1 the residuals are to be with it."""
+
 
 @dataclass(frozen=True)
 class JointFits:
@@ -51,6 +54,10 @@ class JointFits:
         """From another fit's outcome, with its weights."""
         return refine(model, self.data, self.free(model), split=self.knowledge, weights=weights, reach=NEAR)
 
+    def once_more(self, model: PlaneModel) -> Refined:
+        """From the outcome of a fit to nearly the same data."""
+        return refine(model, self.data, self.free(model), split=self.knowledge, reach=NEAR)
+
     def forgiving(self, start: PlaneModel) -> Refined:
         """For a model that cannot agree: without modes beyond the band, which take up what is wrong.
 
@@ -64,17 +71,23 @@ class JointFits:
         more = self._with_error(start)
         return more if more.relative < MOSTLY * best.relative else best
 
-    def _with_error(self, model: PlaneModel) -> Refined:
+    def forgiving_again(self, before: Refined) -> Refined:
+        """From the outcome of one to nearly the same data."""
+        return self._with_error(before.model, before.relative)
+
+    def _with_error(self, model: PlaneModel, level: float = 0.03) -> Refined:
         """The model's error counts as a relative one beside the noise.
 
         Weighted by noise alone such a fit would follow the loudest lines wherever their error leads. The size of the
         relative error is what makes the residuals fit it.
         """
-        level = 0.03
         found = self._at_level(model, level)
-        for _ in range(3):
+        for _ in range(LEVELS):
             r, _ = residuals(found.model, self.data, found.weights, found.amplitude, gradient=False)
-            level = float(np.clip(level * np.sqrt(r @ r / len(r)), 1e-4, 0.3))
+            rms = float(np.sqrt(r @ r / len(r)))
+            if abs(rms - 1.0) < FITTING:
+                break
+            level = float(np.clip(level * rms, 1e-4, 0.3))
             found = self._at_level(found.model, level)
         return found
 

@@ -17,7 +17,7 @@ from service.identification.selection import Selected, choose_modes
 from service.identification.staged import staged_fit
 from service.identification.start import joint_start, modes_from, with_modes
 from service.identification.synthetic import synthetic_sweep
-from sim.datasheet import Datasheet
+from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.errors import AmbError
 
 
@@ -120,6 +120,47 @@ def test_the_highest_line_alone_makes_no_mode_beyond_the_band(
     found = _lines_with_one_off(datasheet, truth, controller, -5 - 5j).refined.model
     assert found.layout.n_modes == 3
     assert found.modes[-1, 0] > 2 * np.pi * 997
+
+
+def test_chance_makes_no_mode_beyond_the_band(
+    datasheet: Datasheet,
+    truth: dict[str, PlaneModel],
+    controller: tuple[np.ndarray, np.ndarray],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Noise in which a mode at 32 kHz would save twenty of the misfit: one draw of a few hundred has such."""
+    peaks = [hz + np.linspace(-6, 6, 15) for hz in (492.6, 907.2)]
+    hz = np.unique(np.concatenate([np.geomspace(10, 1000, 130), *peaks]))
+    noise = {"current_noise_a": 0.0, "displacement_noise_m": 0.0, "relative_noise": 0.01}
+    sweep = synthetic_sweep(truth, datasheet.axes, controller, hz, 0.05, seed=143, **noise)
+    data = Data(plane_points(sweep.select(sweep.axis < 2), datasheet.axes, "x"), None)
+    known = rotor_model(datasheet, truth["x"])
+
+    def chosen() -> Selected:
+        start, _ = start_model(known, "x", known.axes, data)
+        seen = etfe(data.plant, "u->y")
+        gain = start.amplifier_response(seen.omega)[:, None]
+        plant = FrequencyResponse(seen.omega, seen.value / gain, seen.std / np.abs(gain))
+        staged = staged_fit(start, data.plant, plant)
+        begin = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
+        knowledge = replace(split_knowledge(known, Options()), end_rad_s=float(data.plant.omega.max()))
+        return choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
+
+    _is_the_truth(chosen(), truth["x"])
+    # that it would: were twenty enough
+    monkeypatch.setattr("service.identification.counting.BEYOND_GAIN", 20.0)
+    patched = chosen().refined.model
+    assert patched.layout.n_modes == 3
+    assert patched.modes[-1, 1] > 0
+
+
+def rotor_model(datasheet: Datasheet, truth: PlaneModel) -> Datasheet:
+    """The datasheet with modes whose shapes split as the rotor's do."""
+    modes = tuple(
+        Mode(w / (2 * np.pi), 0.002, (m[2], m[3]), (m[4], m[5]))
+        for m, w in zip(truth.modes, truth.natural_frequencies, strict=True)
+    )
+    return replace(datasheet, modes=modes, tolerance=Tolerance(mode_shape=1e-4))
 
 
 def test_a_fit_that_ended_anywhere_is_told(
