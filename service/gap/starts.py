@@ -62,7 +62,7 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         rate = largest_rate(o)
         return [
             {"slew_inverse_s_per_a": 1 / (share * rate), "slope_seen": seen}
-            for share in (0.9, 0.7)
+            for share in (0.9, np.pi / 4)  # a current that slews all the time is a triangle, 4/pi as steep in this
             for seen in (0.1, 0.9)
         ]
     if effect.id == "magnetic_saturation":

@@ -1,5 +1,7 @@
 """Where a fit of a resonance begins."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from service.gap.nuisance import nuisance
@@ -26,3 +28,16 @@ def test_a_mode_between_two_lines_begins_near_its_frequency_and_shape() -> None:
     assert abs(first["frequency_hz"] / 145.0 - 1) < 0.1
     found, true = (np.array([v[f"{k}_per_sqrt_kg"] for k in shape]) for v in (first, values))
     assert abs(found @ true) > 0.8 * np.linalg.norm(found) * np.linalg.norm(true)
+
+
+def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -> None:
+    """Such a current is a triangle, whose fundamental is 4/pi as steep; from a limit far off there it is not found."""
+    datasheet, truth = known_datasheet(seed=13)
+    nu = nuisance(datasheet)
+    o = observe(sweep(true_rig(truth), lines(8), 0.15, seed=1), nu.rig)
+    assert o.I is not None
+    limit_a_per_s, steepest = 400.0, np.abs(o.I[:, o.fundamental]).max(axis=1) * 2 * np.pi * o.points_hz
+    o = replace(o, I=o.I * (4 / np.pi * limit_a_per_s / steepest)[:, None, None])
+    ground = Ground(nu, parts(nu, (o,))[1], (o,), np.zeros(len(nu)))
+    begun = starts(CATALOGUE["amplifier_voltage_limit"], nu.rig, np.zeros_like(o.I), o, ground)
+    assert min(abs(1 / s["slew_inverse_s_per_a"] / limit_a_per_s - 1) for s in begun) < 0.01
