@@ -12,6 +12,7 @@ from service.gap.candidates import Candidate
 from service.gap.evidence import log_likelihood
 from service.gap.fit import Fit, Problem
 from service.gap.interference import Interference
+from service.gap.loss import lag_missing
 from service.gap.nuisance import Nuisance
 from service.gap.observation import Observation
 from service.gap.part import STANDSTILL, driven_by_current
@@ -147,8 +148,12 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         seen, z = on_sweep(e, e.null.candidate, unseen)
         significant = max(e.significance, significance(z, seen))
         own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
-        if own[e.part.path].kind != "no_gap" and (reason := other_rig(e)):
+        explained = own[e.part.path].kind in ("effect", "effects")
+        # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
+        if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (reason := other_rig(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,))
+        elif explained and (reason := lag_missing(e)):
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
     by_size = sorted(found, key=lambda e: -_excess(e))
     total = sum(_excess(e) for e in found)
     unknown = [

@@ -95,6 +95,20 @@ class Fit:
         return sum(n for _, n in self.groups)
 
 
+@dataclass(frozen=True)
+class Linearised:
+    """A fit as a linear problem, for what is asked beside it; sweep by sweep, at the excited frequency."""
+
+    weights: Sequence[Real]
+    """(P, H, n)"""
+    residuals: Sequence[Complex]
+    """(P, n) weighted"""
+    columns: Sequence[Complex]
+    """(P, n, a + e) weighted derivatives of the predictions"""
+    pull: Real
+    """(a + e,) of what is known beforehand, towards its mean"""
+
+
 @dataclass
 class _State:
     """Where a pass of the fit stands."""
@@ -381,6 +395,19 @@ class Problem:
         """The vector (a + e,) at which a fit of this problem ended."""
         theirs = fit.inherited if self._n_effects > len(self.effects) else ()
         return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
+
+    def linearised(self, fit: Fit) -> Linearised:
+        """The fit as a linear problem about where it ended."""
+        x, w = self.vector(fit), self._weights(EXACT)
+        carried = self._carried(self.build(x))
+        state, fundamental = self._state(x, EXACT, w, carried), [o.fundamental for o in self.observations]
+        effects = self._effect_columns(state, EXACT, w, carried, range(len(self.scale)))
+        columns = [
+            np.concatenate([self._nuisance_columns(state.rig, o, False) * w_[:, f, :, None], E[:, f]], axis=-1)
+            for o, w_, E, f in zip(self.observations, w, effects, fundamental, strict=True)
+        ]
+        residuals = [r[:, f] for r, f in zip(state.residuals, fundamental, strict=True)]
+        return Linearised(w, residuals, columns, self.prior @ (self._centre - x))
 
     def within_floor(self, fit: Fit, stage: Stage) -> bool:
         """Whether a stage with a floor of its own would find a fit of this problem good enough."""

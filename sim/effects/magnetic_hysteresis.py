@@ -24,7 +24,7 @@ EFFECT = Effect(
         Parameter(
             "loss_angle_rad",
             "rad",
-            1e-3,
+            1e-4,
             0.15,
             0.02,
             0.0,

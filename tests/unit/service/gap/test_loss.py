@@ -1,0 +1,91 @@
+"""Hysteresis is named for its lag, not for a stiffness that changes with amplitude."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.candidates import Fitter
+from service.gap.diagnose import diagnose
+from service.gap.loss import lag_missing, lag_share
+from service.gap.nuisance import nuisance
+from service.gap.observation import observe
+from service.gap.part import Ground, parts
+from service.gap.search import Explained, explain
+from sim.datasheet import Datasheet
+from sim.rig import Rig
+from sim.twin import linear_model, with_effects
+from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
+
+
+def stronger_beyond(rig: Rig, s: Sweep, current_a: float, most: float) -> Sweep:
+    """The sweep of a rig whose force grows by up to ``most`` beyond some current, in phase with it."""
+    frequency, line = np.unique(s.frequency_hz, return_inverse=True)
+    m, f = linear_model(rig, frequency), HARMONICS.index(1)
+    own = s.I.mean(axis=1)[:, f]
+    added = most * np.maximum(1 - current_a / np.maximum(np.abs(own), current_a), 0.0) * own
+    more = (m.y_per_i[line] @ added[..., None])[..., 0]
+    C = m.controller[line, None]
+    back = -C * np.linalg.solve(np.eye(rig.n_axes) + m.y_per_u[line] * C[..., None], more[..., None])[..., 0]
+    U, I, Y = s.U.copy(), s.I.copy(), s.Y.copy()
+    U[:, :, f] += back[:, None]
+    I[:, :, f] += (m.i_per_u[line] @ back[..., None])[:, None, :, 0]
+    Y[:, :, f] += ((m.y_per_u[line] @ back[..., None])[..., 0] + more)[:, None]
+    return replace(s, U=U, I=I, Y=Y)
+
+
+def plant_of(measured: Experiment, datasheet: Datasheet) -> Explained:
+    nu = nuisance(datasheet)
+    o = observe(measured.sweeps[0], nu.rig)
+    part = next(p for p in parts(nu, (o,)) if p.path == "plant")
+    with Fitter() as fitter:
+        return explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))))
+
+
+@pytest.mark.parametrize("width_a", [0.0, 0.1])
+def test_hysteresis_shows_its_lag_in_full(width_a: float) -> None:
+    datasheet, truth = known_datasheet(seed=32)
+    effect = {"loss_angle_rad": 2e-3, "width_a": width_a}
+    rig = with_effects(true_rig(truth), {"magnetic_hysteresis": effect})
+    e = plant_of(experiment(rig), datasheet)
+    assert e.order[0].candidate.effects == ("magnetic_hysteresis",)
+    share, std = lag_share(e)
+    assert abs(share - 1) < 3 * std
+    assert std < 0.2
+    assert lag_missing(e) is None
+
+
+def test_a_force_that_grows_with_amplitude_without_a_lag_is_not_hysteresis() -> None:
+    """The law of hysteresis explains all that noise lets one see of it, but not its phase."""
+    datasheet, truth = known_datasheet(seed=31)
+    rig = true_rig(truth)
+    measured = experiment(rig, noise=3.0)
+    measured = replace(measured, sweeps=tuple(stronger_beyond(rig, s, 0.05, 0.01) for s in measured.sweeps))
+    e = plant_of(measured, datasheet)
+    assert e.order[0].candidate.effects == ("magnetic_hysteresis",)
+    assert e.remaining < 4.0
+    d = diagnose(measured, datasheet)
+    assert d.verdict.kind == "none_of_these"
+    assert "lag" in d.verdict.reasons[0]
+
+
+def test_a_law_whose_width_no_current_reaches_is_not_judged_by_its_lag() -> None:
+    datasheet, truth = known_datasheet(seed=33)
+    e = plant_of(experiment(true_rig(truth)), datasheet)
+    wide = next(r for r in e.order if r.candidate.effects == ("magnetic_hysteresis",))
+    values = ({"loss_angle_rad": 2e-3, "width_a": 1.5},)
+    rig = with_effects(e.ground.rig(wide.candidate.fit.theta), {"magnetic_hysteresis": values[0]})
+    fit = replace(wide.candidate.fit, values=values, rig=rig)
+    e = replace(e, order=(replace(wide, candidate=replace(wide.candidate, fit=fit)), e.null))
+    assert lag_share(e)[1] > 1.0
+    assert lag_missing(e) is None
+
+
+def test_hysteresis_far_below_a_degree_is_named_with_its_strength() -> None:
+    datasheet, truth = known_datasheet(seed=34)
+    rig = with_effects(true_rig(truth), {"magnetic_hysteresis": {"loss_angle_rad": 4e-4}})
+    e = plant_of(experiment(rig, noise=0.3), datasheet)
+    best = e.order[0].candidate
+    assert best.effects == ("magnetic_hysteresis",)
+    assert abs(best.fit.values[0]["loss_angle_rad"] / 4e-4 - 1) < 0.15
