@@ -102,7 +102,8 @@ class MultisineProfileOptions(BaseModel):
         0.8,
         gt=0,
         le=60,
-        description="Settling to begin with, main and validation sweep, s; doubled while the periods still change.",
+        description="Settling to begin with, main and validation sweep, s; longer where the pilot's model rings on, "
+        "doubled while the periods still change.",
     )
     short_settle_s: float = Field(0.3, gt=0, le=60, description="Settling of the pilot and of the amplifier sweep, s.")
     validation_realisations: int = Field(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.identification.closed_loop import closed_loop_poles
 from service.identification.fit import fit_plane
 from service.identification.input_design import ClosedLoop, best_powers, closed_loop, line_information
 from service.identification.least_squares import covariance_of
@@ -36,6 +37,9 @@ BESIDE = 0.2
 """Error of a peak's place to be prepared for, in its half-widths; three standard deviations where that is more."""
 AROUND = 3.0
 """Distance from a peak, in its half-widths, within which every line is played."""
+LEFT = 0.01
+"""Of the slowest oscillation of the loop, when a sweep has settled. What is less shows in no change from one period to
+the next, and biases a damping ratio all the same: with a tenth of it left by one standard deviation."""
 NARROW = 0.01
 """Of a peak's frequency: the most of that distance."""
 DIGITS = 3
@@ -70,6 +74,15 @@ class Design:
                 reach = min(AROUND * abs(sigma) + error, NARROW * nu)
                 found.append(((nu - reach) / (2 * np.pi), (nu + reach) / (2 * np.pi)))
         return found
+
+    def settle_s(self) -> float:
+        """Time in which the loop's slowest oscillation falls to `LEFT`, s; inf where it would not, by the model."""
+        slowest = np.inf
+        for plane in self.planes:
+            z = closed_loop_poles(plane.models[0], self.controller)
+            swinging = np.abs(z[z.imag > 0])
+            slowest = min(slowest, float(-np.log(swinging.max()) / plane.models[0].known.sample_time_s))
+        return float(np.log(1 / LEFT) / slowest) if slowest > 0 else np.inf
 
     def responses(self, frequency_hz: Real, measured: dict[str, Complex]) -> dict[str, Complex]:
         """(L, n, n) of "u", "i", "y" as modelled within each plane, and as measured between planes."""

@@ -40,6 +40,8 @@ LOWER = 0.5
 """Level after a trip, against the one that tripped."""
 SETTLED = ("main", "validation")
 """Sweeps whose responses are sharp. An amplifier's current follows its control signal at once, and a pilot is rough."""
+LONGEST_S = 10.0
+"""Settling that is begun with, at most: the pilot does not tell the decay of a loop that hardly damps a mode."""
 LASTING = 0.5
 """A change between periods that a doubled settling time does not lower to this share (of power) is no transient."""
 NEGLIGIBLE = 5e-4
@@ -127,6 +129,7 @@ class MultisinePhases:
         self.at_rest()
         responses = self.pilot()
         responses.into(self.knowledge)
+        self.settle_s = self._first_settling()
         for sweep in ("main", "validation", "amplifier"):
             self.sweep(sweep, responses)
 
@@ -256,6 +259,14 @@ class MultisinePhases:
     def _may_settle(self, seconds: float, multisine: Multisine, name: str) -> bool:
         record = multisine_plan.periods_of(name, self.profile) * multisine.lines.samples
         return multisine_plan.settle_samples(seconds, self.limits) + record <= self.limits.max_samples
+
+    def _first_settling(self) -> float:
+        """What is begun with: as long as the pilot's model asks for, s, and one record has beside the periods."""
+        p, rate = self.profile, self.limits.sample_rate_hz
+        if self.design is None:
+            return p.settle_s
+        record = max(multisine_plan.periods_of(name, p) for name in SETTLED) * round(p.period_s * rate)
+        return max(p.settle_s, min(self.design.settle_s(), LONGEST_S, (self.limits.max_samples - record - 1) / rate))
 
     def _distorted(self, played: Played) -> bool:
         levels = self._pooled([played], "i")

@@ -48,7 +48,8 @@ class MultisineProfile:
     """Draws of the phases, each played in as many experiments as there are axes. Its periods are blocks of the main
     sweep."""
     settle_s: float = 1.2
-    """Settling to begin with, main and validation sweep; doubled as long as the periods still change."""
+    """Settling to begin with, main and validation sweep: longer where the pilot's model rings on, and doubled as long
+    as the periods still change."""
     short_settle_s: float = 0.3
     """Settling of the pilot and of the amplifier sweep, whose figures no transient spoils."""
     validation_realisations: int = 2

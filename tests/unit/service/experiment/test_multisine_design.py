@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.experiment.aims import Limits
 from service.experiment.data import Sweep
-from service.experiment.multisine_design import FLOOR, Design, design_of
+from service.experiment.multisine_design import FLOOR, Design, PlaneDesign, design_of
+from service.experiment.multisine_phases import LONGEST_S, MultisinePhases
+from service.experiment.multisine_plan import MultisineProfile
 from service.identification.input_design import line_information
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_datasheet, reference_rig
@@ -55,6 +58,37 @@ def mean_squares(design: Design, amplitudes: np.ndarray) -> np.ndarray:
             for x, limit in zip((found["y"], found["i"], own), LIMITS, strict=True)
         ]
     )
+
+
+def with_delay(seconds: float) -> Design:
+    """Planes whose loop damps the first mode the less the later the current comes."""
+    planes = []
+    for k, model in enumerate(TRUTH.values()):
+        theta = model.theta.copy()
+        theta[model.layout.delay] = seconds
+        planes.append(PlaneDesign((2 * k, 2 * k + 1), (model.at(theta),), np.empty(0), np.empty((0, 4))))
+    return Design(tuple(planes), CONTROLLER)
+
+
+def first_settling(design: Design | None, max_samples: int) -> float:
+    limits = Limits(4, 10e3, 3000.0, max_samples, 1.0, 1e-4, 10.0, 8e-5, 2.75, 4e-4)
+    phases = MultisinePhases(None, limits, MultisineProfile(settle_s=1.2), None, {}, {})  # type: ignore[arg-type]
+    phases.design = design
+    return phases._first_settling()
+
+
+def test_a_sweep_settles_for_as_long_as_the_slowest_mode_rings() -> None:
+    """The reference loop damps mode 1 of plane y with 5.5 1/s, 30 us later with 0.8 1/s, and 40 us later not at all."""
+    assert with_delay(0.0).settle_s() == pytest.approx(np.log(100) / 5.5, rel=0.02)
+    assert with_delay(30e-6).settle_s() == pytest.approx(np.log(100) / 0.82, rel=0.02)
+    assert with_delay(40e-6).settle_s() == np.inf
+    plenty = 10**6
+    assert first_settling(None, plenty) == 1.2
+    assert first_settling(with_delay(0.0), plenty) == 1.2
+    assert 5.0 < first_settling(with_delay(30e-6), plenty) < 6.0
+    assert first_settling(with_delay(40e-6), plenty) == LONGEST_S
+    # a record's length is the controller's
+    assert 1.9 < first_settling(with_delay(40e-6), 80_000) < 2.0
 
 
 def test_every_peak_of_the_rotor_is_in_a_band_of_its_width(design: Design) -> None:
