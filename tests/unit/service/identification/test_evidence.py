@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from service.identification.evidence import leave_one_out
+from service.identification.fit import identify
 from service.identification.result import CommissioningResult
+from tests.support.rotors import drawn_rig
 
 
 def test_leave_one_out_is_what_refits_without_each_value_give() -> None:
@@ -56,3 +58,14 @@ def test_profiles_prove_what_can_be_told(result: CommissioningResult) -> None:
             assert profile[name]["flat"]
             assert profile[name]["held_at"] == pytest.approx([0.9 * profile[name]["best"], 1.1 * profile[name]["best"]])
         assert np.max(np.abs(profile["mass_kg"]["cost_growth"])) < 1e-3
+
+
+def test_a_profile_keeps_to_what_is_known_of_modes_beyond_the_band() -> None:
+    """Two of them, whose damping no line tells: a refit that gave them any would undercut the fit that is profiled."""
+    rng = np.random.default_rng(0)
+    rig = drawn_rig("node at a sensor", lambda low, high: float(rng.uniform(low, high)))
+    plane = identify(rig.experiment(10 ** rng.uniform(-3, -2), 0), rig.sheet).planes["x"]
+    assert [m.kind for m in plane.modes] == ["rotor", "rotor", "beyond", "beyond"]
+    profile = plane.document()["extended"]["profile"]["centre_of_gravity_m"]
+    assert not profile["flat"]
+    assert profile["cost_growth"] == pytest.approx([4.0, 1.0, 1.0, 4.0], rel=0.15)
