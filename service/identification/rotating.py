@@ -199,7 +199,10 @@ def turned(
     splits = common_splits((planes["x"].splits, planes["y"].splits), pairs)
     n_x = x.layout.n_modes
     start = joined(x, y, pairs, datasheet.polar_inertia_kgm2 or 0.2 * datasheet.transverse_inertia_kgm2)
-    refined = fit_rotating(start, data, (Split(splits.log_ratios[:n_x]), Split(splits.log_ratios[n_x:])))
+    end = max(float(p.omega.max()) for p in data)
+    ratios = splits.log_ratios[:n_x], splits.log_ratios[n_x:]
+    held = [Split(r, beyond=m.modes[:, 0] > end) for r, m in zip(ratios, (x, y), strict=True)]
+    refined = fit_rotating(start, data, (held[0], held[1]))
     u = uncertainty_of(refined, splits, estimated_weights=True)
     if not u.adequate:
         warnings.append(

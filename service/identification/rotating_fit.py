@@ -15,7 +15,7 @@ from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude
 from service.identification.rotating_model import POLAR, RotatingModel, TurningPoints
 from service.identification.rotating_points import SpeedPoints
-from service.identification.split import Split, split_rows
+from service.identification.split import Split, damping_rows, split_rows
 from service.identification.zoh import Complex, Real
 
 SCAN_STEPS = 161
@@ -187,16 +187,20 @@ def _refined(
 
 
 def held_rows(model: RotatingModel, splits: tuple[Split, Split]) -> tuple[Real, Real]:
-    """Residuals that hold the splits of both planes, and their Jacobian."""
-    rows, slopes = [], []
+    """Residuals of what is known of both planes' damping beyond the band, then those that hold the splits; Jacobian."""
+    known: list[tuple[Real, Real]] = []
+    held: list[tuple[Real, Real]] = []
     for k, split in enumerate(splits):
         plane, own = model.plane(k), model.layout.own[k]
-        r, j = split_rows(plane, split) if plane.layout.n_modes else (np.empty(0), np.empty((0, plane.layout.size)))
-        slope = np.zeros((len(r), model.layout.size))
-        slope[:, own] = j[:, : own.stop - own.start]
-        rows.append(r)
-        slopes.append(slope)
-    return np.concatenate(rows), np.concatenate(slopes)
+        if not plane.layout.n_modes:
+            continue
+        beyond = np.empty(0, dtype=np.int64) if split.beyond is None else np.flatnonzero(split.beyond)
+        for rows, (r, j) in ((known, damping_rows(plane, beyond)), (held, split_rows(plane, split))):
+            slope = np.zeros((len(r), model.layout.size))
+            slope[:, own] = j[:, : own.stop - own.start]
+            rows.append((r, slope))
+    whole = [*known, *held, (np.empty(0), np.empty((0, model.layout.size)))]
+    return np.concatenate([r for r, _ in whole]), np.concatenate([j for _, j in whole])
 
 
 def scanned(model: RotatingModel, points: SpeedPoints) -> RotatingModel:

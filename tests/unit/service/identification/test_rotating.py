@@ -11,7 +11,7 @@ from service.experiment.data import Experiment
 from service.identification.fit import identify
 from service.identification.result import CommissioningResult
 from service.identification.rotating import Turned
-from service.identification.rotating_fit import fit_rotating
+from service.identification.rotating_fit import fit_rotating, held_rows
 from service.identification.rotating_model import RotatingModel, TurningPoints, joined, paired
 from service.identification.rotating_points import speed_points
 from service.identification.split import Split, log_ratios
@@ -91,6 +91,27 @@ def test_the_jacobian_is_exact() -> None:
         for numeric, given in (((a.y - b.y), exact.d_y), ((a.i - b.i), exact.d_i)):
             size = np.max(np.abs(numeric)) / (2 * step)
             assert np.max(np.abs(numeric / (2 * step) - given[:, :, k])) <= 1e-4 * size + 1e-15, name
+
+
+def test_damping_beyond_the_band_is_known_at_speed_too() -> None:
+    """Of either plane's second mode, as if lines ended below it, whatever data would give it."""
+    model = true_model(rig_at(300.0))
+    theta, layout = model.theta.copy(), model.layout
+    places = [layout.own[p].start + layout.planes[p].mode(1).start + 1 for p in range(2)]
+    theta[places] = -20.0, 2000.0
+    model = model.at(theta)
+    beyond = np.array([False, True])
+    splits = [Split(log_ratios(model.plane(p)), beyond=beyond) for p in range(2)]
+    rows, jacobian = held_rows(model, (splits[0], splits[1]))
+    assert rows[0] < -5.0
+    assert rows[1] > 3.0
+    assert np.allclose(rows[2:], 0.0)  # the splits last, two of each plane
+    assert len(rows) == 6
+    for place in places:
+        step = np.zeros_like(theta)
+        step[place] = 1e-3
+        up, down = (held_rows(model.at(theta + d), (splits[0], splits[1]))[0] for d in (step, -step))
+        assert np.allclose(jacobian[:, place], (up - down) / 2e-3, rtol=1e-5)
 
 
 def test_polar_inertia_and_splitting_are_recovered(turned: Turned) -> None:
