@@ -163,7 +163,7 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     ]
     if unknown:
         reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in own[e.part.path].reasons)
-        return replace(own[unknown[0].part.path], reasons=reasons)
+        return replace(own[unknown[0].part.path], reasons=reasons, unexplained=unknown[0].part.path)
     named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
     probability = float(np.prod([v.probability for v in own.values() if v.kind != "none_of_these"]))
     if not named:

@@ -67,10 +67,10 @@ def not_settled(o: Observation, gap: float) -> str | None:
     """Why nothing can be said of a gap: most points drift, by more than another law of an effect may leave."""
     if o.unsettled <= UNSETTLED:
         return None
-    change = float(np.sqrt(np.mean(o.drift[o.drifting] ** 2)))
-    if change < UNEXPLAINED * gap:
+    change = o.drift[o.drifting]
+    if np.sqrt(np.mean(change**2)) < UNEXPLAINED * gap:
         return None
-    return (
-        f"the rig did not settle: {100 * o.unsettled:.0f} % of the points still drift from block to block, by "
-        f"{100 * change:.2g} % (rms); let it settle longer before each point and measure again"
+    return (  # where an answer is small its drift is large beside it: of such points the mean is
+        f"the rig did not settle: {100 * o.unsettled:.0f} % of the points still drift from block to block, half of "
+        f"them by more than {100 * np.median(change):.2g} %; let it settle longer before each point and measure again"
     )

@@ -61,6 +61,8 @@ class Verdict:
     reasons: tuple[str, ...]
     settled: bool = True
     """False where the rig drifted so much that the gap could not be judged"""
+    unexplained: str | None = None
+    """the part of the loop that no known effect explains"""
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,9 @@ class Where:
 
     @property
     def path(self) -> str:
-        """The part whose gap stands out most."""
-        return max(self.paths, key=lambda p: p.significance).path
+        """The part whose gap stands out most on the fitted sweep; where none does there, the one that is blamed."""
+        first = max(self.paths, key=lambda p: p.significance)
+        return first.path if first.significance > SIGNIFICANT else self.blamed
 
 
 def relative_gap(e: Complex, x: Complex) -> float:
@@ -72,6 +73,7 @@ def locate(
     other: Observation,
     effects: Sequence[str] = (),
     sources: Sequence[Interference] = (),
+    unexplained: str | None = None,
 ) -> Where:
     """Where the plain twin fails, from what the search left of every part, plant last, and from interference.
 
@@ -81,6 +83,8 @@ def locate(
         The other sweep, all of it.
     effects
         What the verdict names; the part of the first one is blamed, else the part whose gap stands out most.
+    unexplained
+        The part that the verdict says nothing explains; it is blamed where none stands out on the fitted sweep.
     """
     paths, harmonics = [], []
     for e in found:
@@ -92,7 +96,9 @@ def locate(
         paths.append(PathGap(e.part.path, gap, own, z, not e.part.from_control))
         if signal != "u":
             harmonics += [(signal, h, significance(z[:, [k]], o)) for k, h in enumerate(o.harmonics) if h > 1]
-    named = CATALOGUE[effects[0]].path if effects else max(paths, key=lambda p: p.significance).path
+    first = max(paths, key=lambda p: p.significance)
+    named = unexplained if unexplained and first.significance <= SIGNIFICANT else first.path
+    named = CATALOGUE[effects[0]].path if effects else named
     blamed = next((e for e in found if e.part.path == named), found[-1])
     distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
     bent = any(CATALOGUE[name].nonlinear for name in effects)

@@ -1,5 +1,6 @@
 """A rig that did not settle is told from one that did, however many of its points drift."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -46,5 +47,9 @@ def test_a_rig_that_did_not_settle_is_said_to_be_one_and_nothing_is_named() -> N
     restless = Experiment(rig.name, rig.axes, tuple(map(late, sweeps)))
     report = diagnose(*one_plane(restless, DATASHEET)).to_dict()
     assert report["verdict"]["kind"] == "none_of_these"
-    assert "did not settle" in report["verdict"]["sentence"]
+    sentence = report["verdict"]["sentence"]
+    assert "did not settle" in sentence
+    told = re.search(r"half of them by more than ([\d.]+) %", sentence)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(10.0, rel=0.25)
     assert any("had not settled" in note for note in report["notes"])

@@ -1,0 +1,61 @@
+"""What nothing explains is told of the part where it is, and of what can be at fault there."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.experiment.data import Sweep
+from service.gap.candidates import Fitter
+from service.gap.diagnose import diagnose
+from service.gap.observed import observed
+from service.gap.passes import found_in
+from service.gap.telling import Telling
+from service.gap.where import locate
+from sim.rig import Rig
+from sim.twin import linear_model
+from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
+
+
+def with_stalling_amplifiers(rig: Rig, s: Sweep) -> Sweep:
+    """The sweep of a rig whose amplifiers hardly answer above 600 Hz, in closed loop."""
+    frequency, line = np.unique(s.frequency_hz, return_inverse=True)
+    m, f = linear_model(rig, frequency), HARMONICS.index(1)
+    R, C = s.R.mean(axis=1)[:, f, :, None], m.controller[:, None, None]
+    stalled = np.where(frequency > 600.0, 0.4 * np.exp(-2j), 1.0)[:, None, None]
+
+    def signals(A: np.ndarray) -> tuple[np.ndarray, ...]:
+        U = np.linalg.solve(np.eye(rig.n_axes) + C * m.y_per_i @ A, np.eye(rig.n_axes))[line] @ R
+        I = A[line] @ U
+        return U, I, m.y_per_i[line] @ I
+
+    out = []
+    changed, plain = signals(stalled * m.i_per_u), signals(m.i_per_u)
+    for X, now, before in zip((s.U, s.I, s.Y), changed, plain, strict=True):
+        X = X.copy()
+        X[:, :, f] += (now - before)[:, None, :, 0]
+        out.append(X)
+    return replace(s, U=out[0], I=out[1], Y=out[2])
+
+
+def test_amplifiers_that_nothing_explains_are_no_datasheet_of_another_rig() -> None:
+    """They draw their values as far as they go, but the rotor is the datasheet's."""
+    datasheet, truth = known_datasheet(seed=35)
+    rig = true_rig(truth)
+    measured = experiment(rig)
+    sweeps = tuple(with_stalling_amplifiers(rig, s) for s in measured.sweeps)
+    verdict = diagnose(replace(measured, sweeps=sweeps), datasheet).to_dict()["verdict"]
+    assert verdict["kind"] == "none_of_these"
+    assert verdict["reasons"][0].startswith("amplifier: ")
+    assert "another rig" not in " ".join(verdict["reasons"])
+    assert "most of all in the amplifier" in verdict["sentence"]
+
+
+def test_what_only_another_sweep_shows_is_told_of_its_part() -> None:
+    """On the fitted sweep no part stands out then, and the first would be blamed."""
+    datasheet, truth = known_datasheet(seed=36)
+    data = observed(experiment(true_rig(truth)), datasheet)
+    with Fitter() as fitter:
+        found = found_in(data, fitter, Telling(None))
+    assert locate(found.parts, data.unseen).path == "controller"
+    where = locate(found.parts, data.unseen, unexplained="plant")
+    assert where.path == where.blamed == "plant"
