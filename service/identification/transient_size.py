@@ -36,6 +36,8 @@ class Source:
     """(P,)"""
     group: NDArray[np.int64] | None = None
     """(P,) points that share a size, one number each; None where the size is known."""
+    spread: Complex | None = None
+    """(P, n, n) what one of size 1 puts into how the blocks change, once a `Taken` has it."""
 
     @property
     def covariance(self) -> Complex:
@@ -60,7 +62,7 @@ class Taken:
 
     def with_one_more(self, source: Source) -> Taken:
         """With one more, of a size by itself; the sizes of all are then made to agree with one another."""
-        now = replace(self, sources=(*self.sources, source))
+        now = replace(self, sources=(*self.sources, replace(source, spread=self._unit_spread(source))))
         for _ in range(TOGETHER if sum(s.group is not None for s in now.sources) > 1 else 0):
             now = replace(now, sources=tuple(map(now._resized, now.sources)))  # expectation and maximisation
         return now
@@ -135,9 +137,15 @@ class Taken:
         """Its covariance with that part, (P, B c, n)."""
         return np.asarray(self._flat(source) @ _adjoint(self._changes))
 
+    def _unit_spread(self, source: Source) -> Complex:
+        """Covariance of that part of one of size 1, (P, n, n)."""
+        n = self._changes.shape[2]
+        return np.asarray(self._changes @ source.unit.reshape(-1, n, n) @ _adjoint(self._changes))
+
     def _spread(self, source: Source) -> Complex:
-        """Covariance of that part of it, (P, n, n)."""
-        return np.asarray(self._changes @ self._through(source))
+        """The same of one of its size."""
+        spread = self._unit_spread(source) if source.spread is None else source.spread
+        return np.asarray(source.size[:, None, None] * spread)
 
     @cached_property
     def _inverse(self) -> Complex:
