@@ -49,8 +49,8 @@ EVIDENCE = 6.5
 the logarithm of how many poles, and lengths of blocks where these are looked for, were tried."""
 SUSPECTED = 2.0
 """The same where the other plane's points, recorded alike, show one: what stays below still biases a damping. Where
-noise keeps the loop ringing any gain is enough to take a start out, not to tell of it: 4 % of it, in what noise keeps
-up, bias a damping by 1 %, and a start's size is nothing where the blocks speak against it."""
+noise keeps the loop ringing any gain is enough to take a mode's start out, not to tell of it: 4 % of it, in what noise
+keeps up, bias a damping by 1 %, and a start's size is nothing where the blocks speak against it."""
 BLOCK_S = np.geomspace(0.01, 1.0, 231)
 """Lengths of blocks, s, to be tried where a file does not tell them; each is made whole periods."""
 ROUNDS, MOVED = 8, 0.02
@@ -199,7 +199,7 @@ def without_ringing(
         more = taken.with_one_more(Source(kept_up, np.ones(len(samples))))
         taken = more if more.likelihood > nothing.likelihood + EVIDENCE else taken
     doubt = SUSPECTED if suspected else EVIDENCE
-    least = 0.0 if taken.sources else doubt
+    least = 0.0 if taken.sources else doubt  # of a mode's start
     typical = float(np.median(block_s))
     found: list[tuple[complex, float]] = []
     poles = slow_poles(model, controller, typical, GONE)
@@ -212,9 +212,11 @@ def without_ringing(
         }
         while ringings:  # the loudest first
             tried = {pole: taken.started(ringing, points.axis) for pole, ringing in ringings.items()}
-            pole, (evidence, size) = max(tried.items(), key=lambda item: item[1][0])
-            if evidence < least + np.log(len(ringings)):
+            beyond = {pole: gain - (least if _rings_on(pole, typical) else doubt) for pole, (gain, _) in tried.items()}
+            pole = max(beyond, key=beyond.__getitem__)
+            if beyond[pole] < np.log(len(ringings)):
                 break
+            evidence, size = tried[pole]
             taken = taken.with_one_more(Source.started(ringings.pop(pole).left, size, points.axis))
             found.append((pole, evidence))
     if not taken.sources:
@@ -227,6 +229,11 @@ def without_ringing(
         share = np.abs(taken.alone(source).mean(axis=1)) / noise.sigma
         transients.append(Transient(pole, float(share.max()), evidence, float(np.exp(pole.real * typical))))
     return replace(_less(points, taken.blocks), unsettled=taken.unknown), tuple(transients)
+
+
+def _rings_on(pole: complex, block_s: float) -> bool:
+    """Whether a pole is a mode's, which swings on for blocks: what chance tells of other starts costs ki and ks."""
+    return bool(np.exp(pole.real * block_s) > LASTING and abs(pole.imag) > -pole.real)
 
 
 def _whitened(points: PlanePoints, model: PlaneModel, noise: NoiseModel) -> tuple[Complex, Complex]:

@@ -83,6 +83,17 @@ def test_of_settled_points_nobody_is_told_anything() -> None:
     assert found.transients == ()
 
 
+def test_chance_in_slow_poles_costs_settled_points_no_stiffness(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Little is asked of a mode's start where noise keeps the loop ringing; of the suspension's as much as ever."""
+    experiment = synthetic_experiment(run(2.0, seed=1), axes=AXES)
+    found = identify(experiment, sheet()).planes["x"].stiffness["ksB"].std_from_data
+    monkeypatch.setattr("service.identification.transient._rings_on", lambda *_: True)
+    otherwise = identify(experiment, sheet()).planes["x"].stiffness["ksB"].std_from_data
+    assert found is not None
+    assert otherwise is not None
+    assert found < 0.95 * otherwise
+
+
 def test_points_in_which_nothing_rang_are_left_as_they_are() -> None:
     """Noise that does not go through the loop, as of a response that was measured otherwise."""
     n = np.round(np.maximum(1, np.round(HZ * 0.05)) * RATE / HZ).astype(int)
