@@ -56,7 +56,7 @@ def plane_now(saved: SavedPlane, experiment: Experiment) -> PlaneNow:
     points = plane_points(experiment.main, tuple(experiment.axes), saved.plane)
     check_excitation(points, FEWEST_TONES)
     data = Data(points)
-    split = Split(log_ratios(saved.model))
+    split = Split(log_ratios(saved.model), beyond=saved.beyond)
     free = saved.free
     start = _moved_modes(saved, data)
     near = refine(start, data, free, relative=FORGIVING, split=split)

@@ -187,7 +187,22 @@ def _refined(
 
 
 def held_rows(model: RotatingModel, splits: tuple[Split, Split]) -> tuple[Real, Real]:
-    """Residuals of what is known of both planes' damping beyond the band, then those that hold the splits; Jacobian."""
+    """Residuals of what is known of both planes' modes, beside those of the data.
+
+    Parameters
+    ----------
+    model
+        With ``size`` parameters of both planes and of what couples them.
+    splits
+        Where the splits of each plane are held, and which of its modes lie beyond the band.
+
+    Returns
+    -------
+    rows : (K,), in standard deviations of what is known
+        Damping beyond the band, first plane and second (`split.damping_rows`), then those that hold splits, one per
+        mode of the first plane and of the second (`split.split_rows`).
+    jacobian : (K, size), of the rows per unit of each parameter
+    """
     known: list[tuple[Real, Real]] = []
     held: list[tuple[Real, Real]] = []
     for k, split in enumerate(splits):

@@ -42,6 +42,8 @@ class SavedPlane:
     adequate: bool
     rotor_modes: tuple[int, ...]
     """Places among the model's modes of those that are the rotor's, by rising frequency."""
+    beyond: NDArray[np.bool_]
+    """(modes,) those that stand for what lies beyond the band that was measured."""
     notes: tuple[str, ...] = ()
     """What to know of the effects that the twin names, in sentences: above all what the model lacks of them."""
 
@@ -103,12 +105,13 @@ def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str,
         own * float(residuals["std_widened_by"] or 1.0) ** 2,
         float(residuals["rms_over_sigma"]),
         bool(residuals["model_adequate"]),
-        _rotor_modes(model, found["rotor_modes"]),
+        tuple(_places(model, found["rotor_modes"])),
+        np.isin(np.arange(layout.n_modes), _places(model, [m for m in found["other_modes"] if m["kind"] == "beyond"])),
         notes,
     )
 
 
-def _rotor_modes(model: PlaneModel, listed: list[Mapping[str, Any]]) -> tuple[int, ...]:
-    """Places of the rotor's modes: those that the result lists as such, by their frequency."""
+def _places(model: PlaneModel, listed: list[Mapping[str, Any]]) -> list[int]:
+    """Places among the model's modes of those that the result lists, by their frequency."""
     w = model.natural_frequencies
-    return tuple(int(np.argmin(np.abs(w - m["natural_frequency_rad_s"]["value"]))) for m in listed)
+    return [int(np.argmin(np.abs(w - m["natural_frequency_rad_s"]["value"]))) for m in listed]

@@ -131,7 +131,22 @@ class Posterior:
 
 
 def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:
-    """Residuals, and their Jacobian, of splits that are held or known of; those that hold splits last."""
+    """Residuals of splits that are held or known of, beside those of the data.
+
+    Parameters
+    ----------
+    model
+        With n modes and ``size`` parameters.
+    held
+        Where the splits are held, or what is known of them.
+
+    Returns
+    -------
+    rows : (K,), in standard deviations of what is known
+        `Split`: one per mode beyond the band (`damping_rows`), then those that hold splits, (n,) (`split_rows`).
+        `Knowledge`: `ROWS` a mode (`knowledge_rows`).
+    jacobian : (K, size), of the rows per unit of each parameter
+    """
     if not isinstance(held, Split):
         return knowledge_rows(model, held)
     rows, jacobian = split_rows(model, held)
@@ -142,7 +157,22 @@ def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:
 
 
 def damping_rows(model: PlaneModel, beyond: NDArray[np.int64]) -> tuple[Real, Real]:
-    """Residuals of what is known of the damping of modes beyond the band, one for each, and their Jacobian."""
+    """Residuals of what is known of the damping of modes beyond the band, once splits are held.
+
+    A log-normal density of the damping ratio about `USUAL_DAMPING`, continued along its tangent below `LEAST_DAMPING`.
+
+    Parameters
+    ----------
+    model
+        With ``size`` parameters.
+    beyond
+        (K,) places of these modes among the model's.
+
+    Returns
+    -------
+    rows : (K,), in standard deviations: ln of the damping ratio over the usual one
+    jacobian : (K, size), per rad/s: a mode's nu and sigma, the ratio being sigma / nu
+    """
     rows, jacobian = np.zeros(len(beyond)), np.zeros((len(beyond), model.layout.size))
     for row, k in enumerate(beyond):
         nu, sigma = model.modes[k, :2]
