@@ -114,6 +114,17 @@ def test_damping_beyond_the_band_is_known_at_speed_too() -> None:
         assert np.allclose(jacobian[:, place], (up - down) / 2e-3, rtol=1e-5)
 
 
+def test_a_mode_above_the_last_line_is_not_made_to_grow_by_the_fit_of_all_speeds(datasheet: Datasheet) -> None:
+    below = HZ[HZ < 700.0]
+    sweeps = tuple(sweep_at(w, 20 + k, below) for k, w in enumerate((0.0, 314.0)))
+    turned = identify(Experiment("reference", datasheet.axes, sweeps), datasheet).rotating
+    assert turned is not None
+    for plane in turned.refined.model.planes:
+        assert 5e-4 < plane.damping_ratios[1] < 0.05
+    polar = turned.estimate("polar_inertia_kgm2", "kg m2")
+    assert polar.value == pytest.approx(POLAR, abs=3 * polar.std)
+
+
 def test_polar_inertia_and_splitting_are_recovered(turned: Turned) -> None:
     """From planes that know nothing of the speed, a datasheet without polar inertia, and no mode known."""
     polar = turned.estimate("polar_inertia_kgm2", "kg m2")
