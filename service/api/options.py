@@ -9,9 +9,12 @@ from pydantic.json_schema import models_json_schema
 from pydantic_core import PydanticCustomError
 
 from service.api.problems import UnprocessableError
+from service.experiment.aims import Profile
+from service.experiment.multisine_plan import MultisineProfile
 
 PRIORS = "Whether the datasheet's values count as priors, as wide as its tolerances."
 _BAND = "band"
+_STEPPED, _MULTISINE = Profile(), MultisineProfile()
 
 
 def _must_rise(from_hz: float, to_hz: float) -> None:
@@ -25,57 +28,74 @@ class ProfileOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     accuracy: float = Field(
-        0.002,
+        _STEPPED.accuracy,
         gt=0,
         le=0.5,
         description="Wanted relative standard deviation of every column of the frequency response, each point.",
     )
     points: int = Field(
-        200,
+        _STEPPED.points,
         ge=4,
         le=2000,
         description="Log-spaced frequencies of the main sweep, each with every axis; peaks come on top.",
     )
-    from_hz: float = Field(10.0, gt=0, le=10_000, description="Lowest frequency of the main sweep, Hz.")
-    to_hz: float = Field(1000.0, gt=0, le=20_000, description="Highest frequency of the main sweep, Hz.")
-    validation_points: int = Field(50, ge=0, le=1000, description="Frequencies of the sweep that no fit sees.")
+    from_hz: float = Field(_STEPPED.from_hz, gt=0, le=10_000, description="Lowest frequency of the main sweep, Hz.")
+    to_hz: float = Field(_STEPPED.to_hz, gt=0, le=20_000, description="Highest frequency of the main sweep, Hz.")
+    validation_points: int = Field(
+        _STEPPED.validation_points, ge=0, le=1000, description="Frequencies of the sweep that no fit sees."
+    )
     validation_gain: float = Field(
-        2.5, gt=0, le=10, description="Amplitude of the validation sweep against the main one."
+        _STEPPED.validation_gain, gt=0, le=10, description="Amplitude of the validation sweep against the main one."
     )
     amplifier_points: int = Field(
-        50, ge=0, le=1000, description="Frequencies of the sweep that is for the amplifiers alone."
+        _STEPPED.amplifier_points,
+        ge=0,
+        le=1000,
+        description="Frequencies of the sweep that is for the amplifiers alone.",
     )
-    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000, description="Its highest frequency, Hz.")
-    coarse_points: int = Field(28, ge=4, le=500, description="Frequencies of the first, coarse look.")
-    coarse_accuracy: float = Field(0.02, gt=0, le=1, description="Wanted relative standard deviation there.")
+    amplifier_to_hz: float = Field(_STEPPED.amplifier_to_hz, gt=0, le=50_000, description="Its highest frequency, Hz.")
+    coarse_points: int = Field(
+        _STEPPED.coarse_points, ge=4, le=500, description="Frequencies of the first, coarse look."
+    )
+    coarse_accuracy: float = Field(
+        _STEPPED.coarse_accuracy, gt=0, le=1, description="Wanted relative standard deviation there."
+    )
     blocks: int = Field(
-        6, ge=2, le=100, description="Blocks of whole periods at every point; their scatter tells the noise."
+        _STEPPED.blocks,
+        ge=2,
+        le=100,
+        description="Blocks of whole periods at every point; their scatter tells the noise.",
     )
     displacement_share: float = Field(
-        0.1,
+        _STEPPED.displacement_share,
         gt=0,
         le=0.5,
         description="Share of the linear range, and of the displacement limit, that the main sweep may use.",
     )
     current_share: float = Field(
-        0.25,
+        _STEPPED.current_share,
         gt=0,
         le=0.5,
         description="Share of the bias current, and of the current limit, that the main sweep may use.",
     )
     nonlinearity: float = Field(
-        0.2, gt=0, le=10, description="Share of the accuracy that the cubic terms of the magnets' force may take."
+        _STEPPED.nonlinearity,
+        gt=0,
+        le=10,
+        description="Share of the accuracy that the cubic terms of the magnets' force may take.",
     )
     rig_seconds: float = Field(
-        1000.0,
+        _STEPPED.rig_seconds,
         gt=0,
         le=100_000,
         description="Time of the rig that a campaign over four axes should need, s; others in proportion.",
     )
     peak_points: int = Field(
-        5, ge=0, le=50, description="Points within the half-power width of a peak that resolve it."
+        _STEPPED.peak_points, ge=0, le=50, description="Points within the half-power width of a peak that resolve it."
     )
-    tries: int = Field(5, ge=1, le=20, description="Attempts at one point: longer settling, other amplitudes.")
+    tries: int = Field(
+        _STEPPED.tries, ge=1, le=20, description="Attempts at one point: longer settling, other amplitudes."
+    )
 
     @model_validator(mode="after")
     def _a_band(self) -> Self:
@@ -88,51 +108,74 @@ class MultisineProfileOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    from_hz: float = Field(10.0, gt=0, le=10_000, description="Lowest line of the main sweep, Hz.")
-    to_hz: float = Field(1000.0, gt=0, le=20_000, description="Highest line of the main sweep, Hz.")
+    from_hz: float = Field(_MULTISINE.from_hz, gt=0, le=10_000, description="Lowest line of the main sweep, Hz.")
+    to_hz: float = Field(_MULTISINE.to_hz, gt=0, le=20_000, description="Highest line of the main sweep, Hz.")
     lines: int = Field(
-        220, ge=8, le=2000, description="Odd lines of the main sweep, the detection lines among them included."
+        _MULTISINE.lines,
+        ge=8,
+        le=2000,
+        description="Odd lines of the main sweep, the detection lines among them included.",
     )
-    period_s: float = Field(1.0, ge=0.05, le=20, description="Period of main and validation sweep, s.")
-    periods: int = Field(2, ge=2, le=50, description="Recorded periods of every experiment.")
+    period_s: float = Field(_MULTISINE.period_s, ge=0.05, le=20, description="Period of main and validation sweep, s.")
+    periods: int = Field(_MULTISINE.periods, ge=2, le=50, description="Recorded periods of every experiment.")
     realisations: int = Field(
-        5, ge=2, le=50, description="Draws of the phases, each played in as many experiments as there are axes."
+        _MULTISINE.realisations,
+        ge=2,
+        le=50,
+        description="Draws of the phases, each played in as many experiments as there are axes.",
     )
     settle_s: float = Field(
-        0.8,
+        _MULTISINE.settle_s,
         gt=0,
         le=60,
         description="Settling to begin with, main and validation sweep, s; longer where the pilot's model rings on, "
         "doubled while the periods still change.",
     )
-    short_settle_s: float = Field(0.3, gt=0, le=60, description="Settling of the pilot and of the amplifier sweep, s.")
+    short_settle_s: float = Field(
+        _MULTISINE.short_settle_s, gt=0, le=60, description="Settling of the pilot and of the amplifier sweep, s."
+    )
     validation_realisations: int = Field(
-        2, ge=2, le=50, description="Draws of the phases of the sweep that no fit sees."
+        _MULTISINE.validation_realisations,
+        ge=2,
+        le=50,
+        description="Draws of the phases of the sweep that no fit sees.",
     )
-    validation_gain: float = Field(0.6, gt=0, le=10, description="Level of the validation sweep against the main one.")
+    validation_gain: float = Field(
+        _MULTISINE.validation_gain, gt=0, le=10, description="Level of the validation sweep against the main one."
+    )
     amplifier_realisations: int = Field(
-        2, ge=2, le=50, description="Draws of the phases of the sweep that is for the amplifiers alone."
+        _MULTISINE.amplifier_realisations,
+        ge=2,
+        le=50,
+        description="Draws of the phases of the sweep that is for the amplifiers alone.",
     )
-    amplifier_to_hz: float = Field(3000.0, gt=0, le=50_000, description="Its highest line, Hz.")
-    amplifier_lines: int = Field(60, ge=8, le=1000, description="Its lines.")
-    amplifier_period_s: float = Field(0.2, ge=0.02, le=20, description="Its period, s.")
+    amplifier_to_hz: float = Field(_MULTISINE.amplifier_to_hz, gt=0, le=50_000, description="Its highest line, Hz.")
+    amplifier_lines: int = Field(_MULTISINE.amplifier_lines, ge=8, le=1000, description="Its lines.")
+    amplifier_period_s: float = Field(_MULTISINE.amplifier_period_s, ge=0.02, le=20, description="Its period, s.")
     displacement_share: float = Field(
-        0.25,
+        _MULTISINE.displacement_share,
         gt=0,
         le=0.5,
         description="Share of the linear range, and of the displacement limit, that predicted peaks may take.",
     )
     current_share: float = Field(
-        0.25,
+        _MULTISINE.current_share,
         gt=0,
         le=0.5,
         description="Share of the bias current, and of the current limit, that predicted peaks may take.",
     )
     stiffness_hz: float = Field(
-        100.0, gt=0, le=10_000, description="Below it the amplitude rises as the inverse of frequency, Hz."
+        _MULTISINE.stiffness_hz,
+        gt=0,
+        le=10_000,
+        description="Below it the amplitude rises as the inverse of frequency, Hz.",
     )
-    seed: int = Field(1, ge=0, le=2**31, description="Of lines and phases: equal campaigns ask equal questions.")
-    tries: int = Field(4, ge=1, le=20, description="Attempts at one realisation: lower level, longer settling.")
+    seed: int = Field(
+        _MULTISINE.seed, ge=0, le=2**31, description="Of lines and phases: equal campaigns ask equal questions."
+    )
+    tries: int = Field(
+        _MULTISINE.tries, ge=1, le=20, description="Attempts at one realisation: lower level, longer settling."
+    )
 
     @model_validator(mode="after")
     def _a_band(self) -> Self:
