@@ -101,6 +101,13 @@ class Counting:
                 now = at
             elif at - now > 1 or self.fits.cost(more) > 0.5 * self.fits.cost(tried[now]):
                 break
+        # and fewer again: what one took up for others that were not there yet may be nothing beside them
+        while now > begun:
+            fewer = self._without_one(tried[now], weights)
+            if self._needed(fewer, tried[now]):
+                break
+            now -= 1
+            tried[now] = fewer
         return Counted(start, tried, now, first)
 
     def _alike(self, one: Refined, other: Refined) -> bool:

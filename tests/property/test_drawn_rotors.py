@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 
 from service.identification.combine import levitated_frequencies
 from service.identification.fit import identify
 from service.identification.result import Estimate
-from tests.support.rotors import KINDS, DrawnRig, drawn_rig
+from tests.support.rotors import KINDS, drawn_rig
 
+AN_END = 0.2
+"""Share of the draws that are one of the ends."""
 FAR = 5.0
 """Reported deviations: no estimate of any draw lies further off."""
 TOLD = {"light and stiff": 0.005, "close modes": 0.01, "node at a sensor": 0.005}
@@ -19,9 +20,9 @@ of heavy flexible ones do, and without a rotor model nobody knows them. Of two c
 be as far apart as a free beam's slope makes them."""
 
 
-@st.composite
-def rigs(draw: st.DrawFn, kind: str) -> DrawnRig:
-    return drawn_rig(kind, lambda low, high: draw(st.floats(low, high)))
+def drawn(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number between two, or one of them: what is extreme is where mistakes are."""
+    return float(rng.choice([low, high]) if rng.random() < AN_END else rng.uniform(low, high))
 
 
 def away(estimate: Estimate, truth: float) -> float:
@@ -29,18 +30,14 @@ def away(estimate: Estimate, truth: float) -> float:
     return abs(estimate.value - truth) / estimate.std
 
 
+@pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("kind", KINDS)
-@settings(
-    max_examples=3,
-    deadline=None,
-    derandomize=True,
-    phases=(Phase.explicit, Phase.generate),  # shrinking would take longer than it tells
-    suppress_health_check=[HealthCheck.too_slow],
-)
-@given(data=st.data(), log_noise=st.floats(-3.0, -2.0), seed=st.integers(0, 1000))
-def test_what_is_reported_of_a_drawn_rotor_holds(kind: str, data: st.DataObject, log_noise: float, seed: int) -> None:
-    rig = data.draw(rigs(kind))
-    plane = identify(rig.experiment(10**log_noise, seed), rig.sheet).planes["x"]
+def test_what_is_reported_of_a_drawn_rotor_holds(kind: str, number: int) -> None:
+    # from seeds of its own: what Hypothesis draws hangs on which modules the run has loaded, and so would the verdict
+    rng = np.random.default_rng([KINDS.index(kind), number])
+    rig = drawn_rig(kind, lambda low, high: drawn(rng, low, high))
+    noise, seed = 10 ** drawn(rng, -3.0, -2.0), int(rng.integers(1000))
+    plane = identify(rig.experiment(noise, seed), rig.sheet).planes["x"]
     truth = rig.model
     # a rotor and its bearings, nothing else, made these data: the result says that it knows as much
     assert plane.adequate
