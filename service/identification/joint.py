@@ -11,7 +11,7 @@ from service.identification.evidence import Evidence, leave_one_out
 from service.identification.plane_model import PlaneModel
 from service.identification.refine import NEAR, Refined, refine
 from service.identification.residuals import Data, Weights, residuals
-from service.identification.split import Knowledge, knowledge_rows, likeliest
+from service.identification.split import Knowledge, held_rows, likeliest
 from service.identification.start import with_modes, with_split
 
 MOSTLY = 0.5
@@ -141,7 +141,7 @@ class JointFits:
     def _left_out(self, refined: Refined) -> float:
         r, jacobian = residuals(refined.model, self.data, refined.weights, refined.amplitude)
         assert jacobian is not None
-        held, slope = knowledge_rows(refined.model, self.knowledge)
+        held, slope = held_rows(refined.model, self.knowledge)
         whole = np.vstack([jacobian, slope])[:, refined.fit.free]
         # what is known of splits is not left out: it only shares the leverage
         padded = leave_one_out(np.concatenate([r, np.zeros(len(held))]), whole)

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.beyond import beyond_rows
 from service.identification.least_squares import minimise
 from service.identification.plane_model import N_MODE, Amplitude, PlaneModel
 from service.identification.refine import Refined
 from service.identification.residuals import Data, residuals
-from service.identification.split import Posterior, Split, damping_rows, split_rows
+from service.identification.split import Posterior, Split, split_rows
 from service.identification.zoh import Real
 
 STEPS = (-2.0, -1.0, 1.0, 2.0)
@@ -98,11 +99,11 @@ def _louder(model: PlaneModel, theta: Real, factor: float) -> Real:
 
 
 class _Cost:
-    """The joint fit's cost, with what is known of the splits, and of damping beyond the band."""
+    """The joint fit's cost, with what is known of the splits, and of modes beyond the band."""
 
     def __init__(self, refined: Refined, splits: Posterior | None, data: Data, amplitude: Amplitude | None) -> None:
         self._refined, self._data, self._amplitude = refined, data, amplitude
-        self._beyond = np.flatnonzero(refined.model.modes[:, 0] > data.plant.omega.max())
+        self._beyond = refined.model.modes[:, 0] > data.plant.omega.max()
         self._split = None if splits is None else Split(splits.log_ratios, 1.0)
         self._root = None if splits is None else np.linalg.inv(np.linalg.cholesky(splits.covariance))
 
@@ -118,7 +119,7 @@ class _Cost:
             if split is None or root is None or not trial.layout.n_modes:
                 return r, j
             more, slope = split_rows(trial, split)
-            known, its_slope = damping_rows(trial, self._beyond)
+            known, its_slope = beyond_rows(trial, self._beyond)
             whole = np.concatenate([r, known, root @ more])
             return whole, None if j is None else np.concatenate([j, its_slope, root @ slope])
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.beyond import beyond_rows
 from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude
 from service.identification.rotating_model import POLAR, RotatingModel, TurningPoints
 from service.identification.rotating_points import SpeedPoints
-from service.identification.split import Split, damping_rows, split_rows
+from service.identification.split import Split, split_rows
 from service.identification.zoh import Complex, Real
 
 SCAN_STEPS = 161
@@ -199,8 +200,8 @@ def held_rows(model: RotatingModel, splits: tuple[Split, Split]) -> tuple[Real, 
     Returns
     -------
     rows : (K,), in standard deviations of what is known
-        Damping beyond the band, first plane and second (`split.damping_rows`), then those that hold splits, one per
-        mode of the first plane and of the second (`split.split_rows`).
+        Modes beyond the band, of the first plane and of the second (`beyond.beyond_rows`), then those that hold splits,
+        one per mode of the first plane and of the second (`split.split_rows`).
     jacobian : (K, size), of the rows per unit of each parameter
     """
     known: list[tuple[Real, Real]] = []
@@ -209,8 +210,8 @@ def held_rows(model: RotatingModel, splits: tuple[Split, Split]) -> tuple[Real, 
         plane, own = model.plane(k), model.layout.own[k]
         if not plane.layout.n_modes:
             continue
-        beyond = np.empty(0, dtype=np.int64) if split.beyond is None else np.flatnonzero(split.beyond)
-        for rows, (r, j) in ((known, damping_rows(plane, beyond)), (held, split_rows(plane, split))):
+        beyond = np.zeros(plane.layout.n_modes, dtype=np.bool_) if split.beyond is None else split.beyond
+        for rows, (r, j) in ((known, beyond_rows(plane, beyond)), (held, split_rows(plane, split))):
             slope = np.zeros((len(r), model.layout.size))
             slope[:, own] = j[:, : own.stop - own.start]
             rows.append((r, slope))

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.beyond import BEYOND_ROWS, beyond_rows
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Real
 
@@ -30,13 +31,8 @@ UNLIKELY_FALL = 0.5
 """Of the scale, for a change of the first mode that goes against the growth towards the shaft's end."""
 BEYOND = 0.8
 """Standard deviation of ln(|phi_s|/|phi_b|) of a mode beyond the band, 1 within: it stands for many, which even out."""
-ROWS = 4
-"""Residuals of knowledge per mode: of the order of its split, of its change at either bearing, and of its damping."""
-USUAL_DAMPING, ITS_SPREAD, LEAST_DAMPING = 0.005, 0.01, 0.0005
-"""Damping ratio of a mode beyond the band, whose peak no line shows; data alone would give it whatever fits the last
-lines, negative values too, and with them a rotor that shakes itself to pieces. While modes are counted it is known
-within an absolute spread, which costs no steps; in the last fit within a factor e, and below the least one, where a
-logarithm would find no end, along its tangent."""
+ROWS = 3
+"""Residuals of knowledge per mode: of the order of its split, and of its change at either bearing."""
 LIKELY = np.linspace(-2.0, 2.0, 81)
 """Splits among which the likeliest is looked for where a fit begins."""
 
@@ -91,7 +87,7 @@ class Split:
     """(n,)"""
     std: float = HELD
     beyond: NDArray[np.bool_] | None = None
-    """(n,) modes beyond the band, whose damping is known as `Knowledge` has it."""
+    """(n,) modes beyond the band, of which something is known too (`service.identification.beyond`)."""
 
     @classmethod
     def of(cls, model: PlaneModel, end_rad_s: float) -> Split:
@@ -143,44 +139,22 @@ def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:
     Returns
     -------
     rows : (K,), in standard deviations of what is known
-        `Split`: one per mode beyond the band (`damping_rows`), then those that hold splits, (n,) (`split_rows`).
-        `Knowledge`: `ROWS` a mode (`knowledge_rows`).
+        Of modes beyond the band (`beyond_rows`), then those of splits: one a mode for `Split`, `ROWS` for `Knowledge`.
+        Of `Knowledge` modes within the band have zeros in place of the former, so that K stays while modes move.
     jacobian : (K, size), of the rows per unit of each parameter
     """
-    if not isinstance(held, Split):
-        return knowledge_rows(model, held)
-    rows, jacobian = split_rows(model, held)
-    if held.beyond is None or not held.beyond.any():
-        return rows, jacobian
-    more, slope = damping_rows(model, np.flatnonzero(held.beyond))
+    if isinstance(held, Split):
+        rows, jacobian = split_rows(model, held)
+        if held.beyond is None:
+            return rows, jacobian
+        more, slope = beyond_rows(model, held.beyond)
+    else:
+        rows, jacobian = knowledge_rows(model, held)
+        beyond = model.modes[:, 0] > held.end_rad_s
+        there = np.repeat(beyond, BEYOND_ROWS)
+        more, slope = np.zeros(len(there)), np.zeros((len(there), model.layout.size))
+        more[there], slope[there] = beyond_rows(model, beyond, counting=True)
     return np.concatenate([more, rows]), np.vstack([slope, jacobian])
-
-
-def damping_rows(model: PlaneModel, beyond: NDArray[np.int64]) -> tuple[Real, Real]:
-    """Residuals of what is known of the damping of modes beyond the band, once splits are held.
-
-    A log-normal density of the damping ratio about `USUAL_DAMPING`, continued along its tangent below `LEAST_DAMPING`.
-
-    Parameters
-    ----------
-    model
-        With ``size`` parameters.
-    beyond
-        (K,) places of these modes among the model's.
-
-    Returns
-    -------
-    rows : (K,), in standard deviations: ln of the damping ratio over the usual one
-    jacobian : (K, size), per rad/s: a mode's nu and sigma, the ratio being sigma / nu
-    """
-    rows, jacobian = np.zeros(len(beyond)), np.zeros((len(beyond), model.layout.size))
-    for row, k in enumerate(beyond):
-        nu, sigma = model.modes[k, :2]
-        zeta, at = sigma / nu, model.layout.mode(int(k)).start
-        least = max(zeta, LEAST_DAMPING)
-        rows[row] = np.log(least / USUAL_DAMPING) + (zeta - least) / least
-        jacobian[row, at : at + 2] = np.array([-zeta, 1.0]) / nu / least
-    return rows, jacobian
 
 
 def knowledge_rows(model: PlaneModel, knowledge: Knowledge) -> tuple[Real, Real]:
@@ -191,11 +165,6 @@ def knowledge_rows(model: PlaneModel, knowledge: Knowledge) -> tuple[Real, Real]
     order = split_rows(model, Split(np.zeros(len(ratios)), 1.0))[1]
     scales, spread = _scales(model, knowledge), knowledge.order_of(model)
     for k, mode in enumerate(model.modes):
-        nu, sigma = mode[:2]
-        if nu > knowledge.end_rad_s:
-            last, at = ROWS * k + ROWS - 1, model.layout.mode(k).start
-            rows[last] = (sigma / nu - USUAL_DAMPING) / ITS_SPREAD
-            jacobian[last, at : at + 2] = np.array([-sigma / nu, 1.0]) / nu / ITS_SPREAD
         if not np.isnan(known[k]):
             rows[ROWS * k] = (ratios[k] - known[k]) / knowledge.std
             jacobian[ROWS * k] = order[k] / knowledge.std

@@ -128,7 +128,7 @@ def test_chance_makes_no_mode_beyond_the_band(
     controller: tuple[np.ndarray, np.ndarray],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Noise in which a mode at 32 kHz would save twenty of the misfit: one draw of a few hundred has such."""
+    """Noise in which a mode at 2.5 kHz would save nineteen of the misfit: one draw of a few hundred has such."""
     peaks = [hz + np.linspace(-6, 6, 15) for hz in (492.6, 907.2)]
     hz = np.unique(np.concatenate([np.geomspace(10, 1000, 130), *peaks]))
     noise = {"current_noise_a": 0.0, "displacement_noise_m": 0.0, "relative_noise": 0.01}
@@ -147,8 +147,8 @@ def test_chance_makes_no_mode_beyond_the_band(
         return choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
 
     _is_the_truth(chosen(), truth["x"])
-    # that it would: were twenty enough
-    monkeypatch.setattr("service.identification.counting.BEYOND_GAIN", 20.0)
+    # that it would: were fifteen enough
+    monkeypatch.setattr("service.identification.counting.BEYOND_GAIN", 15.0)
     patched = chosen().refined.model
     assert patched.layout.n_modes == 3
     assert patched.modes[-1, 1] > 0

@@ -13,11 +13,9 @@ from service.identification.points import plane_points
 from service.identification.refine import Refined, refine
 from service.identification.residuals import Data
 from service.identification.split import (
-    ROWS,
     Knowledge,
     Posterior,
     Split,
-    held_rows,
     knowledge_rows,
     likeliest,
     log_prior,
@@ -69,30 +67,6 @@ def test_rows_hold_the_splits_and_have_exact_derivatives(truth: dict[str, PlaneM
     assert np.allclose(split_rows(with_split(model, split.log_ratios), split)[0], 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("zeta", [-0.2, 0.0002, 0.004, 0.05])
-def test_damping_beyond_the_band_is_known_beside_splits_that_are_held(
-    truth: dict[str, PlaneModel], zeta: float
-) -> None:
-    model = truth["x"]
-    end = float(model.modes[1, 0]) - 1.0
-    theta = model.theta.copy()
-    at = model.layout.mode(1).start
-    theta[at + 1] = zeta * theta[at]
-    model = model.at(theta)
-    split = Split.of(model, end)
-    rows, jacobian = held_rows(model, split)
-    assert np.allclose(rows[1:], 0)  # the splits last, where they are
-    assert rows[0] > 2.0 if zeta > 0.04 else rows[0] < -2.5 if zeta < 0.001 else abs(rows[0]) < 0.5
-    if zeta < 0:
-        assert rows[0] < -100.0  # whatever the highest lines say
-    for k in (at, at + 1):
-        step = np.zeros_like(theta)
-        step[k] = 1e-6 * abs(theta[k])
-        up, down = (held_rows(model.at(theta + d), split)[0][0] for d in (step, -step))
-        assert jacobian[0, k] == pytest.approx((up - down) / (2 * step[k]), rel=1e-4)
-    assert len(held_rows(model, Split.of(model, float(model.modes[1, 0]) + 1.0))[0]) == 2
-
-
 @pytest.mark.parametrize("closeness", [0.05, 0.3, None])
 def test_rows_of_knowledge_are_its_log_density_and_have_exact_derivatives(
     truth: dict[str, PlaneModel], closeness: float | None
@@ -107,13 +81,11 @@ def test_rows_of_knowledge_are_its_log_density_and_have_exact_derivatives(
             model = with_split(truth["x"], log_ratios(truth["x"]) + away)
             rows, jacobian = knowledge_rows(model, knowledge)
             density = log_prior(model, log_ratios(model)[None, :], knowledge).sum()
-            of_splits = np.delete(rows, slice(ROWS - 1, None, ROWS))
-            assert -0.5 * of_splits @ of_splits == pytest.approx(density, rel=1e-9)
-            assert np.all(rows[ROWS - 1 :: ROWS] == 0) == np.isinf(knowledge.end_rad_s)  # damping beyond the band alone
+            assert -0.5 * rows @ rows == pytest.approx(density, rel=1e-9)
             for k in range(model.layout.size):
                 step = np.zeros_like(model.theta)
                 step[k] = 1e-6 * max(abs(model.theta[k]), 1e-9)
-                up, down = (held_rows(model.at(model.theta + d), knowledge)[0] for d in (step, -step))
+                up, down = (knowledge_rows(model.at(model.theta + d), knowledge)[0] for d in (step, -step))
                 slope = (up - down) / (2 * step[k])
                 assert np.allclose(jacobian[:, k], slope, rtol=1e-5, atol=1e-6 * np.abs(jacobian).max())
 
