@@ -68,7 +68,8 @@ def measure_check(
     holder: str = "",
 ) -> Experiment:
     """Run the short experiment into a folder; it resumes like any campaign."""
-    from service.experiment.campaign import alone, run_campaign
+    from service.experiment.campaign import run_campaign
+    from service.experiment.leased import alone
 
     name = holder or alone("ambit health")
     return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name)

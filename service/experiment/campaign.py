@@ -1,34 +1,21 @@
-"""The automated experiment: runs the plan on a controller. The only module of this package that moves a rotor."""
+"""The automated experiment: runs the plan on a controller. With `leased`, the only module here that moves a rotor."""
 
 from __future__ import annotations
 
-import os
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import asdict
-from hashlib import sha256
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from secrets import token_hex
-from typing import Any, TypeVar
 
 from drivers.controller import (
-    Capabilities,
     Controller,
-    PeriodicController,
-    PointResult,
-    State,
-    Tone,
-    TripCause,
-    Waveform,
-    WaveformResult,
 )
-from drivers.errors import BusError, CancelledError, ControllerError, LeaseError, TripError
-from service.experiment import file, journal, multisine_plan, phases
+from drivers.errors import CancelledError, LeaseError
+from service.experiment import file, journal, phases
 from service.experiment.aims import Limits, Profile
+from service.experiment.beginning import checked_limits, fingerprint, prepare_folder, profile_of
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
+from service.experiment.leased import Patient, alone, make_ready, stopped_by
 from service.experiment.multisine_phases import MultisinePhases
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
 from service.experiment.plan import Request
@@ -39,16 +26,10 @@ from service.experiment.recorder import Recorder, Trip
 from sim.datasheet import Datasheet
 from sim.rig_file import parse, to_toml
 
-T = TypeVar("T")
-
 EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
 _Done = dict[str, list[Point]]
 _Extra = dict[str, str]
-WATCH_S = 0.1
-BUS_TRIES = 6
-"""With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
-FIRST_PAUSE_S = 0.1
 
 
 def run_campaign(
@@ -111,7 +92,9 @@ def run_campaign(
         raise CampaignError(
             f"{capabilities.identity} plays tones only, no periodic waveforms; measure it by stepped sine"
         )
-    prepare_folder(out_dir, resume)
+    prepare_folder(out_dir)
+    if not resume:
+        put_aside(out_dir / JOURNAL)
     speed = float(controller.status().speed_rad_s)
     about = {"speed_rad_s": speed, "datasheet": to_toml(datasheet)}
     header = fingerprint(capabilities, datasheet, limits, profile) | {"about": about}
@@ -133,9 +116,9 @@ def run_campaign(
         )
 
     try:
-        with controller.lease(holder or alone("ambit campaign")), _stopped_by(controller, cancelled):
-            _make_ready(controller)
-            measure = _Patient(controller, cancelled or (lambda: False))
+        with controller.lease(holder or alone("ambit campaign")), stopped_by(controller, cancelled):
+            make_ready(controller)
+            measure = Patient(controller, cancelled or (lambda: False))
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
             _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
         result = assembled()
@@ -158,11 +141,6 @@ def run_campaign(
     return result
 
 
-def alone(name: str) -> str:
-    """A holder's name of its own for each call: devices tell hosts by their names."""
-    return f"{name} {token_hex(3)}"
-
-
 class _EndOfJournal(Exception):
     """The way out of a replay: nothing more was measured."""
 
@@ -181,7 +159,7 @@ def recover(out_dir: Path) -> Experiment:
         raise _EndOfJournal
 
     try:
-        limits, profile = Limits(**header["limits"]), _profile(header["profile"])
+        limits, profile = Limits(**header["limits"]), profile_of(header["profile"])
         harmonics, about = tuple(header["harmonics"]), header["about"]
         datasheet = parse(about["datasheet"]) if "datasheet" in about else None
     except (KeyError, TypeError) as error:
@@ -229,166 +207,6 @@ def _run(
         MultisinePhases(recorder, limits, profile, meter, done, extra, datasheet, speed_rad_s).run(raw_records)
     else:
         phases.run(recorder, limits, profile, raw_records, meter, done)
-
-
-def _profile(document: dict[str, Any]) -> Profile | MultisineProfile:
-    """The profile that a journal keeps; TypeError when another version wrote it."""
-    if "multisine" in document:
-        return MultisineProfile(**document["multisine"])
-    return Profile(**document)
-
-
-def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
-    """Limits of controller and datasheet together.
-
-    Raises
-    ------
-    CampaignError
-        They describe different rigs.
-    """
-    c = capabilities
-    if tuple(c.axes) != datasheet.axes:
-        raise CampaignError(
-            f"the controller has axes {', '.join(c.axes)}, the datasheet {datasheet.name} has "
-            f"{', '.join(datasheet.axes)}; give the datasheet of this rig"
-        )
-    if abs(c.sample_rate_hz * datasheet.sample_time_s - 1) > 1e-6:
-        raise CampaignError(
-            f"the controller samples at {c.sample_rate_hz:g} Hz, the datasheet {datasheet.name} says "
-            f"{datasheet.sample_rate_hz:g} Hz; correct controller.sample_time_s"
-        )
-    return Limits.of(
-        datasheet,
-        c.sample_rate_hz,
-        c.max_frequency_hz,
-        c.max_samples,
-        c.max_amplitude_a,
-        c.displacement_limit_m,
-        c.current_limit_a,
-    )
-
-
-def prepare_folder(out_dir: Path, resume: bool) -> None:
-    """Make the folder, prove that it can be written, and put an old journal aside unless it shall be resumed.
-
-    Raises
-    ------
-    ExperimentFileError
-        It cannot be written.
-    """
-    probe = out_dir / f".write-test.{os.getpid()}"
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"x")
-        probe.unlink()
-    except OSError as error:
-        raise ExperimentFileError(
-            f"cannot write to {out_dir}: {error.strerror or error}; nothing has moved: choose another folder"
-        ) from error
-    if not resume:
-        put_aside(out_dir / JOURNAL)
-
-
-def fingerprint(
-    capabilities: Capabilities, datasheet: Datasheet, limits: Limits, profile: Profile | MultisineProfile
-) -> journal.Entry:
-    """What must be the same for a journal to be continued."""
-    return {
-        "rig": datasheet.name,
-        "controller": capabilities.identity,
-        "axes": list(capabilities.axes),
-        "harmonics": list(capabilities.harmonics),
-        "raw_records": capabilities.raw_records,
-        "limits": asdict(limits),
-        "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
-        "profile": multisine_plan.documented(profile) if isinstance(profile, MultisineProfile) else asdict(profile),
-    }
-
-
-class _Patient:
-    """Plays tones on a leased controller, and gives a failing bus time to come back."""
-
-    def __init__(self, controller: Controller, cancelled: Callable[[], bool]) -> None:
-        self._controller = controller
-        self._cancelled = cancelled
-
-    def __call__(self, request: Request | PeriodicRequest) -> PointResult | WaveformResult | Trip:
-        """One tone or waveform, or how it tripped; the trip is acknowledged."""
-        play = self._player(request)
-        for attempt in range(BUS_TRIES):
-            if self._cancelled():
-                raise CancelledError("the campaign was cancelled; the excitation is off")
-            try:
-                return self._through(play)
-            except TripError as trip:
-                self._through(self._controller.acknowledge)
-                if trip.cause != "host":
-                    return Trip(trip.cause, str(trip))
-                # a watchdog that tripped says something of the bus, not of the tone
-                if attempt == BUS_TRIES - 1:
-                    raise
-        raise AssertionError("the last attempt returns or raises")
-
-    def _player(self, request: Request | PeriodicRequest) -> Callable[[], PointResult | WaveformResult]:
-        """What plays the request."""
-        if isinstance(request, Request):
-            tone = Tone(**asdict(request))
-            return lambda: self._controller.measure(tone)
-        waveform = Waveform(request.waveform_a, request.periods, request.settle_samples)
-        controller = self._controller
-        if not isinstance(controller, PeriodicController):
-            raise CampaignError("the controller plays no periodic waveforms although its capabilities promise them")
-        return lambda: controller.measure_periodic(waveform)
-
-    def _through(self, call: Callable[[], T]) -> T:
-        """Result of a call over the bus, tried again while the bus fails."""
-        pause = FIRST_PAUSE_S
-        for _ in range(BUS_TRIES - 1):
-            try:
-                return call()
-            except BusError:
-                time.sleep(pause)
-                pause *= 2
-        return call()
-
-
-def _make_ready(controller: Controller) -> None:
-    """Refuse a rig that is off or tripped; the trip of a host that went away, as a killed run does, is acknowledged."""
-    status = controller.status()
-    if status.state == State.TRIPPED:
-        if status.trip != TripCause.HOST:
-            raise CampaignError(
-                f"the controller is tripped ({status.trip_message}); find the cause and acknowledge it first"
-            )
-        controller.acknowledge()
-    if status.state == State.OFF:
-        raise CampaignError("the rotor does not levitate: the controller is off; switch it on first")
-
-
-@contextmanager
-def _stopped_by(controller: Controller, cancelled: Callable[[], bool] | None) -> Iterator[None]:
-    """Watch ``cancelled`` from another thread and, once it is true, say stop until the campaign has ended.
-
-    Said once, it might come just before the next tone begins, or be lost on the bus.
-    """
-    if cancelled is None:
-        yield
-        return
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.wait(WATCH_S):
-            if cancelled():
-                with suppress(ControllerError):
-                    controller.stop()
-
-    thread = threading.Thread(target=watch, name="campaign-watch", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
 
 
 def _keep(path: Path, assembled: Callable[[], Experiment]) -> int:

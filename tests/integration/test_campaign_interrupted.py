@@ -122,7 +122,7 @@ def test_a_bus_that_fails_now_and_then_costs_nothing(tmp_path, whole):
 
 
 def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_path, monkeypatch):
-    monkeypatch.setattr("service.experiment.campaign.FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr("service.experiment.leased.FIRST_PAUSE_S", 0.001)
 
     def fault(k):
         if k >= 60:

@@ -1,7 +1,5 @@
 """A loop in which something rings while its points are recorded, simulated step by step."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from service.experiment.data import Sweep
@@ -10,6 +8,7 @@ from service.identification.plane_model import PlaneModel
 from service.identification.synthetic import plane_model_of
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.two_axes import sheet_of_one_plane
 
 SHEET = reference_datasheet()
 TRUTH = plane_model_of(reference_rig(), "x")
@@ -68,19 +67,7 @@ def run(settle_s: float, told: bool = True, seed: int = 0, truth: PlaneModel = T
 
 def sheet() -> Datasheet:
     """The reference rig's, of the x plane alone."""
-    two = {
-        name: getattr(SHEET, name)[:2]
-        for name in (
-            "current_stiffness_n_per_a",
-            "position_stiffness_n_per_m",
-            "bias_current_a",
-            "amplifier_gain",
-            "amplifier_natural_frequency_hz",
-            "amplifier_damping_ratio",
-            "sensor_gain",
-        )
-    }
-    return replace(SHEET, axes=AXES, **two)
+    return sheet_of_one_plane(SHEET)
 
 
 def late(delay_s: float) -> PlaneModel:

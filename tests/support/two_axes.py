@@ -16,8 +16,15 @@ def one_plane(measured: Experiment, datasheet: Datasheet) -> tuple[Experiment, D
         current = None if s.I is None else s.I[..., :2]
         return replace(s, R=s.R[..., :2], U=s.U[..., :2], I=current, Y=s.Y[..., :2])
 
+    return replace(measured, axes=measured.axes[:2], sweeps=tuple(map(cut, measured.sweeps))), sheet_of_one_plane(
+        datasheet
+    )
+
+
+def sheet_of_one_plane(datasheet: Datasheet) -> Datasheet:
+    """xA and xB alone, of four axes."""
     damping = datasheet.amplifier_damping_ratio
-    sheet = replace(
+    return replace(
         datasheet,
         axes=datasheet.axes[:2],
         current_stiffness_n_per_a=datasheet.current_stiffness_n_per_a[:2],
@@ -28,4 +35,3 @@ def one_plane(measured: Experiment, datasheet: Datasheet) -> tuple[Experiment, D
         amplifier_damping_ratio=None if damping is None else damping[:2],
         sensor_gain=datasheet.sensor_gain[:2],
     )
-    return replace(measured, axes=measured.axes[:2], sweeps=tuple(map(cut, measured.sweeps))), sheet

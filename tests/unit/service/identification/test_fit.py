@@ -15,6 +15,7 @@ from service.identification.result import CommissioningResult
 from service.identification.synthetic import synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.errors import AmbError
+from tests.support.two_axes import sheet_of_one_plane
 
 
 def test_stiffness_is_found_from_a_datasheet_that_is_far_off(
@@ -103,22 +104,7 @@ def test_inertia_and_centre_of_gravity_are_told_and_the_exact_aliases_named(
 def test_a_rig_with_one_plane(
     experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel], controller
 ) -> None:
-    one = replace(
-        datasheet,
-        axes=datasheet.axes[:2],
-        **{
-            name: getattr(datasheet, name)[:2]
-            for name in (
-                "current_stiffness_n_per_a",
-                "position_stiffness_n_per_m",
-                "bias_current_a",
-                "amplifier_gain",
-                "amplifier_natural_frequency_hz",
-                "amplifier_damping_ratio",
-                "sensor_gain",
-            )
-        },
-    )
+    one = sheet_of_one_plane(datasheet)
     f = experiment.main.frequency_hz[experiment.main.axis == 0]
     sweep = synthetic_sweep({"x": truth["x"]}, one.axes, controller, f, 0.12, seed=4)
     result = identify(synthetic_experiment(sweep, axes=one.axes), one)

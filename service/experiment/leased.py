@@ -1,0 +1,125 @@
+"""A controller while a campaign holds its lease: made ready, played on while its bus fails, stopped by who cancels."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from secrets import token_hex
+from typing import TypeVar
+
+from drivers.controller import (
+    Controller,
+    PeriodicController,
+    PointResult,
+    State,
+    Tone,
+    TripCause,
+    Waveform,
+    WaveformResult,
+)
+from drivers.errors import BusError, CancelledError, ControllerError, TripError
+from service.experiment.errors import CampaignError
+from service.experiment.multisine_plan import PeriodicRequest
+from service.experiment.plan import Request
+from service.experiment.recorder import Trip
+
+T = TypeVar("T")
+
+WATCH_S = 0.1
+BUS_TRIES = 6
+"""With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
+FIRST_PAUSE_S = 0.1
+
+
+def alone(name: str) -> str:
+    """A holder's name of its own for each call: devices tell hosts by their names."""
+    return f"{name} {token_hex(3)}"
+
+
+class Patient:
+    """Plays tones on a leased controller, and gives a failing bus time to come back."""
+
+    def __init__(self, controller: Controller, cancelled: Callable[[], bool]) -> None:
+        self._controller = controller
+        self._cancelled = cancelled
+
+    def __call__(self, request: Request | PeriodicRequest) -> PointResult | WaveformResult | Trip:
+        """One tone or waveform, or how it tripped; the trip is acknowledged."""
+        play = self._player(request)
+        for attempt in range(BUS_TRIES):
+            if self._cancelled():
+                raise CancelledError("the campaign was cancelled; the excitation is off")
+            try:
+                return self._through(play)
+            except TripError as trip:
+                self._through(self._controller.acknowledge)
+                if trip.cause != "host":
+                    return Trip(trip.cause, str(trip))
+                # a watchdog that tripped says something of the bus, not of the tone
+                if attempt == BUS_TRIES - 1:
+                    raise
+        raise AssertionError("the last attempt returns or raises")
+
+    def _player(self, request: Request | PeriodicRequest) -> Callable[[], PointResult | WaveformResult]:
+        """What plays the request."""
+        if isinstance(request, Request):
+            tone = Tone(**asdict(request))
+            return lambda: self._controller.measure(tone)
+        waveform = Waveform(request.waveform_a, request.periods, request.settle_samples)
+        controller = self._controller
+        if not isinstance(controller, PeriodicController):
+            raise CampaignError("the controller plays no periodic waveforms although its capabilities promise them")
+        return lambda: controller.measure_periodic(waveform)
+
+    def _through(self, call: Callable[[], T]) -> T:
+        """Result of a call over the bus, tried again while the bus fails."""
+        pause = FIRST_PAUSE_S
+        for _ in range(BUS_TRIES - 1):
+            try:
+                return call()
+            except BusError:
+                time.sleep(pause)
+                pause *= 2
+        return call()
+
+
+def make_ready(controller: Controller) -> None:
+    """Refuse a rig that is off or tripped; the trip of a host that went away, as a killed run does, is acknowledged."""
+    status = controller.status()
+    if status.state == State.TRIPPED:
+        if status.trip != TripCause.HOST:
+            raise CampaignError(
+                f"the controller is tripped ({status.trip_message}); find the cause and acknowledge it first"
+            )
+        controller.acknowledge()
+    if status.state == State.OFF:
+        raise CampaignError("the rotor does not levitate: the controller is off; switch it on first")
+
+
+@contextmanager
+def stopped_by(controller: Controller, cancelled: Callable[[], bool] | None) -> Iterator[None]:
+    """Watch ``cancelled`` from another thread and, once it is true, say stop until the campaign has ended.
+
+    Said once, it might come just before the next tone begins, or be lost on the bus.
+    """
+    if cancelled is None:
+        yield
+        return
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(WATCH_S):
+            if cancelled():
+                with suppress(ControllerError):
+                    controller.stop()
+
+    thread = threading.Thread(target=watch, name="campaign-watch", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
