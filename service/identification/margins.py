@@ -222,9 +222,9 @@ def _stds(
     known = np.isfinite(every)
 
     def of(theta: Real) -> Real:
-        s = np.full(len(every), np.nan, dtype=complex)
-        s[known] = sensitivity(model.at(theta), controller, every[known])[:, j, j]
-        loops: Complex = np.asarray(1.0 / s[:-1] - 1.0, dtype=np.complex128)
+        s = sensitivity(model.at(theta), controller, every[known])[:, j, j]
+        loops: Complex = np.full(places.size, np.nan, dtype=np.complex128)
+        loops[known[:-1]] = 1.0 / s[:-1] - 1.0
         return np.append(np.abs(s[-1]), moved(places, loops.reshape(places.shape)))
 
     gradient = []

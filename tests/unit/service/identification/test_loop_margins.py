@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from service.identification.loop_margins import loop_margins, moved
+from service.identification.margins import axis_margins
+from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
 
 OMEGA = np.geomspace(1e-2, 1e2, 4000)
@@ -61,3 +63,16 @@ def test_margins_of_a_plane_have_deviations_and_their_measured_counterparts(resu
             assert told["measured_phase_margin_deg"][axis] > value - 1.5
             assert told["delay_margin_s_std"][axis] > 0
             assert all(s is None or s > 0 for s in told["gain_margin_db_std"][axis])
+
+
+def test_margins_that_a_loop_does_not_have_are_none(
+    truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Of so weak a law the loop never reaches one: no phase, no delay, and nothing is computed of them."""
+    model = truth["x"]
+    free = model.layout.free()
+    weak = (1e-3 * controller[0], controller[1])
+    for axis in axis_margins(model, weak, np.diag((1e-4 * model.theta[free]) ** 2), free, None):
+        assert (axis.phase_deg.value, axis.phase_deg.std) == (None, None)
+        assert (axis.delay_s.value, axis.delay_s.std) == (None, None)
+        assert axis.peak_std > 0
