@@ -56,7 +56,7 @@ def assemble(
 ) -> PlaneResult:
     """Result of a plane from its joint fit."""
     refined, model, points = selected.refined, selected.refined.model, data.plant
-    u = uncertainty_of(refined, selected.splits, inflation=refined.noise.inflation)
+    u = uncertainty_of(refined, selected.splits, inflation=refined.noise.inflation, estimated_weights=True)
     fit, at_lines = frequency_fit(model, points, refined.amplitude)
     cross, cross_rms, validation_frf, validation_model = cross_validation(model, held_out, refined.reach)
     rms, tests = residual_tests(refined, points)

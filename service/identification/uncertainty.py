@@ -109,19 +109,19 @@ def uncertainty_of(
     dof = max(n_data - jacobian.shape[1] + n_held, 1)
     chi = float(rest @ rest)
     scale = np.sqrt(chi / dof)
-    from_data = covariance_of(jacobian)
+    inverse = from_data = covariance_of(jacobian)
     adequate = refined.relative == 0 and chi < inflation * chi2_above(1 - level, dof)
     if adequate and estimated_weights:
-        from_data = from_data * max(scale, 1.0) ** 2
+        from_data = inverse * max(scale, 1.0) ** 2
     reported, widening = from_data, 1.0
     if not adequate:
-        scaled = from_data * max(scale, 1.0) ** 2
-        sandwich = _sandwich(jacobian[:n_data] @ from_data, rest)
+        scaled = inverse * max(scale, 1.0) ** 2
+        sandwich = _sandwich(jacobian[:n_data] @ inverse, rest)
         growth = np.sqrt(np.maximum(np.diag(scaled), np.diag(sandwich)) / np.maximum(np.diag(scaled), 1e-300))
         reported = scaled * np.outer(growth, growth)
         widening = float(np.max(np.sqrt(np.diag(reported) / np.diag(from_data))))
     if splits is not None:
-        moves = from_data @ jacobian[n_data:].T / HELD
+        moves = inverse @ jacobian[n_data:].T / HELD
         reported = reported + moves @ splits.covariance @ moves.T
     return Uncertainty(reported, from_data, refined.fit.free, bool(adequate), widening, float(scale))
 
