@@ -59,11 +59,15 @@ class RingingPole:
         z = np.exp(pole * period)
         at_pole = _transfer(system, np.array([z]))[0]
         c = complex(np.polyval(controller[0], z) / np.polyval(controller[1], z))
-        _, _, vh = np.linalg.svd(np.eye(2) + c * at_pole[2:])
-        seen = (at_pole - _transfer(system, np.exp(1j * omega * period))) @ vh[-1].conj()
-        start = np.abs(points.r[np.arange(len(omega)), points.axis]) / np.abs(1j * omega - pole)
-        left = start[:, None] * (seen if points.I is not None else seen[:, 2:])
-        return cls(points, np.asarray((pole - 1j * omega) * period, dtype=np.complex128), left, period)
+        w, _, vh = np.linalg.svd(np.eye(2) + c * at_pole[2:])
+        left, right = w[:, -1].conj(), vh[-1].conj()
+        step = 1e-5 * abs(pole)
+        ahead, behind = (_returned(system, controller, np.exp((pole + d) * period)) for d in (step, -step))
+        woken = np.abs(left / (left @ ((ahead - behind) / (2 * step)) @ right))
+        seen = (at_pole - _transfer(system, np.exp(1j * omega * period))) @ right
+        start = woken[points.axis] * np.abs(points.r[np.arange(len(omega)), points.axis]) / np.abs(1j * omega - pole)
+        rung = start[:, None] * (seen if points.I is not None else seen[:, 2:])
+        return cls(points, np.asarray((pole - 1j * omega) * period, dtype=np.complex128), rung, period)
 
     def ringing(self, block_s: Real) -> Ringing:
         """For blocks of a length, (P,) s."""
@@ -71,6 +75,12 @@ class RingingPole:
         mean = (turn - 1.0) / (np.expm1(self.away) * block_s / self.sample_time_s)
         powers = turn[:, None] ** np.arange(self.points.n_blocks)
         return Ringing(self.start, np.asarray(mean, dtype=np.complex128), np.asarray(powers, dtype=np.complex128))
+
+
+def _returned(system: Sampled, controller: tuple[Real, Real], z: complex) -> Complex:
+    """I + C G of the loop, (2, 2)."""
+    c = complex(np.polyval(controller[0], z) / np.polyval(controller[1], z))
+    return np.asarray(np.eye(2) + c * _transfer(system, np.array([z]))[0, 2:])
 
 
 def _transfer(system: Sampled, z: Complex) -> Complex:

@@ -22,6 +22,8 @@ from service.identification.zoh import Complex, Real
 
 SIZES = np.concatenate([[0.0], np.geomspace(1e-3, 1e9, 121)])
 """Variances that are tried for what starts leave, in units of what one point's blocks tell of it on their own."""
+AMPLITUDES = np.linspace(0.0, 1.0, 1001)
+"""The same of starts that the blocks hardly show, in those from rest; not variances."""
 TOGETHER = 6
 """Steps in which the sizes of several sources find to one another."""
 
@@ -45,8 +47,8 @@ class Source:
         return np.asarray(self.size[:, None, None, None, None] * self.unit)
 
     @classmethod
-    def started(cls, left: Complex, size: Real, axis: NDArray[np.int64]) -> Source:
-        """What starts leave, (P, B, c) for one of size 1."""
+    def started(cls, left: Complex, size: Real, axis: NDArray[np.int64] | None = None) -> Source:
+        """What starts leave, (P, B, c) for one of size 1; without axes of a size that the blocks do not change."""
         return cls(np.asarray(left[:, :, :, None, None] * left[:, None, None].conj()), size, axis)
 
 
@@ -72,9 +74,7 @@ class Taken:
 
         Tones at either bearing leave transients of different size.
         """
-        left = self._changed(ringing.left)
-        told = (left[:, None].conj() @ self._inverse @ left[:, :, None])[:, 0, 0].real
-        seen = np.abs(np.einsum("pn,pn->p", left.conj(), self._weighed)) ** 2
+        told, seen = self._told_of(ringing)
         gain, size = 0.0, np.zeros(len(axis))
         for k in np.unique(axis):
             mine = axis == k
@@ -86,6 +86,19 @@ class Taken:
             gain += float(gains.max())
             size[mine] = sizes[gains.argmax()]
         return gain, size
+
+    def allowed(self, ringing: Ringing) -> float:
+        """Expected square of the size of starts at which the blocks hardly hint, beside the sources.
+
+        Of a size that may as well be nothing as that of a start from rest, equally likely a priori in between. The
+        likeliest is often none at all where as much as noise keeps up is left of a start, and deviations that hold
+        it for the truth are too small (Gelman, Bayesian Analysis 1, 2006, 515-534).
+        """
+        told, seen = self._told_of(ringing)
+        square = AMPLITUDES[:, None] ** 2
+        likelihood = np.sum(square * seen / (1.0 + square * told) - np.log1p(square * told), axis=1)
+        weight = np.exp(likelihood - likelihood.max())
+        return float(weight @ square[:, 0] / weight.sum())
 
     @cached_property
     def likelihood(self) -> float:
@@ -127,6 +140,12 @@ class Taken:
     def _changed(self, blocks: Complex) -> Complex:
         """That part of blocks (P, B, c), (P, n)."""
         return np.asarray(self._changes @ blocks.reshape(len(blocks), -1, 1))[:, :, 0]
+
+    def _told_of(self, ringing: Ringing) -> tuple[Real, Real]:
+        """What the blocks can tell of starts, and what they show of them: squares, for one of size 1, (P,) each."""
+        left = self._changed(ringing.left)
+        told = (left[:, None].conj() @ self._inverse @ left[:, :, None])[:, 0, 0].real
+        return told, np.abs(np.einsum("pn,pn->p", left.conj(), self._weighed)) ** 2
 
     def _flat(self, source: Source) -> Complex:
         """Covariance of a source's blocks, (P, B c, B c)."""

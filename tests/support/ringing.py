@@ -18,8 +18,9 @@ AXES = ("xA", "xB")
 HZ = np.unique(np.concatenate([np.geomspace(12, 980, 26), 495 + np.linspace(-12, 12, 9), 907 + np.linspace(-9, 9, 7)]))
 
 
-def run(settle_s: float, told: bool = True, seed: int = 0, truth: PlaneModel = TRUTH) -> Sweep:
-    """The sampled linear loop from rest, tone by tone, step by step in time; y is 20 nm noisy, i 2 mA."""
+def run(settle_s: float, told: bool = True, seed: int = 0, truth: PlaneModel = TRUTH, noisy: bool = True) -> Sweep:
+    """The sampled linear loop from rest, tone by tone, step by step in time; y is 20 nm noisy, i 2 mA, or neither."""
+    noise = noisy * np.array([20e-9, 2e-3])
     plant = sampled(truth)
     see_i = np.zeros((2, len(plant.A)))
     at = 0
@@ -39,8 +40,8 @@ def run(settle_s: float, told: bool = True, seed: int = 0, truth: PlaneModel = T
     memory = np.zeros((len(a) - 1, 2, len(hz)))  # of the controller, transposed direct form
     sums = {name: np.zeros((len(hz), BLOCKS, 2), dtype=complex) for name in "ruiy"}
     for k in range(start + BLOCKS * int(n.max())):
-        y = plant.C @ x + 20e-9 * rng.standard_normal((2, len(hz)))
-        i = see_i @ x + 2e-3 * rng.standard_normal((2, len(hz)))
+        y = plant.C @ x + noise[0] * rng.standard_normal((2, len(hz)))
+        i = see_i @ x + noise[1] * rng.standard_normal((2, len(hz)))
         out = b[0] * -y + memory[0]
         memory = np.concatenate([memory[1:], np.zeros((1, 2, len(hz)))]) + b[1:, None, None] * -y
         memory -= a[1:, None, None] * out
