@@ -1,6 +1,6 @@
 """A turning rotor, again and again: polar inertia, gyroscopic coupling and inertia against what is reported of them.
 
-Run: python benchmarks/rotating.py [--runs 100]
+Run: python benchmarks/rotating.py [--runs 100] [--first-seed 0]
 
 Simulated rig with the exact force law at 0, 157 and 314 rad/s, noise of the practice files' size, no mode known. Beside
 what is reported stands the same fit of the same data told the exact noise: it draws the same lots, so what chance does
@@ -46,11 +46,13 @@ def figures(turned: Turned) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=100)
-    runs = parser.parse_args().runs
+    parser.add_argument("--first-seed", type=int, default=0)
+    arguments = parser.parse_args()
+    runs = arguments.runs
     sheet, own, told, seconds = reference_datasheet(), [], [], []
     truth = {"polar inertia": POLAR, "g of mode 1": COUPLING, "g of mode 2": COUPLING, "transverse inertia": 10.87}
     truth |= {"turning damping 1": INTERNAL, "turning damping 2": INTERNAL}
-    for seed in range(runs):
+    for seed in range(arguments.first_seed, arguments.first_seed + runs):
         sweeps = tuple(sweep_at(w, 10 * seed + k) for k, w in enumerate(SPEEDS))
         begin = time.process_time()
         turned = identify(Experiment("reference", sheet.axes, sweeps), sheet).rotating

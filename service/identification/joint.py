@@ -17,8 +17,9 @@ from service.identification.start import with_modes, with_split
 MOSTLY = 0.5
 """Of a model's relative error: what is left where modes beyond the band explain most of it."""
 
-LEVELS, FITTING = 8, 0.03
-"""Rounds at most in which the size of a model's error is found, and how near to 1 the residuals are to be with it."""
+LEVELS, FITTING, BOUNDS = 8, 0.03, (1e-4, 0.3)
+"""Rounds at most in which the size of a model's relative error is found, how near to 1 the residuals are to be with it,
+and between what it lies."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,9 @@ class JointFits:
             rms = float(np.sqrt(r @ r / len(r)))
             if abs(rms - 1.0) < FITTING:
                 break
-            level = float(np.clip(level * rms, 1e-4, 0.3))
+            before, level = level, float(np.clip(level * rms, *BOUNDS))
+            if level == before:
+                break  # it is wrong by more than may be forgiven
             found = self._at_level(found.model, level)
         return found
 
