@@ -1,6 +1,7 @@
 """Seconds on the rig against the standard deviation of ki and ks: stepped sine and multisine on the reference rig.
 
 python benchmarks/multisine.py [runs of the multisine, default 20] [runs of the stepped sine, default 4]
+python benchmarks/multisine.py 10 --delay-us 30
 
 Rig seconds are those of the whole experiment: noise, pilot, settling, ramps, validation, amplifiers. Reported
 deviations are those of result.json; "data" is their part that noise brings, "MC" the scatter of the errors over seeds
@@ -9,16 +10,21 @@ is alike in both experiments and no time on the rig lowers it. So the last colum
 multisine would need for the data's part of the stepped sine's deviation, as a share of the latter's time (deviations
 fall with the root of the time): as measured, and by the Cramer-Rao bound of the best powers of all odd lines at the
 same root mean squares of displacement, current and excitation, the model known beforehand, nothing kept for its checks.
+
+With a delay that the controller was not made for the loop hardly damps the first mode, and the question is another one:
+what starts, and noise that rings on over the periods, leave in damping ratios. So many multisine campaigns are measured
+as they are, and as many that wait only until periods agree with one another, not for what the pilot's model says.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 import time
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -26,23 +32,27 @@ from drivers.simulated.driver import SimulatedController
 from service.bootstrap import profile_for
 from service.experiment.campaign import run_campaign
 from service.experiment.data import Experiment
+from service.experiment.multisine_design import Design
 from service.experiment.multisine_plan import MultisineProfile
+from service.identification.closed_loop import closed_loop_poles
 from service.identification.fit import identify
 from service.identification.input_design import best_powers, closed_loop, line_information
 from service.identification.synthetic import plane_model_of
 from sim.reference import reference_datasheet, reference_rig
+from sim.rig import Rig
+from sim.twin import with_effects
 
 RIG = reference_rig()
 PROFILE = MultisineProfile()
 Figures = dict[str, tuple[float, float, float]]
 
 
-def measured(excitation: str, seed: int) -> tuple[Experiment, float]:
+def measured(excitation: str, seed: int, rig: Rig = RIG) -> tuple[Experiment, float]:
     """An experiment and the wall time that it took."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        rig = SimulatedController(RIG, seed=seed)
-        experiment = run_campaign(rig, reference_datasheet(), Path(folder), profile=profile_for(excitation))
+        controller = SimulatedController(rig, seed=seed)
+        experiment = run_campaign(controller, reference_datasheet(), Path(folder), profile=profile_for(excitation))
     return experiment, time.perf_counter() - began
 
 
@@ -92,9 +102,39 @@ def bounds(experiment: Experiment) -> dict[str, float]:
     return out
 
 
+def late(runs: int, delay_us: float) -> None:
+    """Damping ratios where the loop hardly damps a mode, with and without a wait for what the pilot's model says."""
+    rig, sheet = with_effects(RIG, {"loop_delay": {"delay_s": 1e-6 * delay_us}}), reference_datasheet()
+    controller = (np.array(sheet.numerator), np.array(sheet.denominator))
+    for p in "xy":
+        z = closed_loop_poles(plane_model_of(rig, p), controller)
+        swings = np.log(z[z.imag > 0]) * sheet.sample_rate_hz
+        slowest = swings[np.argmax(swings.real)]
+        print(f"{p}-plane: the loop damps {slowest.imag / (2 * np.pi):.1f} Hz with {-slowest.real:.2f} 1/s")
+    print(f"damping ratios, percent of the truth, {runs} campaigns each")
+    print(f"{'wait':26}{'rig s':>6}{'':9}" + "".join(f"{c:>9}" for c in ("bias", "rms", "std", "bias/std", "rms/std")))
+    for wait, settle_s in (("as the pilot's model says", Design.settle_s), ("until periods agree", lambda _: 0.0)):
+        with patch.object(Design, "settle_s", settle_s):
+            experiments = [measured("multisine", seed, rig)[0] for seed in range(1, runs + 1)]
+        seconds = np.mean([float(e.attributes["rig_seconds"]) for e in experiments])
+        found = [figures(e) for e in experiments]
+        for name in (n for n in found[0] if "zeta" in n):
+            error, std, _ = np.array([f[name] for f in found]).T
+            rms = float(np.sqrt(np.mean(error**2)))
+            row = (error.mean(), rms, std.mean(), error.mean() / std.mean(), np.sqrt(np.mean((error / std) ** 2)))
+            print(f"{wait:26}{seconds:6.0f} {name:8}" + "".join(f"{x:9.3f}" for x in row), flush=True)
+
+
 def main() -> None:
-    arguments = [int(x) for x in sys.argv[1:]]
-    runs = {"multisine": arguments[0] if arguments else 20, "stepped-sine": arguments[1] if len(arguments) > 1 else 4}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("multisines", type=int, nargs="?", default=20)
+    parser.add_argument("stepped", type=int, nargs="?", default=4)
+    parser.add_argument("--delay-us", type=float, help="more delay in the loop: damping ratios of multisines alone")
+    arguments = parser.parse_args()
+    if arguments.delay_us is not None:
+        late(arguments.multisines, arguments.delay_us)
+        return
+    runs = {"multisine": arguments.multisines, "stepped-sine": arguments.stepped}
     found: dict[str, dict[str, list[tuple[float, float, float]]]] = {e: defaultdict(list) for e in runs}
     seconds, least = {}, {}
     for excitation, count in runs.items():
