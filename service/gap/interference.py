@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from service.experiment.data import Sweep
 from service.gap.candidates import LAW_ERROR
 from service.gap.coherent import coherence, hum_power, without_hum
-from service.gap.observation import HUMMED, block_scatter, near_hum, usable
+from service.gap.observation import HUMMED, near_hum, usable
+from service.gap.scatter import block_scatter
 from service.gap.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
 from sim.rig import Rig
 from sim.twin import linear_model

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.coherent import PATTERNS, deviation, left_in_mean, without_hum
+from service.gap.coherent import PATTERNS, left_in_mean, without_hum
+from service.gap.leak import leaked, periods
+from service.gap.scatter import block_scatter, smooth_variance
 from service.gap.settling import drifting
 from service.gap.wander import wander
 from sim.errors import AmbError
@@ -30,9 +32,19 @@ MODEL_FLOOR = 3e-4
 same rig differ by this much near 1 kHz (measured on rigs of an independent program)."""
 
 
+CONTROLLER_FLOOR = 3e-5
+"""The same for the controller: its law is arithmetic, with nothing to integrate between samples, so only the digits to
+which a datasheet writes its coefficients count."""
+
+
 UNSETTLED_SHARE = 0.25
 """Share of a point's drift, first block to last, that is counted as its error: a block of a signal that still
 decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
+
+
+ENDS = 2.0
+"""What a drift over a point's k periods leaves of a law without a resonance, the controller's, times pi k (0.7 to 1.7
+times the drift on rigs of an independent program, at any harmonic)."""
 
 
 SMALLEST_SHARE = 1e-6
@@ -46,12 +58,6 @@ HARMONIC_ERROR = 0.1
 
 HUMMED = 0.35
 """Relative distance to an interference within which it is counted as a point's own error."""
-OWN_SCATTER = 3.0
-"""Ratio of a point's variance to its neighbours' beyond which it counts as its own: 1 in 1000 for six blocks."""
-
-
-WELL_DRIVEN = 100.0
-"""Condition of the signals of a line, one column for each driven axis, up to which they tell a response."""
 
 
 class GapError(AmbError):
@@ -118,72 +124,6 @@ def usable(sweep: Sweep) -> Sweep:
     return sweep.select(good)
 
 
-def _smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
-    """Variance pooled over neighbouring frequencies, (P, H, n): a block variance alone has few degrees of freedom."""
-    order = np.argsort(frequency_hz, kind="stable")
-    sorted_v = np.log(np.maximum(v[order], 1e-300))
-    pad = min(width, len(order) - 1)
-    padded = np.pad(sorted_v, ((pad, pad), *((0, 0),) * (v.ndim - 1)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * pad + 1, axis=0)
-    # The median of log variance with 2 (B - 1) degrees of freedom sits a little below the mean: a tenth at B = 6.
-    smooth = np.exp(np.median(windows, axis=-1)) * 1.07
-    pooled = np.empty_like(v)
-    pooled[order] = smooth
-    # A point that scatters far more than its neighbours (a transient in one block) keeps its own variance.
-    return np.where(v > OWN_SCATTER * pooled, v, pooled)
-
-
-def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
-    """Variance of the mean over blocks of what a model leaves of u, i and y, (P, H, n) each, A^2 and m^2.
-
-    Feedback carries the noise of y round; a model of what lies between two signals takes that part out. At the
-    excited frequency the data give it where every axis was driven, whatever the rig is. Elsewhere it is that of
-    ``rig`` (any reasonable twin). i is zero where it was not logged.
-    """
-    frequency, line = time_points(sweep.frequency_hz)
-    blocks = sweep.Y.shape[1]
-    of_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
-    of_y, of_u = np.zeros_like(of_i), np.zeros_like(of_i)
-    for k, h in enumerate(sweep.harmonics):
-        model = linear_model(rig, np.maximum(h * frequency, 1e-2))
-        R, U, Y = sweep.R[:, :, k], sweep.U[:, :, k], sweep.Y[:, :, k]
-        C = np.broadcast_to(-model.controller[:, None, None] * np.eye(rig.n_axes), model.y_per_u.shape)
-
-        def scatter(X: Complex, V: Complex, twin: Complex, cause: Complex, effect: Complex, h: int = h) -> Real:
-            e = deviation(X) - np.einsum("pij,pbj->pbi", twin[line], deviation(V))
-            power = np.mean(np.abs(e) ** 2, axis=1)
-            if h:  # near a sharp peak the twin may be far off; the direct scatter then bounds the noise
-                power = np.minimum(power, np.mean(np.abs(deviation(X)) ** 2, axis=1))
-            if h == 1:
-                measured, known = _response(effect, cause, line, len(frequency))
-                e = deviation(X) - np.einsum("pij,pbj->pbi", measured[line], deviation(V))
-                power = np.where(known[line, None], np.mean(np.abs(e) ** 2, axis=1), power)
-            return np.asarray(power / (blocks - 1))
-
-        of_y[:, k] = scatter(Y, U, model.y_per_u, U, Y)
-        of_u[:, k] = scatter(U, Y, C, Y, U - R)
-        if sweep.I is not None:
-            I = sweep.I[:, :, k]
-            of_i[:, k] = scatter(I, U, model.i_per_u, U, I)
-    return of_u, of_i, of_y
-
-
-def _response(
-    effect: Complex, cause: Complex, line: NDArray[np.int64], lines: int
-) -> tuple[Complex, NDArray[np.bool_]]:
-    """Response (F, n, n) of one signal to another, blocks (P, B, n), and which lines tell it, (F,)."""
-    n = effect.shape[2]
-    E, C = (np.zeros((lines, n, n), dtype=complex) for _ in range(2))
-    known = np.bincount(line, minlength=lines) == n
-    of = np.flatnonzero(known[line])
-    order = of[np.argsort(line[of], kind="stable")].reshape(-1, n)
-    E[known], C[known] = effect.mean(axis=1)[order].swapaxes(1, 2), cause.mean(axis=1)[order].swapaxes(1, 2)
-    known[known] = np.linalg.cond(C[known]) < WELL_DRIVEN
-    G = np.zeros_like(E)
-    G[known] = E[known] @ np.linalg.inv(C[known])
-    return G, known
-
-
 def observe(
     sweep: Sweep,
     rig: Rig,
@@ -212,22 +152,24 @@ def observe(
         sweep = without_hum(sweep, hums_hz[0])
         U, Y = sweep.U, sweep.Y
     scatter = block_scatter(sweep, rig)
-    sds = tuple(np.sqrt(_smooth_variance(v, sweep.frequency_hz)) for v in scatter)
+    sds = tuple(np.sqrt(smooth_variance(v, sweep.frequency_hz)) for v in scatter)
     sd_u, sd_i, sd_y = _with_hum(sds, heard, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
     mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
-    sd_u, sd_y = (_with_floor(sd, mean, sweep.harmonics) for sd, mean in ((sd_u, mean_u), (sd_y, mean_y)))
+    sd_u = _with_floor(sd_u, mean_u, sweep.harmonics, CONTROLLER_FLOOR)
+    sd_y = _with_floor(sd_y, mean_y, sweep.harmonics)
     sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
     drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _drift(U[:, :, f], sd_u[:, f], blocks)
     sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
+    sd_u = np.hypot(sd_u, (drift_u * ENDS / (np.pi * periods(sweep) * blocks))[:, None, None])
     rings = _ringing(rig, sweep)
     sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
     rings[:, f] = False
     sd_y[rings] = np.inf
-    sd_u = np.hypot(sd_u, UNSETTLED_SHARE * drift_u[:, None, None])
     if 0 in sweep.harmonics:
         k = sweep.harmonics.index(0)
+        sd_u, sd_i, sd_y = _with_leak((sd_u, sd_i, sd_y), sweep, rig, k)
         means = (mean_u, mean_u if mean_i is None else mean_i, mean_y)
         sd_y[:, k] = np.hypot(sd_y[:, k], wander(rig, means, sd_y[:, k], k, f, sweep))
     return Observation(
@@ -248,10 +190,10 @@ def observe(
     )
 
 
-def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...]) -> Real:
+def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...], floor: float = MODEL_FLOOR) -> Real:
     """Standard deviation with the model's own error, relative to the size of each channel and harmonic."""
     relative = np.where(np.array(harmonics) > 1, HARMONIC_ERROR, 0.0)  # a mean holds the static position too
-    relative[harmonics.index(1)] = MODEL_FLOOR
+    relative[harmonics.index(1)] = floor
     smallest = SMALLEST_SHARE * np.abs(mean).max()  # a coarse converter may not scatter at all
     return np.asarray(np.maximum(np.hypot(sd, relative[:, None] * np.abs(mean)), smallest))
 
@@ -280,6 +222,23 @@ def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[f
         of_u[:, k] = np.sqrt(of_u[:, k] ** 2 + u[:, k] ** 2 + through(C, y) ** 2)
         of_i[:, k] = np.sqrt(of_i[:, k] ** 2 + i[:, k] ** 2 + through(model.i_per_u, u) ** 2)
         of_y[:, k] = np.sqrt(of_y[:, k] ** 2 + y[:, k] ** 2 + through(model.y_per_u, u) ** 2)
+    return of_u, of_i, of_y
+
+
+def _with_leak(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, at_rest: int) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with what the slow rest of a start leaks; ``at_rest``: index of harmonic 0."""
+    of_u, of_i, of_y = (sd.copy() for sd in sds)
+    frequency, line = time_points(sweep.frequency_hz)
+    U, Y = sweep.U[:, :, at_rest], sweep.Y[:, :, at_rest]
+    for k, h in enumerate(sweep.harmonics):
+        if h == 0:
+            continue
+        model = linear_model(rig, h * frequency)
+        C = -model.controller[line, None, None] * np.eye(rig.n_axes)
+        of_u[:, k] = np.hypot(of_u[:, k], leaked(sweep, h, C, U - sweep.R[:, :, at_rest], Y))
+        of_y[:, k] = np.hypot(of_y[:, k], leaked(sweep, h, model.y_per_u[line], Y, U))
+        if sweep.I is not None:
+            of_i[:, k] = np.hypot(of_i[:, k], leaked(sweep, h, model.i_per_u[line], sweep.I[:, :, at_rest], U))
     return of_u, of_i, of_y
 
 

@@ -11,6 +11,8 @@ from service.gap.interference import interference
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.part import parts
+from service.gap.predict import control, weight
+from service.gap.significance import SIGNIFICANT, significance
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
@@ -140,3 +142,12 @@ def test_the_hum_of_a_rectifier_is_heard_too() -> None:
     loud = replace(measured, sweeps=tuple(hummed(s, 100.0, 30e-9, seed=k) for k, s in enumerate(measured.sweeps)))
     heard = interference(loud.sweeps[0], nuisance(datasheet).rig)
     assert [(s.effect, s.frequency_hz) for s in heard] == [("mains_interference", 100.0)]
+
+
+def test_a_controller_is_held_to_its_law_as_closely_as_arithmetic_allows() -> None:
+    """It shows where it is off by less than two programs' rotors are."""
+    datasheet, truth = known_datasheet(seed=16)
+    nu = nuisance(datasheet)
+    off = {"gain_change": 2e-4, "derivative_change": 0.0, "lag_samples": 0.0}
+    o = observe(experiment(with_effects(true_rig(truth), {"controller_mismatch": off})).sweeps[0], nu.rig)
+    assert significance((o.U - control(nu.rig, o)) * weight(o, "u"), o) > SIGNIFICANT

@@ -1,0 +1,92 @@
+"""The scatter of a sweep's blocks: the variance of what a model leaves of u, i and y.
+
+Feedback carries the noise of a sensor round; a model of what lies between two signals takes that part out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+from service.gap.coherent import deviation
+from service.gap.ends import share
+from sim.harmonic_balance import time_points
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+OWN_SCATTER = 3.0
+"""Ratio of a point's variance to its neighbours' beyond which it counts as its own: 1 in 1000 for six blocks."""
+WELL_DRIVEN = 100.0
+"""Condition of the signals of a line, one column for each driven axis, up to which they tell a response."""
+
+
+def smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
+    """Variance pooled over neighbouring frequencies, (P, H, n): a block variance alone has few degrees of freedom."""
+    order = np.argsort(frequency_hz, kind="stable")
+    sorted_v = np.log(np.maximum(v[order], 1e-300))
+    pad = min(width, len(order) - 1)
+    padded = np.pad(sorted_v, ((pad, pad), *((0, 0),) * (v.ndim - 1)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * pad + 1, axis=0)
+    # The median of log variance with 2 (B - 1) degrees of freedom sits a little below the mean: a tenth at B = 6.
+    smooth = np.exp(np.median(windows, axis=-1)) * 1.07
+    pooled = np.empty_like(v)
+    pooled[order] = smooth
+    # A point that scatters far more than its neighbours (a transient in one block) keeps its own variance.
+    return np.where(v > OWN_SCATTER * pooled, v, pooled)
+
+
+def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
+    """Variance of the mean over blocks of what a model leaves of u, i and y, (P, H, n) each, A^2 and m^2.
+
+    Feedback carries the noise of y round; a model of what lies between two signals takes that part out. At the
+    excited frequency the data give it where every axis was driven, whatever the rig is. Elsewhere it is that of
+    ``rig`` (any reasonable twin). i is zero where it was not logged.
+    """
+    frequency, line = time_points(sweep.frequency_hz)
+    blocks = sweep.Y.shape[1]
+    of_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
+    of_y, of_u = np.zeros_like(of_i), np.zeros_like(of_i)
+    for k, h in enumerate(sweep.harmonics):
+        model = linear_model(rig, np.maximum(h * frequency, 1e-2))
+        R, U, Y = sweep.R[:, :, k], sweep.U[:, :, k], sweep.Y[:, :, k]
+        C = np.broadcast_to(-model.controller[:, None, None] * np.eye(rig.n_axes), model.y_per_u.shape)
+
+        def scatter(X: Complex, V: Complex, twin: Complex, cause: Complex, effect: Complex, h: int = h) -> Real:
+            e = deviation(X) - np.einsum("pij,pbj->pbi", twin[line], deviation(V))
+            power = np.mean(np.abs(e) ** 2, axis=1)
+            if h:  # near a sharp peak the twin may be far off; the direct scatter then bounds the noise
+                power = np.minimum(power, np.mean(np.abs(deviation(X)) ** 2, axis=1))
+            if h == 1:
+                measured, known = _response(effect, cause, line, len(frequency))
+                e = deviation(X) - np.einsum("pij,pbj->pbi", measured[line], deviation(V))
+                power = np.where(known[line, None], np.mean(np.abs(e) ** 2, axis=1), power)
+            return np.asarray(power / (blocks - 1))
+
+        of_y[:, k] = scatter(Y, U, model.y_per_u, U, Y)
+        of_u[:, k] = scatter(U, Y, C, Y, U - R)
+        left = deviation(U - R) - np.einsum("pij,pbj->pbi", C[line], deviation(Y))
+        of_u[:, k] *= share(left, smooth_variance(of_u[:, k], sweep.frequency_hz))
+        if sweep.I is not None:
+            I = sweep.I[:, :, k]
+            of_i[:, k] = scatter(I, U, model.i_per_u, U, I)
+    return of_u, of_i, of_y
+
+
+def _response(
+    effect: Complex, cause: Complex, line: NDArray[np.int64], lines: int
+) -> tuple[Complex, NDArray[np.bool_]]:
+    """Response (F, n, n) of one signal to another, blocks (P, B, n), and which lines tell it, (F,)."""
+    n = effect.shape[2]
+    E, C = (np.zeros((lines, n, n), dtype=complex) for _ in range(2))
+    known = np.bincount(line, minlength=lines) == n
+    of = np.flatnonzero(known[line])
+    order = of[np.argsort(line[of], kind="stable")].reshape(-1, n)
+    E[known], C[known] = effect.mean(axis=1)[order].swapaxes(1, 2), cause.mean(axis=1)[order].swapaxes(1, 2)
+    known[known] = np.linalg.cond(C[known]) < WELL_DRIVEN
+    G = np.zeros_like(E)
+    G[known] = E[known] @ np.linalg.inv(C[known])
+    return G, known
