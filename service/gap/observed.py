@@ -13,7 +13,7 @@ from service.gap.modes import with_identified_modes
 from service.gap.nuisance import Nuisance, nuisance
 from service.gap.observation import GapError, Observation, observe
 from service.gap.settling import DRIFTS
-from service.gap.sweeps import halves, notes_on, span_s, sweeps_for
+from service.gap.sweeps import halves, notes_on, span_s, sweeps_for, timed
 from service.gap.thin import thinned
 from sim.datasheet import Datasheet
 
@@ -72,7 +72,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
     nu = nuisance(datasheet)
-    lines_only = other is None
+    main, other, lines_only = timed(main), None if other is None else timed(other), other is None
     if other is None:
         line = np.unique(main.frequency_hz, return_inverse=True)[1]
         main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from service.experiment.data import Experiment, Sweep
 from service.gap.nuisance import Nuisance
 from service.gap.observation import GapError, Observation, observe
 from service.gap.thin import thinned
+from service.identification.block_length import block_samples
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 
@@ -28,6 +30,13 @@ def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
     for k, s in excited[1:]:
         return main, s, f"sweeps/{k}"
     return main, None, "every other line of sweeps/0"
+
+
+def timed(sweep: Sweep) -> Sweep:
+    """The sweep with the length of its blocks, told by its lines where the file does not tell it and they do."""
+    if sweep.block_samples is not None or (told := block_samples(sweep)) is None:
+        return sweep
+    return replace(sweep, block_samples=told.astype(np.int64))
 
 
 def span_s(*sweeps: Sweep) -> tuple[float, float] | None:

@@ -7,6 +7,7 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.gap.coherent import coherence, hum_power, left_in_mean, without_hum
+from service.gap.sweeps import timed
 
 BLOCKS, AXES, HARMONICS, RATE_HZ = 6, 4, (0, 1, 2, 3), 10_000.0
 NOISE_M = 1e-9
@@ -78,3 +79,13 @@ def test_without_it_the_scatter_is_that_of_the_noise(hum_hz: float) -> None:
     before, after, noise = (np.mean(s.select(turning).Y.var(axis=1)) for s in (loud, without_hum(loud, hum_hz), quiet))
     assert before > 20 * noise
     assert 0.7 * noise < after < 2 * noise
+
+
+def test_a_file_that_does_not_tell_its_blocks_is_heard_as_well_where_its_lines_tell_them() -> None:
+    loud, _ = played(5e-9, 50.0, seed=1)
+    told = timed(replace(loud, block_samples=None))
+    assert told.block_samples is not None
+    assert np.mean(told.block_samples == loud.block_samples) > 0.9
+    assert coherence(told, told.Y, 50.0)[1] > 0.8 * coherence(loud, loud.Y, 50.0)[1]
+    odd = replace(loud, block_samples=None, frequency_hz=loud.frequency_hz * np.pi / 3)
+    assert timed(odd).block_samples is None, "no whole number of samples holds whole periods"
