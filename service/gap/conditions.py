@@ -16,7 +16,7 @@ from service.gap.compose import on_sweep
 from service.gap.observation import Observation
 from service.gap.predict import measured_signal, weight
 from service.gap.search import Explained
-from service.gap.significance import SIGNIFICANT, overall, significance
+from service.gap.significance import SIGNIFICANT, alone_hz, overall, significance
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -103,6 +103,8 @@ def changes(e: Explained, other: Observation) -> bool:
         z[rows, 0] = np.sqrt(2) * (error_there[rows] - expected) / np.sqrt(variance_there[rows] + spread)
         known[rows] = True
     kept = replace(there, line=there.line[known], axis=there.axis[known])
+    if alone_hz(e.part, z_there, there) is not None and alone_hz(e.part, e.plain[0], main) is None:
+        return True  # a limit that one line of one sweep reaches drowns in every band
     return max(significance(z[known], kept), overall(z[known])) > SIGNIFICANT
 
 

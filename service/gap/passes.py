@@ -16,7 +16,7 @@ from service.gap.observation import Observation
 from service.gap.observed import Observed
 from service.gap.part import Ground, Values, driven_by_current, parts
 from service.gap.search import MOST, Explained, explain, plain_twin
-from service.gap.significance import SIGNIFICANT, shows_alone_hz, significance
+from service.gap.significance import SIGNIFICANT, alone_hz, significance
 from service.gap.telling import Telling
 from service.gap.verdict import VISIBLE
 
@@ -143,8 +143,6 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
 
 
 def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
-    """The line of the other sweep that alone shows a gap in the amplifiers, Hz; other parts have peaks that look so."""
-    if e.part.path != "amplifier":
-        return None
+    """The line of the other sweep that alone shows a gap that amplifiers at their voltage limit may make, Hz."""
     o, z = on_sweep(e, chosen_in(e), unseen)
-    return shows_alone_hz(z, o)
+    return alone_hz(e.part, z, o)

@@ -13,7 +13,7 @@ from service.gap.candidates import Candidate, Fitter, Task
 from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE, Problem, Stage, slow_to_compute
 from service.gap.observation import Observation
 from service.gap.part import Ground, Part
-from service.gap.significance import shows_alone_hz, significance
+from service.gap.significance import alone_hz, significance
 from service.gap.starts import largest_rate, starts
 from service.gap.verdict import MIXED, Ranked, ranked, renormalised
 from sim.effects import CATALOGUE
@@ -191,7 +191,7 @@ def _leaves_something(best: Ranked, left: Sequence[Complex], ground: Ground) -> 
     everywhere = list(zip(left, ground.observations, strict=True))
     if any(significance(z, o) > REMAINS for z, o in everywhere):
         return True
-    return ground.part.path == "amplifier" and any(shows_alone_hz(z, o) is not None for z, o in everywhere)
+    return any(alone_hz(ground.part, z, o) is not None for z, o in everywhere)
 
 
 def _worthy(everything: Sequence[Ranked]) -> list[Ranked]:

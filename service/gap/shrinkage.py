@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.gap.observation import Observation
 from service.gap.predict import measured, residual, weights
-from service.gap.significance import SIGNIFICANT, overall, shows_alone_hz, significance
+from service.gap.significance import SIGNIFICANT, fastest_alone_hz, overall, shows_alone_hz, significance
 from sim.rig import Rig
 
 Real = NDArray[np.float64]
@@ -66,12 +66,13 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
     n, used = before.n_axes, [k for k in range(3) if k != 1 or o.I is not None]
     drawn = _drawn(len(o.frequency_hz), seed)
 
-    of_i = slice(n, 2 * n)
-    alone = o.I is not None and shows_alone_hz(z_b[..., of_i], o) is not None
+    of_i, of_y = slice(n, 2 * n), slice(2 * n, 3 * n)
+    limited, in_line = (of_y, fastest_alone_hz) if o.I is None else (of_i, shows_alone_hz)
+    alone = in_line(z_b[..., limited], o) is not None
 
     def closed(rows: NDArray[np.bool_], columns: slice) -> Closed:
         b, a, known = z_b[rows][..., columns], z_a[rows][..., columns], w[rows][..., columns]
-        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows])) or (alone and columns == of_i)
+        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows])) or (alone and columns == limited)
         return _closed(_per_point(b, known), _per_point(a, known), o.line[rows], drawn, shown)
 
     everywhere = np.ones(len(o.axis), dtype=bool)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from service.distributions import normal_above, normal_tail
 from service.gap.observation import Observation
+from service.gap.part import Part
 
 Complex = NDArray[np.complex128]
 
@@ -68,6 +69,23 @@ def shows_alone_hz(z: Complex, o: Observation) -> float | None:
         if len(values) > 1 and values[-2] > largest:
             at, largest = line, float(values[-2])
     return float(o.frequency_hz[at]) if largest > ALONE else None
+
+
+def fastest_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line that asks for the steepest current, Hz, where it shows a gap as in `shows_alone_hz`; None where not.
+
+    For the plant driven by the control signal, its currents not logged: a voltage limit is met in that line first.
+    """
+    steepness = np.abs(o.U[:, o.fundamental]).max(axis=1) * o.points_hz
+    line = int(o.line[np.argmax(steepness)])
+    return shows_alone_hz(np.where((o.line == line)[:, None, None], z, 0), o)
+
+
+def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
+    """The line that alone shows a gap that amplifiers at their voltage limit may make, Hz; other parts have peaks."""
+    if part.path == "amplifier":
+        return shows_alone_hz(z, o)
+    return fastest_alone_hz(z, o) if part.from_control else None
 
 
 def overall(z: Complex) -> float:

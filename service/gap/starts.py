@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.gap.jacobian import answer_and_jacobian, residue_columns, stacked
 from service.gap.observation import Observation
 from service.gap.part import Ground
-from service.gap.predict import answer, weight
+from service.gap.predict import answer, linear_answer, weight
 from sim.effect import Effect
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -59,7 +59,7 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "touchdown_contact":
         return stops(effect, base, rig, z, o)
     if effect.id == "amplifier_voltage_limit":
-        rate = largest_rate(o)
+        rate = largest_rate(o, rig)
         return [
             {"slew_inverse_s_per_a": 1 / (share * rate), "slope_seen": seen}
             for share in (0.9, np.pi / 4)  # a current that slews all the time is a triangle, 4/pi as steep in this
@@ -78,10 +78,16 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     return [base]
 
 
-def largest_rate(o: Observation) -> float:
-    """Largest slope of the coil current, A/s; of the control signal where the current was not logged."""
-    current = np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1)
-    return float((current * 2 * np.pi * o.points_hz).max())
+def largest_rate(o: Observation, rig: Rig | None = None) -> float:
+    """Largest slope of the coil current, A/s.
+
+    Where the current was not logged it is that of the small-signal ``rig``, or else of the control signal.
+    """
+    if o.I is not None or rig is None:
+        currents = (o.U if o.I is None else o.I)[:, o.fundamental]
+    else:  # of an amplifier far above its bandwidth, much less than the control signal asks for
+        currents = linear_answer(rig, o)[:, : rig.n_axes]
+    return float((np.abs(currents).max(axis=1) * 2 * np.pi * o.points_hz).max())
 
 
 def resonances(

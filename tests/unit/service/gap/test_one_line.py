@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment, Sweep
+from service.gap.candidates import Fitter
+from service.gap.compose import on_sweep
+from service.gap.conditions import dependence
 from service.gap.diagnose import diagnose
 from service.gap.nuisance import nuisance
 from service.gap.observation import Observation, observe
-from service.gap.significance import shows_alone_hz
+from service.gap.part import Ground, parts
+from service.gap.search import Explained, plain_twin
+from service.gap.significance import alone_hz, fastest_alone_hz, shows_alone_hz
 from service.gap.sweeps import halves
+from service.gap.verdict import ranked
 from sim.datasheet import Datasheet
 from sim.rig import Rig
 from sim.twin import with_effects
@@ -54,6 +60,20 @@ def test_a_limit_that_only_the_other_sweep_reaches_and_in_one_line_is_named_and_
     assert any("not the other" in note for note in d.notes)
 
 
+def test_without_the_current_the_gap_of_that_line_alone_depends_on_amplitude(
+    limited: tuple[Experiment, Datasheet],
+) -> None:
+    measured, datasheet = limited
+    nu = nuisance(datasheet)
+    main, other = (observe(replace(s, I=None), nu.rig) for s in measured.sweeps)
+    ground = Ground(nu, parts(nu, (main,))[-1], (main,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        null, plain = plain_twin(fitter, ground)
+    e = Explained(ground, tuple(ranked(null, [])), plain, plain)
+    assert alone_hz(e.part, on_sweep(e, null, other)[1], other) == HIGHEST
+    assert dependence(e, other, distorted=False).amplitude is True
+
+
 def test_the_line_that_alone_shows_a_gap_is_among_those_that_are_fitted_too(
     limited: tuple[Experiment, Datasheet],
 ) -> None:
@@ -86,3 +106,17 @@ def test_a_fundamental_and_an_odd_harmonic_off_in_one_line_show_there(quiet: tup
     point = int(np.flatnonzero(o.line == 5)[0])
     z[point, [o.fundamental, o.harmonics.index(3)], 1] = 9.0
     assert shows_alone_hz(z, o) == o.frequency_hz[5]
+
+
+def test_of_a_plant_only_the_line_with_the_steepest_current_shows_a_limit(
+    quiet: tuple[Observation, np.ndarray],
+) -> None:
+    """A mode's peak looks the same in any other."""
+    o, z = quiet
+    steepest = int(np.argmax(np.abs(o.U[:, o.fundamental]).max(axis=1) * o.points_hz))
+    other = int(np.flatnonzero(o.line == 2)[0])
+    z[other, o.fundamental, :] = 100.0
+    assert shows_alone_hz(z, o) == o.frequency_hz[2]
+    assert fastest_alone_hz(z, o) is None
+    z[steepest, o.fundamental, :] = 50.0
+    assert fastest_alone_hz(z, o) == o.points_hz[steepest]

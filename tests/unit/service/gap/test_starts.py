@@ -41,3 +41,16 @@ def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -
     ground = Ground(nu, parts(nu, (o,))[1], (o,), np.zeros(len(nu)))
     begun = starts(CATALOGUE["amplifier_voltage_limit"], nu.rig, np.zeros_like(o.I), o, ground)
     assert min(abs(1 / s["slew_inverse_s_per_a"] / limit_a_per_s - 1) for s in begun) < 0.01
+
+
+def test_without_the_current_a_voltage_limit_begins_at_what_the_amplifiers_make_of_the_control_signal() -> None:
+    """Above their bandwidth they ask for much less than it: from a limit beyond that, none is ever reached."""
+    datasheet, truth = known_datasheet(seed=13)
+    nu = nuisance(datasheet)
+    measured = sweep(true_rig(truth), np.geomspace(100.0, 2500.0, 8), 0.15, seed=1)
+    o, blind = observe(measured, nu.rig), observe(replace(measured, I=None), nu.rig)
+    assert o.I is not None
+    steepest = float((np.abs(o.I[:, o.fundamental]).max(axis=1) * 2 * np.pi * o.points_hz).max())
+    ground = Ground(nu, parts(nu, (blind,))[1], (blind,), np.zeros(len(nu)))
+    begun = starts(CATALOGUE["amplifier_voltage_limit"], nu.rig, np.zeros_like(o.Y), blind, ground)
+    assert all(0.5 * steepest < 1 / s["slew_inverse_s_per_a"] < steepest for s in begun)
