@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.candidates import Candidate
+from service.gap.curved import curved
 from service.gap.evidence import log_likelihood
 from service.gap.fit import Fit, Problem
 from service.gap.interference import Interference
@@ -154,6 +155,8 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,))
         elif explained and (reason := lag_missing(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
+        elif own[e.part.path].kind == "no_gap" and (reason := curved(e, on_sweep(e, chosen_in(e), unseen))):
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,), bent=True)
     by_size = sorted(found, key=lambda e: -_excess(e))
     total = sum(_excess(e) for e in found)
     unknown = [

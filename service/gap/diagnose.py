@@ -100,7 +100,7 @@ def diagnose(
     if sources and len(verdict.effects) == len(sources):
         closed = scatter_shrinkage(data.other, nu.rig, sources, found.name) or closed
         shrunk[verdict.effects] = closed
-    where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained)
+    where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
     pair = left_together(whole.order, verdict)
     proposal = next_experiment(nu, pair, o, experiment.rig)
     if pair and proposal is None:

@@ -74,6 +74,7 @@ def locate(
     effects: Sequence[str] = (),
     sources: Sequence[Interference] = (),
     unexplained: str | None = None,
+    bent: bool = False,
 ) -> Where:
     """Where the plain twin fails, from what the search left of every part, plant last, and from interference.
 
@@ -85,6 +86,8 @@ def locate(
         What the verdict names; the part of the first one is blamed, else the part whose gap stands out most.
     unexplained
         The part that the verdict says nothing explains; it is blamed where none stands out on the fitted sweep.
+    bent
+        Whether the verdict says that what is not explained is not in proportion to the excitation.
     """
     paths, harmonics = [], []
     for e in found:
@@ -101,7 +104,7 @@ def locate(
     named = CATALOGUE[effects[0]].path if effects else named
     blamed = next((e for e in found if e.part.path == named), found[-1])
     distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
-    bent = any(CATALOGUE[name].nonlinear for name in effects)
+    bent = bent or any(CATALOGUE[name].nonlinear for name in effects)
     depends = dependence(blamed, other, distorted or bent)
     if "thermal_drift" in effects:  # the sweeps differ in time too
         depends = Dependence(distorted or bent or None, None)

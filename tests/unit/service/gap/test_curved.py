@@ -1,0 +1,76 @@
+"""A sensor that is not linear is in no catalogue: its curvature is told, and magnets' own is not taken for it."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
+from service.gap.candidates import Fitter
+from service.gap.compose import on_sweep
+from service.gap.curved import curved
+from service.gap.diagnose import diagnose
+from service.gap.nuisance import nuisance
+from service.gap.observation import Observation, observe
+from service.gap.part import Ground, parts
+from service.gap.search import Explained, plain_twin
+from service.gap.verdict import ranked
+from sim.datasheet import Datasheet
+from sim.rig import Rig
+from sim.twin import linear_model
+from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
+
+CUBIC_PER_M2 = 4e6
+
+
+def with_bent_sensors(rig: Rig, s: Sweep, cubic_per_m2: float) -> Sweep:
+    """The sweep in a loop whose sensors add a cubic term, its harmonic 3 carried round by the loop."""
+    frequency, line = np.unique(s.frequency_hz, return_inverse=True)
+    m, f, k = linear_model(rig, 3 * frequency), HARMONICS.index(1), HARMONICS.index(3)
+    C, A, G = m.controller[:, None, None], m.i_per_u, m.y_per_u
+    own = cubic_per_m2 / 4 * s.Y[:, :, f] ** 3
+    Y = np.einsum("pij,pbj->pbi", np.linalg.inv(np.eye(rig.n_axes) + G * C)[line], own)
+    U = -C[line] * Y
+    I = np.einsum("pij,pbj->pbi", A[line], U)
+    out = {}
+    for name, more in (("U", U), ("I", I), ("Y", Y)):
+        out[name] = getattr(s, name).copy()
+        out[name][:, :, k] += more
+    return replace(s, **out)
+
+
+def test_a_sensor_bent_too_little_for_any_line_to_show_it_is_no_clean_rig() -> None:
+    datasheet, truth = known_datasheet(seed=41)
+    rig = true_rig(truth)
+    measured = experiment(rig)
+    bent = replace(measured, sweeps=tuple(with_bent_sensors(rig, s, CUBIC_PER_M2) for s in measured.sweeps))
+    report = diagnose(*one_plane(bent, datasheet)).to_dict()
+    assert report["verdict"]["kind"] == "none_of_these"
+    words = r"curved.*x\^3 of ([\d.e+-]+) per m\^2 \(standard deviation ([\d.e+-]+)\)"
+    told = re.search(words, report["verdict"]["sentence"])
+    assert told is not None
+    assert abs(float(told[1]) - CUBIC_PER_M2) < 4 * float(told[2])
+    assert report["where"]["amplitude_dependent"] is True
+
+
+def test_what_magnets_bend_more_or_less_than_their_datasheet_says_is_no_sensor() -> None:
+    """The cubic terms of their force go with the bias; the twin's are off by a tenth here."""
+    datasheet, truth = known_datasheet(seed=42)
+    bias = tuple(1.05 * b for b in truth.bias_current_a)
+    measured = experiment(true_rig(replace(truth, bias_current_a=bias)), amplitude_a=0.5)
+    e, unseen = plain_plant(measured, datasheet)
+    assert curved(e, unseen) is None
+    bent = tuple(with_bent_sensors(true_rig(truth), s, -50 * CUBIC_PER_M2) for s in measured.sweeps)
+    assert curved(*plain_plant(replace(measured, sweeps=bent), datasheet)) is not None
+
+
+def plain_plant(measured: Experiment, datasheet: Datasheet) -> tuple[Explained, tuple[Observation, np.ndarray]]:
+    """The plain twin's plant, and what it leaves of the other sweep."""
+    nu = nuisance(datasheet)
+    main, other = (observe(s, nu.rig) for s in measured.sweeps)
+    ground = Ground(nu, parts(nu, (main,))[-1], (main,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        null, plain = plain_twin(fitter, ground)
+    e = Explained(ground, tuple(ranked(null, [])), plain, plain)
+    return e, on_sweep(e, null, other)
