@@ -53,6 +53,11 @@ class Counted:
         """The fit with that number."""
         return self.tried[self.number]
 
+    @property
+    def from_start(self) -> bool:
+        """Whether the start led anywhere with all of its modes."""
+        return self.first.model.layout.n_modes == self.start.layout.n_modes
+
 
 @dataclass(frozen=True)
 class Counting:

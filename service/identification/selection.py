@@ -78,14 +78,14 @@ def choose_modes(
     found = counting.from_starts(searched or [start])
     if fits.rms(found.best) > ADEQUATE:
         found = counting.or_from(found, [start] if searched else searched_starts(rigid_model, plant, lowest_rad_s))
-    if fits.rms(found.best) > ADEQUATE and _work(found.start) > WORK:
+    if fits.rms(found.best) > ADEQUATE and found.from_start and _work(found.start) > WORK:
         found = counting.or_from(found, [found.start], SOFT)
     inside = fits.inside(found.start)
     if inside.layout.n_modes < found.start.layout.n_modes and fits.rms(found.best) > LOST:
         found = counting.or_from(found, [inside])
     best = found.best
     if fits.rms(best) > ADEQUATE:
-        best = fits.forgiving(found.start)
+        best = fits.forgiving(found.start if found.from_start else found.best.model)
     return _selected(found, best, data, knowledge)
 
 
