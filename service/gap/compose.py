@@ -152,7 +152,7 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         explained = own[e.part.path].kind in ("effect", "effects")
         # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
         if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (reason := other_rig(e)):
-            own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,))
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
         elif explained and (reason := lag_missing(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
         elif own[e.part.path].kind == "no_gap" and (reason := curved(e, on_sweep(e, chosen_in(e), unseen))):
@@ -165,6 +165,8 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         if own[e.part.path].kind == "none_of_these" and e.null.candidate.fit.chi_square > NEGLIGIBLE * total
     ]
     if unknown:
+        strange = [e for e in unknown if own[e.part.path].another_rig]
+        unknown = [*strange, *(e for e in unknown if e not in strange)]  # what else fails there fails for that reason
         reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in own[e.part.path].reasons)
         return replace(own[unknown[0].part.path], reasons=reasons, unexplained=unknown[0].part.path)
     named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
@@ -192,7 +194,7 @@ def other_rig(e: Explained) -> str | None:
     if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
         return None
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
-    told = ", ".join(f"{names[j]} by {abs(fit.theta[j]):.1f}" for j in worst)
+    told = ", ".join(f"{names[j].replace('_', ' ')} by {abs(fit.theta[j]):.1f}" for j in worst)
     return f"the datasheet seems to be of another rig; its values would be off by many tolerances ({told}): check it"
 
 

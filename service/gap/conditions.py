@@ -62,7 +62,7 @@ def same_condition(main: Observation, other: Observation) -> str | None:
         return None
     return (
         "both sweeps have the same amplitude and speed: closure is on other lines only, which is weaker than another "
-        "condition, and whether the gap depends on amplitude or speed was not tested"
+        "condition; whether the gap depends on the speed was not tested, and on the amplitude by harmonics alone"
     )
 
 

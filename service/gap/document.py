@@ -168,6 +168,9 @@ def sentence(d: Diagnosis) -> str:
         return f"No gap ({sure}): the twin explains the rig to {gap}, which is noise and the datasheet's tolerances."
     if not v.settled:
         return f"Nothing can be said of the gap: {v.reasons[0]}."
+    if v.another_rig:
+        told = v.reasons[0].removeprefix(f"{v.unexplained}: ")
+        return f"Nothing can be said of effects: the rig differs from its twin by {gap}, and {told} ({sure})."
     if v.kind == "none_of_these":
         why = f" ({v.reasons[0]})" if v.reasons else ""
         return (

@@ -65,7 +65,10 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         The data do not allow it: no excited sweep, too few points or blocks, axes that do not match.
     """
     if experiment.axes != datasheet.axes:
-        raise GapError(f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}")
+        raise GapError(
+            f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; "
+            "give the datasheet of the rig that was measured, with the same axes"
+        )
     main, other, name = sweeps_for(experiment)
     notes = notes_on(main, other, datasheet)
     if not datasheet.modes:

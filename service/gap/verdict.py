@@ -63,6 +63,8 @@ class Verdict:
     """False where the rig drifted so much that the gap could not be judged"""
     unexplained: str | None = None
     """the part of the loop that no known effect explains"""
+    another_rig: bool = False
+    """whether the datasheet seems to be of another rig, so that there is no gap to speak of"""
     bent: bool = False
     """whether what is not explained is proven not to be in proportion to the excitation"""
 

@@ -132,4 +132,7 @@ def test_the_datasheet_of_another_rig_is_said_to_be_one() -> None:
     measured = experiment(true_rig(truth))
     d = diagnose(replace(measured, sweeps=measured.sweeps[:1]), other)
     assert d.verdict.kind == "none_of_these"
-    assert "of another rig" in " ".join(d.to_dict()["verdict"]["reasons"])
+    said = d.to_dict()["verdict"]
+    assert "of another rig" in " ".join(said["reasons"])
+    assert said["sentence"].startswith("Nothing can be said of effects")
+    assert "check it" in said["sentence"]
