@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 from service.gap.candidates import Candidate, Fitter, Task
 from service.gap.evidence import log_evidence
-from service.gap.fit import EXACT
 from service.gap.part import Ground
 from service.gap.search import WITHIN, Explained, residuals
+from service.gap.stage import EXACT
 from service.gap.verdict import ALIKE, DETECTED, Ranked, noise_levels, renormalised
 from sim.effects import CATALOGUE
 

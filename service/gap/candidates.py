@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.evidence import occam
-from service.gap.fit import COARSE, EXACT, MIDDLE, Fit, Problem, Stage, slow_to_compute
+from service.gap.fit import Problem
+from service.gap.fitted import Fit
 from service.gap.part import Ground, Values
+from service.gap.stage import COARSE, EXACT, MIDDLE, Stage
+from service.gap.unknowns import slow_to_compute
 from service.pool import workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError

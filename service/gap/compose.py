@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from service.gap.candidates import Candidate
 from service.gap.curved import curved
 from service.gap.evidence import log_likelihood
-from service.gap.fit import Fit, Problem
+from service.gap.fit import Problem
+from service.gap.fitted import Fit
 from service.gap.interference import Interference
 from service.gap.loss import lag_missing
 from service.gap.nuisance import Nuisance

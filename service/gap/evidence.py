@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fit import Fit, Problem
+from service.gap.fit import Problem
+from service.gap.fitted import Fit
 
 Real = NDArray[np.float64]
 

@@ -7,18 +7,18 @@ change little from step to step, so they are kept until a step fails with them (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap.fitted import Fit, Linearised
 from service.gap.jacobian import answer_and_jacobian, current_jacobian, stacked
 from service.gap.observation import Observation
-from service.gap.part import Ground
 from service.gap.predict import answer, at_speed_of, centred, control, current, displacement, measured_signal, weight
-from sim.effect import Effect, Parameter
-from sim.effects import CATALOGUE
+from service.gap.stage import EXACT, Stage
+from service.gap.unknowns import Unknowns
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model
 
@@ -31,82 +31,10 @@ STEP = 2e-5
 """Forward difference of an effect's parameter, in units of its scale."""
 TOLERANCE_BOUND = 4.0
 """A datasheet's value may be off by this many of its tolerances; what lies beyond is a gap, not an uncertainty."""
-LONGEST_LOG = 1.5
-"""Longest step of a magnitude, in nats: a clearance that jumps past the rotor's reach would not come back."""
-CHANGING = ("thermal_drift",)
-"""Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
 CHORD = 4
 """Steps for which the derivatives by the datasheet's values, and by what is inherited, are kept."""
 WITHIN_FLOOR = 0.02
 """Cost per residual from which a stage with a floor of its own hands over: 0.14 of the floor, root mean square."""
-
-
-@dataclass(frozen=True)
-class Stage:
-    """How exact a pass of the fit is.
-
-    ``closed`` compares the closed loop's answer to r, smooth where the plant has sharp peaks;
-    ``relative_floor`` is an error allowed beside the noise, relative to the largest signal of a point.
-    """
-
-    closed: bool
-    relative_floor: float
-    iterations: int
-    tolerance: float
-
-
-COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3)
-MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3)
-PROBE = Stage(closed=False, relative_floor=0.0, iterations=4, tolerance=5e-3)
-EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A fitted twin, or one part of it."""
-
-    effects: tuple[str, ...]
-    theta: Real
-    """(k,) deviations from the datasheet, in units of the tolerances"""
-    values: tuple[dict[str, float], ...]
-    """parameters of each effect"""
-    rig: Rig
-    groups: tuple[tuple[float, int], ...]
-    """(chi-square, number of residuals) of the fundamental and of the other harmonics, sweep by sweep"""
-    penalty: float
-    """|theta|^2 of the values fitted, what the datasheet's tolerances hold against the fit; of another part's what its
-    data hold against it"""
-    active: NDArray[np.int64]
-    """indices of the values fitted"""
-    curvature: Real
-    """(a + e, a + e), J^T J of the weighted residuals; effect parameters in units of their scale"""
-    status: str
-    inherited: tuple[dict[str, float], ...] = ()
-    """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
-
-    @property
-    def chi_square(self) -> float:
-        """Of the weighted residuals, all harmonics."""
-        return sum(chi for chi, _ in self.groups)
-
-    @property
-    def n_residuals(self) -> int:
-        """Number of weighted residuals, real and imaginary parts apart."""
-        return sum(n for _, n in self.groups)
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """A fit as a linear problem, for what is asked beside it; sweep by sweep, at the excited frequency."""
-
-    weights: Sequence[Real]
-    """(P, H, n)"""
-    residuals: Sequence[Complex]
-    """(P, n) weighted"""
-    columns: Sequence[Complex]
-    """(P, n, a + e) weighted derivatives of the predictions"""
-    pull: Real
-    """(a + e,) of what is known beforehand, towards its mean"""
 
 
 @dataclass
@@ -125,70 +53,8 @@ class _State:
         return sum(2 * r.size for r in self.residuals)
 
 
-class Problem:
+class Problem(Unknowns):
     """Observations of a part of the loop, its uncertain values, and the effects that are fitted beside them."""
-
-    def __init__(self, ground: Ground, effects: Sequence[Effect] = ()) -> None:
-        self.ground, self.effects = ground, tuple(effects)
-        self.observations, self.active = ground.observations, ground.part.active
-        other = ground.inherited
-        theirs = [] if other is None else [CATALOGUE[name] for name, _ in other.effects]
-        self.parameters = [(k, p) for k, e in enumerate((*effects, *theirs)) for p in e.parameters]
-        self._n_effects = len(effects) + len(theirs)
-        self.n_own = sum(len(e.parameters) for e in effects)
-        if other is not None:
-            self.active = np.concatenate([self.active, other.active])
-        self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
-        self.low: Real = np.array([self._inner(p, p.low) for _, p in self.parameters], dtype=float) / self.scale
-        self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
-        self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
-        self.nonlinear = any(slow_to_compute(e.id) for e in effects)
-        self._a, self._signal = len(self.active), ground.part.signal
-        self.prior, self._centre = self._priors()
-
-    def _priors(self) -> tuple[Real, Real]:
-        """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""
-        a, size, other = self._a, self._a + len(self.scale), self.ground.inherited
-        precision, centre = np.zeros((size, size)), np.zeros(size)
-        precision[range(a), range(a)] = 1.0
-        if other is not None:
-            at = np.r_[a - len(other.active) : a, a + self.n_own : size]
-            precision[np.ix_(at, at)], centre[at] = other.precision, other.mean
-        return precision, centre
-
-    @staticmethod
-    def _inner(p: Parameter, value: float) -> float:
-        """A parameter as the fit sees it: magnitudes over decades by their logarithm."""
-        return float(np.log(np.clip(value, p.low, p.high))) if p.scale == "log" else value
-
-    def values(self, e: Real) -> tuple[dict[str, float], ...]:
-        """Effect parameters by name, one dict per effect, then per inherited one, from the scaled vector."""
-        inside = np.clip(e, self.low, self.high) * self.scale
-        out: list[dict[str, float]] = [{} for _ in range(self._n_effects)]
-        for (k, p), v in zip(self.parameters, inside, strict=True):
-            out[k][p.name] = float(np.clip(np.exp(v), p.low, p.high)) if p.scale == "log" else float(v)
-        return tuple(out)
-
-    def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:
-        """Inverse of `values`; parameters not given keep their typical value, inherited ones what was found."""
-        if self.ground.inherited is not None and len(values) < self._n_effects:
-            values = (*values, *(found for _, found in self.ground.inherited.effects))
-        inner = [self._inner(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
-        return np.asarray(np.array(inner, dtype=float) / self.scale)
-
-    def theta(self, x: Real) -> Real:
-        """All deviations, (k,): the part's own from ``x``, the others as found before."""
-        theta = self.ground.theta.copy()
-        theta[self.active] = x[: self._a]
-        return theta
-
-    def build(self, x: Real) -> Rig:
-        """The rig at a vector of deviations and effect parameters, (a + e,)."""
-        values, n = self.values(x[self._a :]), len(self.effects)
-        rig = self.ground.rig(self.theta(x), values[n:])
-        for effect, own in zip(self.effects, values[:n], strict=True):
-            rig = effect.on(rig, **own)
-        return rig
 
     # ------------------------------------------------------------------------------------------- predictions
 
@@ -386,16 +252,6 @@ class Problem:
             values[n:],
         )
 
-    def _penalty(self, x: Real) -> float:
-        """What is known beforehand holds so much against a vector, chi-square."""
-        away = x - self._centre
-        return float(away @ self.prior @ away)
-
-    def vector(self, fit: Fit) -> Real:
-        """The vector (a + e,) at which a fit of this problem ended."""
-        theirs = fit.inherited if self._n_effects > len(self.effects) else ()
-        return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
-
     def linearised(self, fit: Fit) -> Linearised:
         """The fit as a linear problem about where it ended."""
         x, w = self.vector(fit), self._weights(EXACT)
@@ -422,13 +278,3 @@ class Problem:
 
 def _within_floor(state: _State, stage: Stage) -> bool:
     return stage.relative_floor > 0 and state.cost < WITHIN_FLOOR * state.size
-
-
-def slow_to_compute(name: str) -> bool:
-    """Whether an effect's force has to be evaluated in time; it is held where it hardly changes."""
-    return CATALOGUE[name].nonlinear or name in CHANGING
-
-
-def _scale(p: Parameter) -> float:
-    """Size of one unit of an effect's parameter in the fit."""
-    return 1.0 if p.scale == "log" else abs(p.typical - p.null) or abs(p.high - p.low)

@@ -6,8 +6,9 @@ import numpy as np
 
 from service.gap.candidates import Candidate
 from service.gap.evidence import prior_precision
-from service.gap.fit import Problem, slow_to_compute
+from service.gap.fit import Problem
 from service.gap.part import Ground, Inherited
+from service.gap.unknowns import slow_to_compute
 from sim.effects import CATALOGUE
 
 

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.candidates import Candidate, Fitter, Task
-from service.gap.fit import COARSE, EXACT, MIDDLE, Fit
+from service.gap.fitted import Fit
 from service.gap.observation import Observation
 from service.gap.part import Ground, parts
 from service.gap.search import Explained, gap_significance
+from service.gap.stage import COARSE, EXACT, MIDDLE
 from sim import control_law
 
 Complex = NDArray[np.complex128]

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.candidates import Candidate, Fitter, Task
-from service.gap.fit import COARSE, EXACT, MIDDLE, PROBE, Problem, Stage, slow_to_compute
+from service.gap.fit import Problem
 from service.gap.observation import Observation
 from service.gap.part import Ground, Part
 from service.gap.significance import alone_hz, significance
+from service.gap.stage import COARSE, EXACT, MIDDLE, PROBE, Stage
 from service.gap.starts import largest_rate, starts
+from service.gap.unknowns import slow_to_compute
 from service.gap.verdict import MIXED, Ranked, ranked, renormalised
 from sim.effects import CATALOGUE
 

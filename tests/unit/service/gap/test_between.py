@@ -7,12 +7,13 @@ import numpy as np
 from service.experiment.data import Experiment
 from service.gap.candidates import Candidate, Fitter
 from service.gap.diagnose import diagnose
-from service.gap.fit import Problem, Stage
+from service.gap.fit import Problem
 from service.gap.inherited import inherited_from
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.part import Ground, parts
 from service.gap.search import explain, residuals
+from service.gap.stage import Stage
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 

@@ -5,7 +5,7 @@ import pytest
 
 from service.gap.candidates import Candidate
 from service.gap.compose import Composition, dated
-from service.gap.fit import Fit
+from service.gap.fitted import Fit
 from service.gap.verdict import Ranked
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig

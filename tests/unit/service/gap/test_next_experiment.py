@@ -10,7 +10,7 @@ import pytest
 from service.api.options import checked_options
 from service.cli.client import Kind, _options
 from service.gap.candidates import Candidate
-from service.gap.fit import Fit
+from service.gap.fitted import Fit
 from service.gap.next_experiment import Option, next_experiment, options, rig_seconds, submission
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe

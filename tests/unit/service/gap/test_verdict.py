@@ -8,7 +8,7 @@ import pytest
 
 from service.gap.candidates import Candidate
 from service.gap.document import sentence
-from service.gap.fit import Fit
+from service.gap.fitted import Fit
 from service.gap.verdict import ALIKE, HeldOut, Ranked, Verdict, decide
 from sim.reference import reference_rig
 

@@ -10,7 +10,7 @@ import pytest
 from service.gap.candidates import Candidate
 from service.gap.conditions import Dependence
 from service.gap.diagnose import Diagnosis
-from service.gap.fit import Fit
+from service.gap.fitted import Fit
 from service.gap.loop import loop_figures
 from service.gap.observation import observe
 from service.gap.shrinkage import relative_gap, relative_noise, shrinkage

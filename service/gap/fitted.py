@@ -1,0 +1,62 @@
+"""What a fit of a part of the loop ends with: the twin, what it leaves, and the fit as a linear problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.rig import Rig
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted twin, or one part of it."""
+
+    effects: tuple[str, ...]
+    theta: Real
+    """(k,) deviations from the datasheet, in units of the tolerances"""
+    values: tuple[dict[str, float], ...]
+    """parameters of each effect"""
+    rig: Rig
+    groups: tuple[tuple[float, int], ...]
+    """(chi-square, number of residuals) of the fundamental and of the other harmonics, sweep by sweep"""
+    penalty: float
+    """|theta|^2 of the values fitted, what the datasheet's tolerances hold against the fit; of another part's what its
+    data hold against it"""
+    active: NDArray[np.int64]
+    """indices of the values fitted"""
+    curvature: Real
+    """(a + e, a + e), J^T J of the weighted residuals; effect parameters in units of their scale"""
+    status: str
+    inherited: tuple[dict[str, float], ...] = ()
+    """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
+
+    @property
+    def chi_square(self) -> float:
+        """Of the weighted residuals, all harmonics."""
+        return sum(chi for chi, _ in self.groups)
+
+    @property
+    def n_residuals(self) -> int:
+        """Number of weighted residuals, real and imaginary parts apart."""
+        return sum(n for _, n in self.groups)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A fit as a linear problem, for what is asked beside it; sweep by sweep, at the excited frequency."""
+
+    weights: Sequence[Real]
+    """(P, H, n)"""
+    residuals: Sequence[Complex]
+    """(P, n) weighted"""
+    columns: Sequence[Complex]
+    """(P, n, a + e) weighted derivatives of the predictions"""
+    pull: Real
+    """(a + e,) of what is known beforehand, towards its mean"""

@@ -1,0 +1,25 @@
+"""How exact the passes of a fit are, one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How exact a pass of the fit is.
+
+    ``closed`` compares the closed loop's answer to r, smooth where the plant has sharp peaks;
+    ``relative_floor`` is an error allowed beside the noise, relative to the largest signal of a point.
+    """
+
+    closed: bool
+    relative_floor: float
+    iterations: int
+    tolerance: float
+
+
+COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3)
+MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3)
+PROBE = Stage(closed=False, relative_floor=0.0, iterations=4, tolerance=5e-3)
+EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4)
