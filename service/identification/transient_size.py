@@ -22,8 +22,8 @@ from service.identification.zoh import Complex, Real
 
 SIZES = np.concatenate([[0.0], np.geomspace(1e-3, 1e9, 121)])
 """Variances that are tried for what starts leave, in units of what one point's blocks tell of it on their own."""
-AMPLITUDES = np.linspace(0.0, 1.0, 1001)
-"""The same of starts that the blocks hardly show, in those from rest; not variances."""
+AMPLITUDES = np.concatenate([[0.0], np.geomspace(1e-6, 1.0, 241)])
+"""Sizes, in those of a start from rest, that are tried for starts which the blocks hardly show."""
 TOGETHER = 6
 """Steps in which the sizes of several sources find to one another."""
 
@@ -97,7 +97,7 @@ class Taken:
         told, seen = self._told_of(ringing)
         square = AMPLITUDES[:, None] ** 2
         likelihood = np.sum(square * seen / (1.0 + square * told) - np.log1p(square * told), axis=1)
-        weight = np.exp(likelihood - likelihood.max())
+        weight = np.exp(likelihood - likelihood.max()) * np.gradient(AMPLITUDES)
         return float(weight @ square[:, 0] / weight.sum())
 
     @cached_property
