@@ -1,8 +1,8 @@
-"""Whether the displacement is curved: a harmonic that goes with a power of the displacement itself.
+"""Whether displacement or current is curved: a harmonic that goes with a power of the signal itself.
 
-No law of the catalogue bends a sensor's characteristic. Line by line such a harmonic may drown in noise, but one number
-tells it in all lines of both sweeps: y = x + c2 x^2 + c3 x^3 adds c2 Y^2 / 2 at harmonic 2 and c3 Y^3 / 4 at harmonic 3
-to what the plant answers.
+No law of the catalogue bends the characteristic of a sensor, or of an amplifier but at its voltage limit. Line by line
+such a harmonic may drown in noise, but one number tells it in all lines of both sweeps: y = x + c2 x^2 + c3 x^3 adds
+c2 Y^2 / 2 at harmonic 2 and c3 Y^3 / 4 at harmonic 3 to what the plant answers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above
 from service.gap.observation import HARMONIC_ERROR, Observation
-from service.gap.predict import answer, at_speed_of, weight
+from service.gap.predict import answer, at_speed_of, measured_signal, weight
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT
 from sim.harmonic_balance import STATIC_HZ
@@ -25,34 +25,40 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 POWERS = (2, 3)
+WORDS = {
+    "y": ("the displacement is curved, as by a sensor that is not linear: y = x + c x^n with", "m"),
+    "i": ("the current is curved, as by an amplifier or a probe that is not linear: i = x + c x^n with", "A"),
+}
 OF_THE_MAGNETS = 2 * HARMONIC_ERROR
 """Share of what the twin's own magnets leave at a harmonic that is no proof: it may be their law's error."""
 
 
 def curved(e: Explained, unseen: tuple[Observation, Complex]) -> str | None:
-    """What curvature the best explanation of the plant leaves in the displacement, in words; None where there is none.
+    """What curvature the best explanation of a part leaves in its displacement or current, in words; None where none.
 
     ``unseen`` is the sweep that no fit saw and what the explanation leaves there, weighted, (P, H, n).
     """
-    if e.part.signal != "y":
+    if e.part.signal not in WORDS:
         return None
+    words, unit = WORDS[e.part.signal]
     sweeps = [*zip(e.ground.observations, e.left, strict=True), unseen]
     rigs = [at_speed_of(e.order[0].candidate.fit.rig, o) for o, _ in sweeps]
     told = []
     for power in POWERS:
-        value, std = _curvature(sweeps, rigs, power)
+        value, std = _curvature(sweeps, rigs, power, e.part.signal)
         n = int(np.isfinite(std).sum())
         sure = float(normal_above(chi2_tail(np.sum((value / std) ** 2), n))) if n else 0.0
         if sure > SIGNIFICANT:
             k = int(np.argmax(np.abs(value / std)))
             axis = e.ground.nuisance.rig.axes[k]
-            told.append(f"x^{power} of {value[k]:.2g} per m^{power - 1} (standard deviation {std[k]:.1g}) in {axis}")
-    if not told:
-        return None
-    return f"the displacement is curved, as by a sensor that is not linear: y = x + c x^n with {' and '.join(told)}"
+            size = f"{value[k]:.2g} per {unit}^{power - 1} (standard deviation {std[k]:.1g})"
+            told.append(f"x^{power} of {size} in {axis}")
+    return f"{words} {' and '.join(told)}" if told else None
 
 
-def _curvature(sweeps: Sequence[tuple[Observation, Complex]], rigs: Sequence[Rig], power: int) -> tuple[Real, Real]:
+def _curvature(
+    sweeps: Sequence[tuple[Observation, Complex]], rigs: Sequence[Rig], power: int, signal: str
+) -> tuple[Real, Real]:
     """Curvature c of each channel, (n,), and its standard deviation, infinite where nothing tells it."""
     n = sweeps[0][0].Y.shape[2]
     along, own, size = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -60,10 +66,9 @@ def _curvature(sweeps: Sequence[tuple[Observation, Complex]], rigs: Sequence[Rig
         if power not in o.harmonics:
             continue
         k = o.harmonics.index(power)
-        w = weight(o, "y")[:, k]
-        law = o.Y[:, o.fundamental] ** power / 2 ** (power - 1) * w
-        through = linear_model(rig, np.maximum(power * o.frequency_hz, STATIC_HZ)).y_per_u[o.line]
-        magnets = (answer(rig, o)[:, k, n:] - (through @ o.U[:, k, :, None])[..., 0]) * w
+        w = weight(o, signal)[:, k]
+        law = measured_signal(o, signal)[:, o.fundamental] ** power / 2 ** (power - 1) * w
+        magnets = _beyond_linear(rig, o, k, power) * w if signal == "y" else np.zeros_like(law)
         along += np.sum((z[:, k] * law.conj()).real, axis=0)
         own += np.sum((magnets * law.conj()).real, axis=0)
         size += np.sum(np.abs(law) ** 2, axis=0)
@@ -71,3 +76,9 @@ def _curvature(sweeps: Sequence[tuple[Observation, Complex]], rigs: Sequence[Rig
     size = np.where(known, size, 1.0)
     std = np.where(known, np.hypot(1 / np.sqrt(size), OF_THE_MAGNETS * own / size), np.inf)
     return along / size, std
+
+
+def _beyond_linear(rig: Rig, o: Observation, k: int, power: int) -> Complex:
+    """What the twin's own magnets leave in the displacement at a harmonic, (P, n)."""
+    through = linear_model(rig, np.maximum(power * o.frequency_hz, STATIC_HZ)).y_per_u[o.line]
+    return np.asarray(answer(rig, o)[:, k, rig.n_axes :] - (through @ o.U[:, k, :, None])[..., 0])

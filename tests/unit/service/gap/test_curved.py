@@ -59,18 +59,38 @@ def test_what_magnets_bend_more_or_less_than_their_datasheet_says_is_no_sensor()
     datasheet, truth = known_datasheet(seed=42)
     bias = tuple(1.05 * b for b in truth.bias_current_a)
     measured = experiment(true_rig(replace(truth, bias_current_a=bias)), amplitude_a=0.5)
-    e, unseen = plain_plant(measured, datasheet)
+    e, unseen = plain(measured, datasheet, "plant")
     assert curved(e, unseen) is None
     bent = tuple(with_bent_sensors(true_rig(truth), s, -50 * CUBIC_PER_M2) for s in measured.sweeps)
-    assert curved(*plain_plant(replace(measured, sweeps=bent), datasheet)) is not None
+    assert curved(*plain(replace(measured, sweeps=bent), datasheet, "plant")) is not None
 
 
-def plain_plant(measured: Experiment, datasheet: Datasheet) -> tuple[Explained, tuple[Observation, np.ndarray]]:
-    """The plain twin's plant, and what it leaves of the other sweep."""
+def test_a_current_probe_bent_too_little_for_any_line_to_show_it_is_told_of_the_amplifiers() -> None:
+    datasheet, truth = known_datasheet(seed=43)
+    measured, f, third = experiment(true_rig(truth)), HARMONICS.index(1), HARMONICS.index(3)
+    assert curved(*plain(measured, datasheet, "amplifier")) is None
+    sweeps = []
+    for s in measured.sweeps:
+        assert s.I is not None
+        I = s.I.copy()
+        I[:, :, third] += 0.015 / 4 * s.I[:, :, f] ** 3
+        sweeps.append(replace(s, I=I))
+    e, unseen = plain(replace(measured, sweeps=tuple(sweeps)), datasheet, "amplifier")
+    assert e.remaining < 4.0, "no line or band shows it"
+    told = re.search(
+        r"current is curved.*x\^3 of ([\d.e+-]+) per A\^2 \(standard.* ([\d.e+-]+)\)", curved(e, unseen) or ""
+    )
+    assert told is not None
+    assert abs(float(told[1]) - 0.015) < 4 * float(told[2])
+
+
+def plain(measured: Experiment, datasheet: Datasheet, path: str) -> tuple[Explained, tuple[Observation, np.ndarray]]:
+    """The plain twin's part, and what it leaves of the other sweep."""
     nu = nuisance(datasheet)
     main, other = (observe(s, nu.rig) for s in measured.sweeps)
-    ground = Ground(nu, parts(nu, (main,))[-1], (main,), np.zeros(len(nu)))
+    part = next(p for p in parts(nu, (main,)) if p.path == path)
+    ground = Ground(nu, part, (main,), np.zeros(len(nu)))
     with Fitter(1) as fitter:
-        null, plain = plain_twin(fitter, ground)
-    e = Explained(ground, tuple(ranked(null, [])), plain, plain)
+        null, left = plain_twin(fitter, ground)
+    e = Explained(ground, tuple(ranked(null, [])), left, left)
     return e, on_sweep(e, null, other)
