@@ -26,8 +26,8 @@ Complex = NDArray[np.complex128]
 
 POWERS = (2, 3)
 WORDS = {
-    "y": ("the displacement is curved, as by a sensor that is not linear: y = x + c x^n with", "m"),
-    "i": ("the current is curved, as by an amplifier or a probe that is not linear: i = x + c x^n with", "A"),
+    "y": ("the displacement is curved, as by a sensor that is not linear:", "m"),
+    "i": ("the current is curved, as by an amplifier or a probe that is not linear:", "A"),
 }
 OF_THE_MAGNETS = 2 * HARMONIC_ERROR
 """Share of what the twin's own magnets leave at a harmonic that is no proof: it may be their law's error."""
@@ -51,8 +51,8 @@ def curved(e: Explained, unseen: tuple[Observation, Complex]) -> str | None:
         if sure > SIGNIFICANT:
             k = int(np.argmax(np.abs(value / std)))
             axis = e.ground.nuisance.rig.axes[k]
-            size = f"{value[k]:.2g} per {unit}^{power - 1} (standard deviation {std[k]:.1g})"
-            told.append(f"x^{power} of {size} in {axis}")
+            size = f"{value[k]:.2g} per {unit}{'' if power == 2 else '^2'} (standard deviation {std[k]:.1g})"
+            told.append(f"in {axis} {e.part.signal} = x + c x^{power} with c = {size}")
     return f"{words} {' and '.join(told)}" if told else None
 
 

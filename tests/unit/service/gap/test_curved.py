@@ -47,7 +47,7 @@ def test_a_sensor_bent_too_little_for_any_line_to_show_it_is_no_clean_rig() -> N
     bent = replace(measured, sweeps=tuple(with_bent_sensors(rig, s, CUBIC_PER_M2) for s in measured.sweeps))
     report = diagnose(*one_plane(bent, datasheet)).to_dict()
     assert report["verdict"]["kind"] == "none_of_these"
-    words = r"curved.*x\^3 of ([\d.e+-]+) per m\^2 \(standard deviation ([\d.e+-]+)\)"
+    words = r"curved.*x\^3 with c = ([\d.e+-]+) per m\^2 \(standard deviation ([\d.e+-]+)\)"
     told = re.search(words, report["verdict"]["sentence"])
     assert told is not None
     assert abs(float(told[1]) - CUBIC_PER_M2) < 4 * float(told[2])
@@ -78,7 +78,7 @@ def test_a_current_probe_bent_too_little_for_any_line_to_show_it_is_told_of_the_
     e, unseen = plain(replace(measured, sweeps=tuple(sweeps)), datasheet, "amplifier")
     assert e.remaining < 4.0, "no line or band shows it"
     told = re.search(
-        r"current is curved.*x\^3 of ([\d.e+-]+) per A\^2 \(standard.* ([\d.e+-]+)\)", curved(e, unseen) or ""
+        r"current is curved.*x\^3 with c = ([\d.e+-]+) per A\^2 \(standard.* ([\d.e+-]+)\)", curved(e, unseen) or ""
     )
     assert told is not None
     assert abs(float(told[1]) - 0.015) < 4 * float(told[2])
