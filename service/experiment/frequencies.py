@@ -75,13 +75,17 @@ def clear_grid(from_hz: float, to_hz: float, n: int, resolution_hz: float, lines
 
 
 def whole_periods(
-    frequency_hz: float, block_s: float, sample_rate_hz: float, tolerance_hz: float = np.inf
+    frequency_hz: float,
+    block_s: float,
+    sample_rate_hz: float,
+    tolerance_hz: float = np.inf,
+    highest_hz: float = np.inf,
 ) -> tuple[int, int]:
     """Periods and samples of a block of about ``block_s`` whose frequency is periods * rate / samples.
 
     The block is the shortest, not shorter than ``block_s``, that comes within ``tolerance_hz``, or, where none up to
     half as long again (and at least thirty periods more) does, the one that comes nearest. Without a tolerance it is
-    the shortest.
+    the shortest. It never comes out above ``highest_hz``, which a controller would refuse.
 
     >>> whole_periods(100.0, 0.05, 10_000.0)
     (5, 500)
@@ -91,6 +95,8 @@ def whole_periods(
     best, best_error = (first, 0), np.inf
     for periods in range(first, last + 1):
         samples = max(2, round(periods * sample_rate_hz / frequency_hz))
+        if periods * sample_rate_hz > highest_hz * samples:
+            samples += 1
         error = abs(periods * sample_rate_hz / samples - frequency_hz)
         if error < best_error - 1e-12:
             best, best_error = (periods, samples), error

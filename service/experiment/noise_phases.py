@@ -87,7 +87,7 @@ class NoisePhases:
         requests = []
         top = min(self.profile.amplifier_to_hz, self.limits.max_frequency_hz)
         for f in grid(self.profile.from_hz / 2, top, self.profile.coarse_points):
-            periods, samples = whole_periods(f, max(0.1, 1 / f), rate)
+            periods, samples = whole_periods(f, max(0.1, 1 / f), rate, highest_hz=self.limits.max_frequency_hz)
             requests.append(Request(0, 0.0, periods, samples, self.profile.blocks, 0))
         found = [self._tone_at_rest(r) for r in requests]
         self.done["noise"] = found

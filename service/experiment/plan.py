@@ -111,7 +111,11 @@ def tones(
     """
     rate = limits.sample_rate_hz
     periods, samples = whole_periods(
-        frequency_hz, block_length_s(knowledge, frequency_hz, aim, profile, limits), rate, tolerance_hz
+        frequency_hz,
+        block_length_s(knowledge, frequency_hz, aim, profile, limits),
+        rate,
+        tolerance_hz,
+        limits.max_frequency_hz,
     )
     frequency = periods * rate / samples
     seconds = profile.blocks * samples / rate

@@ -62,6 +62,14 @@ def test_a_tolerance_is_met_by_a_longer_block(frequency):
     assert near <= anyhow or near <= 0.05
 
 
+@given(rate=st.floats(2e3, 50e3), share=st.floats(0.01, 0.45), off=st.floats(0.99, 1.0), block=st.floats(0.005, 0.5))
+def test_no_block_comes_out_above_what_the_controller_plays(rate, share, off, block):
+    highest = share * rate
+    periods, samples = whole_periods(off * highest, block, rate, highest_hz=highest)
+    assert periods * rate / samples <= highest * (1 + 1e-12)
+    assert abs(periods * rate / samples - off * highest) <= 1.01 * highest / (samples - 1)
+
+
 @given(
     noise=positive,
     i=st.tuples(positive, positive),
