@@ -14,8 +14,7 @@ nothing about it is free but the size of n, which the blocks' scatter tells.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import matrix_balance, solve_discrete_lyapunov
+from scipy.linalg import matrix_balance
 
 from service.identification.closed_loop import loop_states, sampled, with_currents
 from service.identification.plane_model import PlaneModel
@@ -46,33 +45,44 @@ def leakage(
     loop = loop_states(model, controller)
     if np.max(np.abs(np.linalg.eigvals(loop.A))) >= 1.0:
         return None
-    states, blocks, period = len(plant.A), points.n_blocks, model.known.sample_time_s
-    noise = loop.N * np.asarray(sensor_noise_m)
-    samples = np.asarray(block_s) / period
-    later = _later(loop.A, noise @ noise.T, np.round(samples).astype(int), blocks)[:, :, :states, :states]
+    states, period = len(plant.A), model.known.sample_time_s
+    samples = np.round(np.asarray(block_s) / period)
     z = np.exp(1j * points.omega * period)[:, None, None]
     outputs = plant.C if points.I is not None else plant.C[2:]
     seen = 2 / samples[:, None, None] * z * (outputs @ np.linalg.inv(z * np.eye(states) - plant.A))
-    before = later[:, 1].transpose(0, 2, 1)[:, None]
-    change = 2 * later[:, :-1] - later[:, 1:] - np.concatenate([before, later[:, :-2]], axis=1)
-    by_lag = seen[:, None] @ change @ seen.conj().transpose(0, 2, 1)[:, None]
-    out = np.empty((len(points.omega), blocks, seen.shape[1], blocks, seen.shape[1]), dtype=np.complex128)
-    for b in range(blocks):
-        for c in range(b + 1):
-            out[:, b, :, c] = by_lag[:, b - c]
-            out[:, c, :, b] = by_lag[:, b - c].conj().transpose(0, 2, 1)
-    return out
+    values, vectors, driven = _modes(loop.A, loop.N * np.asarray(sensor_noise_m))
+    return _of_changes(seen @ vectors[:states], values, driven, samples, points.n_blocks)
 
 
-def _later(a: Real, drive: Real, samples: NDArray[np.int64], blocks: int) -> Real:
-    """E[x(m N) x(0)'] of x+ = A x + noise for m up to the number of blocks, (P, B + 1, n, n)."""
+def _modes(a: Real, drive: Real) -> tuple[Complex, Complex, Complex]:
+    """Eigenvalues (n,) and vectors (n, n) of a loop, and what drives each, (n, 2).
+
+    A loop's states differ by ten orders of magnitude in size, and a mode that it hardly damps keeps what rounding puts
+    into it: powers of A, and Lyapunov's equation of its entries, lose all digits where each mode by itself loses none.
+    """
     balanced, scale = matrix_balance(a, permute=False)
     size = np.diag(scale)
-    steady = solve_discrete_lyapunov(balanced, drive / np.outer(size, size), method="direct")
-    lengths, place = np.unique(samples, return_inverse=True)
-    out = np.empty((len(lengths), blocks + 1, *a.shape))
-    for k, n in enumerate(lengths):
-        out[k, 0], ahead = steady, np.linalg.matrix_power(balanced, int(n))
-        for m in range(blocks):
-            out[k, m + 1] = ahead @ out[k, m]
-    return np.asarray((out * np.outer(size, size))[place])
+    values, vectors = np.linalg.eig(balanced)
+    driven = np.linalg.solve(vectors, drive / size[:, None])
+    return values.astype(np.complex128), np.asarray(size[:, None] * vectors), driven.astype(np.complex128)
+
+
+def _of_changes(seen: Complex, values: Complex, driven: Complex, samples: Real, blocks: int) -> Complex:
+    """Covariance (P, B, c, B, c) of what outputs (P, c, n) see of the modes' changes over blocks of so many samples."""
+    steady = driven @ driven.conj().T / (1.0 - np.outer(values, values.conj()))
+    kept = values ** samples[:, None]
+    gone = 1.0 - kept
+    to = steady @ seen.conj().transpose(0, 2, 1)
+    same = (seen * gone[:, None]) @ to
+    out = np.empty((len(seen), blocks, seen.shape[1], blocks, seen.shape[1]), dtype=np.complex128)
+    later = -seen * (gone**2)[:, None]  # from one block to the next, and so on
+    for lag in range(blocks):
+        if lag == 0:
+            by_lag = same + same.conj().transpose(0, 2, 1)
+        else:
+            by_lag = later @ to
+            later = later * kept[:, None]
+        for c in range(blocks - lag):
+            out[:, c + lag, :, c] = by_lag
+            out[:, c, :, c + lag] = by_lag.conj().transpose(0, 2, 1)
+    return out
