@@ -26,6 +26,10 @@ INDEPENDENT = 1.5
 """Times as many as these are independent in a mean over neighbours, whose weights are triangular."""
 CHANCE = 1e-3
 """Share of the frequencies that chance alone may take for noisier than their neighbours."""
+FEW, MANY = 30, 300
+"""Rounds in which a law of the variances is found: where neighbours correct it, and where nothing does."""
+SETTLED = 1e-5
+"""Change of a share of the law in one round, of the whole variance, below which it is found."""
 DRIFT = 3.0
 """Variance of the mean of drifting blocks, in units of one block's: what is left of the transient is no noise."""
 
@@ -63,6 +67,7 @@ def block_noise(
     sparse: bool = False,
     rings: Real | None = None,
     unknown: Real | None = None,
+    block_s: Real | None = None,
 ) -> NoiseModel:
     """Noise of the mean residual from its blocks.
 
@@ -87,6 +92,8 @@ def block_noise(
         law of all points has it, for what rings hides a point's own, and how channels and blocks hang together.
     unknown
         (P, c) variance in what was taken out of the blocks, which their scatter no longer shows.
+    block_s
+        (P,) length of the blocks, for noise that is white and falls with it.
     """
     n, blocks, channels = residual.shape
     dof = blocks - 1
@@ -98,7 +105,10 @@ def block_noise(
     order = np.argsort(omega, kind="stable")
     trend, quiet = np.ones_like(own), np.ones_like(own)
     if magnitude is not None:
-        trend, quiet = _trend(own, [magnitude, *([] if rings is None else rings)], dof)
+        calm = [magnitude]
+        if block_s is not None:
+            calm.append(np.broadcast_to(1 / np.sqrt(block_s)[:, None], own.shape))
+        trend, quiet = _trend(own, calm, [] if rings is None else rings, dof, FEW if rings is None else MANY)
         if rings is not None:
             variance = np.mean(own, axis=0) * trend * quiet
             return NoiseModel(_diagonal(variance) / blocks, float("inf"), np.zeros(n, dtype=bool))
@@ -158,7 +168,7 @@ def _diagonal(variance: Real) -> Complex:
     return np.asarray(variance[:, :, None] * np.eye(variance.shape[1]), dtype=np.complex128)
 
 
-def _trend(own: Real, magnitudes: Sequence[Real], dof: int, rounds: int = 30) -> tuple[Real, Real]:
+def _trend(own: Real, calm: Sequence[Real], rings: Sequence[Real] | Real, dof: int, rounds: int) -> tuple[Real, Real]:
     """Variance a + sum b_k magnitude_k^2 of each channel, by maximum likelihood of the block variances, (P, c).
 
     A share b is kept only where it clearly helps, so that plain additive noise stays plain.
@@ -166,25 +176,27 @@ def _trend(own: Real, magnitudes: Sequence[Real], dof: int, rounds: int = 30) ->
     Returns
     -------
     trend, quiet
-        Of it all, in units of the mean, and the share of it that does not grow with the second magnitude or a later
-        one.
+        Of it all, in units of the mean, and the share of it that does not grow with any of ``rings``.
     """
     flat = np.mean(own, axis=0)
-    squares = [m**2 / np.maximum(np.mean(m**2, axis=0), 1e-300) for m in magnitudes]
+    squares = [m**2 / np.maximum(np.mean(m**2, axis=0), 1e-300) for m in (*calm, *rings)]
     trend, quiet = np.ones_like(own), np.ones_like(own)
     for kept in range(1, len(squares) + 1):
         parts = [np.ones_like(own), *squares[:kept]]
         shares = [flat / len(parts)] * len(parts)
         for _ in range(rounds):  # multiplicative steps keep all positive and never lower the likelihood
+            before = list(shares)
             for k, q in enumerate(parts):
                 v = sum(b * x for b, x in zip(shares, parts, strict=True))
                 shares[k] = shares[k] * np.sqrt(np.sum(own * q / v**2, axis=0) / np.sum(q / v, axis=0))
+            if all(np.all(abs(b - x) < SETTLED * flat) for b, x in zip(shares, before, strict=True)):
+                break
         v = np.asarray(sum(b * x for b, x in zip(shares, parts, strict=True)))
         gain = 2 * dof * np.sum(np.log(flat * trend / v) + own / (flat * trend) - own / v, axis=0)
         clear = gain > 10.0 + np.log(len(own))
-        calm = sum((b * x for b, x in zip(shares[:2], parts[:2], strict=True)), np.zeros_like(own))
+        still = sum(b * x for b, x in list(zip(shares, parts, strict=True))[: 1 + len(calm)])
         trend = np.where(clear, v / flat, trend)
-        quiet = np.where(clear, calm / v if kept > 1 else 1.0, quiet)
+        quiet = np.where(clear, still / v, quiet)
     return trend, quiet
 
 

@@ -74,10 +74,11 @@ def noise_of(
     amplitude: Amplitude | None,
     rings: Real | None = None,
     correlated: bool = True,
+    block_s: Real | None = None,
 ) -> NoiseModel:
     """Noise of the residuals under a model, with what is not known of what rang and was taken out.
 
-    ``rings``, ``correlated``: see `noise.block_noise`.
+    ``rings``, ``correlated``, ``block_s``: see `noise.block_noise`.
     """
     i, y = predicted_blocks(model, points, amplitude)
     size = y if points.I is None else np.concatenate([i, y], axis=2)
@@ -91,6 +92,7 @@ def noise_of(
         sparse=points.many is not None,
         rings=rings,
         unknown=None if left is None else left.scatter,
+        block_s=block_s,
     )
     return noise if left is None else replace(noise, covariance=noise.covariance + left.mean)
 

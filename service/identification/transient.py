@@ -140,7 +140,7 @@ def _noise(points: PlanePoints, model: PlaneModel, controller: tuple[Real, Real]
     kept_up = leakage(points, model, controller, seconds, np.ones(2))
     if kept_up is not None:
         rings.append(np.sqrt(np.einsum("nb,pbcxc,nx->pc", changes, kept_up, changes).real))
-    return noise_of(model, points, None, np.array(rings) if rings else None, correlated=False)
+    return noise_of(model, points, None, np.array(rings) if rings else None, correlated=False, block_s=seconds)
 
 
 def length_of_blocks(

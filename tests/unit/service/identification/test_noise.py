@@ -79,3 +79,20 @@ def test_noise_that_grows_with_the_signal_is_followed() -> None:
     size = np.exp(2 * RNG.normal(size=(len(OMEGA), 2)))
     model = block_noise(blocks(0.01 * size), OMEGA, magnitude=size)
     assert np.allclose(model.sigma * np.sqrt(6), 0.01 * size, rtol=0.4)
+
+
+def test_blocks_of_unlike_length_are_told_from_what_rings_in_them() -> None:
+    """White noise falls with a block's length, what rings with its square; without lengths a law mixes them up."""
+    rng = np.random.default_rng(5)
+    block_s = np.geomspace(0.2, 0.07, 400)[:, None]
+    white = 0.1 / block_s
+    ringing = 0.004 / block_s**2 * np.exp(np.sin(np.arange(400) / 20))[:, None]
+    sd = np.sqrt((white + ringing) / 2)[:, None]
+    e = sd * (rng.standard_normal((400, 6, 1)) + 1j * rng.standard_normal((400, 6, 1)))
+    omega, size = np.linspace(1, 2, 400), np.ones((400, 1))
+    told, untold = (
+        block_noise(e, omega, False, size, rings=np.sqrt(ringing)[None], block_s=length)
+        for length in (block_s[:, 0], None)
+    )
+    assert 6 * told.sigma**2 == pytest.approx(white, rel=0.2)
+    assert np.max(abs(6 * untold.sigma**2 / white - 1)) > 0.3
