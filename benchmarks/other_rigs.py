@@ -1,6 +1,6 @@
 """The main job on rigs that nobody chose: drawn rotors, magnets, sampling rates and controllers, experiment to result.
 
-Run: python benchmarks/other_rigs.py [--rigs 12] [--first-seed 0]
+Run: python benchmarks/other_rigs.py [--rigs 12] [--first-seed 0] [--multisine]
 
 The rigs are those of tests/support/whole_rigs.py, simulated; what is printed is to be compared with the truth.
 """
@@ -17,7 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.simulated.driver import SimulatedController
+from service.experiment.aims import Profile
 from service.experiment.campaign import run_campaign
+from service.experiment.multisine_plan import MultisineProfile
 from service.experiment.progress import Progress
 from service.identification.fit import identify
 from service.identification.synthetic import plane_model_of
@@ -28,7 +30,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rigs", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--multisine", action="store_true")
     given = parser.parse_args()
+    profile = MultisineProfile() if given.multisine else Profile()
     for seed, rig, sheet, peak in islice(levitating(count(given.first_seed)), given.rigs):
         told: list[Progress] = []
         law = rig.controller
@@ -42,7 +46,9 @@ def main() -> None:
         cpu = time.process_time()
         try:
             with tempfile.TemporaryDirectory() as folder:
-                experiment = run_campaign(SimulatedController(rig, seed=seed), sheet, Path(folder), told.append)
+                experiment = run_campaign(
+                    SimulatedController(rig, seed=seed), sheet, Path(folder), told.append, profile=profile
+                )
         except Exception as error:  # whatever goes wrong is what this is for
             print(f"   experiment: {type(error).__name__}: {error}")
             continue

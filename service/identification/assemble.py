@@ -137,9 +137,14 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
         )
     drifting = points.omega[refined.noise.drifting] / (2 * np.pi)
     if len(drifting):
-        many = "1 point" if len(drifting) == 1 else f"{len(drifting)} points"
+        one = len(drifting) == 1
+        many = (
+            "1 point had not settled, or was marked, and counts"
+            if one
+            else (f"{len(drifting)} points had not settled, or were marked, and count")
+        )
         where = ", ".join(f"{f:.4g}" for f in np.unique(drifting)[:6])
-        warnings.append(f"{many} had not settled, or were marked, and count little ({where} Hz); settle longer there")
+        warnings.append(f"{many} little ({where} Hz); settle longer there")
     if not u.adequate:
         warnings.insert(
             0,
