@@ -9,7 +9,7 @@ import numpy as np
 
 from service.gap.between import between
 from service.gap.candidates import Candidate, Fitter
-from service.gap.compose import chosen_in, on_sweep
+from service.gap.compose import chosen_in, held_out, on_sweep
 from service.gap.inherited import inherited_from
 from service.gap.log import log_fault
 from service.gap.observation import Observation
@@ -137,9 +137,10 @@ def _understood(amplifiers: Explained) -> bool:
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:
-    """Whether what explains the main sweep leaves a clear gap on the other one."""
+    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it."""
     o, z = on_sweep(e, chosen_in(e), unseen)
-    return float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
+    clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
+    return clear or held_out(e, unseen).fails
 
 
 def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:

@@ -86,6 +86,14 @@ class HeldOut:
     """log likelihood of the explanation less the plain twin's; negative where what it predicts is not there"""
 
     @property
+    def fails(self) -> bool:
+        """Whether what explains the fitted data is none here.
+
+        A small gap may be closed in part by chance, so what is left must be beyond chance itself.
+        """
+        return min(self.gap, self.left) > SIGNIFICANT and self.closes < CLOSES
+
+    @property
     def closure(self) -> float | None:
         """Share of the gap that is closed, harmonics included; None where the plain twin has none there."""
         return closure_of(self.before, self.after) if self.before > VISIBLE else None
@@ -199,8 +207,7 @@ def decide(
         share = min(max(best.unexplained, of_one_sweep, 1 - closed), 1.0)
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
-    # A small gap may be closed in part by chance, so what is left must be beyond chance itself.
-    if min(there.gap, there.left) > SIGNIFICANT and there.closes < CLOSES:
+    if there.fails:
         share = min(1 - there.closes, 1.0)
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap on unseen data"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))

@@ -118,3 +118,12 @@ def test_what_another_part_would_explain_as_well_is_in_the_class_and_shares_its_
     assert shared.indistinguishable == (("sensor_gain", "loop_delay"),)
     far = replace(other, log_evidence=-50.0 - ALIKE - 1)
     assert decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[far]).indistinguishable == ()
+
+
+def test_what_the_other_sweep_rejects_is_what_is_fitted_to_half_of_it_first() -> None:
+    """A gap that is there, and too much of it left; not what may be chance, before or after, nor a little rest."""
+    rejected = HeldOut(before=1.4, after=1.2, gap=26.0, left=12.0, closes=0.5)
+    assert rejected.fails
+    assert not replace(rejected, gap=0.5).fails
+    assert not replace(rejected, left=0.5).fails
+    assert not replace(rejected, closes=0.9).fails
