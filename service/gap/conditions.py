@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.gap.compose import on_sweep
 from service.gap.observation import Observation
-from service.gap.predict import measured_signal, weight
+from service.gap.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT, alone_hz, overall, significance
 
@@ -111,8 +111,9 @@ def changes(e: Explained, other: Observation) -> bool:
 def relative_error(z: Complex, o: Observation, signal: str) -> tuple[Complex, Real]:
     """Error of a twin over the measured signal of the excited axis, (P, n), and its variance."""
     f, points = o.fundamental, np.arange(len(o.axis))
-    w = np.maximum(weight(o, signal)[:, f], 1e-300)
+    w = np.maximum(weight(o, signal)[:, f], NOTHING_TOLD)
     size = measured_signal(o, signal)[points, f, o.axis][:, None]
+    size = np.where(size == 0, NOTHING_SEEN, size)  # a log so coarse that it shows no displacement at all
     return z[:, f] / w / size, 2 / (w * np.abs(size)) ** 2
 
 

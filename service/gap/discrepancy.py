@@ -14,7 +14,7 @@ import numpy as np
 from service.gap.compose import on_sweep
 from service.gap.conditions import relative_error
 from service.gap.observation import Observation
-from service.gap.predict import weight
+from service.gap.predict import NOTHING_SEEN, NOTHING_TOLD, weight
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT, worst
 
@@ -55,7 +55,8 @@ def discrepancy(found: Sequence[Explained], path: str, other: Observation) -> di
             for k, h in enumerate(o.harmonics):
                 sure = worst([z[points, k, b]], looked_at=len(axes) * len(o.harmonics))
                 if h > 1 and sure > SIGNIFICANT:
-                    over = z[points, k, b] / np.maximum(w[:, k], 1e-300) / size[points, o.fundamental, b]
+                    seen = np.maximum(size[points, o.fundamental, b], NOTHING_SEEN)
+                    over = z[points, k, b] / np.maximum(w[:, k], NOTHING_TOLD) / seen
                     told = {"output": axes[b], "harmonic": h, "significance": sure} | _complex(over)
                     harmonics.append(drive | told)
     return {"path": path, "signal": signal, "fundamental": fundamental, "harmonics": harmonics}

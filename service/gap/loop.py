@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.gap.candidates import Candidate
 from service.gap.nuisance import Nuisance
 from service.gap.observation import Observation
-from service.gap.predict import at_speed_of
+from service.gap.predict import NOTHING_SEEN, at_speed_of
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model
@@ -138,7 +138,7 @@ class Force:
         """|S|, |T| and the dynamic stiffness in closed loop, N/m, of every axis by itself, (F, n) each."""
         force = _own(linear_model(self.rig, frequency_hz).i_per_u) * self.rig.magnets.ki
         own = _own(S)
-        stiffness = np.abs(force) / np.maximum(np.abs(_own(y_per_r)), 1e-300)
+        stiffness = np.abs(force) / np.maximum(np.abs(_own(y_per_r)), NOTHING_SEEN)
         return dict(zip(QUANTITIES, (np.abs(own), np.abs(1 - own), stiffness), strict=True))
 
 
@@ -159,7 +159,7 @@ def _noise(o: Observation, lines: NDArray[np.int64], measured: dict[str, Real]) 
         for point in np.flatnonzero(o.line == k):
             a = o.axis[point]
             of_u[row, a] = o.sd_u[point, f, a] / abs(o.R[point, f, a])
-            of_y[row, a] = o.sd_y[point, f, a] / max(abs(o.Y[point, f, a]), 1e-300)
+            of_y[row, a] = o.sd_y[point, f, a] / max(abs(o.Y[point, f, a]), NOTHING_SEEN)
     # of the size of a complex mean: half of its variance
     root = np.sqrt(0.5)
     return dict(zip(QUANTITIES, (root * of_u, root * of_u, root * of_y * measured["dynamic_stiffness"]), strict=True))

@@ -20,6 +20,9 @@ from sim.twin import current_per_control, linear_model
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+NOTHING_TOLD, NOTHING_SEEN = 1e-100, 1e-30
+"""In place of a weight, 1/m or 1/A, and of a signal, m or A, that are zero: far below any, and squares stay finite."""
+
 
 def at_speed_of(rig: Rig, o: Observation) -> Rig:
     """The rig at the speed of the observation."""

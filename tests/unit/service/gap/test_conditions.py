@@ -8,7 +8,7 @@ import pytest
 
 from service.gap.candidates import Fitter
 from service.gap.compose import Explained
-from service.gap.conditions import conditions_of, dependence, same_condition
+from service.gap.conditions import changes, conditions_of, dependence, relative_error, same_condition
 from service.gap.nuisance import nuisance
 from service.gap.observation import Observation, observe
 from service.gap.part import Ground, parts
@@ -85,3 +85,19 @@ def test_an_effect_that_is_not_in_proportion_depends_on_the_amplitude_by_its_law
     e, other = plant("linear")
     assert locate([e], other, ("touchdown_contact",)).depends.amplitude is True
     assert locate([e], other, ("sensor_lag",)).depends.amplitude is False
+
+
+def test_a_log_so_coarse_that_it_shows_nothing_is_compared_without_a_division_by_zero() -> None:
+    e, other = plant("none")
+    Y, sd_y = other.Y.copy(), other.sd_y.copy()
+    Y[::2, other.fundamental] = 0.0
+    sd_y[::3] = np.inf
+    coarse = replace(other, Y=Y, sd_y=sd_y)
+    z = np.zeros_like(Y)
+    z[::2] = 100.0
+    z[::3] = 0.0
+    error, variance = relative_error(z, coarse, "y")
+    assert np.isfinite(error).all()
+    assert np.isfinite(variance).all()
+    assert np.all(variance[::2] > 1e20)
+    assert not changes(e, replace(other, sd_y=sd_y))
