@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above
-from service.gap.observation import HARMONIC_ERROR, Observation
+from service.gap.observation import HARMONIC_ERROR, MODEL_FLOOR, Observation
 from service.gap.predict import answer, at_speed_of, measured_signal, weight
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT
@@ -59,22 +59,28 @@ def curved(e: Explained, unseen: tuple[Observation, Complex]) -> str | None:
 def _curvature(
     sweeps: Sequence[tuple[Observation, Complex]], rigs: Sequence[Rig], power: int, signal: str
 ) -> tuple[Real, Real]:
-    """Curvature c of each channel, (n,), and its standard deviation, infinite where nothing tells it."""
+    """Curvature c of each channel, (n,), and its standard deviation, infinite where nothing tells it.
+
+    A harmonic of less than `MODEL_FLOOR` of the largest signal is no proof: two programs' integrators bend as much.
+    """
     n = sweeps[0][0].Y.shape[2]
-    along, own, size = np.zeros(n), np.zeros(n), np.zeros(n)
+    along, own, size, largest = np.zeros(n), np.zeros(n), np.zeros(n), np.full(n, 1e-30)
     for (o, z), rig in zip(sweeps, rigs, strict=True):
         if power not in o.harmonics:
             continue
         k = o.harmonics.index(power)
         w = weight(o, signal)[:, k]
-        law = measured_signal(o, signal)[:, o.fundamental] ** power / 2 ** (power - 1) * w
+        x = measured_signal(o, signal)[:, o.fundamental]
+        law = x**power / 2 ** (power - 1) * w
+        largest = np.maximum(largest, np.abs(x).max(axis=0))
         magnets = _beyond_linear(rig, o, k, power) * w if signal == "y" else np.zeros_like(law)
         along += np.sum((z[:, k] * law.conj()).real, axis=0)
         own += np.sum((magnets * law.conj()).real, axis=0)
         size += np.sum(np.abs(law) ** 2, axis=0)
     known = size > 0
     size = np.where(known, size, 1.0)
-    std = np.where(known, np.hypot(1 / np.sqrt(size), OF_THE_MAGNETS * own / size), np.inf)
+    floor = MODEL_FLOOR * (2 / largest) ** (power - 1)
+    std = np.where(known, np.hypot(np.hypot(1 / np.sqrt(size), OF_THE_MAGNETS * own / size), floor), np.inf)
     return along / size, std
 
 
