@@ -67,21 +67,35 @@ def test_what_magnets_bend_more_or_less_than_their_datasheet_says_is_no_sensor()
 
 def test_a_current_probe_bent_too_little_for_any_line_to_show_it_is_told_of_the_amplifiers() -> None:
     datasheet, truth = known_datasheet(seed=43)
-    measured, f, third = experiment(true_rig(truth)), HARMONICS.index(1), HARMONICS.index(3)
+    measured = experiment(true_rig(truth))
     assert curved(*plain(measured, datasheet, "amplifier")) is None
-    sweeps = []
-    for s in measured.sweeps:
-        assert s.I is not None
-        I = s.I.copy()
-        I[:, :, third] += 0.015 / 4 * s.I[:, :, f] ** 3
-        sweeps.append(replace(s, I=I))
-    e, unseen = plain(replace(measured, sweeps=tuple(sweeps)), datasheet, "amplifier")
+    e, unseen = plain(with_bent_probes(measured, 0.015), datasheet, "amplifier")
     assert e.remaining < 4.0, "no line or band shows it"
     told = re.search(
         r"current is curved.*x\^3 with c = ([\d.e+-]+) per A\^2 \(standard.* ([\d.e+-]+)\)", curved(e, unseen) or ""
     )
     assert told is not None
     assert abs(float(told[1]) - 0.015) < 4 * float(told[2])
+
+
+def test_a_harmonic_of_the_size_of_an_integrator_s_error_is_no_probe_however_little_noise_there_is() -> None:
+    datasheet, truth = known_datasheet(seed=43)
+    measured = experiment(true_rig(truth), noise=0.02)
+    largest = max(float(np.abs(s.I[:, :, HARMONICS.index(1)]).max()) for s in measured.sweeps if s.I is not None)
+    for share, told in ((1e-4, False), (1e-2, True)):
+        bent = with_bent_probes(measured, 4 * share / largest**2)
+        assert (curved(*plain(bent, datasheet, "amplifier")) is not None) is told
+
+
+def with_bent_probes(measured: Experiment, cubic_per_a2: float) -> Experiment:
+    """The experiment as logged by current probes that add a cubic term."""
+    sweeps = []
+    for s in measured.sweeps:
+        assert s.I is not None
+        I = s.I.copy()
+        I[:, :, HARMONICS.index(3)] += cubic_per_a2 / 4 * s.I[:, :, HARMONICS.index(1)] ** 3
+        sweeps.append(replace(s, I=I))
+    return replace(measured, sweeps=tuple(sweeps))
 
 
 def plain(measured: Experiment, datasheet: Datasheet, path: str) -> tuple[Explained, tuple[Observation, np.ndarray]]:
