@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.identification.amplifier_fit import AmplifierFit, amplifier_fit
+from service.identification.amplifier_fit import AmplifierFit, amplifier_fits
 from service.identification.assemble import assemble
 from service.identification.block_length import block_samples
 from service.identification.coupling import cross_planes
@@ -326,9 +326,7 @@ def start_model(
     parameters, delay = nominal, 0.0
     if data.plant.I is not None:
         sets = [data.plant] + ([data.amplifier] if data.amplifier is not None else [])
-        fits = tuple(
-            amplifier_fit(sets, c, nominal[c], datasheet.sample_time_s, datasheet.computing_delay_s) for c in (0, 1)
-        )
+        fits = amplifier_fits(sets, (nominal[0], nominal[1]), datasheet.sample_time_s, datasheet.computing_delay_s)
         parameters = [f.parameters for f in fits]
         delay = float(np.mean([f.delay_s for f in fits]))
     known = known_of(datasheet, plane, axes, chain)
@@ -343,7 +341,7 @@ def start_model(
             [datasheet.sensor_gain[k] for k in pair],
         ]
     )
-    return PlaneModel(known, Layout(orders), theta), fits  # type: ignore[return-value]
+    return PlaneModel(known, Layout(orders), theta), fits
 
 
 def known_of(datasheet: Datasheet, plane: str, axes: tuple[str, ...], chain: Chain | None = None) -> Known:
