@@ -18,7 +18,8 @@ from service.identification.plane_motion import Motion
 from service.identification.points import PlanePoints
 from service.identification.prediction import Amplitude, Points
 from service.identification.residuals import Data, Weights, noise_of, residuals, weights_of
-from service.identification.split import Knowledge, Split, held_rows
+from service.identification.split import Knowledge, Split, held_rows, log_ratios, split_rows
+from service.identification.start import with_split
 from service.identification.zoh import Real
 
 NEAR, FAR = 1.5, 10.0
@@ -28,6 +29,9 @@ TOLERANCE, NEARLY = 1e-4, 1e-2
 made anew after them."""
 FAR_OFF, NEAR_BY = 1e-3, 1e-7
 """Damping of the first step: from a start, and from where a round before has led."""
+
+SPLIT_STEP = 1e-3
+"""Of ln(|phi_s|/|phi_b|), for the slope of the amplitudes at the bearings."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ def refine(
     weights: Weights | None = None,
     max_iterations: int = 60,
     reach: float = FAR,
+    following: bool = False,
 ) -> Refined:
     """Model that is most likely under the measured noise.
 
@@ -102,8 +107,12 @@ def refine(
         Whitening to use; by default that of the start, and once more that of the outcome.
     reach
         See `amplitude_of`.
+    following
+        Whether amplitudes at the bearings, and the excess with them, follow the splits while the model is sought
+        (`residuals_following`); otherwise they are those of the round's start.
     """
-    rounds = (2 if nonlinear else 1) if relative or weights is not None else (3 if nonlinear else 2)
+    rounds = (2 if nonlinear and not following else 1) if relative or weights is not None else (3 if nonlinear else 2)
+    along = reach if following and nonlinear else None
     fit: Fit | None = None
     amplitude: Amplitude | None = None
     now = weights
@@ -114,10 +123,12 @@ def refine(
         if weights is None:
             now, noise = weights_of(model, data, amplitude, relative)
         assert now is not None
-        fit = _minimise(model, data, now, amplitude, free, split, max_iterations, k == 0, k == rounds - 1)
+        fit = _minimise(model, data, now, amplitude, free, split, max_iterations, k == 0, k == rounds - 1, along)
         model = model.at(fit.theta)
     assert fit is not None
     assert now is not None
+    if along is not None:
+        amplitude = amplitude_of(model, data.plant, reach)
     return Refined(model, fit, data.plant, amplitude, now, relative, reach, noise)
 
 
@@ -131,12 +142,16 @@ def _minimise(
     max_iterations: int,
     first: bool,
     last: bool,
+    following_to: float | None,
 ) -> Fit:
     def residual(theta: Real, gradient: bool) -> tuple[Real, Real | None] | None:
         trial = model.at(theta)
         if not trial.is_physical:
             return None
-        r, j = residuals(trial, data, weights, amplitude, gradient, free)
+        if following_to is None:
+            r, j = residuals(trial, data, weights, amplitude, gradient, free)
+        else:
+            r, j = residuals_following(trial, data, weights, free, following_to, gradient)
         if split is not None and trial.layout.n_modes:
             more, slope = held_rows(trial, split)
             r = np.concatenate([r, more])
@@ -147,6 +162,34 @@ def _minimise(
     fit = minimise(residual, model.theta, free, max_iterations, tolerance, damping, lambda t: model.at(t).is_physical)
     order = _line_after_line(data, len(fit.residual))
     return replace(fit, residual=fit.residual[order], jacobian=fit.jacobian[order])
+
+
+def residuals_following(
+    model: PlaneModel, data: Data, weights: Weights, free: NDArray[np.bool_], reach: float, gradient: bool = True
+) -> tuple[Real, Real | None]:
+    """Residuals at the amplitudes that the model itself sees at the bearings, and their slope with those following.
+
+    What the sensors see tells how far the bearings move but for each mode's split: a mode's part of the motion there is
+    in proportion to its shape at the bearings, and the excess goes with the cube of the motion. So a loud line tells of
+    splits. Differences along these give that slope; whatever else moves the amplitudes is told far better by the data.
+
+    Returns
+    -------
+    residual, jacobian
+        As of `residuals`.
+    """
+    r, j = residuals(model, data, weights, amplitude_of(model, data.plant, reach), gradient, free)
+    if j is None or not model.layout.n_modes:
+        return r, j
+    ratios = log_ratios(model)
+    along = split_rows(model, Split(np.zeros(len(ratios)), 1.0))[1][:, free]
+    columns = []
+    for k in range(len(ratios)):
+        beside = ratios.copy()
+        beside[k] += SPLIT_STEP
+        amplitude = amplitude_of(with_split(model, beside), data.plant, reach)
+        columns.append((residuals(model, data, weights, amplitude, gradient=False)[0] - r) / SPLIT_STEP)
+    return r, j + np.stack(columns, axis=1) @ along
 
 
 def _line_after_line(data: Data, n: int) -> NDArray[np.int64]:

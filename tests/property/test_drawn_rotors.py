@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -30,8 +32,12 @@ def away(estimate: Estimate, truth: float) -> float:
     return abs(estimate.value - truth) / estimate.std
 
 
-@pytest.mark.parametrize("number", range(3))
-@pytest.mark.parametrize("kind", KINDS)
+ONCE_LOST = [("heavy and flexible", 5), ("close modes", 42)]
+"""A line that reaches far into the magnets' cubic law, which tells of a split; an amplifier that passes for one of
+first order with a delay of its own."""
+
+
+@pytest.mark.parametrize(("kind", "number"), [*product(KINDS, range(3)), *ONCE_LOST])
 def test_what_is_reported_of_a_drawn_rotor_holds(kind: str, number: int) -> None:
     # from seeds of its own: what Hypothesis draws hangs on which modules the run has loaded, and so would the verdict
     rng = np.random.default_rng([KINDS.index(kind), number])
