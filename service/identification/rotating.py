@@ -11,9 +11,11 @@ from scipy.linalg import block_diag
 from service.experiment.data import Experiment, Sweep
 from service.identification.campbell import Campbell, campbell
 from service.identification.estimate import Estimate
+from service.identification.evidence import Evidence
 from service.identification.rotating_fit import RotatingFit, amplitude_of, fit_rotating, noise_of, turning
 from service.identification.rotating_model import RotatingModel, joined, paired
 from service.identification.rotating_points import SpeedPoints, speed_points
+from service.identification.rotating_start import Begun, begun, not_modes
 from service.identification.selection import Selected
 from service.identification.split import Posterior, Split
 from service.identification.uncertainty import Uncertainty, uncertainty_of
@@ -191,20 +193,15 @@ def turned(
     if not any(s.speed_rad_s for s in seen):
         raise AmbError("no stepped sine at speed is there; measure one")
     data = tuple(speed_points(s, tuple(experiment.axes), names[id(s)]) for s in seen)
-    x, y = (planes[p].refined.model for p in "xy")
-    pairs = paired(x, y)
-    alone = x.layout.n_modes + y.layout.n_modes - 2 * len(pairs)
+    end = max(float(p.omega.max()) for p in data)
+    refined, u = _fitted(begun(planes, end, bool(planes_speed_rad_s)), data, datasheet, end)
+    layout = refined.model.layout
+    alone = sum(p.n_modes for p in layout.planes) - 2 * len(layout.pairs)
     if alone:
         warnings.append(f"{alone} modes are seen in one plane only and are not coupled by the speed")
-    splits = common_splits((planes["x"].splits, planes["y"].splits), pairs)
-    n_x = x.layout.n_modes
-    start = joined(x, y, pairs, datasheet.polar_inertia_kgm2 or 0.2 * datasheet.transverse_inertia_kgm2)
-    end = max(float(p.omega.max()) for p in data)
-    ratios = splits.log_ratios[:n_x], splits.log_ratios[n_x:]
-    held = [Split(r, beyond=m.modes[:, 0] > end) for r, m in zip(ratios, (x, y), strict=True)]
-    refined = fit_rotating(start, data, (held[0], held[1]))
-    u = uncertainty_of(refined, splits, estimated_weights=True)
-    if not u.adequate:
+    if u.adequate:
+        warnings += not_modes(planes, refined.model.planes, end)
+    else:
         warnings.append(
             f"residuals over all speeds are {u.scale:.2g} times the noise: something acts that the rotating model does "
             "not have; standard deviations are widened"
@@ -224,6 +221,31 @@ def turned(
         None if planes_speed_rad_s else _apart(refined.model, planes, u),
         tuple(warnings),
     )
+
+
+def _fitted(
+    starts: list[tuple[Begun, Begun]], data: tuple[SpeedPoints, ...], datasheet: Datasheet, end_rad_s: float
+) -> tuple[RotatingFit, Uncertainty]:
+    """The joint fit from the first start that leads to the noise, or from that which describes the data best."""
+    found = []
+    for x, y in starts:
+        models, n_x = (x[0], y[0]), x[0].layout.n_modes
+        pairs = paired(*models)
+        splits = common_splits((x[1], y[1]), pairs)
+        start = joined(*models, pairs, datasheet.polar_inertia_kgm2 or 0.2 * datasheet.transverse_inertia_kgm2)
+        ratios = splits.log_ratios[:n_x], splits.log_ratios[n_x:]
+        held = [Split(r, beyond=m.modes[:, 0] > end_rad_s) for r, m in zip(ratios, models, strict=True)]
+        refined = fit_rotating(start, data, (held[0], held[1]))
+        found.append((refined, uncertainty_of(refined, splits, estimated_weights=True)))
+        if found[-1][1].adequate:
+            return found[-1]
+    return min(found, key=lambda f: _length(f[0]))
+
+
+def _length(refined: RotatingFit) -> float:
+    """Description length of the data."""
+    n = len(refined.fit.residual)
+    return Evidence("", refined.fit.n_free, n, refined.fit.cost).mdl
 
 
 def common_splits(planes: tuple[Posterior | None, Posterior | None], pairs: tuple[tuple[int, int], ...]) -> Posterior:

@@ -130,6 +130,22 @@ def test_a_mode_above_the_last_line_is_not_made_to_grow_by_the_fit_of_all_speeds
     assert polar.value == pytest.approx(POLAR, abs=3 * polar.std)
 
 
+def test_poles_of_the_other_planes_loop_are_no_modes(datasheet: Datasheet) -> None:
+    """At one speed alone, with lines that end below the second mode: a plane by itself sees the other one's loop."""
+    sweep = sweep_at(157.0, 1, HZ[HZ < 700.0])
+    found = identify(Experiment("reference", datasheet.axes, (sweep,)), datasheet)
+    assert len(found.planes["x"].modes) > 2
+    turned = found.rotating
+    assert turned is not None
+    assert turned.uncertainty.adequate
+    assert any("what plane x by itself has at" in w and "no mode of the rotor" in w for w in found.warnings)
+    for plane in turned.refined.model.planes:
+        assert plane.layout.n_modes == 2
+        assert np.all((plane.damping_ratios > 5e-4) & (plane.damping_ratios < 0.05))
+    polar = turned.estimate("polar_inertia_kgm2", "kg m2")
+    assert polar.value == pytest.approx(POLAR, abs=3 * polar.std)
+
+
 def test_polar_inertia_and_splitting_are_recovered(turned: Turned) -> None:
     """From planes that know nothing of the speed, a datasheet without polar inertia, and no mode known."""
     polar = turned.estimate("polar_inertia_kgm2", "kg m2")
@@ -167,6 +183,7 @@ def test_deviations_from_data_are_those_of_a_fit_that_knows_the_noise(datasheet:
 
 
 def test_the_fit_is_at_the_noise_and_agrees_with_the_planes(turned: Turned) -> None:
+    assert not any("no mode of the rotor" in w for w in turned.warnings)
     assert turned.uncertainty.adequate
     assert np.all(np.abs(turned.rms - 1) < 0.1)
     assert turned.apart is not None
@@ -303,6 +320,8 @@ def test_speeds_without_standstill_and_one_speed_alone_do_as_well(datasheet: Dat
         found = identify(Experiment("reference", datasheet.axes, sweeps), datasheet)
         assert any("gyroscopic coupling is not in their models" in w for w in found.warnings)
         assert found.rotating is not None
+        assert found.rotating.uncertainty.adequate
+        assert [p.layout.n_modes for p in found.rotating.refined.model.planes] == [2, 2]
         polar = found.rotating.estimate("polar_inertia_kgm2", "kg m2")
         assert polar.value == pytest.approx(POLAR, abs=3.5 * polar.std)
         assert polar.value == pytest.approx(POLAR, rel=0.02)
