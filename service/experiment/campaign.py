@@ -16,7 +16,6 @@ from service.experiment.beginning import checked_limits, fingerprint, prepare_fo
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
 from service.experiment.leased import Patient, alone, make_ready, stopped_by
-from service.experiment.multisine_phases import MultisinePhases
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
 from service.experiment.plan import Request
 from service.experiment.points import Point, experiment
@@ -204,6 +203,8 @@ def _run(
 ) -> None:
     """All phases of the excitation that the profile is for."""
     if isinstance(profile, MultisineProfile):
+        from service.experiment.multisine_phases import MultisinePhases  # they identify; stepped sines never do
+
         MultisinePhases(recorder, limits, profile, meter, done, extra, datasheet, speed_rad_s).run(raw_records)
     else:
         phases.run(recorder, limits, profile, raw_records, meter, done)

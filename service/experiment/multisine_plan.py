@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,9 @@ from service.experiment.aims import Limits
 from service.experiment.frequencies import mains_harmonics
 from service.experiment.knowledge import Knowledge
 from service.experiment.multisine import Lines, Multisine, choose_lines
-from service.experiment.multisine_design import Design
+
+if TYPE_CHECKING:  # the API offers this profile, and designs nothing
+    from service.experiment.multisine_design import Design
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

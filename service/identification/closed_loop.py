@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag, expm
-from scipy.signal import tf2ss
+from scipy.linalg import companion as companion_matrix
 
 from service.identification.amplifier import Amplifier
 from service.identification.combine import physical_matrices
@@ -170,18 +170,23 @@ def loop_states(model: PlaneModel, controller: tuple[Real, Real]) -> LoopStates:
             f"the joint fit ended far from any rotor (a mode at {fastest:.2g} Hz): the points do not tell the modes; "
             "measure more of them, above all around the peaks"
         )
-    numerator, denominator = (np.trim_zeros(np.asarray(x, dtype=float), "f") for x in controller)
-    if not len(numerator):
-        numerator = np.zeros(1)
-    if len(denominator) == 1:  # a plain gain has no state
-        gain = float(numerator[0] / denominator[0])
-        return LoopStates(np.asarray(plant.A - gain * plant.B @ plant.C), -gain * plant.B)
-    ca, cb, cc, cd = (np.asarray(x, dtype=float) for x in tf2ss(numerator, denominator))
-    two = [block_diag(x, x) for x in (ca, cb, cc, cd)]
-    ca, cb, cc, cd = two
+    ca, cb, cc, cd = (block_diag(x, x) for x in controller_states(controller))
     top = np.hstack([plant.A - plant.B @ cd @ plant.C, plant.B @ cc])
     bottom = np.hstack([-cb @ plant.C, ca])
     return LoopStates(np.vstack([top, bottom]), -np.vstack([plant.B @ cd, cb]))
+
+
+def controller_states(controller: tuple[Real, Real]) -> tuple[Real, Real, Real, Real]:
+    """A (s, s), B (s, 1), C (1, s), D (1, 1) of one axis's discrete controller; a plain gain has no state.
+
+    The controller canonical form, as of `scipy.signal.tf2ss`, which takes half a second to import.
+    """
+    numerator, denominator = (np.trim_zeros(np.asarray(x, dtype=float), "f") for x in controller)
+    order = len(denominator) - 1
+    b = np.concatenate([np.zeros(order + 1 - len(numerator)), numerator]) / denominator[0]
+    a = denominator / denominator[0]
+    A = companion_matrix(a) if order else np.zeros((0, 0))
+    return A, np.eye(order, 1), (b[1:] - b[0] * a[1:])[None], b[:1, None]
 
 
 def closed_loop_poles(model: PlaneModel, controller: tuple[Real, Real]) -> Complex:

@@ -6,12 +6,12 @@ one by one. What is measured across the planes says whether that holds.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
-from scipy.stats import norm
 
+from service.distributions import normal_above
 from service.experiment.data import Sweep
 from service.identification.points import planes_of
 from service.identification.zoh import Complex
@@ -72,15 +72,25 @@ def _tested(here: str, there: str, own: Complex, other: Complex) -> CrossPlane:
     blocks = own.shape[1]
     mean = other.mean(axis=1)
     variance = np.maximum(np.var(other, axis=1, ddof=1) / blocks, 1e-300)
-    usual = fisher(2, 2 * (blocks - 1))
-    most = float(usual.ppf(1 - RARE))
+    most, expected, std = usual_ratio(blocks)
     ratio = np.minimum(np.abs(mean) ** 2 / variance, most)
-    expected = float(usual.expect(lambda x: min(x, most)))
-    z = (ratio.mean() - expected) / (usual.std() / np.sqrt(ratio.size))
+    z = (ratio.mean() - expected) / (std / np.sqrt(ratio.size))
     above = np.maximum(np.abs(mean) ** 2 - variance, 0.0)
     relative = float(np.sqrt(above.sum() / np.sum(np.abs(own.mean(axis=1)) ** 2)))
-    coupled = z > norm.isf(CHANCE) and relative > LEAST_RELATIVE
+    coupled = z > normal_above(CHANCE) and relative > LEAST_RELATIVE
     return CrossPlane(here, there, relative, float(np.mean(np.abs(mean) ** 2 / variance)), bool(coupled))
+
+
+def usual_ratio(blocks: int) -> tuple[float, float, float]:
+    """Largest ratio that counts, mean of ratios cut there, and standard deviation of the ratio, of decoupled planes.
+
+    |mean|^2 over its variance from 4 or more blocks is F distributed with 2 and 2 m degrees of freedom, m = blocks - 1,
+    and exceeds x with the probability (1 + x / m)^-m.
+    """
+    m = blocks - 1
+    most = m * (RARE ** (-1 / m) - 1)
+    expected = m / (m - 1) * (1 - (1 + most / m) ** (1 - m))
+    return most, expected, m / (m - 1) * math.sqrt(m / (m - 2))
 
 
 def told(found: CrossPlane) -> str:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.signal import oaconvolve
+from scipy.ndimage import convolve1d, median_filter
 from scipy.special import digamma, gammaincinv, polygamma
 
 from service.identification.zoh import Complex, Real
@@ -279,8 +278,7 @@ def _local_mean(values: Real, width: int) -> Real:
     """Moving mean over ``2 width + 1`` rows with triangular weights, shorter at the ends; values (P, ...)."""
     n = len(values)
     half = np.concatenate([np.arange(1, width + 2), np.arange(width, 0, -1)]) / (width + 1.0)
-    kernel = half.reshape(-1, *([1] * (values.ndim - 1)))
-    total = oaconvolve(values, kernel, mode="full", axes=0)[width : width + n]
+    total = convolve1d(values, half, axis=0, mode="constant")
     mass = np.convolve(np.ones(n), half)[width : width + n]
     return np.asarray(total / mass.reshape(-1, *([1] * (values.ndim - 1))))
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, eig
-from scipy.signal import tf2ss
 
-from service.identification.closed_loop import driven, integrated, with_known_sensors
+from service.identification.closed_loop import controller_states, driven, integrated, with_known_sensors
 from service.identification.rotating_model import RotatingModel
 from service.identification.zoh import Complex, Real
 
@@ -91,19 +90,10 @@ def loop_matrix(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s
         for j in range(1, past[k]):
             big[at + 2 * j : at + 2 * j + 2, at + 2 * j - 2 : at + 2 * j] = np.eye(2)
         at += 2 * past[k]
-    ca, cb, cc, cd = _controller(controller)
+    ca, cb, cc, cd = (block_diag(*[x] * 4) for x in controller_states(controller))
     top = np.hstack([big - drive @ cd @ seen, drive @ cc])
     closed = np.vstack([top, np.hstack([-cb @ seen, ca])])
     return closed, np.hstack([seen, np.zeros((4, len(ca)))])
-
-
-def _controller(controller: tuple[Real, Real]) -> tuple[Real, Real, Real, Real]:
-    numerator, denominator = (np.trim_zeros(np.asarray(x, dtype=float), "f") for x in controller)
-    parts = (np.asarray(x, dtype=float) for x in tf2ss(numerator, denominator))
-    a, b, c, d = (block_diag(*[x] * 4) for x in parts)
-    if len(denominator) == 1:  # a plain gain has no state
-        a, b, c = np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((4, 0))
-    return a, b, c, d
 
 
 def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, Real]:

@@ -138,3 +138,13 @@ def test_the_controller_is_discretised_by_tustins_rule() -> None:
     pid = 18e3 + 36e3 / s + 80.0 * s * wf / (s + wf)
     notch = (s**2 + 0.4 * wn * s + wn**2) / (s**2 + 1.4 * wn * s + wn**2)
     np.testing.assert_allclose(np.polyval(b, z) / np.polyval(a, z), pid * notch, rtol=1e-7)
+
+
+def test_tustins_rule_is_to_the_last_bit_that_of_scipy() -> None:
+    """A rig drawn anew must be the one that seeds and practice cases name."""
+    wf, wn = 2 * np.pi * 3e3, 2 * np.pi * 750.0
+    pid = [18e3 + 80 * wf, 18e3 * wf + 36e3, 36e3 * wf]
+    numerator = np.polymul(pid, [1.0, 0.4 * wn, wn**2])
+    denominator = np.polymul([1.0, wf, 0.0], [1.0, 1.4 * wn, wn**2])
+    for own, other in zip(pid_with_biquad(), bilinear(numerator, denominator, 1e4), strict=True):
+        np.testing.assert_array_equal(own, other)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import f as fisher
 
 from service.experiment.data import Experiment
-from service.identification.coupling import cross_planes
+from service.identification.coupling import RARE, cross_planes, usual_ratio
 from service.identification.fit import identify
 from sim.datasheet import Datasheet
 
@@ -44,3 +45,12 @@ def test_a_transient_in_a_few_points_is_no_coupling(experiment: Experiment) -> N
     y = main.Y.copy()
     y[np.flatnonzero(main.axis < 2)[:3], :, :, 2:] += 1e-6
     assert not any(c.coupled for c in cross_planes(replace(main, Y=y), experiment.axes))
+
+
+@pytest.mark.parametrize("blocks", [4, 6, 30])
+def test_the_ratio_of_decoupled_planes_is_f_distributed(blocks: int) -> None:
+    of_f = fisher(2, 2 * (blocks - 1))
+    most, mean, std = usual_ratio(blocks)
+    assert of_f.sf(most) == pytest.approx(RARE)
+    assert mean == pytest.approx(of_f.expect(lambda x: min(x, most)), rel=1e-6)
+    assert std == pytest.approx(of_f.std())
