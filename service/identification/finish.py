@@ -1,8 +1,8 @@
 """The last joint fit: the shapes' splits held where data and knowledge together put them, and their spread about it.
 
 The data tell of splits by the work of the position stiffness, and by how far the bearings move at the loudest lines
-(`refine.residuals_following`). The latter only where the model agrees with them, for another force law would tell of
-other splits, and of tones alone: a multisine's products of lines take ten times as long as all of the rest.
+(`refine.residuals_following`); the latter only where the model agrees with them, for another force law would tell of
+other splits.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _fitted(
         weights=refined.weights,
         max_iterations=MOST_STEPS,
         reach=reach,
-        following=isinstance(held, Knowledge) and not refined.relative and data.plant.many is None,
+        following=isinstance(held, Knowledge) and not refined.relative,
     )
     return replace(found, told_noise=refined.noise, relative=refined.relative)
 

@@ -50,6 +50,7 @@ def minimise(
     tolerance: float = 1e-4,
     damping: float = 1e-3,
     physical: Callable[[Real], bool] | None = None,
+    moved: Callable[[Real, Real], Real] | None = None,
 ) -> Fit:
     """Smallest sum of squares from a start.
 
@@ -69,6 +70,9 @@ def minimise(
     physical
         Whether parameters are within the physical range, where that can be told without the residuals: a last step that
         changes nothing but digits is then taken without them.
+    moved
+        Where a step leads from some parameters, (size,) each, where a straight line leaves a bent valley; to first
+        order their sum.
 
     Raises
     ------
@@ -96,8 +100,9 @@ def minimise(
             along = upper @ step
             predicted = float(-2 * (qtr @ along) - along @ along)
             small = predicted <= max(tolerance, 1e-6 * cost if damping < 1e-2 else 1e-9 * cost)
-            trial = theta.copy()
-            trial[free] += step / scale
+            whole = np.zeros_like(theta)
+            whole[free] = step / scale
+            trial = theta + whole if moved is None else moved(theta, whole)
             if small and physical and np.all(np.abs(trial - theta) <= LINEAR * np.abs(theta)) and physical(trial):
                 theta, r, cost = trial, r + jacobian @ (step / scale), cost - predicted
                 status, converged = DONE, True

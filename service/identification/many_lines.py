@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 from service.experiment.data import Sweep
 from service.experiment.multisine import orthogonal
@@ -52,22 +53,24 @@ class ManyLines:
             (P, 2) columns at the bearings, A and m.
         """
         mixing = orthogonal(self.n_axes)
-        samples = 2 ** int(np.ceil(np.log2(4 * int(self.line.max()) + 1)))  # third harmonics fold back on no line
+        samples = next_fast_len(4 * int(self.line.max()) + 1, real=True)  # third harmonics fold back on no line
         i, x = (self._in_time(v, mixing, samples) for v in (current, displacement))
         out = np.empty((self.phasor.shape[1], 3, len(self.line), 2), dtype=np.complex128)
-        back = (mixing[:, self.axis].conj() / len(mixing))[None, :, :, None] * self.phasor.T.conj()[:, None, :, None]
+        back = (mixing[:, self.axis].conj() / len(mixing))[None] * self.phasor.T.conj()[:, None]  # (B, E, P)
         for k, product in enumerate((i * i * x, i * x * x, x * x * x)):
-            spectrum = np.fft.rfft(product, axis=2)[:, :, self.line] * (2 / samples)
-            out[:, k] = np.sum(back * spectrum, axis=1)
+            spectrum = rfft(product)[..., self.line] * (2 / samples)
+            out[:, k] = np.einsum("bep,bejp->bpj", back, spectrum)
         return out
 
     def _in_time(self, columns: Complex, mixing: Complex, samples: int) -> Real:
-        """(B, experiments, samples, 2) time functions of columns."""
+        """(B, experiments, 2, samples) time functions of columns."""
         blocks, experiments = self.phasor.shape[1], len(mixing)
-        half = np.zeros((samples // 2 + 1, blocks, experiments, 2), dtype=np.complex128)
-        weight = self.phasor[:, :, None] * mixing[:, self.axis].T[:, None, :]  # (P, B, E)
-        np.add.at(half, self.line, weight[..., None] * columns[:, None, None, :])
-        return np.asarray(np.fft.irfft(half.transpose(1, 2, 0, 3) * (samples / 2), samples, axis=2))
+        half = np.zeros((blocks, experiments, 2, samples // 2 + 1), dtype=np.complex128)
+        for axis in np.unique(self.axis):  # each of its lines once
+            own = self.axis == axis
+            weight = self.phasor[own].T[:, None] * mixing[:, axis][:, None]  # (B, E, own)
+            half[..., self.line[own]] += weight[:, :, None] * columns[own].T
+        return np.asarray(irfft(half * (samples / 2), samples))
 
 
 def excess_of_products(ki: Real, ks: Real, bias_current_a: Real, products: Complex) -> tuple[Complex, Complex, Complex]:

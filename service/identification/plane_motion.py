@@ -122,6 +122,12 @@ class Motion:
         """Sampled displacement at the sensors, m."""
         return np.asarray(self.loop.through[:, 0] * self.force[0] + self.loop.through[:, 1] * self.force[1])
 
+    @property
+    def x_of_modes(self) -> Complex:
+        """What each flexible mode adds to the displacement at the bearings, (n, 2, P)."""
+        shapes = self.loop.bearings[2:]
+        return np.asarray(shapes[:, :, None] * (self.loop.gain[2:] * (shapes @ self.total))[:, None])
+
 
 def _driven(model: PlaneModel, loop: Loop, coil: Complex, excess: Complex | None) -> tuple[Complex, Complex, Complex]:
     """Force of the currents, all force, and the displacement at the bearings."""

@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel
 from service.identification.plane_model import PlaneModel
-from service.identification.plane_motion import Motion
 from service.identification.points import PlanePoints
 from service.identification.prediction import Amplitude, Points
 from service.identification.residuals import Data, Weights, noise_of, residuals, weights_of
-from service.identification.split import Knowledge, Split, held_rows, log_ratios, split_rows
-from service.identification.start import with_split
-from service.identification.zoh import Real
+from service.identification.split import Knowledge, Split, held_rows, moved_along_splits, split_rows
+from service.identification.zoh import Complex, Real
 
 NEAR, FAR = 1.5, 10.0
 """Displacement of a bearing over that of the sensors, at most: while modes are counted, and in the end."""
@@ -65,17 +63,19 @@ def amplitude_of(model: PlaneModel, at: PlanePoints | Points, reach: float = FAR
         No bearing is taken to move further than so many times what the sensors see: a shape whose split is not known
         yet would put it anywhere, and the excess, cubic, with it.
     """
-    many, together = (at.many, at.together) if isinstance(at, PlanePoints) else (None, None)
-    limit = reach * np.linalg.norm(at.y, axis=1) if isinstance(at, PlanePoints) else np.inf
-
-    def now(m: Motion) -> Amplitude:
-        x = (m.x * np.minimum(1.0, limit / np.maximum(np.abs(m.x), 1e-30))).T
-        return Amplitude(m.coil.T, x, together, None if many is None else many.products(m.coil.T, x))
-
     motion = model.motion(at.at if isinstance(at, PlanePoints) else at)
     for _ in range(rounds):
-        motion = motion.about(now(motion))
-    return now(motion)
+        motion = motion.about(_amplitude(at, motion.coil, motion.x, reach))
+    return _amplitude(at, motion.coil, motion.x, reach)
+
+
+def _amplitude(at: PlanePoints | Points, coil: Complex, x: Complex, reach: float) -> Amplitude:
+    """Of coil currents and displacements at the bearings, (2, P) each."""
+    many, together, limit = None, None, np.inf
+    if isinstance(at, PlanePoints):
+        many, together, limit = at.many, at.together, reach * np.linalg.norm(at.y, axis=1)
+    within = (x * np.minimum(1.0, limit / np.maximum(np.abs(x), 1e-30))).T
+    return Amplitude(coil.T, within, together, None if many is None else many.products(coil.T, within))
 
 
 def refine(
@@ -123,7 +123,8 @@ def refine(
         if weights is None:
             now, noise = weights_of(model, data, amplitude, relative)
         assert now is not None
-        fit = _minimise(model, data, now, amplitude, free, split, max_iterations, k == 0, k == rounds - 1, along)
+        far_off = k == 0 and along is None
+        fit = _minimise(model, data, now, amplitude, free, split, max_iterations, far_off, k == rounds - 1, along)
         model = model.at(fit.theta)
     assert fit is not None
     assert now is not None
@@ -159,7 +160,15 @@ def _minimise(
         return r, j
 
     tolerance, damping = TOLERANCE if last else NEARLY, FAR_OFF if first else NEAR_BY
-    fit = minimise(residual, model.theta, free, max_iterations, tolerance, damping, lambda t: model.at(t).is_physical)
+
+    def physical(theta: Real) -> bool:
+        return model.at(theta).is_physical
+
+    def moved(theta: Real, step: Real) -> Real:
+        return moved_along_splits(model.at(theta), step)
+
+    way = None if following_to is None else moved
+    fit = minimise(residual, model.theta, free, max_iterations, tolerance, damping, physical, way)
     order = _line_after_line(data, len(fit.residual))
     return replace(fit, residual=fit.residual[order], jacobian=fit.jacobian[order])
 
@@ -170,26 +179,26 @@ def residuals_following(
     """Residuals at the amplitudes that the model itself sees at the bearings, and their slope with those following.
 
     What the sensors see tells how far the bearings move but for each mode's split: a mode's part of the motion there is
-    in proportion to its shape at the bearings, and the excess goes with the cube of the motion. So a loud line tells of
-    splits. Differences along these give that slope; whatever else moves the amplitudes is told far better by the data.
+    in proportion to (|phi_b|/|phi_s|), and the excess goes with the cube of the motion. So a loud line tells of splits,
+    those of modes within the band.
 
     Returns
     -------
     residual, jacobian
         As of `residuals`.
     """
-    r, j = residuals(model, data, weights, amplitude_of(model, data.plant, reach), gradient, free)
+    points = data.plant
+    amplitude = amplitude_of(model, points, reach)
+    r, j = residuals(model, data, weights, amplitude, gradient, free)
     if j is None or not model.layout.n_modes:
         return r, j
-    ratios = log_ratios(model)
-    along = split_rows(model, Split(np.zeros(len(ratios)), 1.0))[1][:, free]
-    columns = []
-    for k in range(len(ratios)):
-        beside = ratios.copy()
-        beside[k] += SPLIT_STEP
-        amplitude = amplitude_of(with_split(model, beside), data.plant, reach)
-        columns.append((residuals(model, data, weights, amplitude, gradient=False)[0] - r) / SPLIT_STEP)
-    return r, j + np.stack(columns, axis=1) @ along
+    motion = model.motion(points.at, amplitude)
+    parts, ratios = motion.x_of_modes, split_rows(model, Split(np.zeros(model.layout.n_modes), 1.0))[1]
+    for k in np.flatnonzero(model.modes[:, 0] <= points.omega.max()):
+        beside = _amplitude(points, motion.coil, motion.x - SPLIT_STEP * parts[k], reach)
+        slope = (residuals(model, data, weights, beside, gradient=False)[0] - r) / SPLIT_STEP
+        j = j + np.outer(slope, ratios[k, free])
+    return r, j
 
 
 def _line_after_line(data: Data, n: int) -> NDArray[np.int64]:

@@ -114,6 +114,21 @@ def split_rows(model: PlaneModel, split: Split) -> tuple[Real, Real]:
     return rows, jacobian
 
 
+def moved_along_splits(model: PlaneModel, step: Real) -> Real:
+    """A model's parameters after a step, in which splits change as they do: by factors.
+
+    The data tell the product of a mode's shapes to parts in a million; a straight step that makes one larger and the
+    other smaller keeps it to first order only, and so could be no longer than parts in a thousand.
+    """
+    change = split_rows(model, Split(np.zeros(model.layout.n_modes), 1.0))[1] @ step
+    theta = model.theta + step
+    for k, ln in enumerate(change):
+        at = model.layout.mode(k).start
+        for place, sign in ((slice(at + 2, at + 4), -0.5), (slice(at + 4, at + 6), 0.5)):
+            theta[place] += model.theta[place] * (np.expm1(sign * ln) - sign * ln)
+    return np.asarray(theta)
+
+
 @dataclass(frozen=True)
 class Posterior:
     """Where a fit holds ln(|phi_s|/|phi_b|) of each mode, and second moments of the relative change of a about that."""

@@ -20,6 +20,7 @@ from service.identification.split import (
     likeliest,
     log_prior,
     log_ratios,
+    moved_along_splits,
     split_rows,
 )
 from service.identification.split_posterior import posterior
@@ -80,17 +81,38 @@ def test_rows_hold_the_splits_and_have_exact_derivatives(truth: dict[str, PlaneM
 def test_slopes_along_the_splits_hold_what_the_excess_at_the_bearings_does(
     data: Data, truth: dict[str, PlaneModel]
 ) -> None:
+    """Along what keeps all else that is measured: a split with every other parameter refitted."""
     model, step = truth["x"], 1e-3
-    weights, free, ratios = weights_of(model, data, None)[0], model.layout.free(), log_ratios(model)
+    weights, free = weights_of(model, data, None)[0], model.layout.free()
     whole = residuals_following(model, data, weights, free, FAR)[1]
     held = residuals(model, data, weights, amplitude_of(model, data.plant), free=free)[1]
     assert whole is not None
     assert held is not None
     for k in range(2):
-        up, down = (with_split(model, ratios + s * step * (np.arange(2) == k)) for s in (1, -1))
-        r_up, r_down = (residuals_following(m, data, weights, free, FAR, gradient=False)[0] for m in (up, down))
-        change, along = (r_up - r_down) / (2 * step), (up.theta - down.theta)[free] / (2 * step)
-        assert np.linalg.norm(whole @ along - change) < 1e-2 * np.linalg.norm(held @ along - change)
+        hold = split_rows(model, Split(log_ratios(model), 1e-6))[1][:, free]
+        asked = np.concatenate([np.zeros(len(held)), 1e6 * (np.arange(2) == k)])
+        scale = np.linalg.norm(held, axis=0)
+        along = np.zeros_like(model.theta)
+        along[free] = np.linalg.lstsq(np.vstack([held, hold]) / scale, asked, rcond=1e-14)[0] / scale
+        ends = [model.at(moved_along_splits(model, s * step * along)) for s in (1, -1)]
+        r_up, r_down = (residuals_following(m, data, weights, free, FAR, gradient=False)[0] for m in ends)
+        change = (r_up - r_down) / (2 * step)
+        assert np.linalg.norm(whole @ along[free] - change) < 0.1 * np.linalg.norm(held @ along[free] - change)
+
+
+def test_a_step_along_the_splits_keeps_the_products_of_shapes(truth: dict[str, PlaneModel]) -> None:
+    model = truth["x"]
+    step = (with_split(model, log_ratios(model) + np.array([0.01, -0.02])).theta - model.theta) * 50
+    after = model.at(moved_along_splits(model, step))
+    assert np.allclose(log_ratios(after), log_ratios(model) + np.array([0.5, -1.0]), atol=0.03)
+    was, now = (
+        np.linalg.norm(m.modes[:, 2:4], axis=1) * np.linalg.norm(m.modes[:, 4:6], axis=1) for m in (model, after)
+    )
+    straight = model.at(model.theta + step).modes
+    bent = np.linalg.norm(straight[:, 2:4], axis=1) * np.linalg.norm(straight[:, 4:6], axis=1)
+    assert np.all(abs(now - was) < 0.1 * abs(bent - was))
+    other = np.where(np.arange(len(step)) < model.layout.delay, 0.01 * model.theta, 0.0)
+    assert np.array_equal(moved_along_splits(model, other), model.theta + other)
 
 
 @pytest.mark.parametrize("closeness", [0.05, 0.3, None])
