@@ -31,10 +31,12 @@ def _alive(pid: int) -> bool:
 
 
 def _interrupted(folder: Path, number: int) -> Path:
-    """Journal of a demo that was ended in its main sweep; everything that it had started is gone."""
+    """Journal of a demo that was ended after 20 more points, in its main sweep; all that it had started is gone."""
+    before = _journalled(folder)
     demo = Running("demo", "--quick", "--out", folder)
     try:
         wait_until(lambda: any(line.startswith("main sweep") for line in demo.said), "the main sweep")
+        wait_until(lambda: _journalled(folder) > before + 20, "more points")
         started = _started_by(demo.process.pid)
         for what in ("--until-stdin-closes", "service.jobs.supervised", "service.jobs.calculating"):
             assert any(what in command for command in started.values()), started
@@ -46,9 +48,17 @@ def _interrupted(folder: Path, number: int) -> Path:
         _wait_for_end(started)
     finally:
         demo.end()
-    (journal,) = (folder / "service" / "work").glob("job_*/experiment.journal")
-    assert journal.read_bytes().count(b"\n") > 20
+    (journal,) = _journals(folder)
     return journal
+
+
+def _journals(folder: Path) -> list[Path]:
+    return list((folder / "service" / "work").glob("job_*/experiment.journal"))
+
+
+def _journalled(folder: Path) -> int:
+    """Lines that were kept of the campaigns."""
+    return sum(journal.read_bytes().count(b"\n") for journal in _journals(folder))
 
 
 def _wait_for_end(processes: dict[int, str]) -> None:
@@ -56,12 +66,11 @@ def _wait_for_end(processes: dict[int, str]) -> None:
         wait_until(lambda process=process: not _alive(process), f"the end of {command}", 20)
 
 
-def test_what_the_demo_starts_ends_with_it(tmp_path):
-    _interrupted(tmp_path, signal.SIGINT)
-
-
-def test_a_killed_demo_goes_on_and_can_be_looked_at_in_the_service_until_ctrl_c(tmp_path):
-    journal = _interrupted(tmp_path, signal.SIGKILL)
+def test_a_demo_that_was_ended_or_killed_goes_on_and_can_be_looked_at_in_the_service_until_ctrl_c(tmp_path):
+    journal = _interrupted(tmp_path, signal.SIGINT)
+    known = journal.read_bytes()
+    assert _interrupted(tmp_path, signal.SIGKILL) == journal
+    assert journal.read_bytes().startswith(known)
     demo = Running("demo", "--quick", "--out", tmp_path, "--keep-serving")
     try:
         wait_until(lambda: any(line.startswith("serving on") for line in demo.said), "the end of the job", 120)

@@ -55,14 +55,12 @@ def interrupted(command, out, number):
     return kept
 
 
-def test_a_terminated_campaign_is_kept_and_its_rig_at_rest(rig, command, out):
-    interrupted(command, out, signal.SIGTERM)
+def test_a_campaign_terminated_and_then_ended_by_ctrl_c_is_kept_and_resumed(rig, command, out):
+    first = interrupted(command, out, signal.SIGTERM)
     assert not _excited(rig[0])
-
-
-def test_a_campaign_ended_by_ctrl_c_is_kept_and_resumed(rig, command, out):
     kept = interrupted(command, out, signal.SIGINT)
     assert not _excited(rig[0])
+    assert first.named("main").n_points <= kept.named("main").n_points
 
     again = ambit(*command, "--json", timeout_s=240)
     assert again.returncode == 0, again.stderr

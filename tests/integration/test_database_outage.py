@@ -46,7 +46,7 @@ def test_a_database_that_goes_and_comes_back_costs_no_job(running, server, rig):
 
     def read() -> None:
         with httpx.Client(base_url=running.api.said, timeout=20) as client:
-            while not over.wait(0.05):
+            while not over.wait(0.2):
                 for path in ("/jobs", f"/jobs/{job_id}", f"/rigs/{rig_id}", "/models", "/audit"):
                     answer = client.get(f"/api/v1{path}")
                     answers.add((answer.status_code, answer.headers["content-type"]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from service.storage.ids import new_id
 from service.storage.tables import GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
 from sim.rig_file import to_toml
 from tests.support.measured import small_experiment
+from tests.support.processes import FOREIGN, ROOT
 from tests.support.serving import Serving
 
 CHECKS = (
@@ -27,7 +27,6 @@ CHECKS = (
     "response_schema_conformance"
 )
 UNLIMITED: dict[str, Any] = {"port": 0, "requests_per_s": 1e6, "requests_burst": 1_000_000}
-ROOT = Path(__file__).parents[2]
 
 
 def filled(service: Serving, key: str, home: Path) -> dict[str, str]:
@@ -114,7 +113,7 @@ def tried(
             *("--no-shrink", "--continue-on-failure", "--suppress-health-check", "all", "--warnings", "off"),
             *("--no-color", "--output-truncate", "true", *which),
         ],
-        env=os.environ
+        env=FOREIGN
         | {"SCHEMATHESIS_HOOKS": "tests.support.api_hooks", "AMBIT_TEST_IDS": json.dumps(ids), "PYTHONPATH": str(ROOT)},
         cwd=folder,
         capture_output=True,

@@ -192,7 +192,7 @@ class Service:
                 raise AssertionError(f"the job ended first: {job}")
             if time.monotonic() > deadline:
                 raise AssertionError(f"the job is still {job}: {self.logs()[-3000:]}")
-            time.sleep(0.05)
+            time.sleep(0.1)  # answering takes from what is waited for
 
     def done(self, job_id: str, s: float = 60) -> dict[str, Any]:
         """A job that must end well."""
