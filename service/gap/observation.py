@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.experiment.data import Sweep
 from service.gap.coherent import PATTERNS, left_in_mean, without_hum
 from service.gap.leak import leaked, periods
-from service.gap.scatter import block_scatter, smooth_variance
+from service.gap.scatter import mean_scatter
 from service.gap.settling import drifting
 from service.gap.wander import wander
 from sim.errors import AmbError
@@ -151,8 +151,7 @@ def observe(
     if hums_hz and sweep.block_samples is not None and blocks > PATTERNS:
         sweep = without_hum(sweep, hums_hz[0])
         U, Y = sweep.U, sweep.Y
-    scatter = block_scatter(sweep, rig)
-    sds = tuple(np.sqrt(smooth_variance(v, sweep.frequency_hz)) for v in scatter)
+    sds = tuple(np.sqrt(v) for v in mean_scatter(sweep, rig))
     sd_u, sd_i, sd_y = _with_hum(sds, heard, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)

@@ -1,7 +1,4 @@
-"""The scatter of a sweep's blocks: the variance of what a model leaves of u, i and y.
-
-Feedback carries the noise of a sensor round; a model of what lies between two signals takes that part out.
-"""
+"""The scatter of a sweep's blocks: what a model leaves of u, i and y, and the variance of its mean."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
 from service.gap.coherent import deviation
-from service.gap.ends import share
+from service.gap.ends import NEIGHBOURS, share
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
 from sim.twin import linear_model
@@ -24,7 +21,7 @@ WELL_DRIVEN = 100.0
 """Condition of the signals of a line, one column for each driven axis, up to which they tell a response."""
 
 
-def smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
+def smooth_variance(v: Real, frequency_hz: Real, width: int = NEIGHBOURS) -> Real:
     """Variance pooled over neighbouring frequencies, (P, H, n): a block variance alone has few degrees of freedom."""
     order = np.argsort(frequency_hz, kind="stable")
     sorted_v = np.log(np.maximum(v[order], 1e-300))
@@ -40,40 +37,60 @@ def smooth_variance(v: Real, frequency_hz: Real, width: int = 12) -> Real:
 
 
 def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
-    """Variance of the mean over blocks of what a model leaves of u, i and y, (P, H, n) each, A^2 and m^2.
+    """Variance of the mean over independent blocks of what a model leaves of u, i and y, (P, H, n) each, A^2 and m^2.
 
-    Feedback carries the noise of y round; a model of what lies between two signals takes that part out. At the
-    excited frequency the data give it where every axis was driven, whatever the rig is. Elsewhere it is that of
-    ``rig`` (any reasonable twin). i is zero where it was not logged.
+    i is zero where it was not logged. See `unexplained`.
+    """
+    of_u, of_i, of_y = (_variance(e) for e in unexplained(sweep, rig))
+    return of_u, of_i, of_y
+
+
+def mean_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
+    """The same over the blocks as they follow one another, pooled over neighbouring frequencies.
+
+    What blocks' ends leave cancels from one to the next: where a loop is stiff, most of what a model from u to y leaves
+    in one block at low frequencies.
+    """
+    f = sweep.frequency_hz
+    means = []
+    for e in unexplained(sweep, rig):
+        pooled = smooth_variance(_variance(e), f)
+        shares = [share(e[:, :, k], pooled[:, k], f) for k in range(e.shape[2])]
+        means.append(pooled * np.stack(shares, axis=1)[..., None])
+    of_u, of_i, of_y = means
+    return of_u, of_i, of_y
+
+
+def unexplained(sweep: Sweep, rig: Rig) -> tuple[Complex, Complex, Complex]:
+    """Blocks' deviations from their mean of what a model leaves of u, i and y, (P, B, H, n) each, A and m.
+
+    Feedback carries the noise of y round, and a stiff loop hides it in y; a model of what lies between two signals
+    takes that part out. At the excited frequency the data give it where every axis was driven, whatever the rig is.
+    Elsewhere it is that of ``rig`` (any reasonable twin). i is zero where it was not logged.
     """
     frequency, line = time_points(sweep.frequency_hz)
-    blocks = sweep.Y.shape[1]
-    of_i = np.zeros((sweep.n_points, len(sweep.harmonics), rig.n_axes))
-    of_y, of_u = np.zeros_like(of_i), np.zeros_like(of_i)
+    u, i, y = (np.zeros(sweep.Y.shape, dtype=complex) for _ in range(3))
     for k, h in enumerate(sweep.harmonics):
         model = linear_model(rig, np.maximum(h * frequency, 1e-2))
         R, U, Y = sweep.R[:, :, k], sweep.U[:, :, k], sweep.Y[:, :, k]
         C = np.broadcast_to(-model.controller[:, None, None] * np.eye(rig.n_axes), model.y_per_u.shape)
 
-        def scatter(X: Complex, V: Complex, twin: Complex, cause: Complex, effect: Complex, h: int = h) -> Real:
-            e = deviation(X) - np.einsum("pij,pbj->pbi", twin[line], deviation(V))
-            power = np.mean(np.abs(e) ** 2, axis=1)
-            if h:  # near a sharp peak the twin may be far off; the direct scatter then bounds the noise
-                power = np.minimum(power, np.mean(np.abs(deviation(X)) ** 2, axis=1))
+        def left(X: Complex, V: Complex, G: Complex, cause: Complex, effect: Complex, h: int = h) -> Complex:
             if h == 1:
                 measured, known = _response(effect, cause, line, len(frequency))
-                e = deviation(X) - np.einsum("pij,pbj->pbi", measured[line], deviation(V))
-                power = np.where(known[line, None], np.mean(np.abs(e) ** 2, axis=1), power)
-            return np.asarray(power / (blocks - 1))
+                G = np.where(known[:, None, None], measured, G)
+            return np.asarray(deviation(X) - np.einsum("pij,pbj->pbi", G[line], deviation(V)))
 
-        of_y[:, k] = scatter(Y, U, model.y_per_u, U, Y)
-        of_u[:, k] = scatter(U, Y, C, Y, U - R)
-        left = deviation(U - R) - np.einsum("pij,pbj->pbi", C[line], deviation(Y))
-        of_u[:, k] *= share(left, smooth_variance(of_u[:, k], sweep.frequency_hz))
+        y[:, :, k] = left(Y, U, model.y_per_u, U, Y)
+        u[:, :, k] = left(U - R, Y, C, Y, U - R)
         if sweep.I is not None:
             I = sweep.I[:, :, k]
-            of_i[:, k] = scatter(I, U, model.i_per_u, U, I)
-    return of_u, of_i, of_y
+            i[:, :, k] = left(I, U, model.i_per_u, U, I)
+    return u, i, y
+
+
+def _variance(e: Complex) -> Real:
+    return np.asarray(np.mean(np.abs(e) ** 2, axis=1) / (e.shape[1] - 1))
 
 
 def _response(
