@@ -142,7 +142,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _alike(d: Diagnosis) -> tuple[list[str], list[str]]:
+def alike(d: Diagnosis) -> tuple[list[str], list[str]]:
     """Effects of the verdict's classes that it does not name: about as likely as those, and what only fits as well.
 
     A law with more parameters, or one that leaves a little more, may fit within what laws of one effect differ by and
@@ -178,12 +178,12 @@ def sentence(d: Diagnosis) -> str:
             f"and no known effect explains it{why}, {sure}."
         )
     words = " and ".join(e.replace("_", " ") for e in v.effects)
-    rivals, unlikely = (", ".join(e.replace("_", " ") for e in told) for told in _alike(d))
+    rivals, unlikely = (", ".join(e.replace("_", " ") for e in told) for told in alike(d))
     unsure = f", not told apart from {rivals}" if rivals else ""
-    unsure += f"; {unlikely} would fit nearly as well but is far less likely" if unlikely else ""
     far = (
         "; the unseen sweep does not show this gap, so how much of it closes is not known"
         if s.closure is None
         else f", which closes {100 * s.closure:.0f} % of the gap on unseen data"
     )
-    return f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} ({sure}){far}."
+    behind = f"; far less likely, though about as good a fit: {unlikely}" if unlikely else ""
+    return f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} ({sure}){far}{behind}."

@@ -119,12 +119,13 @@ def explain(
     null, plain = plain_fit or plain_twin(fitter, ground)
     known = {} if before is None else {c.effects: c for c in (r.candidate for r in before.order)}
     # An effect draws the plain twin's values off, a large one as far as their tolerances let it: what is quickly
-    # computed finds its own way from the datasheet's.
-    near = bool(_rough(ground)) and Problem(ground).within_floor(null.fit, COARSE)
+    # computed finds its own way from the datasheet's, unless little is left of the gap.
+    rough = _rough_beside(null, ground)
+    begun = ground.theta if rough == _rough(ground) else null.fit.theta
     probed = fitter.run(
         Task(ground, (name,), (known[name,].fit.values,), known[name,].fit.theta, (PROBE,))
         if (name,) in known and not CATALOGUE[name].nonlinear
-        else _with(name, null, null, plain, ground, null.fit.theta if near and slow_to_compute(name) else ground.theta)
+        else _with(name, null, null, plain, ground, begun, rough)
         for name in ground.part.effects
     )
     found = _refined(fitter, ground, null, probed)
@@ -161,7 +162,24 @@ def _rough(ground: Ground) -> tuple[Stage, ...]:
     return (COARSE, MIDDLE) if ground.part.path == "plant" else ()
 
 
-def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex], ground: Ground, theta: Real) -> Task:
+def _rough_beside(first: Candidate, ground: Ground) -> tuple[Stage, ...]:
+    """First stages of a fit beside ``first``: those within whose floor that is not yet.
+
+    To the others all that is left is noise: they would lead a good start of a faint effect anywhere.
+    """
+    problem = Problem(ground, [CATALOGUE[name] for name in first.effects])
+    return tuple(stage for stage in _rough(ground) if not problem.within_floor(first.fit, stage))
+
+
+def _with(
+    name: str,
+    first: Candidate,
+    null: Candidate,
+    left: Sequence[Complex],
+    ground: Ground,
+    theta: Real,
+    rough: tuple[Stage, ...],
+) -> Task:
     """Task to fit one more effect beside those of ``first``, which leaves ``left``, from deviations ``theta``."""
     beginnings, effects = _starts(first, name, left, ground), (*first.effects, name)
     held = first if any(slow_to_compute(e) for e in first.effects) else None
@@ -169,7 +187,7 @@ def _with(name: str, first: Candidate, null: Candidate, left: Sequence[Complex],
         return Task(ground, effects, beginnings, first.fit.theta, (PROBE,), held, null.occam)
     # Without rough stages a probe would end far from the valley; the plant alone is costly.
     last = PROBE if ground.part.path == "plant" else EXACT
-    return Task(ground, effects, beginnings, theta, (*_rough(ground), last), held, null.occam)
+    return Task(ground, effects, beginnings, theta, (*rough, last), held, null.occam)
 
 
 def _starts(
@@ -258,18 +276,18 @@ def _best_of_each(found: Sequence[Candidate]) -> list[Candidate]:
 def _larger(order: Sequence[Ranked], base: Ranked, left: Sequence[Complex], ground: Ground) -> Iterable[Task]:
     """Mixtures of one effect more: those of ``base`` with every other effect, and pairs of good singles."""
     best, null = base.candidate, next(r.candidate for r in order if not r.candidate.effects)
-    tried = set()
+    tried, rough = set(), _rough_beside(best, ground)
     for name in ground.part.effects:
         if name not in best.effects:
             tried.add(frozenset((*best.effects, name)))
-            yield _with(name, best, null, left, ground, best.fit.theta)
+            yield _with(name, best, null, left, ground, best.fit.theta, rough)
     if len(best.effects) > 1:
         return
     singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]
     for a, b in combinations(singles, 2):
         if frozenset((*a.effects, *b.effects)) in tried:
             continue
-        yield _with(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta)
+        yield _with(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta, _rough_beside(a, ground))
 
 
 def _refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:

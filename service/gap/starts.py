@@ -23,6 +23,10 @@ CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Shares of each axis's largest displacement at which a stop is looked for."""
 DAMPED = 0.02
 """Damping ratio of a resonance that is looked for: wide enough not to fall between two lines."""
+DAMPINGS = (0.001, 0.003, 0.006, 0.06)
+"""Those at which the best is looked at more closely: it may stand between two lines and show at one of them alone..."""
+BESIDE = 17
+"""... at so many frequencies from the one beside it to the other."""
 APART = 8
 """Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
 SOFT = 0.02
@@ -109,19 +113,28 @@ def resonances(
     columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
     wanted, s = stacked(z[:, f, :, None]), 2j * np.pi * o.points_hz
     wanted -= basis @ (basis.T @ wanted)
-    between = np.sqrt(o.frequency_hz[:-1] * o.frequency_hz[1:])
-    grid, gains, residues = np.sort(np.concatenate([o.frequency_hz, between])), [], []
-    for own in 2 * np.pi * grid:
-        light = stacked(columns / (s**2 + 2 * DAMPED * own * s + own**2)[:, None, None])
+
+    def score(own_hz: float, damping_ratio: float) -> tuple[float, NDArray[np.float64]]:
+        own = 2 * np.pi * own_hz
+        light = stacked(columns / (s**2 + 2 * damping_ratio * own * s + own**2)[:, None, None])
         along, known = (light.T @ wanted)[:, 0], basis.T @ light
         power = light.T @ light - known.T @ known
         residue = np.linalg.solve(power + 1e-9 * np.trace(power) * np.eye(len(power)), along)
-        gains.append(float(along @ residue) if shaped or residue[0] > 0 else 0.0)
-        residues.append(residue)
-    order = np.argsort(-np.array(gains))
+        return float(along @ residue) if shaped or residue[0] > 0 else 0.0, residue
+
+    between = np.sqrt(o.frequency_hz[:-1] * o.frequency_hz[1:])
+    grid = np.sort(np.concatenate([o.frequency_hz, between]))
+    order = np.argsort([-score(own, DAMPED)[0] for own in grid])
     best = [int(order[0])]
     best += [int(k) for k in order if abs(int(k) - best[0]) > APART][: count - 1]
-    return [{"frequency_hz": float(grid[k]), **(_shape(residues[k]) if shaped else {})} for k in best]
+    found = []
+    for k in best:
+        low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+        tried = [(own, damping) for damping in (DAMPED, *DAMPINGS) for own in np.geomspace(low, high, BESIDE)]
+        own, damping = max(tried, key=lambda at: score(*at)[0])
+        shape = _shape(score(own, damping)[1]) if shaped else {}
+        found.append({"frequency_hz": float(own), "damping_ratio": float(damping), **shape})
+    return found
 
 
 def _shape(residue: NDArray[np.float64]) -> dict[str, float]:

@@ -7,6 +7,7 @@ from html import escape
 from typing import Any
 
 from service.gap.diagnose import Diagnosis
+from service.gap.document import alike
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, decibel, fixed, number, paragraph, quantity, signed, table
 from service.report.gap_discrepancy import discrepancy_figure
@@ -140,9 +141,15 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
         parts.append(
             paragraph(f"{_words(name)} acts in the {effect.path}: {effect.law}. Its signature: {effect.signature}.")
         )
+    _, unlikely = alike(d)
     for group in verdict["indistinguishable"]:
-        names = ", ".join(_words(g) for g in group)
-        parts.append(paragraph(f"These data cannot tell apart: {names}. {_separated(group)}", "note"))
+        left = [g for g in group if g not in unlikely]
+        if len(left) > 1:
+            names = ", ".join(_words(g) for g in left)
+            parts.append(paragraph(f"These data cannot tell apart: {names}. {_separated(left)}", "note"))
+        for other in (g for g in group if g in unlikely):
+            told = f"{_words(other)} fits about as well as {_words(left[0])} but is far less likely."
+            parts.append(paragraph(f"{told} What separates them: {_separated([left[0], other])}"))
     parts += [paragraph(f"Why: {r}.") for r in verdict.get("reasons", ())]
     if document["discrepancy"]:
         parts.append(

@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from service.gap.candidates import Fitter
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.part import Ground, parts
 from service.gap.predict import residual
+from service.gap.search import explain
 from service.gap.starts import starts
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
@@ -25,9 +28,27 @@ def test_a_mode_between_two_lines_begins_near_its_frequency_and_shape() -> None:
     ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
     left = residual(nu.rig, o)[..., 2 * nu.rig.n_axes :]
     first, *_ = starts(CATALOGUE["extra_flexible_mode"], nu.rig, left, o, ground)
-    assert abs(first["frequency_hz"] / 145.0 - 1) < 0.1
+    assert abs(first["frequency_hz"] / 145.0 - 1) < 0.01
     found, true = (np.array([v[f"{k}_per_sqrt_kg"] for k in shape]) for v in (first, values))
     assert abs(found @ true) > 0.8 * np.linalg.norm(found) * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize(("beside", "size"), [(0.98, 1.4), (1.02, 2.0)])
+def test_a_faint_mode_that_shows_at_one_line_alone_is_found(beside: float, size: float) -> None:
+    """To a rough stage of a fit the twin is as good without it, and its start as good as any other."""
+    datasheet, truth = known_datasheet(seed=12)
+    nu, hz = nuisance(datasheet), lines(24)
+    shape = {"bearing_A": 1.7e-3, "bearing_B": 1.4e-3, "sensor_A": -1.3e-3, "sensor_B": -1.0e-3}
+    values = {f"{k}_per_sqrt_kg": size * v for k, v in shape.items()}
+    own = beside * float(hz[np.argmin(np.abs(hz - 90.0))])
+    faint = with_effects(
+        true_rig(truth), {"extra_flexible_mode": {"frequency_hz": own, "damping_ratio": 0.0035, **values}}
+    )
+    o = observe(sweep(faint, hz, 0.15, seed=1), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    best = explain(Fitter(), ground).order[0].candidate
+    assert best.effects == ("extra_flexible_mode",)
+    assert abs(best.fit.values[0]["frequency_hz"] / own - 1) < 0.002
 
 
 def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -> None:

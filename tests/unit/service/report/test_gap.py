@@ -160,6 +160,14 @@ def test_the_alias_class_says_what_separates_it(diagnosis):
     assert "cannot tell apart: loop delay, sensor lag" in page
 
 
+def test_what_fits_as_well_but_is_far_less_likely_is_not_told_as_open(diagnosis):
+    chosen, lag = diagnosis.order[0], next(r for r in diagnosis.order if r.candidate.effects == ("sensor_lag",))
+    behind = replace(lag, log_evidence=chosen.log_evidence - 50)
+    page = gap_page(replace(diagnosis, order=(chosen, behind, diagnosis.order[-1])))
+    assert "cannot tell apart" not in page
+    assert "sensor lag fits about as well as loop delay but is far less likely" in page
+
+
 def test_the_next_experiment_is_ready_to_submit(diagnosis):
     page = gap_page(diagnosis)
     assert "from 1 kHz up to 3 kHz" in page
