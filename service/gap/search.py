@@ -42,6 +42,8 @@ HOPEFUL = 0.75
 a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
 SHARP = ("touchdown_contact",)
 """Effects whose start is good and whose valley is narrow: a rough fit would lose it."""
+LOOKED_FOR = ("support_resonance", "extra_flexible_mode")
+"""Effects whose start the data give so well that a rough fit may lose it where it hardly sees the effect."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +121,17 @@ def explain(
     null, plain = plain_fit or plain_twin(fitter, ground)
     known = {} if before is None else {c.effects: c for c in (r.candidate for r in before.order)}
     # An effect draws the plain twin's values off, a large one as far as their tolerances let it: what is quickly
-    # computed finds its own way from the datasheet's, unless little is left of the gap.
+    # computed finds its own way from the datasheet's, and a resonance where hardly anything else is left.
     rough = _rough_beside(null, ground)
-    begun = ground.theta if rough == _rough(ground) else null.fit.theta
+    near = rough != _rough(ground)
+
+    def theta(name: str) -> Real:
+        return null.fit.theta if near and (slow_to_compute(name) or name in LOOKED_FOR) else ground.theta
+
     probed = fitter.run(
         Task(ground, (name,), (known[name,].fit.values,), known[name,].fit.theta, (PROBE,))
         if (name,) in known and not CATALOGUE[name].nonlinear
-        else _with(name, null, null, plain, ground, begun, rough)
+        else _with(name, null, null, plain, ground, theta(name), rough)
         for name in ground.part.effects
     )
     found = _refined(fitter, ground, null, probed)
@@ -163,7 +169,7 @@ def _rough(ground: Ground) -> tuple[Stage, ...]:
 
 
 def _rough_beside(first: Candidate, ground: Ground) -> tuple[Stage, ...]:
-    """First stages of a fit beside ``first``: those within whose floor that is not yet.
+    """First stages of a fit beside ``first`` from a good start: those within whose floor that is not yet.
 
     To the others all that is left is noise: they would lead a good start of a faint effect anywhere.
     """
@@ -180,14 +186,18 @@ def _with(
     theta: Real,
     rough: tuple[Stage, ...],
 ) -> Task:
-    """Task to fit one more effect beside those of ``first``, which leaves ``left``, from deviations ``theta``."""
+    """Task to fit one more effect beside those of ``first``, which leaves ``left``, from deviations ``theta``.
+
+    ``rough`` are the stages from a good start.
+    """
     beginnings, effects = _starts(first, name, left, ground), (*first.effects, name)
     held = first if any(slow_to_compute(e) for e in first.effects) else None
     if name in SHARP:
         return Task(ground, effects, beginnings, first.fit.theta, (PROBE,), held, null.occam)
     # Without rough stages a probe would end far from the valley; the plant alone is costly.
     last = PROBE if ground.part.path == "plant" else EXACT
-    return Task(ground, effects, beginnings, theta, (*rough, last), held, null.occam)
+    first_stages = rough if name in LOOKED_FOR else _rough(ground)
+    return Task(ground, effects, beginnings, theta, (*first_stages, last), held, null.occam)
 
 
 def _starts(
