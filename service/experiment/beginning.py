@@ -1,17 +1,15 @@
-"""What has to hold before a campaign begins or goes on: controller, datasheet, folder and journal fit one another."""
+"""What has to hold before a campaign begins or goes on: controller, datasheet and journal fit one another."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
 from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 from drivers.controller import Capabilities
 from service.experiment import journal, multisine_plan
 from service.experiment.aims import Limits, Profile
-from service.experiment.errors import CampaignError, ExperimentFileError
+from service.experiment.errors import CampaignError
 from service.experiment.multisine_plan import MultisineProfile
 from sim.datasheet import Datasheet
 from sim.rig_file import to_toml
@@ -45,25 +43,6 @@ def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
         c.displacement_limit_m,
         c.current_limit_a,
     )
-
-
-def prepare_folder(out_dir: Path) -> None:
-    """Make the folder and prove that it can be written.
-
-    Raises
-    ------
-    ExperimentFileError
-        It cannot be written.
-    """
-    probe = out_dir / f".write-test.{os.getpid()}"
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"x")
-        probe.unlink()
-    except OSError as error:
-        raise ExperimentFileError(
-            f"cannot write to {out_dir}: {error.strerror or error}; nothing has moved: choose another folder"
-        ) from error
 
 
 def fingerprint(

@@ -12,7 +12,7 @@ from drivers.controller import (
 from drivers.errors import CancelledError, LeaseError
 from service.experiment import file, journal, phases
 from service.experiment.aims import Limits, Profile
-from service.experiment.beginning import checked_limits, fingerprint, prepare_folder, profile_of
+from service.experiment.beginning import checked_limits, fingerprint, profile_of
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
 from service.experiment.leased import Patient, alone, make_ready, stopped_by
@@ -22,6 +22,7 @@ from service.experiment.points import Point, experiment
 from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback
 from service.experiment.recorder import Recorder, Trip
+from service.output import ready_folder
 from sim.datasheet import Datasheet
 from sim.rig_file import parse, to_toml
 
@@ -72,7 +73,7 @@ def run_campaign(
 
     Raises
     ------
-    ExperimentFileError
+    OutputError
         ``out_dir`` cannot be written; nothing has moved.
     CampaignError
         The controller does not fit the datasheet, cannot play the excitation, or is tripped.
@@ -91,7 +92,7 @@ def run_campaign(
         raise CampaignError(
             f"{capabilities.identity} plays tones only, no periodic waveforms; measure it by stepped sine"
         )
-    prepare_folder(out_dir)
+    ready_folder(out_dir)
     if not resume:
         put_aside(out_dir / JOURNAL)
     speed = float(controller.status().speed_rad_s)

@@ -7,8 +7,9 @@ import pytest
 from drivers.controller import State, Status
 from drivers.errors import CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
+from service.errors import OutputError
 from service.experiment.campaign import recover, run_campaign
-from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
+from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
 from sim.reference import reference_rig
 from tests.support.campaigns import SHEET, SMALL, Faulty, campaign, interrupted_at, same
@@ -23,7 +24,7 @@ def refused(error, match, controller, folder, sheet=SHEET, **options):
 
 def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    refused(ExperimentFileError, "nothing has moved", Faulty(None), tmp_path / "file" / "out")
+    refused(OutputError, "nothing was started", Faulty(None), tmp_path / "file" / "out")
 
 
 def test_a_datasheet_of_another_rig(tmp_path):
