@@ -264,7 +264,7 @@ def _extremes(quantity: str, by_axis: dict[str, Any]) -> str:
         return f"{fixed(scale * e['value'], digits)}{spread} at {number(e['frequency_hz'], 4)} Hz"
 
     rows = [[axis, *(told(of[k]) for k in ("measured", "before", "after"))] for axis, of in by_axis.items()]
-    return table([name, "measured", "before", "after"], rows)
+    return table([name, "measured, at its lines", "before, between them too", "after, between them too"], rows)
 
 
 def _next(document: dict[str, Any]) -> list[Part]:
