@@ -10,7 +10,6 @@ from pydantic import ConfigDict
 from service.api import etags, examples
 from service.api.shapes import After, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
 from service.api.state import Api
-from service.health import trend as trends
 from service.storage import results, rigs
 from service.storage.listing import LARGEST_PAGE
 from service.storage.tables import HealthRow
@@ -164,6 +163,8 @@ def health_trend(
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """How a rig's figures went over its newest checks, or those before, and whether one of them moves steadily."""
+    from service.health import trend as trends  # with it comes scipy, for which every start would wait
+
     with api.database.read() as session:
         rigs.get(session, rig_id)
         page = results.listed(session, HealthRow, rig_id, after, limit)

@@ -15,7 +15,7 @@ HEAVY = {"scipy.optimize", "numba", "service.identification.fit"}
 @pytest.mark.parametrize(
     ("begins_with", "never"),
     [
-        ("import service.api.app", SLOW | HEAVY | {"h5py"}),
+        ("import service.api.app", SLOW | HEAVY | {"h5py", "scipy"}),
         ("import service.jobs.supervised, service.jobs.campaigns", SLOW | HEAVY),
         ("import drivers.device.__main__, sim.reference as r; r.reference_rig()", SLOW | {"scipy.optimize"}),
         ("import service.identification.fit, service.gap.diagnose, service.checkup", SLOW),
