@@ -12,6 +12,7 @@ from service.gap.diagnose import diagnose
 from service.gap.observation import GapError
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
 
 
 def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
@@ -62,7 +63,8 @@ def test_a_withheld_effect_is_named_measured_and_closed(
 
 def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:
     datasheet, truth = known_datasheet(seed=4)
-    measured = experiment(with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 2e-5}}))
+    rig = with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 2e-5}})
+    measured, datasheet = one_plane(experiment(rig), datasheet)
     report = diagnose(measured, datasheet).to_dict()
     twin = applied(datasheet, report)
     assert [name for name, _ in twin.effects] == report["verdict"]["effects"]
@@ -72,7 +74,7 @@ def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:
 def test_an_unknown_law_is_not_explained_away() -> None:
     """The logged displacement of one axis saturates softly: in the log only, so no part of the rig does it."""
     datasheet, truth = known_datasheet(seed=5)
-    measured = experiment(true_rig(truth))
+    measured, datasheet = one_plane(experiment(true_rig(truth)), datasheet)
 
     def bent(sweep):
         Y, f = sweep.Y.copy(), sweep.harmonics.index(1)
@@ -111,14 +113,15 @@ def test_axes_that_do_not_match_are_refused() -> None:
 
 def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     datasheet, truth = known_datasheet(seed=8)
-    unknown = replace(datasheet, modes=())
     rig = true_rig(truth)
-    clean = diagnose(experiment(rig), unknown)
+    measured, unknown = one_plane(experiment(rig), replace(datasheet, modes=()))
+    clean = diagnose(measured, unknown)
     assert clean.verdict.kind == "no_gap"
     (told,) = [note for note in clean.notes if "identified from this experiment" in note]
     first, second = (float(f) for f in re.findall(r"([\d.]+) Hz", told))
     assert (first, second) == pytest.approx([m.frequency_hz for m in truth.modes], rel=1e-3)
-    late = diagnose(experiment(with_effects(rig, {"loop_delay": {"delay_s": 3e-5}})), unknown)
+    delayed = experiment(with_effects(rig, {"loop_delay": {"delay_s": 3e-5}}))
+    late = diagnose(*one_plane(delayed, replace(datasheet, modes=())))
     assert late.verdict.effects == ("loop_delay",)
 
 
