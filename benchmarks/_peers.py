@@ -48,9 +48,9 @@ class Scores:
 
     milliseconds: float
     fit: np.ndarray
-    """(4,) NRMSE, percent."""
+    """(4,) NRMSE on data that the tool has not seen, percent."""
     rms: np.ndarray
-    """(4,) residual over noise."""
+    """(4,) residual over noise, of the same."""
     error: np.ndarray
     """(4,) distance from the true response over noise."""
     unstable: tuple[int, int]
@@ -75,8 +75,8 @@ class Case:
 def table(cases: list[Case], truth: PlaneModel, noise: float) -> None:
     """One table of time, fit, rms/sigma, pole and damping errors: medians of time, root mean squares of errors."""
     rows: dict[str, list[Scores]] = {}
-    for seed, case in enumerate(cases):
-        plant, control, (seconds, start, model) = case.plane.curves.plant, case.plane.curves.measured, case.joint
+    for seed, (case, other) in enumerate(zip(cases, [*cases[1:], cases[0]], strict=True)):
+        plant, control, (seconds, start, model) = case.plane.curves.plant, other.plane.curves.measured, case.joint
         whole = case.plane.model
         own = [
             Peer("joint physical fit, 16 parameters", seconds, model.plant_response, plant_poles(model)),
@@ -85,7 +85,7 @@ def table(cases: list[Case], truth: PlaneModel, noise: float) -> None:
             Peer("(truth)", 0.0, truth.plant_response, plant_poles(truth)),
         ]
         for peer in (*own, *peers(plant, noise, seed)):
-            scores = _scores(peer, control if peer.from_control else plant, truth)
+            scores = _scores(peer, control if peer.from_control else other.plane.curves.plant, truth)
             rows.setdefault(peer.name, []).append(scores)
     print(
         f"\nPeers on the same data: {len(cases)} data sets of {2 * len(plant.omega)} points, {100 * noise:g} % noise\n"
@@ -105,12 +105,13 @@ def table(cases: list[Case], truth: PlaneModel, noise: float) -> None:
         )
     print(
         "The joint fit is told the noise, as the subspace fits are; its start is the procedure's.\n"
-        "NRMSE and rms/sigma are of the noisy data: above the truth's a tool has fitted noise, as its error/sigma,\n"
-        "from the true response, and its unstable poles show: 2 of 8 in truth. One many sigma off leads in time only."
+        "NRMSE and rms/sigma are of the next data set, which the tool has not seen: of its own it may fit the noise.\n"
+        "error/sigma is from the true response, of whose 8 poles 2 are unstable. One many sigma off leads in time only."
     )
 
 
 def _scores(peer: Peer, measured: FrequencyResponse, truth: PlaneModel) -> Scores:
+    """Scores of a tool's model on ``measured``, which it has not seen."""
     with np.errstate(all="ignore"):
         model = peer.response(measured.omega)
     fit = nrmse_matrix(measured.value, model).ravel()
