@@ -15,6 +15,7 @@ from service.gap.predict import control, weight
 from service.gap.significance import SIGNIFICANT, significance
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
 
 
 def spoiled(measured: Experiment, change) -> Experiment:
@@ -43,7 +44,7 @@ def test_a_log_that_lags_is_no_effect_of_the_rig() -> None:
         lag = np.exp(-2j * np.pi * s.frequency_hz[:, None] * h * 0.5 * rig.controller.sample_time_s)
         return replace(s, Y=s.Y * lag[:, None, :, None])
 
-    d = diagnose(spoiled(experiment(rig), late), datasheet)
+    d = diagnose(*one_plane(spoiled(experiment(rig), late), datasheet))
     assert d.verdict.kind == "none_of_these"
     assert "logged displacement" in d.to_dict()["verdict"]["reasons"][0]
 
@@ -55,7 +56,7 @@ def test_a_filtered_current_log_is_no_effect_of_the_rig() -> None:
         at = s.frequency_hz[:, None] * np.array(s.harmonics)
         return replace(s, I=s.I / (1 + 1j * at / 4000.0)[:, None, :, None])
 
-    d = diagnose(spoiled(experiment(true_rig(truth)), filtered), datasheet)
+    d = diagnose(*one_plane(spoiled(experiment(true_rig(truth)), filtered), datasheet))
     assert d.verdict.kind == "none_of_these"
     assert "logged coil current" in d.to_dict()["verdict"]["reasons"][0]
 
@@ -68,7 +69,7 @@ def test_a_stop_that_only_the_larger_amplitude_reaches_is_named() -> None:
     assert swing[1] > 1.3 * swing[0]
     clearance = float(np.sqrt(swing[0] * swing[1]))
     stop = {f"clearance_{axis}_m": clearance for axis in rig.axes} | {"stiffness_n_per_m": 3e5, "side": 0.0}
-    d = diagnose(experiment(with_effects(rig, {"touchdown_contact": stop})), datasheet)
+    d = diagnose(*one_plane(experiment(with_effects(rig, {"touchdown_contact": stop})), datasheet))
     assert d.verdict.effects == ("touchdown_contact",)
     assert d.where.depends.amplitude
     assert "every other line" in d.shrinkage.held_out, "what was fitted is not what closure is measured on"
@@ -112,7 +113,7 @@ def test_without_the_current_amplifier_and_plant_are_one_part() -> None:
 def test_a_rotor_at_rest_cannot_tell_modal_from_internal_damping() -> None:
     datasheet, truth = known_datasheet(seed=16)
     ratio = {"mode1_log_ratio": 1.5, "mode2_log_ratio": 1.5}
-    d = diagnose(experiment(with_effects(true_rig(truth), {"modal_damping": ratio})), datasheet)
+    d = diagnose(*one_plane(experiment(with_effects(true_rig(truth), {"modal_damping": ratio})), datasheet))
     assert d.verdict.effects == ("modal_damping",)
     assert ("modal_damping", "internal_damping") in d.verdict.indistinguishable
 
@@ -132,7 +133,7 @@ def test_a_drift_beside_a_controller_that_differs_is_no_fault_of_the_log() -> No
         "controller_mismatch": {"gain_change": -0.03, "derivative_change": 0.0, "lag_samples": 0.0},
         "thermal_drift": {"ki_change": -0.013, "ks_change": -0.02, "duration_s": 300.0},
     }
-    d = diagnose(experiment(with_effects(true_rig(truth), both)), datasheet)
+    d = diagnose(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet))
     assert set(d.verdict.effects) == set(both)
 
 
