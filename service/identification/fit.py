@@ -15,6 +15,7 @@ from service.identification.coupling import cross_planes
 from service.identification.coupling import told as told_coupling
 from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.known import led_back
+from service.identification.logged import checked
 from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.residuals import Data
@@ -90,7 +91,8 @@ def identify(
             f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
             "give the datasheet of the rig that was measured"
         )
-    experiment = led_back(experiment, twin.chain)
+    log = checked(experiment, datasheet, twin.chain)
+    experiment = led_back(log.experiment, log.chain)
     excited = [s for s in experiment.sweeps if s.kind != "noise" and s.n_points and np.any(s.amplitude_a > 0)]
     if not excited:
         raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
@@ -101,7 +103,7 @@ def identify(
     others = [s for s in slowest if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
     validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
 
-    warnings = [sentence for e in twin.effects for sentence in e.sentences()]
+    warnings = [sentence for e in twin.effects for sentence in e.sentences()] + list(log.warnings)
     if main.speed_rad_s:
         remedy = "" if len(speeds) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(

@@ -89,7 +89,6 @@ def wrong(result: CommissioningResult) -> set[str]:
         ("channel_crosstalk", {"share_ab": 0.03, "share_ba": 0.02}, "misfit"),
         ("eddy_currents", {"time_constant_s": 1e-6, "corner_rad_s": 10.0}, "misfit"),
         ("sensor_lag", {"time_constant_s": 12e-6, "delay_s": 1e-6}, "misfit"),
-        ("logging_offset", {"samples": 1.0}, "predicted loop"),
         ("controller_mismatch", {"gain_change": 0.1, "derivative_change": 0.05, "lag_samples": 0.05}, "predicted loop"),
         ("sensor_position", {"shift_A_m": 0.012, "shift_B_m": 0.012}, "misfit"),
         ("rotor_inertia", {"mass_change": 0.05, "inertia_change": 0.08}, "kiA"),
@@ -104,6 +103,15 @@ def test_an_effect_that_the_twin_names_does_not_mislead(name, values, without_it
     data = measured(rig_from_datasheet(named(TRUTH, {name: values})))
     assert wrong(identify(data, named(SHEET, {name: values}))) == set()
     assert without_it in wrong(identify(data, SHEET))
+
+
+def test_a_log_out_of_step_misleads_neither_with_the_twin_s_word_nor_without():
+    effect = {"logging_offset": {"samples": 1.0}}
+    data = measured(rig_from_datasheet(named(TRUTH, effect)))
+    told, found = identify(data, named(SHEET, effect)), identify(data, SHEET)
+    assert wrong(told) == wrong(found) == set()
+    assert any("1 sample early" in w for w in found.warnings)
+    assert not any("1 sample early" in w for w in told.warnings)
 
 
 def test_all_of_them_together():

@@ -75,6 +75,16 @@ def test_a_delay_is_told_and_spoils_nothing() -> None:
     assert np.all(np.isfinite(plane.covariance))
 
 
+def test_a_log_out_of_step_whose_last_block_lost_a_sample_is_mended_and_told() -> None:
+    result = result_of("p03")
+    assert any("1 sample early" in w for w in result.warnings)
+    assert any("block 6 of 6" in w for w in result.warnings)
+    for k, plane in enumerate(result.planes.values()):
+        assert plane.delay_s.value == pytest.approx(0, abs=0.5e-6)
+        found = [plane.stiffness[n] for n in ("kiA", "kiB", "ksA", "ksB")]
+        assert [s.value for s in found] == pytest.approx((*KI[2 * k :][:2], *KS[2 * k :][:2]), rel=3e-4)
+
+
 def test_a_support_shows_as_a_third_mode() -> None:
     plane = result_of("p08").planes["x"]
     assert plane.modes[0].natural_frequency_rad_s.value == pytest.approx(2 * np.pi * 430, rel=1e-3)
