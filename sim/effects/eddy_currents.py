@@ -9,13 +9,23 @@ import numpy as np
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
 
+ALL_IRON = 1.5
+"""Largest root of tau wc: 1.5 times the iron's share of a magnet's static reluctance.
+
+Sheets of thickness d have the reluctance Rs x coth x, x = sqrt(s mu sigma d^2/4) (Stoll, The Analysis of Eddy Currents,
+1974, chapter 2): Rs x high up, Rs (1 + x^2/3) low down. Over the whole static reluctance R, of which Rs is a part, that
+is the law with tau = (Rs/R)^2 mu sigma d^2/4 and wc = 9/(mu sigma d^2). Beyond, it would be a first-order lag at every
+frequency that is measured, which no iron is.
+"""
+
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["time_constant_s"] <= 0:
         return rig
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + math.sqrt(p["time_constant_s"])
-    magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=p["corner_rad_s"])
+    corner = min(p["corner_rad_s"], ALL_IRON**2 / p["time_constant_s"])
+    magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner)
     return replace(rig, magnets=magnets)
 
 
@@ -41,7 +51,8 @@ EFFECT = Effect(
             10.0,
             10.0,
             "log",
-            "below it the lag is of first order: sheets thinner than the skin depth; solid iron has none",
+            "below it the lag is of first order: sheets thinner than the skin depth; solid iron has none; more than "
+            "2.25/tau acts as that: all of the reluctance is iron",
             strength=False,
         ),
     ),

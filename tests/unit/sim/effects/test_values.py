@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim import control_law
+from sim import actuator, control_law
 from sim.effects import CATALOGUE, effect
 from sim.effects.controller_mismatch import derivative_corner_rad_s
 from sim.errors import EffectError
@@ -168,3 +168,18 @@ def test_hum_is_at_multiples_of_the_mains_and_runout_at_the_speed():
     (mark,) = alone("runout", amplitude_m=2e-6).disturbances
     assert (mark.order, mark.fixed_hz, mark.target) == (1.0, 0.0, "y")
     np.testing.assert_allclose(mark.phase_rad, [0, 0, -np.pi / 2, -np.pi / 2])
+
+
+def test_eddy_currents_of_sheets_end_where_all_of_the_reluctance_is_iron():
+    """x coth x, x = sqrt(s mu sigma d^2/4), is what sheets of thickness d do to a circuit without an air gap."""
+    t = 1e-4  # mu sigma d^2, s
+    s = 1j * np.geomspace(1e-2, 3e6, 60) / t
+    x = np.sqrt(s * t / 4)
+    sheets = np.tanh(x) / x
+    exact = alone("eddy_currents", time_constant_s=t / 4, corner_rad_s=9 / t).magnets
+    law = actuator.eddy_response(t / 4, exact.eddy_corner_rad_s, s)
+    np.testing.assert_allclose((1 - law).imag[0], (1 - sheets).imag[0], rtol=1e-3)  # the same first-order lag low down
+    np.testing.assert_allclose(law[-1], sheets[-1], rtol=1e-3)  # and half-order one high up
+    assert np.abs(law / sheets - 1).max() < 0.125
+    beyond = alone("eddy_currents", time_constant_s=t / 4, corner_rad_s=3e5).magnets
+    assert beyond.eddy_corner_rad_s == exact.eddy_corner_rad_s
