@@ -31,6 +31,8 @@ VISIBLE = 1.5
 ALIKE = 6.0
 """Log evidence behind the best up to which a candidate counts as not told apart."""
 LARGEST_CLASS = 3
+SURE = 1e-12
+"""Probability that rivals keep however certain an explanation was: unseen data can still speak for them."""
 CLEAR = 30.0
 """Excess chi-square of a group from which the share that an explanation leaves of it means something."""
 
@@ -228,10 +230,10 @@ def decide(
 def supported(probability: float, support: float) -> float:
     """Probability of an explanation after unseen data spoke against it; data for it are for its rivals too.
 
-    >>> supported(0.9, 3.0), round(supported(0.9, -TEMPERATURE * math.log(9.0)), 3)
-    (0.9, 0.5)
+    >>> supported(0.9, 3.0), round(supported(0.9, -TEMPERATURE * math.log(9.0)), 3), supported(1.0, -1e9)
+    (0.9, 0.5, 0.0)
     """
     if support >= 0:
         return probability
     odds = math.exp(support / TEMPERATURE)
-    return probability * odds / (probability * odds + 1 - probability)
+    return probability * odds / (probability * odds + max(1 - probability, SURE))
