@@ -29,7 +29,11 @@ CURED = 0.1
 
 
 def log_fault(
-    fitter: Fitter, before: Sequence[Explained], ground: Ground, plain: tuple[Candidate, tuple[Complex, ...]]
+    fitter: Fitter,
+    before: Sequence[Explained],
+    ground: Ground,
+    plain: tuple[Candidate, tuple[Complex, ...]],
+    logged: Sequence[Observation],
 ) -> str | None:
     """What is wrong with the log, in words, or None.
 
@@ -39,6 +43,8 @@ def log_fault(
         The parts ahead of the plant, as effects explain them.
     ground, plain
         The plant's, and its plain twin with what that leaves.
+    logged
+        The plant's observations as logged: of those before, fewer sweeps may have been fitted.
     """
     gap = {e.part.path: e for e in before if e.significance > SIGNIFICANT}
     if not gap or gap_significance(plain[1], ground.observations) <= SIGNIFICANT:
@@ -52,7 +58,7 @@ def log_fault(
             return "the logged displacement is not the one that the controller used"
     if "amplifier" in gap:
         driven = gap["amplifier"].ground
-        silent = tuple(replace(o, I=None) for o in driven.observations)
+        silent = tuple(replace(o, I=None) for o in logged)
         through = next(part for part in parts(driven.nuisance, silent) if part.from_control)
         silent_ground = Ground(driven.nuisance, through, silent, driven.theta, driven.found)
         if _plain_excess(fitter, silent_ground) < CURED * _excess(plain[0].fit):

@@ -191,7 +191,9 @@ def _std(values: Sequence[float]) -> float | None:
 def drawn_twins(nuisance: Nuisance, candidate: Candidate, count: int = 12, seed: int = 0) -> list[Rig]:
     """The twin with its datasheet's values drawn from what the data leave of them; its effects stay as fitted."""
     k = len(nuisance)
-    root = np.linalg.cholesky(np.linalg.inv(candidate.fit.curvature[:k, :k] + np.eye(k)))
+    # What is known is at least the tolerances, of unit size; beside what loud data tell, arithmetic would lose that.
+    known, along = np.linalg.eigh(candidate.fit.curvature[:k, :k] + np.eye(k))
+    root = along / np.sqrt(np.maximum(known, 1.0))
     draws = np.random.default_rng(seed).standard_normal((count, k)) @ root.T
     out = []
     for draw in draws:

@@ -97,7 +97,7 @@ def _explained(
             sooner = (before or {}).get(part.path)
             plain = plain_twin(fitter, ground, sooner)
             if part.path == "plant" and not data.aloud:
-                fault = log_fault(fitter, out, ground, plain)
+                fault = log_fault(fitter, out, ground, plain, observations)
             result = explain(fitter, ground, plain, 1 if fault else MOST, sooner)
             if ground.inherited is not None and not fault:
                 out[-1], result = _shared(fitter, out[-1], result)

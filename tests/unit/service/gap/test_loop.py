@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.loop import QUANTITIES, loop_figures
+from service.gap.candidates import Candidate
+from service.gap.fitted import Fit
+from service.gap.loop import QUANTITIES, drawn_twins, loop_figures
+from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
@@ -55,3 +58,15 @@ def test_a_point_that_had_not_settled_makes_no_peak() -> None:
     assert O.points_hz[worst] not in [
         of["measured"]["frequency_hz"] for of in found["extremes"]["sensitivity"].values()
     ]
+
+
+def test_twins_are_drawn_within_the_tolerances_however_loud_the_data() -> None:
+    """Half of the directions are told to parts in ten million of the tolerances and less, the others not at all."""
+    nu = nuisance(known_datasheet(seed=1)[0])
+    k = len(nu)
+    basis = np.linalg.qr(np.random.default_rng(0).standard_normal((k, k)))[0]
+    loud = np.concatenate([np.zeros(k // 2), np.geomspace(1e10, 3e15, k - k // 2)])
+    fit = Fit((), np.zeros(k), (), nu.rig, (), 0.0, np.arange(k), basis * loud @ basis.T, "")
+    rigs = drawn_twins(nu, Candidate((), fit, 0.0, ()), count=400)
+    spread = np.std([r.magnets.ki / nu.rig.magnets.ki for r in rigs], axis=0)
+    assert np.all((spread > 0.03) & (spread < 0.3))
