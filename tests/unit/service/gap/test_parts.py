@@ -79,11 +79,11 @@ def test_a_stop_that_only_the_larger_amplitude_reaches_is_named() -> None:
 
 def test_what_only_the_larger_amplitude_shows_is_no_fault_of_the_log_beside_a_delay() -> None:
     """By the first sweep, which explains the amplifiers, the plant has no gap, with currents or without."""
-    datasheet, truth = known_datasheet(seed=15)
-    iron = {"saturation_inverse_per_a": 0.0, "flux_share": 0.66, "flux_power": 4.0}
+    datasheet, truth = known_datasheet(seed=16)
+    iron = {"saturation_inverse_per_a": 0.0, "flux_share": 0.66, "flux_power": 6.0}
     both = {"magnetic_saturation": iron, "loop_delay": {"delay_s": 1e-5}}
     rig = with_effects(true_rig(truth), both)
-    quiet, loud = (experiment(rig, amplitude_a=a) for a in (0.04, 0.16))
+    quiet, loud = (experiment(rig, amplitude_a=a) for a in (0.05, 0.2))
     d = diagnose(*one_plane(replace(quiet, sweeps=(quiet.sweeps[0], loud.sweeps[1])), datasheet))
     assert set(d.verdict.effects) == set(both)
 
