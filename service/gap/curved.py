@@ -29,6 +29,8 @@ WORDS = {
     "y": ("the displacement is curved, as by a sensor that is not linear:", "m"),
     "i": ("the current is curved, as by an amplifier or a probe that is not linear:", "A"),
 }
+FLOOR_HZ = 1000.0
+"""Frequency at which two programs differ by `MODEL_FLOOR`; of first order at least, they differ in proportion to it."""
 OF_THE_MAGNETS = 2 * HARMONIC_ERROR
 """Share of what the twin's own magnets leave at a harmonic that is no proof: it may be their law's error."""
 
@@ -61,10 +63,13 @@ def _curvature(
 ) -> tuple[Real, Real]:
     """Curvature c of each channel, (n,), and its standard deviation, infinite where nothing tells it.
 
-    A harmonic of less than `MODEL_FLOOR` of the largest signal is no proof: two programs' integrators bend as much.
+    A harmonic of less than `MODEL_FLOOR` of the largest signal is no proof: two programs' integrators bend as much. Of
+    the displacement's third that is no more than what such a current moves the rotor by, and integrators err less the
+    slower the swing, so what swings far at low frequency shows a small curvature. Its second may also be that of a
+    rotor off its centre by less than shows otherwise.
     """
     n = sweeps[0][0].Y.shape[2]
-    along, own, size, largest = np.zeros(n), np.zeros(n), np.zeros(n), np.full(n, 1e-30)
+    along, own, size, largest, moved = np.zeros(n), np.zeros(n), np.zeros(n), np.full(n, 1e-30), np.zeros(n)
     for (o, z), rig in zip(sweeps, rigs, strict=True):
         if power not in o.harmonics:
             continue
@@ -73,13 +78,16 @@ def _curvature(
         x = measured_signal(o, signal)[:, o.fundamental]
         law = x**power / 2 ** (power - 1) * w
         largest = np.maximum(largest, np.abs(x).max(axis=0))
-        magnets = _beyond_linear(rig, o, k, power) * w if signal == "y" else np.zeros_like(law)
+        magnets = np.zeros_like(law)
+        if signal == "y":
+            magnets = _beyond_linear(rig, o, k, power) * w
+            moved += np.sum(np.abs(_moved_by_currents(rig, o, power) * w * law), axis=0)
         along += np.sum((z[:, k] * law.conj()).real, axis=0)
         own += np.sum((magnets * law.conj()).real, axis=0)
         size += np.sum(np.abs(law) ** 2, axis=0)
     known = size > 0
     size = np.where(known, size, 1.0)
-    floor = MODEL_FLOOR * (2 / largest) ** (power - 1)
+    floor = moved / size if signal == "y" and power % 2 else MODEL_FLOOR * (2 / largest) ** (power - 1)
     std = np.where(known, np.hypot(np.hypot(1 / np.sqrt(size), OF_THE_MAGNETS * own / size), floor), np.inf)
     return along / size, std
 
@@ -88,3 +96,11 @@ def _beyond_linear(rig: Rig, o: Observation, k: int, power: int) -> Complex:
     """What the twin's own magnets leave in the displacement at a harmonic, (P, n)."""
     through = linear_model(rig, np.maximum(power * o.frequency_hz, STATIC_HZ)).y_per_u[o.line]
     return np.asarray(answer(rig, o)[:, k, rig.n_axes :] - (through @ o.U[:, k, :, None])[..., 0])
+
+
+def _moved_by_currents(rig: Rig, o: Observation, power: int) -> Complex:
+    """Displacement at a harmonic of currents that have as much of it as an integrator's error makes, (P, n)."""
+    share = MODEL_FLOOR * np.minimum(power * o.points_hz / FLOOR_HZ, 1.0)
+    currents = linear_model(rig, o.frequency_hz).i_per_u[o.line] @ o.U[:, o.fundamental, :, None]
+    through = linear_model(rig, power * o.frequency_hz).y_per_i[o.line]
+    return np.asarray(share[:, None] * (through @ currents)[..., 0])

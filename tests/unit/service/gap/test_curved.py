@@ -11,7 +11,7 @@ from service.gap.compose import on_sweep
 from service.gap.curved import curved
 from service.gap.diagnose import diagnose
 from service.gap.nuisance import nuisance
-from service.gap.observation import Observation, observe
+from service.gap.observation import MODEL_FLOOR, Observation, observe
 from service.gap.part import Ground, parts
 from service.gap.search import Explained, plain_twin
 from service.gap.verdict import ranked
@@ -85,6 +85,37 @@ def test_a_harmonic_of_the_size_of_an_integrator_s_error_is_no_probe_however_lit
     for share, told in ((1e-4, False), (1e-2, True)):
         bent = with_bent_probes(measured, 4 * share / largest**2)
         assert (curved(*plain(bent, datasheet, "amplifier")) is not None) is told
+
+
+def test_a_sensor_that_bends_less_than_two_programs_integrators_do_is_told_where_the_rotor_swings_slowly() -> None:
+    datasheet, truth = known_datasheet(seed=44)
+    rig = true_rig(truth)
+    measured = experiment(rig, noise=0.2)
+    largest = max(float(np.abs(s.Y[:, :, HARMONICS.index(1)]).max()) for s in measured.sweeps)
+    cubic_per_m2 = 4 * 0.5 * MODEL_FLOOR / largest**2
+    assert curved(*plain(measured, datasheet, "plant")) is None
+    bent = replace(measured, sweeps=tuple(with_bent_sensors(rig, s, cubic_per_m2) for s in measured.sweeps))
+    words = r"x\^3 with c = ([\d.e+-]+) per m\^2 \(standard deviation ([\d.e+-]+)\)"
+    told = re.search(words, curved(*plain(bent, datasheet, "plant")) or "")
+    assert told is not None
+    assert abs(float(told[1]) - cubic_per_m2) < 4 * float(told[2])
+
+
+def test_what_an_integrator_s_harmonic_of_the_currents_moves_the_rotor_by_is_no_sensor_however_little_noise() -> None:
+    datasheet, truth = known_datasheet(seed=44)
+    rig = true_rig(truth)
+    measured = experiment(rig, noise=0.002, amplitude_a=0.03)
+    f, k = HARMONICS.index(1), HARMONICS.index(3)
+    sweeps = []
+    for s in measured.sweeps:
+        Y, U = s.Y.copy(), s.U[:, :, f]
+        frequency, line = np.unique(s.frequency_hz, return_inverse=True)
+        currents = np.einsum("pij,pbj->pbi", linear_model(rig, frequency).i_per_u[line], U)
+        moved = np.einsum("pij,pbj->pbi", linear_model(rig, 3 * frequency).y_per_i[line], currents)
+        share = MODEL_FLOOR * np.minimum(3 * s.frequency_hz / 1000, 1)[:, None, None]
+        Y[:, :, k] += share * np.abs(moved) * np.exp(3j * np.angle(s.Y[:, :, f]))  # in phase as a curved sensor's
+        sweeps.append(replace(s, Y=Y))
+    assert curved(*plain(replace(measured, sweeps=tuple(sweeps)), datasheet, "plant")) is None
 
 
 def with_bent_probes(measured: Experiment, cubic_per_a2: float) -> Experiment:
