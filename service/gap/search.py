@@ -147,7 +147,9 @@ def explain(
         beside = left if base is order[0] else residuals(ground, base.candidate)
         if len(base.candidate.effects) < size or size == most or not _leaves_something(base, beside, ground):
             break
-        if not any(now < HOPEFUL * before for now, before in zip(base.shares, fewer.shares, strict=True)):
+        # Alone, an effect may explain much by values that the datasheet does not allow; beside another it need not.
+        hopeful = [base] if size > 1 else [r for r in order if r.candidate.effects]
+        if not any(now < HOPEFUL * was for r in hopeful for now, was in zip(r.shares, fewer.shares, strict=True)):
             break
         fewer = base
         larger = _refined(fitter, ground, null, fitter.run(_larger(order, base, beside, ground)))
@@ -350,7 +352,11 @@ def _cost(c: Candidate) -> float:
 
 
 def _worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
-    """Whether all effects of a mixture are needed: fewer leave three times as much, and more than a little."""
+    """Whether all effects of a mixture are needed: whatever fewer explain, somewhere they leave three times as much.
+
+    And more than a little of that. Each of two effects may explain all of what is its own, one the fundamental and one
+    the harmonics: no single one explains both.
+    """
     size = len(mixture.candidate.effects)
     if size < 2:
         return True
@@ -359,5 +365,5 @@ def _worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
         return False
     effects = mixture.candidate.effects
     alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
-    least = np.min([r.shares for r in smaller], axis=0)
-    return bool(np.any((least > (0.15 if alias else MIXED)) & (np.array(mixture.shares) < least / 3)))
+    little, left = 0.15 if alias else MIXED, np.array(mixture.shares)
+    return all(np.any((np.array(r.shares) > little) & (left < np.array(r.shares) / 3)) for r in smaller)
