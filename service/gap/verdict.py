@@ -168,6 +168,29 @@ def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = (
     return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))[:LARGEST_CLASS]
 
 
+def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str, ...], ...], float]:
+    """Classes of a mixture's effects that known aliases could stand for beside the others, and what all of those add.
+
+    The best one's effect first in each; the number is the probability of the mixtures that differ in one effect so.
+    """
+    effects, classes, added = best.candidate.effects, [], 0.0
+    near = [r for r in order if r is not best and r.log_evidence > best.log_evidence - ALIKE]
+    for name in effects:
+        rest = set(effects) - {name}
+        group = [name]
+        for r in near:
+            other = set(r.candidate.effects) - rest
+            if len(r.candidate.effects) != len(effects) or len(other) != 1 or not rest <= set(r.candidate.effects):
+                continue
+            alias = next(iter(other))
+            if alias in CATALOGUE[name].aliases or name in CATALOGUE[alias].aliases:
+                group.append(alias)
+                added += r.probability
+        if len(group) > 1:
+            classes.append(tuple(group[:LARGEST_CLASS]))
+    return tuple(classes), added
+
+
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
     """Whether the strength of an effect would have to be one that such effects do not have."""
     return any(
@@ -214,10 +237,14 @@ def decide(
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap on unseen data"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     weighed = renormalised([*order, *elsewhere]) if elsewhere else order
-    group = alike(best, order, elsewhere) if len(effects) == 1 else ()
-    classes = (group,) if len(group) > 1 else ()
-    singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
-    probability = sum(r.probability for r in singles) if classes else weighed[0].probability
+    if len(effects) > 1:
+        classes, added = alike_beside(weighed[0], weighed)
+        probability = weighed[0].probability + added
+    else:
+        group = alike(best, order, elsewhere)
+        classes = (group,) if len(group) > 1 else ()
+        singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
+        probability = sum(r.probability for r in singles) if classes else weighed[0].probability
     probability = supported(float(probability), there.support)
     if probability < 0.5 and there.support < 0:
         if significant <= SIGNIFICANT:

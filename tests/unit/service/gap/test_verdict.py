@@ -127,3 +127,15 @@ def test_what_the_other_sweep_rejects_is_what_is_fitted_to_half_of_it_first() ->
     assert not replace(rejected, gap=0.5).fails
     assert not replace(rejected, left=0.5).fails
     assert not replace(rejected, closes=0.9).fails
+
+
+def test_an_effect_of_a_mixture_that_an_alias_could_stand_for_is_told_with_it() -> None:
+    left = (0.01, 0.0, 0.02, 0.0)
+    best = replace(explanation(("eddy_currents", "support_resonance"), 0.0, 0.01, left), probability=0.8)
+    like = replace(explanation(("support_resonance", "sensor_lag"), -ALIKE / 2, 0.01, left), probability=0.15)
+    far = replace(explanation(("eddy_currents", "extra_flexible_mode"), -2 * ALIKE, 0.01, left), probability=0.01)
+    other = replace(explanation(("eddy_currents", "sensor_gain"), -ALIKE / 2, 0.01, left), probability=0.01)
+    found = decide([best, like, far, other, PLAIN], 12.0, CLOSED, significant=50.0)
+    assert found.effects == best.candidate.effects
+    assert found.indistinguishable == (("eddy_currents", "sensor_lag"),)
+    assert found.probability == pytest.approx(0.95)
