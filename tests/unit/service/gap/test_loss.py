@@ -18,6 +18,8 @@ from sim.rig import Rig
 from sim.twin import linear_model, with_effects
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
 
 def stronger_beyond(rig: Rig, s: Sweep, current_a: float, most: float) -> Sweep:
     """The sweep of a rig whose force grows by up to ``most`` beyond some current, in phase with it."""

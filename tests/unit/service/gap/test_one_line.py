@@ -23,6 +23,9 @@ from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 from tests.support.two_axes import one_plane
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
+
 MAIN_HZ = np.geomspace(12.0, 800.0, 12)
 OTHER_HZ = np.geomspace(15.0, 930.0, 12)
 HIGHEST = float(OTHER_HZ[-1])

@@ -16,6 +16,8 @@ from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
 
 def test_a_mode_between_two_lines_begins_near_its_frequency_and_shape() -> None:
     """Its ends move against each other, which no housing does, and it is far narrower than the lines are apart."""

@@ -24,6 +24,8 @@ from sim.rig import Rig
 from sim.twin import linear_model
 from tests.support.turning import COUPLING, HZ, INTERNAL, PERIOD_S, POLAR, SPEEDS, rig_at, sweep_at, told_the_noise
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
 
 def true_model(rig: Rig) -> RotatingModel:
     x, y = (plane_model_of(rig, p) for p in "xy")

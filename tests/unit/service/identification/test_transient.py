@@ -18,6 +18,8 @@ from service.identification.transient import Transient, settled
 from service.identification.transient_size import Source, Taken
 from tests.support.ringing import AXES, BLOCKS, CONTROLLER, HZ, RATE, SHEET, TRUTH, late, run, sheet
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
 
 @pytest.fixture(scope="module")
 def hasty() -> Sweep:
