@@ -21,7 +21,7 @@ from service.gap.part import STANDSTILL, driven_by_current
 from service.gap.search import Explained
 from service.gap.shrinkage import closure_of
 from service.gap.significance import overall, significance
-from service.gap.verdict import HeldOut, Ranked, Verdict, decide
+from service.gap.verdict import UNEXPLAINED, HeldOut, Ranked, Verdict, decide
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
@@ -156,7 +156,10 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
         elif explained and (reason := lag_missing(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
-        elif own[e.part.path].kind == "no_gap" and (reason := curved(e, on_sweep(e, chosen_in(e), unseen))):
+        # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
+        elif (own[e.part.path].kind == "no_gap" or (explained and e.order[0].unexplained > UNEXPLAINED)) and (
+            reason := curved(e, on_sweep(e, chosen_in(e), unseen))
+        ):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,), bent=True)
     by_size = sorted(found, key=lambda e: -_excess(e))
     total = sum(_excess(e) for e in found)

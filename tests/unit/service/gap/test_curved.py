@@ -58,6 +58,16 @@ def test_a_sensor_bent_too_little_for_any_line_to_show_it_is_no_clean_rig() -> N
     assert report["where"]["amplitude_dependent"] is True
 
 
+def test_a_bent_sensor_of_which_saturation_explains_some_is_no_saturation() -> None:
+    datasheet, truth = known_datasheet(seed=41)
+    rig = true_rig(truth)
+    measured = experiment(rig)
+    bent = tuple(with_bent_sensors(rig, s, -0.25 * CUBIC_PER_M2) for s in measured.sweeps)
+    verdict = diagnose(replace(measured, sweeps=bent), datasheet).verdict
+    assert verdict.kind == "none_of_these"
+    assert "the displacement is curved" in verdict.reasons[0]
+
+
 def test_what_magnets_bend_more_or_less_than_their_datasheet_says_is_no_sensor() -> None:
     """The cubic terms of their force go with the bias; the twin's are off by a tenth here."""
     datasheet, truth = known_datasheet(seed=42)
