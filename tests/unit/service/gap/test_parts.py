@@ -139,6 +139,18 @@ def test_a_rotor_that_hardly_moves_is_diagnosed_too() -> None:
     assert diagnose(small, datasheet).verdict.kind == "no_gap"
 
 
+def test_a_lag_that_amplifiers_of_a_wide_datasheet_could_make_up_for_is_no_fault_of_the_log() -> None:
+    datasheet, truth = known_datasheet(seed=54)
+    wide = replace(datasheet.tolerance, amplifier_frequency=0.015, amplifier_damping=0.03)
+    both = {
+        "amplifier_bandwidth": {"frequency_change": 0.02, "damping_change": 0.0},
+        "eddy_currents": {"time_constant_s": 5e-9, "corner_rad_s": 1.0},
+    }
+    quiet = experiment(with_effects(true_rig(truth), both), noise=0.25)
+    d = diagnose(*one_plane(quiet, replace(datasheet, tolerance=wide)))
+    assert "eddy_currents" in d.verdict.effects
+
+
 def test_a_drift_beside_a_controller_that_differs_is_no_fault_of_the_log() -> None:
     """Worked out from a controller that is not the rig's, y is so uncertain that it would hide a small drift."""
     datasheet, truth = known_datasheet(seed=18)
