@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from service.gap.begun import residuals
 from service.gap.candidates import Candidate, Fitter, Task
 from service.gap.evidence import log_evidence
 from service.gap.part import Ground
-from service.gap.search import WITHIN, Explained, residuals
+from service.gap.refined import WITHIN
+from service.gap.search import Explained
 from service.gap.stage import EXACT
 from service.gap.verdict import ALIKE, DETECTED, Ranked, noise_levels, renormalised
 from sim.effects import CATALOGUE

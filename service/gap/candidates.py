@@ -87,8 +87,10 @@ def _fitted(task: Task) -> Candidate:
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects])
     active, rough = problem.active, [s for s in task.stages if s.closed]
     begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]
+    straight = _straight(problem, begun) if problem.nonlinear and rough and len(begun) > 1 else []
     for stage in rough:
         begun = _best_of(problem, begun, stage)
+    begun += straight
     best: Fit | None = None
     for x in begun:
         try:
@@ -110,6 +112,18 @@ def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real
             fit = problem.run(x, stage)
             led.append((fit.chi_square + fit.penalty, problem.vector(fit)))
     return [x for _, x in sorted(led, key=lambda one: one[0])[:GOES_ON]]
+
+
+def _straight(problem: Problem, begun: Sequence[Real]) -> list[Real]:
+    """The beginning that leaves least once the datasheet's values have followed it; none where none is possible.
+
+    Rough stages see little of a force that bends little, and may end where it does nothing.
+    """
+    led: list[tuple[float, Real]] = []
+    for x in begun:
+        with suppress(AmbError, np.linalg.LinAlgError):
+            led.append(problem.settled(x))
+    return [x for _, x in sorted(led, key=lambda one: one[0])[:1]]
 
 
 def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:

@@ -33,6 +33,8 @@ TOLERANCE_BOUND = 4.0
 """A datasheet's value may be off by this many of its tolerances; what lies beyond is a gap, not an uncertainty."""
 CHORD = 4
 """Steps for which the derivatives by the datasheet's values, and by what is inherited, are kept."""
+SETTLING = 3
+"""Steps of the datasheet's values alone before a force law is fitted."""
 WITHIN_FLOOR = 0.02
 """Cost per residual from which a stage with a floor of its own hands over: 0.14 of the floor, root mean square."""
 
@@ -177,6 +179,27 @@ class Problem(Unknowns):
                 curvature[a:, a:] += flat.T @ flat
                 gradient[a:] += flat.T @ stacked(r[..., None])[:, 0]
         return curvature, gradient
+
+    def settled(self, x: Real) -> tuple[float, Real]:
+        """Cost and ``x``, the datasheet's values where the effects as they are leave least: a few Gauss-Newton steps.
+
+        A force law that starts far from its valley turns stiffnesses and gains over; what is left then misleads.
+        """
+        a, w = self._a, self._weights(EXACT)
+        state = self._state(x, EXACT, w, self._carried(self.build(x)))
+        for _ in range(SETTLING):
+            rows = self._nuisance_rows(state.rig, EXACT, w)
+            nothing = [np.zeros((*p.shape, len(x) - a), dtype=complex) for p in state.predictions]
+            curvature, gradient = self._normal_equations(state, rows, nothing)
+            hessian, pull = (curvature + self.prior)[:a, :a], (self.prior @ (state.x - self._centre))[:a]
+            moved = state.x.copy()
+            moved[:a] += np.linalg.solve(hessian, gradient[:a] - pull)
+            moved[:a] = np.clip(moved[:a], -TOLERANCE_BOUND, TOLERANCE_BOUND)
+            trial = self._state(moved, EXACT, w, self._carried(self.build(moved)))
+            if not trial.cost < state.cost:
+                break
+            state = trial
+        return state.cost, state.x
 
     def run(self, x: Real, stage: Stage) -> Fit:
         """One Levenberg-Marquardt pass from ``x`` (a + e,)."""

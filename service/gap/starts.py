@@ -71,7 +71,7 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         ]
     if effect.id == "magnetic_saturation":
         by_flux = {"saturation_inverse_per_a": 0.02, "flux_power": 5.0}
-        return [{**base, "flux_share": 0.0}, {**by_flux, "flux_share": 0.4}, {**by_flux, "flux_share": 0.7}]
+        return [{**base, "flux_share": 0.0}, *({**by_flux, "flux_share": share} for share in (0.35, 0.5, 0.7))]
     if effect.id == "magnetic_hysteresis":
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
         return [base, {**base, "width_a": 0.25 * flux}, {**base, "width_a": 0.6 * flux}]

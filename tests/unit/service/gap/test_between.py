@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
+from service.gap.begun import residuals
 from service.gap.candidates import Candidate, Fitter
 from service.gap.diagnose import diagnose
 from service.gap.fit import Problem
@@ -13,7 +14,7 @@ from service.gap.inherited import inherited_from
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.part import Ground, parts
-from service.gap.search import explain, residuals
+from service.gap.search import explain
 from service.gap.stage import Stage
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig

@@ -5,17 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.data import Experiment, Sweep
-from service.gap.candidates import Fitter
+from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
 from service.gap.loss import lag_missing, lag_share
-from service.gap.nuisance import nuisance
-from service.gap.observation import observe
-from service.gap.part import Ground, parts
-from service.gap.search import Explained, explain
-from sim.datasheet import Datasheet
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects
+from tests.support.plant import plant_of
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
@@ -35,14 +30,6 @@ def stronger_beyond(rig: Rig, s: Sweep, current_a: float, most: float) -> Sweep:
     I[:, :, f] += (m.i_per_u[line] @ back[..., None])[:, None, :, 0]
     Y[:, :, f] += ((m.y_per_u[line] @ back[..., None])[..., 0] + more)[:, None]
     return replace(s, U=U, I=I, Y=Y)
-
-
-def plant_of(measured: Experiment, datasheet: Datasheet) -> Explained:
-    nu = nuisance(datasheet)
-    o = observe(measured.sweeps[0], nu.rig)
-    part = next(p for p in parts(nu, (o,)) if p.path == "plant")
-    with Fitter() as fitter:
-        return explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))))
 
 
 @pytest.mark.parametrize("width_a", [0.0, 0.1])

@@ -3,14 +3,18 @@
 import numpy as np
 import pytest
 
-from service.gap.candidates import Candidate
+from service.gap.candidates import Candidate, Fitter, Task, fit_task
 from service.gap.diagnose import diagnose
 from service.gap.fitted import Fit
-from service.gap.search import _worth_it
-from service.gap.verdict import Ranked
+from service.gap.mixtures import from_the_other_side, worth_it
+from service.gap.refined import cost
+from service.gap.stage import EXACT
+from service.gap.verdict import ALIKE, Ranked
 from sim.reference import reference_rig
 from sim.twin import with_effects
+from tests.support.plant import plant_of
 from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
 
@@ -27,14 +31,55 @@ def explanation(effects: tuple[str, ...], evidence: float, shares: tuple[float, 
 def test_of_two_effects_one_may_make_the_fundamental_s_gap_and_the_other_that_of_the_harmonics() -> None:
     both = explanation((CROSS, AWAY), -10.0, (0.01, 0.01))
     singles = [explanation((CROSS,), -90.0, (0.01, 1.0)), explanation((AWAY,), -99.0, (1.0, 0.01))]
-    assert _worth_it(both, [both, *singles])
+    assert worth_it(both, [both, *singles])
 
 
-def test_a_second_effect_that_one_alone_makes_needless_is_not_worth_it() -> None:
+def test_a_second_effect_that_one_alone_makes_needless_is_notworth_it() -> None:
     both = explanation((CROSS, AWAY), -10.0, (0.009, 0.008))
     enough = explanation((CROSS,), -15.0, (0.01, 0.01))
     useless = explanation((AWAY,), -99.0, (1.0, 0.5))
-    assert not _worth_it(both, [both, enough, useless])
+    assert not worth_it(both, [both, enough, useless])
+
+
+def test_an_effect_that_hardly_shows_is_found_beside_one_that_leaves_no_band_a_gap() -> None:
+    datasheet, truth = known_datasheet(seed=51)
+    offset = {f"offset_{axis}_m": 0.6e-6 if axis == "xB" else 0.0 for axis in RIG.axes}
+    both = {"eddy_currents": {"time_constant_s": 2.7e-8, "corner_rad_s": 1.0}, AWAY: offset}
+    e = plant_of(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet))
+    assert set(e.order[0].candidate.effects) == set(both)
+
+
+@pytest.mark.parametrize(("amplitude_a", "lag_s", "share"), [(0.2, 2e-6, 0.55), (0.25, 3e-6, 0.45)])
+def test_iron_that_bends_little_is_found_beside_a_lag_and_so_is_what_else_could_lag(
+    amplitude_a: float, lag_s: float, share: float
+) -> None:
+    """Its law has three parameters and begins far from where they end; stiffnesses and gains have to follow it."""
+    datasheet, truth = known_datasheet(seed=53)
+    bent = {"saturation_inverse_per_a": 0.02, "flux_share": share, "flux_power": 4.0}
+    both = {"magnetic_saturation": bent, "sensor_lag": {"time_constant_s": lag_s, "delay_s": 0.0}}
+    rig = with_effects(true_rig(truth), both)
+    e = plant_of(*one_plane(experiment(rig, amplitude_a=amplitude_a), datasheet))
+    found = [set(r.candidate.effects) for r in e.order[:2]]
+    assert {"magnetic_saturation", "sensor_lag"} in found
+    assert {"magnetic_saturation", "eddy_currents"} in found
+    assert abs(e.order[0].log_evidence - e.order[1].log_evidence) < ALIKE
+
+
+def test_an_effect_that_was_found_first_is_looked_for_anew_beside_the_second() -> None:
+    datasheet, truth = known_datasheet(seed=52)
+    both = {
+        "magnetic_hysteresis": {"loss_angle_rad": 0.007, "width_a": 0.0},
+        "cross_coupled_stiffness": {"stiffness_n_per_m": -26600.0},
+    }
+    e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet)
+    wrong = ({"loss_angle_rad": 0.0127, "width_a": 0.35}, both["cross_coupled_stiffness"])
+    null, singles = e.null.candidate, [r.candidate for r in e.order if len(r.candidate.effects) == 1]
+    stuck = fit_task(Task(e.ground, tuple(both), (wrong,), null.fit.theta, (EXACT,)))
+    with Fitter() as fitter:
+        (better,) = from_the_other_side(fitter, e.ground, null, stuck, [null, *singles, stuck])
+    assert cost(better) < 0.9 * cost(stuck)
+    values = dict(zip(better.effects, better.fit.values, strict=True))
+    assert values["magnetic_hysteresis"]["loss_angle_rad"] == pytest.approx(0.007, rel=0.02)
 
 
 def test_an_effect_that_is_likely_but_explains_little_is_named_with_the_one_that_explains_the_rest() -> None:

@@ -1,0 +1,22 @@
+"""The plant of an experiment, explained from its main sweep alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.experiment.data import Experiment
+from service.gap.candidates import Fitter
+from service.gap.nuisance import nuisance
+from service.gap.observation import observe
+from service.gap.part import Ground, parts
+from service.gap.search import Explained, explain
+from sim.datasheet import Datasheet
+
+
+def plant_of(measured: Experiment, datasheet: Datasheet) -> Explained:
+    """Every explanation of it, the best first."""
+    nu = nuisance(datasheet)
+    o = observe(measured.sweeps[0], nu.rig)
+    part = next(p for p in parts(nu, (o,)) if p.path == "plant")
+    with Fitter() as fitter:
+        return explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))))
