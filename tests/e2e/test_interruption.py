@@ -37,7 +37,7 @@ def command(rig, out):
 
 def interrupted(command, out, number):
     """What a campaign had measured that was ended in its main sweep; it said so in one line."""
-    first = Running(*command)
+    first = Running(*command, traced=False)
     try:
         wait_until(lambda: any(line.startswith("main sweep") for line in first.said), "the main sweep")
         first.interrupt(number)
@@ -75,7 +75,7 @@ def test_a_campaign_terminated_and_then_ended_by_ctrl_c_is_kept_and_resumed(rig,
 
 def test_a_disk_that_is_full_ends_the_campaign_with_its_rig_at_rest(rig, command, out):
     """No file of the command may grow any more: to whoever writes, that is a full disk."""
-    run = Running(*command)
+    run = Running(*command, traced=False)
     try:
         journal = out / "experiment.journal"
         wait_until(lambda: journal.exists() and journal.read_bytes().count(b"\n") > 10, "the first points")
@@ -96,7 +96,7 @@ def test_without_resuming_an_old_campaign_is_put_aside(tmp_path):
     (out / "experiment.journal").write_text("not a journal\n")
     command = ("commission", "--controller", "simulated://?seed=1", "--rig", tmp_path / "rig.toml", "--out", out)
     assert "journal" in refusal(*command, "--quick")
-    run = Running(*command, "--quick", "--no-resume")
+    run = Running(*command, "--quick", "--no-resume", traced=False)
     wait_until(lambda: any(p.name.startswith("experiment.previous") for p in out.iterdir()), "the old journal aside")
     run.interrupt()
     assert run.wait() == 1

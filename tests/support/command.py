@@ -8,6 +8,8 @@ import threading
 import time
 from pathlib import Path
 
+from tests.support.processes import untraced
+
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "COLUMNS": "100", "NO_COLOR": "1"}
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
 """The script that the installation put beside the interpreter."""
@@ -31,15 +33,18 @@ def refusal(*arguments: object, status: int = 1) -> str:
 
 
 class Running:
-    """A command that runs, with what it has said on stderr so far."""
+    """A command that runs, with what it has said on stderr so far.
 
-    def __init__(self, *arguments: object) -> None:
+    ``traced`` false: other tests cover its lines, and without a tracer it takes a third less.
+    """
+
+    def __init__(self, *arguments: object, traced: bool = True) -> None:
         self.process = subprocess.Popen(
             [*AMBIT, *map(str, arguments)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=ENVIRONMENT,
+            env=ENVIRONMENT if traced else untraced(ENVIRONMENT),
             start_new_session=True,
         )
         self.said: list[str] = []

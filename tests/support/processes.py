@@ -10,9 +10,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-FOREIGN = {name: value for name, value in ENVIRONMENT.items() if not name.startswith("COVERAGE_PROCESS")}
-"""For programs that run no line of this repository: what is not measured does not cost a tracer."""
 ROOT = Path(__file__).parents[2]
+
+
+def untraced(environment: dict[str, str]) -> dict[str, str]:
+    """An environment whose processes are not measured, and so do not cost a tracer."""
+    return {name: value for name, value in environment.items() if not name.startswith("COVERAGE_PROCESS")}
+
+
+FOREIGN = untraced(ENVIRONMENT)
+"""For programs that run no line of this repository."""
 
 
 class Process:
