@@ -58,7 +58,8 @@ def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "loop_delay" in done.stdout
     assert [name for name, _ in rig_file.read(twin).effects] == ["loop_delay"]
-    again = ambit("gap", "diagnose", case / "experiment.h5", "--rig", twin, "--out", tmp_path, "--json", timeout_s=280)
+    words = ("gap", "diagnose", case / "experiment.h5", "--rig", twin, "--out", tmp_path, "--json")
+    again = ambit(*words, timeout_s=280, traced=False)
     assert json.loads(again.stdout)["verdict"]["kind"] == "no_gap", again.stderr
     assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")
 
@@ -90,7 +91,8 @@ def test_ctrl_c_ends_all_workers_in_one_line(seconds, tmp_path):
 def test_a_blind_trial_can_be_checked_by_anyone(tmp_path):
     """Truth sealed behind the hash that was published, report and seal as they were, scores printed."""
     out = tmp_path / "trial"
-    done = ambit("gap", "blind-trial", "--cases", 1, "--seed", 4, "--jobs", 1, "--out", out, "--json", timeout_s=280)
+    words = ("gap", "blind-trial", "--cases", 1, "--seed", 4, "--jobs", 1, "--out", out, "--json")
+    done = ambit(*words, timeout_s=280, traced=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["scores"]["cases"]["single"] == 1
     case = out / "case-0001"

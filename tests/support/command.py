@@ -15,10 +15,15 @@ AMBIT = [str(Path(sys.executable).with_name("ambit"))]
 """The script that the installation put beside the interpreter."""
 
 
-def ambit(*arguments: object, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
+def ambit(*arguments: object, timeout_s: float = 120.0, traced: bool = True) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; ``traced`` as of `Running`."""
     return subprocess.run(
-        [*AMBIT, *map(str, arguments)], capture_output=True, text=True, env=ENVIRONMENT, timeout=timeout_s, check=False
+        [*AMBIT, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT if traced else untraced(ENVIRONMENT),
+        timeout=timeout_s,
+        check=False,
     )
 
 

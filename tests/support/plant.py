@@ -9,14 +9,14 @@ from service.gap.candidates import Fitter
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.part import Ground, parts
-from service.gap.search import Explained, explain
+from service.gap.search import MOST, Explained, explain
 from sim.datasheet import Datasheet
 
 
-def plant_of(measured: Experiment, datasheet: Datasheet) -> Explained:
-    """Every explanation of it, the best first."""
+def plant_of(measured: Experiment, datasheet: Datasheet, most: int = MOST) -> Explained:
+    """Every explanation of it by up to ``most`` effects, the best first."""
     nu = nuisance(datasheet)
     o = observe(measured.sweeps[0], nu.rig)
     part = next(p for p in parts(nu, (o,)) if p.path == "plant")
     with Fitter() as fitter:
-        return explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))))
+        return explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))), most=most)

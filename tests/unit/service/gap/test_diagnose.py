@@ -133,7 +133,7 @@ def test_the_datasheet_of_another_rig_is_said_to_be_one() -> None:
         modes=tuple(replace(m, frequency_hz=0.7 * m.frequency_hz) for m in datasheet.modes),
     )
     measured = experiment(true_rig(truth))
-    d = diagnose(replace(measured, sweeps=measured.sweeps[:1]), other)
+    d = diagnose(*one_plane(replace(measured, sweeps=measured.sweeps[:1]), other))
     assert d.verdict.kind == "none_of_these"
     said = d.to_dict()["verdict"]
     assert "of another rig" in " ".join(said["reasons"])

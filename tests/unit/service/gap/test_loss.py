@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.diagnose import diagnose
+from service.gap.compose import held_out, verdict_of
 from service.gap.loss import lag_missing, lag_share
+from service.gap.observation import observe
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects
 from tests.support.plant import plant_of
@@ -49,12 +50,14 @@ def test_a_force_that_grows_with_amplitude_without_a_lag_is_not_hysteresis() -> 
     """The law of hysteresis explains all that noise lets one see of it, but not its phase."""
     datasheet, truth = known_datasheet(seed=31)
     rig = true_rig(truth)
-    measured = experiment(rig, noise=3.0)
+    measured, again = (experiment(rig, seed=seed, noise=3.0) for seed in (1, 7))
     measured = replace(measured, sweeps=tuple(stronger_beyond(rig, s, 0.05, 0.01) for s in measured.sweeps))
-    d = diagnose(measured, datasheet)
-    assert d.order[0].candidate.effects[0] == "magnetic_hysteresis"
-    assert d.verdict.kind == "none_of_these"
-    assert "not as with hysteresis: of the lag that goes with it" in d.verdict.reasons[0]
+    e = plant_of(measured, datasheet, most=1)
+    assert e.order[0].candidate.effects == ("magnetic_hysteresis",)
+    unseen = observe(stronger_beyond(rig, again.sweeps[0], 0.05, 0.01), e.ground.nuisance.rig)
+    verdict = verdict_of([e], {"plant": held_out(e, unseen)}, unseen)
+    assert verdict.kind == "none_of_these"
+    assert "not as with hysteresis: of the lag that goes with it" in verdict.reasons[0]
 
 
 def test_a_law_whose_width_no_current_reaches_is_not_judged_by_its_lag() -> None:
