@@ -57,6 +57,11 @@ def _amplitudes(x: Array, harmonics: tuple[int, ...]) -> Complex:
     return np.asarray(parts.view(complex).reshape(n, P, len(harmonics)).transpose(1, 2, 0))
 
 
+def _times(matrices: Complex, x: Complex) -> Complex:
+    """Matrices (P, H, a, b) times amplitudes (P, H, b) -> (P, H, a)."""
+    return np.asarray((matrices @ x[..., None])[..., 0])
+
+
 class Responder:
     """A rig made ready to answer at given frequencies; the excitation may then differ from call to call.
 
@@ -94,12 +99,14 @@ class Responder:
         )
         self._slews = bool(np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)))
 
-    def _at_points(self, matrices: Complex, x: Complex) -> Complex:
-        """Matrices (H F, a, b) of each harmonic times amplitudes (P, H, b) -> (P, H, a)."""
+    def _of_points(self, matrices: Complex) -> Complex:
+        """Matrices of each harmonic's lines, (H F, a, b) -> those of the points, (P, H, a, b)."""
         per_harmonic = matrices.reshape(len(self.harmonics), -1, *matrices.shape[1:])
-        return np.stack(
-            [(per_harmonic[k][self.line] @ x[:, k, :, None])[..., 0] for k in range(len(self.harmonics))], axis=1
-        )
+        return np.asarray(per_harmonic.swapaxes(0, 1)[self.line])
+
+    def _at_points(self, matrices: Complex, x: Complex) -> Complex:
+        """Matrices of each harmonic's lines, (H F, a, b), times amplitudes (P, H, b) -> (P, H, a)."""
+        return _times(self._of_points(matrices), x)
 
     def answer(
         self, U: Complex, rounds: int | None = None, seen: Complex | None = None, seen_current: Complex | None = None
@@ -114,7 +121,16 @@ class Responder:
         seen_current
             (P, H, n) measured coil current: as `current`.
         """
-        return self._answer(U * self._log_phase, rounds, seen, seen_current)
+        current, effective = self._current(U * self._log_phase, seen_current)
+        return Answer(current, self._displacement(effective, rounds, seen))
+
+    def displacement(
+        self, U: Complex, rounds: int | None = None, seen: Complex | None = None, seen_current: Complex | None = None
+    ) -> Complex:
+        """Sensor signal of `answer` alone, (P, H, n), which takes half the time."""
+        U = U * self._log_phase
+        effective = self._current(U, seen_current)[1] if self._slews else U
+        return self._displacement(effective, rounds, seen)
 
     def current(self, U: Complex, seen: Complex | None = None) -> Complex:
         """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone.
@@ -124,25 +140,20 @@ class Responder:
         """
         return self._current(U * self._log_phase, seen)[0]
 
-    def _answer(
-        self,
-        U: Complex,
-        rounds: int | None = None,
-        seen: Complex | None = None,
-        seen_current: Complex | None = None,
-    ) -> Answer:
+    def _displacement(self, U: Complex, rounds: int | None, seen: Complex | None) -> Complex:
+        """Sensor signal, (P, H, n), for the control signal that a linear amplifier would need."""
         m = self._model
-        current, U_eff = self._current(U, seen_current)
-        flux = self._at_points(m.flux_per_u, U_eff)
-        x_linear = self._at_points(m.bearing_per_u, U_eff)
-        force = np.zeros_like(x_linear)
-        y_linear = self._at_points(m.y_per_u, U_eff)
-        x, Y, drawn = x_linear, y_linear, self._drawn(flux)
-        for _ in range(rounds or (3 if seen is not None else 6 if self._strongly else 3)):
-            force = self._beyond_linear(drawn, x if seen is None else x + self._from_sensors(seen - Y))
-            x = x_linear + self._at_points(m.bearing_per_force, force)
-            Y = y_linear + self._at_points(m.y_per_force, force)
-        return Answer(current, self._static_real(Y))
+        x_linear, Y_linear = self._at_points(m.bearing_per_u, U), self._at_points(m.y_per_u, U)
+        bearing, sensed = self._of_points(m.bearing_per_force), self._of_points(m.y_per_force)
+        drawn = self._drawn(self._at_points(m.flux_per_u, U))
+
+        def force_at(x: Complex, Y: Complex) -> Complex:
+            return self._beyond_linear(drawn, x if seen is None else x + self._from_sensors(seen - Y))
+
+        force = force_at(x_linear, Y_linear)
+        for _ in range((rounds or (3 if seen is not None else 6 if self._strongly else 3)) - 1):
+            force = force_at(x_linear + _times(bearing, force), Y_linear + _times(sensed, force))
+        return self._static_real(Y_linear + _times(sensed, force))
 
     def _from_sensors(self, Y: Complex) -> Complex:
         """Displacement at the bearings, (P, H, n), of a rigid rotor that the sensors see at Y.
@@ -278,12 +289,11 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
     controller = m.controller.reshape(H, -1)[:, responder.line].T[..., None]  # (P, H, 1)
     sensitivity = m.sensitivity
     U = responder._at_points(sensitivity, R)
-    answer = responder._answer(U)
     for _ in range(rounds):
-        lacking = R - controller * answer.Y - U
+        lacking = R - controller * responder.displacement(U / responder._log_phase) - U
         U = U + responder._at_points(sensitivity, lacking)
-        answer = responder._answer(U)
-    return U / responder._log_phase, answer
+    logged = U / responder._log_phase
+    return logged, responder.answer(logged)
 
 
 def time_points(frequency_hz: Array) -> tuple[Array, Index]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,9 +111,8 @@ def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:
 class LinearModel:
     """Small-signal responses of a rig at F frequencies; matrices are (F, output, input)."""
 
+    rig: Rig
     omega_rad_s: Array
-    i_per_u: Complex
-    """Sampled coil current per held control signal, A/A."""
     y_per_u: Complex
     """Sampled sensor signal per held control signal, m/A."""
     plant: Complex
@@ -131,6 +131,13 @@ class LinearModel:
     """Sensor signal per force at the bearings, the magnets' stiffness closed, m/N."""
     log_phase: Complex
     """exp(-j w T n) of a log whose u is n samples early, in ``i_per_u`` and ``y_per_u``, (F,)."""
+
+    @cached_property
+    def i_per_u(self) -> Complex:
+        """Sampled coil current per held control signal, A/A; it is what takes longest, and few ask for it."""
+        out = _current_per_control(self.rig, self.omega_rad_s)
+        out.flags.writeable = False  # shared, as the model is remembered
+        return out
 
     @property
     def y_per_i(self) -> Complex:
@@ -157,7 +164,11 @@ def _transposed(a: Complex) -> Complex:
 
 def current_per_control(rig: Rig, frequency_hz: Array) -> Complex:
     """Sampled coil current per held, logged control signal, A/A, (F, n, n): `LinearModel.i_per_u` alone."""
-    omega, period = 2 * np.pi * np.asarray(frequency_hz, dtype=float), rig.controller.sample_time_s
+    return _current_per_control(rig, 2 * np.pi * np.asarray(frequency_hz, dtype=float))
+
+
+def _current_per_control(rig: Rig, omega: Array) -> Complex:
+    period = rig.controller.sample_time_s
     delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)
     own = amplifier.sampled(rig.amplifiers, omega, period, delay) * logged_early[:, None]
@@ -205,8 +216,8 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     base = own[0, :, :, None] * cross
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
     return LinearModel(
+        rig,
         omega,
-        current_per_control(rig, frequency_hz),
         _mixed(y_per_u, cross) * logged_early,
         y_per_magnet * per_current[0, :, None, :],
         base,

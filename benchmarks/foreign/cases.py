@@ -213,7 +213,7 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         "effects": ["none_of_these"] if kind == "unknown" else names,
         "kind": kind,
         "laws": names,
-        "changes": {k: v for c in changes.values() for k, v in c.items()},
+        "changes": changes,
         "level": levels,
         "other_rotor": varied,
         "wide_datasheet": bool(wide),

@@ -89,7 +89,7 @@ def controller_mismatch(t: Truth, rng: Rng, level: float) -> Change:
         c["kd"] *= 1 + e
     else:
         c["filter_hz"] *= 1 - abs(e) * 1.5
-    t.control_by_axis = [c] * 4
+    t.running = c
     return {"kind": kind, "relative": e}
 
 

@@ -113,8 +113,8 @@ class Truth:
     plant: dict = field(default_factory=dict)
     """Fields of Plant that an effect replaces; a callable gets the plain value."""
     loop: dict = field(default_factory=dict)
-    control_by_axis: list | None = None
-    """The controllers that really run, when they are not the datasheet's."""
+    running: dict | None = None
+    """The controller that really runs, when it is not the datasheet's."""
     housing: dict | None = None
     """mass, hz, zeta; each: one housing per bearing."""
     drift: tuple = (0.0, 0.0, 1.0)
@@ -129,7 +129,7 @@ class Truth:
         plant = np.zeros(1, dtype=PLANT)
         for name, value in values.items():
             plant[name] = value
-        ba = [pid(**(self.control_by_axis[a] if self.control_by_axis else self.control)) for a in range(4)]
+        ba = [pid(**(self.running or self.control))] * 4
         filters = {"b": np.array([b for b, _ in ba]), "a": np.array([a for _, a in ba])}
         return plant, Loop(**(filters | _plain_loop() | self.loop))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.jacobian import answer_and_jacobian
+from service.gap.jacobian import answer_jacobian
 from service.gap.predict import at_speed_of, weight
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT
@@ -55,7 +55,7 @@ def across_alike(e: Explained) -> list[Across]:
     w = weight(o, "y")[:, f]
     z = _real(e.plain[0][:, f])
     rig = at_speed_of(fit.rig, o)
-    _, J = answer_and_jacobian(e.ground.nuisance, rig, o)
+    J = answer_jacobian(e.ground.nuisance, rig, o)
     J = np.stack([_real(w * J[:, n:, k]) for k in fit.active], axis=1)
     hessian = J.T @ J + np.eye(J.shape[1])
     before = float(z @ z)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.gap.estimate import Estimate, plain_mean
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -26,11 +27,13 @@ PATTERNS = 3
 TURNS = 1.0
 """Smallest advance of the phase from block to block, rad, that is no slow drift."""
 
+OWN_SHARE = 0.3
+"""Share of a hum's pattern that another's must leave of it."""
 SAME = 0.02
 """Ratio of singular values below which two patterns are one: half a turn from block to block is the same either way."""
 
 
-def coherence(sweep: Sweep, signal: Complex, frequency_hz: float) -> tuple[float, float]:
+def coherence(sweep: Sweep, signal: Complex, frequency_hz: float, by: Estimate | None = None) -> tuple[float, float]:
     """How much of a signal's scatter near a frequency has the pattern of a hum there.
 
     Parameters
@@ -40,26 +43,33 @@ def coherence(sweep: Sweep, signal: Complex, frequency_hz: float) -> tuple[float
     signal
         (P, B, H, n) i or y of the sweep.
     frequency_hz
+    by
+        How the responses are estimated: beside a louder hum. Only the points where that is taken off are heard then.
 
     Returns
     -------
     tuple
         Mean share, and by how many standard deviations it is above that of noise; (0, 0) where too few points are near.
     """
-    blocks = signal.shape[1]
-    pattern = _pattern(sweep, frequency_hz)[:, :, 1]
-    turning = deviation(pattern)
-    norm = np.maximum((np.abs(turning) ** 2).sum(axis=1), 1e-12)
-    scatter = deviation(signal)
-    in_it = (np.abs(np.einsum("pb,pbhn->phn", turning.conj(), scatter)) ** 2).sum(axis=-1) / norm[:, None]
+    points, blocks = signal.shape[:2]
+    told = np.ones(points, dtype=bool) if by is None else (by.free > 1) & (by.free < blocks - 1)
+    by = by or plain_mean(points, blocks)
+    turning = np.einsum("pbc,pc->pb", by.left, _pattern(sweep, frequency_hz)[:, :, 1])
+    norm = (np.abs(turning) ** 2).sum(axis=1)
+    scatter = np.einsum("pbc,pchn->pbhn", by.left, signal)
+    in_it = (np.abs(np.einsum("pb,pbhn->phn", turning.conj(), scatter)) ** 2).sum(axis=-1)
+    in_it /= np.maximum(norm, 1e-12)[:, None]
     share = in_it / np.maximum((np.abs(scatter) ** 2).sum(axis=(1, 3)), 1e-300)
-    x = share[_near(sweep, frequency_hz, MAIN_LOBE)]
+    where = _near(sweep, frequency_hz, MAIN_LOBE) & (told & (norm > OWN_SHARE * blocks))[:, None]
+    x = share[where]
     if len(x) < 4 or blocks < 3:
         return 0.0, 0.0
-    of_noise = 1 / (blocks - 1)
-    # the share of noise is beta distributed with 1 and B - 2; channels are counted as one, as a mode may join them
-    spread = np.sqrt(of_noise * (1 - of_noise) / blocks / len(x))
-    return float(x.mean()), float((x.mean() - of_noise) / spread)
+    free = np.broadcast_to(by.free[:, None], share.shape)[where]
+    of_noise = 1 / free
+    # the share of noise is beta distributed with 1 and d - 1; channels are counted as one, as a mode may join them
+    variance = of_noise * (1 - of_noise) / (free + 1)
+    excess = float((x - of_noise).sum())
+    return float(x.mean()), excess / float(np.sqrt(variance.sum()))
 
 
 def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
@@ -84,9 +94,28 @@ def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
 
 def without_hum(sweep: Sweep, frequency_hz: float) -> Sweep:
     """The sweep with one hum taken off its blocks, wherever it can be told from the response."""
-    where = (_turning(sweep, frequency_hz) > TURNS)[:, None]
-    U, Y = (_less(sweep, X, frequency_hz, where) for X in (sweep.U, sweep.Y))
-    return replace(sweep, U=U, I=None if sweep.I is None else _less(sweep, sweep.I, frequency_hz, where), Y=Y)
+    by = beside_hum(sweep, frequency_hz)
+    U, Y = (_less(X, by) for X in (sweep.U, sweep.Y))
+    return replace(sweep, U=U, I=None if sweep.I is None else _less(sweep.I, by), Y=Y)
+
+
+def heard_in(sweep: Sweep, frequency_hz: float) -> Mask:
+    """Harmonics of the points into which a hum leaks much and where its phase tells it from the response, (P, H)."""
+    return _near(sweep, frequency_hz, LOBES)
+
+
+def beside_hum(sweep: Sweep, frequency_hz: float) -> Estimate:
+    """How responses are estimated beside a hum: least squares where it can be told from them, else the plain mean."""
+    pattern, told_apart = _pattern(sweep, frequency_hz), _turning(sweep, frequency_hz) > TURNS
+    inverse, (points, blocks) = _inverse(pattern), pattern.shape[:2]
+    plain = plain_mean(points, blocks)
+    free = np.maximum(blocks - np.round(np.trace(inverse @ pattern, axis1=1, axis2=2).real), 1.0)
+    left = (np.eye(blocks) - pattern @ inverse) * np.sqrt((blocks - 1) / free)[:, None, None]
+    return Estimate(
+        np.where(told_apart[:, None], inverse[:, 0], plain.weights),
+        np.where(told_apart[:, None, None], left, plain.left),
+        np.where(told_apart, free, plain.free),
+    )
 
 
 def left_in_mean(sweep: Sweep, signal: Complex, frequencies_hz: Sequence[float]) -> Real:
@@ -101,27 +130,23 @@ def left_in_mean(sweep: Sweep, signal: Complex, frequencies_hz: Sequence[float])
         told_apart = (_turning(sweep, f) > TURNS)[:, None]
         left = ~told_apart if k == 0 and signal.shape[1] > PATTERNS else np.ones_like(told_apart)
         power += (leaks * left)[..., None] * _size(sweep, signal, f) ** 2
-        signal = _less(sweep, signal, f, told_apart)
+        signal = _less(signal, beside_hum(sweep, f))
     return np.asarray(np.sqrt(power))
 
 
 def _size(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
     """Amplitude of a hum in each channel, (n,), from wherever it leaks to."""
-    near = _near(sweep, frequency_hz, LOBES)
+    near = heard_in(sweep, frequency_hz)
     leaked = _coefficients(_pattern(sweep, frequency_hz), signal)[:, 1][near]
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     share = np.sinc((at - frequency_hz) * _block_s(sweep)[:, None])[near]
     return np.asarray(np.sqrt((np.abs(leaked) ** 2).sum(axis=0) / max(float((share**2).sum()), 1.0)))
 
 
-def _less(sweep: Sweep, signal: Complex, frequency_hz: float, where: Mask) -> Complex:
-    pattern, blocks = _pattern(sweep, frequency_hz), signal.shape[1]
-    found = _coefficients(pattern, signal)
-    rest = signal - np.einsum("pbk,pkhn->pbhn", pattern, found)
-    # so many of the dimensions are fitted, and the constant is less certain than a mean
-    spread = blocks * (np.abs(_inverse(pattern)[:, 0]) ** 2).sum(axis=1)
-    rest *= np.sqrt(spread * (blocks - 1) / max(blocks - PATTERNS, 1))[:, None, None, None]
-    return np.where(where[:, None, :, None], found[:, :1] + rest, signal)
+def _less(signal: Complex, by: Estimate) -> Complex:
+    """Blocks (P, B, H, n) with the response that an estimate gives as their mean, and what it leaves as scatter."""
+    response = np.einsum("pb,pbhn->phn", by.weights, signal)[:, None]
+    return np.asarray(response + np.einsum("pbc,pchn->pbhn", by.left, signal))
 
 
 def deviation(blocks: Complex) -> Complex:
@@ -160,6 +185,11 @@ def _turning(sweep: Sweep, frequency_hz: float) -> Real:
     """Advance of a hum's phase from block to block but for whole turns, (P,), rad."""
     advance = 2 * np.pi * frequency_hz * _block_s(sweep)
     return np.asarray(np.abs((advance + np.pi) % (2 * np.pi) - np.pi))
+
+
+def resolution_hz(sweep: Sweep) -> float:
+    """How far apart two hums must be for most points to tell one from the other by their phases, Hz."""
+    return float(1 / (np.median(_block_s(sweep)) * sweep.Y.shape[1]))
 
 
 def _block_s(sweep: Sweep) -> Real:

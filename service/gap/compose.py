@@ -217,7 +217,7 @@ def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]
 
 
 def with_interference(whole: Composition, sources: Sequence[Interference]) -> Composition:
-    """Twins with the interference that was heard before those without it."""
+    """The likeliest twin with the interference that was heard, before the others; the plain one stays among them."""
     if not sources:
         return whole
     best = whole.order[0]
@@ -233,7 +233,7 @@ def with_interference(whole: Composition, sources: Sequence[Interference]) -> Co
     heard = Candidate(
         effects, replace(c.fit, effects=effects, values=values, rig=rig), c.occam, (*c.standard_deviations, *spread)
     )
-    return Composition((replace(best, candidate=heard), *whole.order))
+    return Composition((replace(best, candidate=heard), *(whole.order[1:] if c.effects else whole.order)))
 
 
 def dated(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Composition:
@@ -277,4 +277,5 @@ def heard_too(verdict: Verdict, sources: Sequence[Interference]) -> Verdict:
         return replace(verdict, reasons=(*verdict.reasons, *told))
     effects = (*verdict.effects, *(s.effect for s in sources))
     kind = "effect" if len(effects) == 1 else "effects"
-    return replace(verdict, kind=kind, effects=effects, reasons=())
+    classes = (*verdict.indistinguishable, *((s.effect, *s.aliases) for s in sources if s.aliases))
+    return replace(verdict, kind=kind, effects=effects, indistinguishable=classes, reasons=())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above
 from service.gap.observation import HARMONIC_ERROR, MODEL_FLOOR, Observation
-from service.gap.predict import answer, at_speed_of, measured_signal, weight
+from service.gap.predict import at_speed_of, measured_signal, weight, whole_displacement
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT
 from sim.harmonic_balance import STATIC_HZ
@@ -95,7 +95,7 @@ def _curvature(
 def _beyond_linear(rig: Rig, o: Observation, k: int, power: int) -> Complex:
     """What the twin's own magnets leave in the displacement at a harmonic, (P, n)."""
     through = linear_model(rig, np.maximum(power * o.frequency_hz, STATIC_HZ)).y_per_u[o.line]
-    return np.asarray(answer(rig, o)[:, k, rig.n_axes :] - (through @ o.U[:, k, :, None])[..., 0])
+    return np.asarray(whole_displacement(rig, o)[:, k] - (through @ o.U[:, k, :, None])[..., 0])
 
 
 def _moved_by_currents(rig: Rig, o: Observation, power: int) -> Complex:

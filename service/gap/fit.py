@@ -14,9 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitted import Fit, Linearised
-from service.gap.jacobian import answer_and_jacobian, current_jacobian, stacked
+from service.gap.jacobian import answer_jacobian, current_jacobian, stacked
 from service.gap.observation import Observation
-from service.gap.predict import answer, at_speed_of, centred, control, current, displacement, measured_signal, weight
+from service.gap.predict import (
+    at_speed_of,
+    centred,
+    control,
+    current,
+    displacement,
+    measured_signal,
+    weight,
+    whole_displacement,
+)
 from service.gap.stage import EXACT, Stage
 from service.gap.unknowns import Unknowns
 from sim.rig import Rig
@@ -24,6 +33,7 @@ from sim.twin import LinearModel, linear_model
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 Carried = Sequence[Complex | None]
 """What the magnets' nonlinearity adds to the small-signal displacement of each sweep, (P, H, n); None: not known."""
 
@@ -80,7 +90,7 @@ class Problem(Unknowns):
         if self._signal == "i":
             return current(rig, o)
         if carried is None and not closed:
-            return answer(rig, o)[..., rig.n_axes :]
+            return whole_displacement(rig, o)
         f = o.fundamental
         out = self.beyond_linear(rig, o) if carried is None else carried.copy()
         if closed:
@@ -98,7 +108,7 @@ class Problem(Unknowns):
         """Displacement without its small-signal fundamental, (P, H, n); other parts have nothing of the kind."""
         if self._signal != "y":
             return np.zeros((*o.U.shape[:2], 0), dtype=complex)
-        out = answer(rig, o)[..., rig.n_axes :]
+        out = whole_displacement(rig, o)
         out[:, o.fundamental] -= displacement(rig, o)
         return out
 
@@ -111,11 +121,11 @@ class Problem(Unknowns):
             return current_jacobian(nuisance, rig, o)
         amplifiers = self.ground.part.from_control or self.ground.inherited is not None
         if not closed:
-            return answer_and_jacobian(nuisance, rig, o, amplifiers)[1][:, n:, self.active]
+            return answer_jacobian(nuisance, rig, o, amplifiers)[:, n:, self.active]
         model = linear_model(at_speed_of(rig, o), o.frequency_hz)
         U = o.U.copy()
         U[:, o.fundamental] = self._closed_control(o, model)
-        J = answer_and_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[1][:, n:, self.active]
+        J = answer_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[:, n:, self.active]
         C = (model.controller / model.log_phase)[:, None, None]
         return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 
@@ -227,7 +237,8 @@ class Problem(Unknowns):
             scale = np.diag(np.maximum(np.diag(hessian), 1e-12))
             trial = None
             for _ in range(7 if age == 0 else 2):
-                step = np.linalg.solve(hessian + damping * scale, gradient - self.prior @ (state.x - self._centre))
+                pull = gradient - self.prior @ (state.x - self._centre)
+                step = _within(hessian + damping * scale, pull, state.x <= low, state.x >= high)
                 tried = np.clip(state.x + np.clip(step, -longest, longest), low, high)
                 found = self._state(tried, stage, w, carried)
                 if np.isfinite(found.cost) and found.cost < state.cost:
@@ -297,6 +308,22 @@ class Problem(Unknowns):
         """Weighted residuals of a fit of this part, (P, H, n) per sweep."""
         nothing: Carried = [None] * len(self.observations)
         return self._state(self.vector(fit), EXACT, self._weights(EXACT), nothing).residuals
+
+
+def _within(hessian: Real, pull: Real, lowest: Mask, highest: Mask) -> Real:
+    """Newton step of the values that are not at a bound that the step would cross, the others held there.
+
+    Only clipped, such a value would leave the others short of where they are best with it at its bound, and the fit
+    would crawl (projected Newton: Bertsekas, SIAM J. Control Optim. 20, 1982).
+    """
+    free = np.ones(len(pull), dtype=bool)
+    while True:
+        step = np.zeros(len(pull))
+        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], pull[free])
+        outward = free & ((lowest & (step < 0)) | (highest & (step > 0)))
+        if not outward.any():
+            return step
+        free &= ~outward
 
 
 def _within_floor(state: _State, stage: Stage) -> bool:

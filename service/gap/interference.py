@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
 from service.gap.candidates import LAW_ERROR
-from service.gap.coherent import coherence, hum_power, without_hum
+from service.gap.coherent import PATTERNS, beside_hum, coherence, heard_in, hum_power, resolution_hz, without_hum
+from service.gap.estimate import Estimate
 from service.gap.observation import HUMMED, near_hum, usable
 from service.gap.scatter import block_scatter
 from service.gap.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
@@ -67,6 +68,8 @@ class Interference:
     """mean variance ratio over `BINS`; empty where the phase tells more"""
     heard_hz: tuple[float, ...] = ()
     """frequencies at which its phase was heard"""
+    aliases: tuple[str, ...] = ()
+    """effects whose frequency is the same, within what the blocks of a point resolve"""
 
 
 def interference(sweep: Sweep, rig: Rig) -> list[Interference]:
@@ -76,8 +79,7 @@ def interference(sweep: Sweep, rig: Rig) -> list[Interference]:
     if sweep.speed_rad_s:
         wanted["runout"] = (sweep.speed_rad_s / (2 * np.pi),)
     if sweep.block_samples is not None:
-        told = (_told_by_phase(sweep, rig, effect, frequencies) for effect, frequencies in wanted.items())
-        return [one for one in told if one is not None]
+        return _all_told_by_phase(sweep, rig, wanted)
     _, of_i, of_y = block_scatter(sweep, rig)
     signals = {"y": of_y} if sweep.I is None else {"i": of_i, "y": of_y}
     found = []
@@ -91,10 +93,33 @@ def interference(sweep: Sweep, rig: Rig) -> list[Interference]:
     return found
 
 
-def _told_by_phase(sweep: Sweep, rig: Rig, effect: str, frequencies_hz: Sequence[float]) -> Interference | None:
-    """The interference whose phase advances from block to block as that of one of the frequencies."""
+def _all_told_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]]) -> list[Interference]:
+    """One source of each kind at most, the loudest first.
+
+    A loud hum leaks into every line, and where its phase happens to advance as another's would, it is heard as that:
+    the others must be heard beside it, where a faint one is heard better, too.
+    """
+    told = (_told_by_phase(sweep, rig, effect, frequencies) for effect, frequencies in wanted.items())
+    found = sorted((one for one in told if one is not None), key=lambda one: -one.ratio)
+    if not found or sweep.Y.shape[1] <= PATTERNS + 1:
+        return found
+    loudest, by = found[0], beside_hum(sweep, found[0].frequency_hz)
+    others = (e for e in wanted if e != loudest.effect)
+    beside = [one for e in others if (one := _told_by_phase(sweep, rig, e, wanted[e], by)) is not None]
+    alike = (one.effect for one in found[1:] if abs(one.frequency_hz - loudest.frequency_hz) < resolution_hz(sweep))
+    aliases = tuple(e for e in alike if e not in {one.effect for one in beside})
+    return [replace(loudest, aliases=aliases), *beside]
+
+
+def _told_by_phase(
+    sweep: Sweep, rig: Rig, effect: str, frequencies_hz: Sequence[float], by: Estimate | None = None
+) -> Interference | None:
+    """The interference whose phase advances from block to block as that of one of the frequencies.
+
+    ``by``: how responses are estimated beside a louder one.
+    """
     signals = {"y": sweep.Y} if sweep.I is None else {"i": sweep.I, "y": sweep.Y}
-    heard = {(name, f): coherence(sweep, X, f) for name, X in signals.items() for f in frequencies_hz}
+    heard = {(name, f): coherence(sweep, X, f, by) for name, X in signals.items() for f in frequencies_hz}
     loud = {key: deviate for key, (_, deviate) in heard.items() if deviate > IN_PHASE}
     for name in signals:
         at = [f for signal, f in loud if signal == name]
@@ -194,15 +219,18 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
     before, after = np.empty(0), np.empty(0)
     for source in sources:
         variance, away = (of_i if source.signal == "i" else of_y), np.abs(at / source.frequency_hz - 1)
-        far, near = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR)
+        far, near, without = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR), variance
+        if source.heard_hz:
+            near = quiet & heard_in(sweep, source.frequency_hz)
+            _, *rest = block_scatter(without_hum(sweep, source.frequency_hz), rig)
+            without = rest[source.signal == "y"]  # a loud one leaks far, too
         if not near.any() or not far.any():
             continue
-        floor = np.exp(np.log(np.maximum(variance[far], 1e-300)).mean(axis=0))
+        floor = np.exp(np.log(np.maximum(without[far], 1e-300)).mean(axis=0))
         ratio = (variance / floor)[near].mean(axis=1)
         if source.heard_hz:
-            _, *rest = block_scatter(without_hum(sweep, source.frequency_hz), rig)
             before = np.concatenate([before, ratio])
-            after = np.concatenate([after, (rest[source.signal == "y"] / floor)[near].mean(axis=1)])
+            after = np.concatenate([after, (without / floor)[near].mean(axis=1)])
             continue
         expected = np.array(source.shape)[np.searchsorted(BINS, away[near], side="right") - 1]
         before = np.concatenate([before, ratio])

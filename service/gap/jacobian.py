@@ -54,10 +54,8 @@ def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
     return np.asarray(columns * nuisance.sigma[2 * n : 5 * n])
 
 
-def answer_and_jacobian(
-    nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True
-) -> tuple[Complex, Complex]:
-    """Small-signal [i, y] at the fundamental, (P, 2 n), and its derivative, (P, 2 n, k), per unit deviation.
+def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True) -> Complex:
+    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit deviation.
 
     ``rig`` is the rig at the present deviations, effects included; the columns of the amplifiers' values are left
     at zero where they are not asked for.
@@ -66,7 +64,6 @@ def answer_and_jacobian(
     n, omega = rig.n_axes, 2 * np.pi * o.frequency_hz
     model = linear_model(rig, o.frequency_hz)
     U = o.U[:, o.fundamental]
-    current = (model.i_per_u[o.line] @ U[..., None])[..., 0]
     displacement = (model.y_per_u[o.line] @ U[..., None])[..., 0]
     columns = np.zeros((len(U), 2 * n, len(nuisance)), dtype=complex)
 
@@ -91,7 +88,7 @@ def answer_and_jacobian(
         columns[:, n:, block] = per_magnet * (point.ki * eddy * d_base)[:, None, :]
     columns[:, n + axes, 5 * n + axes] = displacement
     _mechanical_columns(nuisance, rig, motion, per_force, point.ks, rotation, columns)
-    return np.concatenate([current, displacement], axis=1), np.asarray(columns * nuisance.sigma)
+    return np.asarray(columns * nuisance.sigma)
 
 
 def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> _Motion:

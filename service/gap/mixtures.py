@@ -20,6 +20,8 @@ PAIRED = 5
 """Best single effects that are also tried in pairs."""
 REMAINS = 4.0
 """Significance of what an explanation leaves from which another effect beside it is looked for."""
+STRAINED = 3.0
+"""Standard deviations of the datasheet's part of the cost, chi-squared, beyond which it is no chance."""
 HOPEFUL = 0.75
 """Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
 a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
@@ -31,7 +33,8 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
     ``fewer`` is the explanation by fewer effects that these were looked for beside.
     """
     # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
-    base = order[0] if size > 1 else next((r for r in order if r.candidate.effects), order[0])
+    singles = [r for r in order if r.candidate.effects]
+    base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
     if not _leaves_something(ground, base) and not _another_explains_more(base, order):
@@ -64,6 +67,12 @@ def _leaves_something(ground: Ground, best: Ranked) -> bool:
     if any(significance(z, o) > REMAINS for z, o in everywhere):
         return True
     return any(alone_hz(ground.part, z, o) is not None for z, o in everywhere)
+
+
+def _strained(r: Ranked) -> bool:
+    """Whether the datasheet's values are further off than chance allows: they make up for what an effect is not."""
+    n = len(r.candidate.fit.active)
+    return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n))
 
 
 def _another_explains_more(base: Ranked, order: Sequence[Ranked]) -> bool:
@@ -147,4 +156,5 @@ def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     effects = mixture.candidate.effects
     alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
     little, left = 0.15 if alias else MIXED, np.array(mixture.shares)
-    return all(np.any((np.array(r.shares) > little) & (left < np.array(r.shares) / 3)) for r in smaller)
+    allowed = [r for r in smaller if not _strained(r)]  # others explain by what the datasheet does not allow
+    return all(np.any((np.array(r.shares) > little) & (left < np.array(r.shares) / 3)) for r in allowed)

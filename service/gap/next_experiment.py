@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from service.distributions import normal_tail
 from service.gap.candidates import Candidate
-from service.gap.jacobian import answer_and_jacobian
+from service.gap.jacobian import answer_jacobian
 from service.gap.nuisance import Nuisance
 from service.gap.observation import Observation
 from service.gap.predict import answer, centred, control, weights
@@ -131,7 +131,7 @@ def separation(nuisance: Nuisance, a: Candidate, b: Candidate, o: Observation, o
     w = weights(case)
     z = centred(predictions[0] - predictions[1], w, case) * w
     n, f, k = nuisance.rig.n_axes, case.fundamental, len(nuisance)
-    _, J = answer_and_jacobian(nuisance, rigs[0], case)
+    J = answer_jacobian(nuisance, rigs[0], case)
     J = (J * w[:, f, n:, None]).reshape(-1, k)
     J, zf = np.concatenate([J.real, J.imag]), z[:, f, n:].ravel()
     zf = np.concatenate([zf.real, zf.imag])

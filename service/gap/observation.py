@@ -8,13 +8,14 @@ the noise that feedback carries round cancels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.coherent import PATTERNS, left_in_mean, without_hum
+from service.gap.coherent import PATTERNS, beside_hum, left_in_mean, without_hum
 from service.gap.leak import leaked, periods
 from service.gap.scatter import mean_scatter
 from service.gap.settling import drifting
@@ -106,6 +107,15 @@ class Observation:
         """Index of harmonic 1."""
         return self.harmonics.index(1)
 
+    def select(self, lines: NDArray[np.bool_]) -> Observation:
+        """Some of the lines, (F,), each with the noise that all of them together told of."""
+        at = lines[self.line]
+        per_point = {f.name: getattr(self, f.name) for f in fields(self)}
+        per_point.pop("frequency_hz")
+        chosen: dict[str, Any] = {name: v[at] for name, v in per_point.items() if isinstance(v, np.ndarray)}
+        chosen["line"] = (np.cumsum(lines) - 1)[self.line[at]]
+        return replace(self, frequency_hz=self.frequency_hz[lines], **chosen)
+
 
 def usable(sweep: Sweep) -> Sweep:
     """The excited, finite points of a sweep.
@@ -147,11 +157,12 @@ def observe(
     sweep = usable(sweep)
     frequency, line = time_points(sweep.frequency_hz)
     U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
-    heard = sweep
+    heard, by = sweep, None
     if hums_hz and sweep.block_samples is not None and blocks > PATTERNS:
+        by = beside_hum(sweep, hums_hz[0])
         sweep = without_hum(sweep, hums_hz[0])
         U, Y = sweep.U, sweep.Y
-    sds = tuple(np.sqrt(v) for v in mean_scatter(sweep, rig))
+    sds = tuple(np.sqrt(v) for v in mean_scatter(sweep, rig, by))
     sd_u, sd_i, sd_y = _with_hum(sds, heard, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)

@@ -53,7 +53,7 @@ class Observed:
 
     def halves(self, fitted_hz: float | None) -> tuple[Observation, Observation, str]:
         """The other sweep in two, one half to fit, the other one unseen, and the name of that: `sweeps.halves`."""
-        return halves(self.other, self.nuisance, self.name, hums_hz(self.sources), self.span, fitted_hz)
+        return halves(self.unseen, self.name, fitted_hz)
 
 
 def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:

@@ -36,9 +36,10 @@ def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate,
                 instead = turning_with_the_shaft(c)
             if instead is not None:
                 return c, instead
+    fitted = {name for name in c.effects if CATALOGUE[name].path != "additive"}  # the others were heard
     for r in order:
         effects = set(r.candidate.effects)
-        if effects and not effects >= set(c.effects) and r.log_evidence > chosen.log_evidence - NEARLY:
+        if effects and not effects >= fitted and r.log_evidence > chosen.log_evidence - NEARLY:
             return c, r.candidate
     return None
 

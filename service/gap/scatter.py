@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from service.experiment.data import Sweep
 from service.gap.coherent import deviation
 from service.gap.ends import NEIGHBOURS, share
+from service.gap.estimate import Estimate, plain_mean
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
 from sim.twin import linear_model
@@ -21,17 +22,20 @@ WELL_DRIVEN = 100.0
 """Condition of the signals of a line, one column for each driven axis, up to which they tell a response."""
 
 
-def smooth_variance(v: Real, frequency_hz: Real, width: int = NEIGHBOURS) -> Real:
-    """Variance pooled over neighbouring frequencies, (P, H, n): a block variance alone has few degrees of freedom."""
+def smooth_variance(v: Real, frequency_hz: Real, free: Real, width: int = NEIGHBOURS) -> Real:
+    """Variance pooled over neighbouring frequencies, (P, H, n): a block variance alone has few degrees of freedom.
+
+    ``free`` has the complex dimensions of each point's scatter, (P,).
+    """
     order = np.argsort(frequency_hz, kind="stable")
-    sorted_v = np.log(np.maximum(v[order], 1e-300))
+    # The median of a variance of 2 d degrees of freedom sits a little below the mean (Wilson and Hilferty 1931).
+    of_mean = (1 - 1 / (9 * free)) ** 3
+    sorted_v = np.log(np.maximum((v / of_mean.reshape(-1, *(1,) * (v.ndim - 1)))[order], 1e-300))
     pad = min(width, len(order) - 1)
     padded = np.pad(sorted_v, ((pad, pad), *((0, 0),) * (v.ndim - 1)), mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * pad + 1, axis=0)
-    # The median of log variance with 2 (B - 1) degrees of freedom sits a little below the mean: a tenth at B = 6.
-    smooth = np.exp(np.median(windows, axis=-1)) * 1.07
     pooled = np.empty_like(v)
-    pooled[order] = smooth
+    pooled[order] = np.exp(np.median(windows, axis=-1))
     # A point that scatters far more than its neighbours (a transient in one block) keeps its own variance.
     return np.where(v > OWN_SCATTER * pooled, v, pooled)
 
@@ -45,20 +49,30 @@ def block_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
     return of_u, of_i, of_y
 
 
-def mean_scatter(sweep: Sweep, rig: Rig) -> tuple[Real, Real, Real]:
+def mean_scatter(sweep: Sweep, rig: Rig, by: Estimate | None = None) -> tuple[Real, Real, Real]:
     """The same over the blocks as they follow one another, pooled over neighbouring frequencies.
+
+    ``by`` is how the means were estimated, where that was not from the blocks alike.
 
     What blocks' ends leave cancels from one to the next: where a loop is stiff, most of what a model from u to y leaves
     in one block at low frequencies.
     """
-    f = sweep.frequency_hz
-    means = []
-    for e in unexplained(sweep, rig):
-        pooled = smooth_variance(_variance(e), f)
-        shares = [share(e[:, :, k], pooled[:, k], f) for k in range(e.shape[2])]
-        means.append(pooled * np.stack(shares, axis=1)[..., None])
-    of_u, of_i, of_y = means
+    by = by or plain_mean(*sweep.Y.shape[:2])
+    scatter = unexplained(sweep, rig)
+    of_u, of_i, of_y = (np.zeros((e.shape[0], *e.shape[2:])) for e in scatter)
+    alike = by.free == sweep.Y.shape[1] - 1  # where a hum could not be taken off, it is in the scatter
+    for points in (np.flatnonzero(alike), np.flatnonzero(~alike)):
+        if len(points):
+            for out, e in zip((of_u, of_i, of_y), scatter, strict=True):
+                out[points] = _of_means(e[points], sweep.frequency_hz[points], by.select(points))
     return of_u, of_i, of_y
+
+
+def _of_means(e: Complex, frequency_hz: Real, by: Estimate) -> Real:
+    """Variance of the means of points whose deviations, (P, B, H, n), tell of one another's."""
+    pooled = smooth_variance(_variance(e), frequency_hz, by.free)
+    shares = [share(e[:, :, k], pooled[:, k], frequency_hz, by) for k in range(e.shape[2])]
+    return np.asarray(pooled * (by.spread[:, None] * np.stack(shares, axis=1))[..., None])
 
 
 def unexplained(sweep: Sweep, rig: Rig) -> tuple[Complex, Complex, Complex]:

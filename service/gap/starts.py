@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.jacobian import answer_and_jacobian, residue_columns, stacked
+from service.gap.jacobian import answer_jacobian, residue_columns, stacked
 from service.gap.observation import Observation
 from service.gap.part import Ground
-from service.gap.predict import answer, linear_answer, weight
+from service.gap.predict import linear_answer, weight, whole_displacement
 from sim.effect import Effect
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -106,7 +106,7 @@ def resonances(
     if rig.support is not None and not shaped:
         return []
     f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
-    J = answer_and_jacobian(ground.nuisance, rig, o, ground.part.from_control)[1][:, rig.n_axes :, ground.part.active]
+    J = answer_jacobian(ground.nuisance, rig, o, ground.part.from_control)[:, rig.n_axes :, ground.part.active]
     rows = stacked(J * w[..., None])
     basis = np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]  # the tolerances as data
     columns = residue_columns(rig, o) * w[..., None, None]
@@ -164,7 +164,7 @@ def stops(
     soft = SOFT * float(np.max(rig.magnets.ks))
     known = {p.name: p for p in effect.parameters}
     limits = known["stiffness_n_per_m"]
-    without, w = answer(rig, o)[..., rig.n_axes :], weight(o, "y")
+    without, w = whole_displacement(rig, o), weight(o, "y")
     found = []
     for share in CLEARANCES:
         clearances = {
@@ -173,7 +173,7 @@ def stops(
         }
         for side in (0.0, 1.0, -1.0):
             values = {**base, **clearances, "side": 0.9 * side, "stiffness_n_per_m": max(soft, limits.low)}
-            change = (answer(effect.on(rig, **values), o)[..., rig.n_axes :] - without) * w
+            change = (whole_displacement(effect.on(rig, **values), o) - without) * w
             power = float(np.vdot(change, change).real)
             along = float(np.vdot(change, z).real)
             if along <= 0 or power <= 0:

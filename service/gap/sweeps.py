@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.gap.nuisance import Nuisance
-from service.gap.observation import GapError, Observation, observe
-from service.gap.thin import thinned
+from service.gap.observation import GapError, Observation
 from service.identification.block_length import block_samples
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
@@ -48,27 +45,13 @@ def span_s(*sweeps: Sweep) -> tuple[float, float] | None:
     return (first, last) if last > first else None
 
 
-def halves(
-    other: Sweep,
-    nu: Nuisance,
-    name: str,
-    hums: Sequence[float],
-    span: tuple[float, float] | None,
-    fitted_hz: float | None = None,
-) -> tuple[Observation, Observation, str]:
+def halves(other: Observation, name: str, fitted_hz: float | None = None) -> tuple[Observation, Observation, str]:
     """The other sweep in two: every other line to fit, with the one at ``fitted_hz`` or else the first; unseen ones."""
-    frequency, line = np.unique(other.frequency_hz, return_inverse=True)
-    if fitted_hz is not None:
-        line = line + int(np.argmin(np.abs(frequency - fitted_hz)))
-    seen, unseen = (
-        observe(thinned(other.select(line % 2 == k)), nu.rig, (0.8, 1.0), hums, span)
-        if (line % 2 == k).sum() * 2 > 16
-        else None
-        for k in (0, 1)
-    )
-    if seen is None or unseen is None:
-        whole = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span)
-        return whole, whole, name + " (fitted too)"
+    first = 0 if fitted_hz is None else int(np.argmin(np.abs(other.frequency_hz - fitted_hz)))
+    fitted = (np.arange(len(other.frequency_hz)) - first) % 2 == 0
+    seen, unseen = other.select(fitted), other.select(~fitted)
+    if min(len(half.line) for half in (seen, unseen)) * 2 <= 16:
+        return other, other, name + " (fitted too)"
     return seen, unseen, name + ", every other line"
 
 

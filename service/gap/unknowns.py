@@ -21,6 +21,9 @@ Real = NDArray[np.float64]
 
 LONGEST_LOG = 1.5
 """Longest step of a magnitude, in nats: a clearance that jumps past the rotor's reach would not come back."""
+IN_BAND = ("extra_flexible_mode", "frequency_hz")
+"""An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
+any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
 CHANGING = ("thermal_drift",)
 """Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
 
@@ -39,12 +42,20 @@ class Unknowns:
         if other is not None:
             self.active = np.concatenate([self.active, other.active])
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
-        self.low: Real = np.array([self._inner(p, p.low) for _, p in self.parameters], dtype=float) / self.scale
+        lowest = [self._lowest((*effects, *theirs)[k], p) for k, p in self.parameters]
+        self.low: Real = np.array(lowest, dtype=float) / self.scale
         self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
         self.nonlinear = any(slow_to_compute(e.id) for e in effects)
         self._a, self._signal = len(self.active), ground.part.signal
         self.prior, self._centre = self._priors()
+
+    def _lowest(self, effect: Effect, p: Parameter) -> float:
+        """Lowest value that a fit gives a parameter, in the fit's own unit."""
+        low = p.low
+        if (effect.id, p.name) == IN_BAND:
+            low = max(low, min(float(o.frequency_hz.min()) for o in self.observations))
+        return self._inner(p, low)
 
     def _priors(self) -> tuple[Real, Real]:
         """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""

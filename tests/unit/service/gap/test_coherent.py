@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.coherent import coherence, hum_power, left_in_mean, without_hum
+from service.gap.coherent import beside_hum, coherence, hum_power, left_in_mean, without_hum
+from service.gap.interference import interference
+from service.gap.scatter import mean_scatter
 from service.gap.sweeps import timed
+from sim.reference import reference_rig
 
 BLOCKS, AXES, HARMONICS, RATE_HZ = 6, 4, (0, 1, 2, 3), 10_000.0
 NOISE_M = 1e-9
@@ -79,6 +82,39 @@ def test_without_it_the_scatter_is_that_of_the_noise(hum_hz: float) -> None:
     before, after, noise = (np.mean(s.select(turning).Y.var(axis=1)) for s in (loud, without_hum(loud, hum_hz), quiet))
     assert before > 20 * noise
     assert 0.7 * noise < after < 2 * noise
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 50.0, 110.0])
+def test_beside_it_the_scatter_foretells_how_far_off_responses_are(hum_hz: float) -> None:
+    """What is left of the blocks goes together from one to the next as noise does not: no ends cancel in that."""
+    loud, _ = played(1e-6, hum_hz, seed=4)
+    by = beside_hum(loud, hum_hz)
+    told = by.free < BLOCKS - 1
+    assert told.mean() > 0.5
+    _, _, of_y = mean_scatter(without_hum(loud, hum_hz), reference_rig(), by)
+    true = 2 * NOISE_M**2 * (np.abs(by.weights) ** 2).sum(axis=1)
+    assert np.mean(of_y[told, 1:] / true[told, None, None]) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("turns_hz", [14.0, 19.2, 42.9, 43.6])
+def test_a_loud_hum_is_not_heard_as_another_that_it_only_leaks_to(turns_hz: float) -> None:
+    loud, _ = played(3e-6, turns_hz, seed=5)
+    heard = interference(replace(loud, speed_rad_s=2 * np.pi * turns_hz), reference_rig())
+    assert [(s.effect, s.aliases) for s in heard] == [("runout", ())]
+
+
+def test_a_rotor_that_turns_at_the_mains_frequency_leaves_both_open() -> None:
+    loud, _ = played(1e-6, 50.0, seed=8)
+    heard = interference(replace(loud, speed_rad_s=2 * np.pi * 50.0), reference_rig())
+    assert [{s.effect, *s.aliases} for s in heard] == [{"mains_interference", "runout"}]
+
+
+def test_a_faint_hum_is_heard_beside_a_loud_one() -> None:
+    loud, _ = played(3e-6, 17.3, seed=6)
+    faint, quiet = played(2e-8, 50.0, seed=7)
+    both = replace(loud, Y=loud.Y + faint.Y - quiet.Y, speed_rad_s=2 * np.pi * 17.3)
+    heard = interference(both, reference_rig())
+    assert [(s.effect, s.frequency_hz) for s in heard] == [("runout", 17.3), ("mains_interference", 50.0)]
 
 
 def test_a_file_that_does_not_tell_its_blocks_is_heard_as_well_where_its_lines_tell_them() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.gap.jacobian import answer_and_jacobian, residue_columns
+from service.gap.jacobian import answer_jacobian, residue_columns
 from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.predict import linear_answer
@@ -25,8 +25,7 @@ def test_every_column_is_the_derivative_of_the_answer(effects: dict[str, dict[st
     o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), nu.rig)
     base = with_effects(nu.rig, effects)
     theta = 0.3 * np.random.default_rng(5).standard_normal(len(nu))
-    answer, J = answer_and_jacobian(nu, nu.at(theta, base), o)
-    np.testing.assert_allclose(answer, linear_answer(nu.at(theta, base), o), rtol=0, atol=0)
+    J = answer_jacobian(nu, nu.at(theta, base), o)
     step = 1e-4
     for j, name in enumerate(nu.names):
         e = np.zeros(len(nu))

@@ -23,8 +23,8 @@ RIG = reference_rig()
 CROSS, AWAY = "magnetic_cross_coupling", "off_centre_rotor"
 
 
-def explanation(effects: tuple[str, ...], evidence: float, shares: tuple[float, float]) -> Ranked:
-    fit = Fit(effects, np.zeros(1), (), RIG, (), 0.0, np.arange(1), np.eye(1), "converged")
+def explanation(effects: tuple[str, ...], evidence: float, shares: tuple[float, float], penalty: float = 0.0) -> Ranked:
+    fit = Fit(effects, np.zeros(1), (), RIG, (), penalty, np.arange(1), np.eye(1), "converged")
     return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.9, max(shares), shares)
 
 
@@ -39,6 +39,14 @@ def test_a_second_effect_that_one_alone_makes_needless_is_notworth_it() -> None:
     enough = explanation((CROSS,), -15.0, (0.01, 0.01))
     useless = explanation((AWAY,), -99.0, (1.0, 0.5))
     assert not worth_it(both, [both, enough, useless])
+
+
+def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needless() -> None:
+    both = explanation(("rotor_inertia", "sensor_position"), -10.0, (0.01, 0.01))
+    singles = [explanation(("rotor_inertia",), -90.0, (0.3, 0.3)), explanation(("sensor_position",), -99.0, (0.9, 0.9))]
+    for penalty, worth in ((60.0, True), (1.0, False)):
+        mode = explanation(("extra_flexible_mode",), -80.0, (0.05, 0.05), penalty)
+        assert worth_it(both, [both, mode, *singles]) is worth
 
 
 def test_an_effect_that_hardly_shows_is_found_beside_one_that_leaves_no_band_a_gap() -> None:

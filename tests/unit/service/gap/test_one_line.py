@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.data import Experiment, Sweep
+from service.experiment.data import Experiment
 from service.gap.candidates import Fitter
 from service.gap.compose import on_sweep
 from service.gap.conditions import dependence
@@ -80,11 +80,24 @@ def test_without_the_current_the_gap_of_that_line_alone_depends_on_amplitude(
 def test_the_line_that_alone_shows_a_gap_is_among_those_that_are_fitted_too(
     limited: tuple[Experiment, Datasheet],
 ) -> None:
-    other: Sweep = limited[0].sweeps[1]
+    other = observe(limited[0].sweeps[1], nuisance(limited[1]).rig)
     for hz in OTHER_HZ[-2:]:
-        seen, unseen, _ = halves(other, nuisance(limited[1]), "sweeps/1", (), None, float(hz))
+        seen, unseen, _ = halves(other, "sweeps/1", float(hz))
         assert hz in seen.frequency_hz
         assert hz not in unseen.frequency_hz
+
+
+def test_a_half_has_the_points_of_its_lines_and_the_noise_that_all_lines_told_of(
+    limited: tuple[Experiment, Datasheet],
+) -> None:
+    other = observe(limited[0].sweeps[1], nuisance(limited[1]).rig)
+    for half in halves(other, "sweeps/1")[:2]:
+        at = np.isin(other.points_hz, half.frequency_hz)
+        assert 0.3 < at.mean() < 0.7
+        np.testing.assert_array_equal(half.points_hz, other.points_hz[at])
+        np.testing.assert_array_equal(half.axis, other.axis[at])
+        for name in ("R", "U", "I", "Y", "sd_u", "sd_i", "sd_y", "progress"):
+            np.testing.assert_array_equal(getattr(half, name), getattr(other, name)[at], err_msg=name)
 
 
 @pytest.fixture
