@@ -21,6 +21,8 @@ SIGNALS = ("u", "i", "y")
 
 NOISE = 1.0
 """J of a right twin: residuals in units of their own standard deviation."""
+EXACT = 0.01
+"""J of a path, before and after, below which its law is held exactly: no noise to be left, nothing to be closed."""
 RESAMPLES = 400
 
 
@@ -83,8 +85,9 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
         for b in sorted(set(o.axis.tolist()))
         for a in range(n)
     }
+    noisy = [k for k in used if max(paths[PATHS[k]].before, paths[PATHS[k]].after) > EXACT] or used
     b, a = (
-        np.mean([_per_point(z[..., k * n : (k + 1) * n], w[..., k * n : (k + 1) * n]) for k in used], axis=0)
+        np.mean([_per_point(z[..., k * n : (k + 1) * n], w[..., k * n : (k + 1) * n]) for k in noisy], axis=0)
         for z in (z_b, z_a)
     )
     whole = _closed(b, a, o.line, drawn, shows(z_b, o) or alone)

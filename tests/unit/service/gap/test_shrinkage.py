@@ -31,6 +31,16 @@ def test_a_sweep_without_the_gap_tells_no_closure() -> None:
     assert s.after > s.before
 
 
+def test_a_controller_held_exactly_hides_no_faint_gap() -> None:
+    faint = with_effects(TWIN, {"loop_delay": {"delay_s": 7e-7}})
+    s = shrinkage(TWIN, faint, unseen(faint), "sweeps/1")
+    parts = [s.paths[path].before for path in ("amplifier", "plant")]
+    assert s.paths["controller"].before < 1e-9
+    assert s.before == pytest.approx(np.mean(parts))
+    assert np.mean([0.0, *parts]) < 1 < s.before  # with the controller in it, nothing would be to close
+    assert s.closure is not None
+
+
 def test_an_interval_is_open_where_resamples_do_not_show_the_gap() -> None:
     assert interval_95([0.9] * 100, 100) == (pytest.approx(0.9), pytest.approx(0.9))
     assert interval_95([0.9] * 90, 100)[0] is None
