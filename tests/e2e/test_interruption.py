@@ -17,7 +17,7 @@ from tests.support.command import Running, ambit, refusal, wait_until
 def rig(tmp_path):
     """A rig on Modbus in a process of its own: URL and datasheet."""
     ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
-    device = Running("rig", "serve", "--protocol", "modbus", "--port", 0, "--seed", 5)
+    device = Running("rig", "serve", "--protocol", "modbus", "--port", 0, "--seed", 5, traced=False)
     url = device.first_line()
     assert url.startswith("modbus://"), device.said
     yield url, tmp_path / "rig.toml"

@@ -12,6 +12,8 @@ from service.identification.fit import identify
 from service.identification.result import Estimate
 from tests.support.rotors import KINDS, drawn_rig
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
 AN_END = 0.2
 """Share of the draws that are one of the ends."""
 FAR = 5.0

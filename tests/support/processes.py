@@ -19,7 +19,7 @@ def untraced(environment: dict[str, str]) -> dict[str, str]:
 
 
 FOREIGN = untraced(ENVIRONMENT)
-"""For programs that run no line of this repository."""
+"""For programs that run no line of this repository, and where other tests measure those that they run."""
 
 
 class Process:

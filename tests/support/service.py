@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx
 
-from tests.support.processes import ENVIRONMENT, ROOT, read_events
+from tests.support.processes import ENVIRONMENT, FOREIGN, ROOT, read_events
 
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
 QUICK = {
@@ -35,12 +35,18 @@ ENDED = ("done", "failed", "cancelled")
 
 
 class Running:
-    """A command that runs; its stdout is read line by line, its stderr is kept in a file."""
+    """A command that runs; its stdout is read line by line, its stderr is kept in a file.
 
-    def __init__(self, log: Path, *arguments: object, environment: dict[str, str] | None = None) -> None:
+    ``traced`` as of `tests.support.command.Running`.
+    """
+
+    def __init__(
+        self, log: Path, *arguments: object, environment: dict[str, str] | None = None, traced: bool = True
+    ) -> None:
         self.arguments = [*AMBIT, *map(str, arguments)]
         self.log = log
-        self._environment = {**ENVIRONMENT, "AMBIT_LOG_FORMAT": "json", **(environment or {})}
+        base = ENVIRONMENT if traced else FOREIGN
+        self._environment = {**base, "AMBIT_LOG_FORMAT": "json", **(environment or {})}
         self.start()
 
     def start(self) -> None:
@@ -211,7 +217,7 @@ def rig_device(folder: Path, name: str = "rig", *options: str) -> Rig:
     events = folder / f"{name}.events.jsonl"
     events.touch()
     arguments = ("rig", "serve", "--protocol", "modbus", "--events", events, *options)
-    device = Running(folder / f"{name}.device.log", *arguments)
+    device = Running(folder / f"{name}.device.log", *arguments, traced=False)
     return Rig(device, device.said, events)
 
 
