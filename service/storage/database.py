@@ -29,6 +29,8 @@ _POSTGRESQL = {
     "application_name": "ambit",
 }
 """A server that vanished is noticed within seconds: a job that is cancelled meanwhile must hear of it."""
+_LOCKED_S = 30.0
+"""Longest wait for another process that writes an SQLite file."""
 _PAUSE_S = 0.2
 _LONGEST_PAUSE_S = 5.0
 
@@ -48,13 +50,24 @@ def use_wal(path: Path) -> None:
     """
     import sqlite3
 
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        connection = sqlite3.connect(path, timeout=30)
+    def turn() -> None:
+        connection = sqlite3.connect(path, timeout=_LOCKED_S)
         try:
             connection.execute("PRAGMA journal_mode=WAL")
         finally:
             connection.close()
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        patient_until = time.monotonic() + _LOCKED_S
+        while True:
+            try:
+                return turn()
+            except sqlite3.OperationalError as error:
+                # of several that turn a new file at once, SQLite refuses all but one without waiting
+                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > patient_until:
+                    raise
+            time.sleep(0.01)
     except (OSError, sqlite3.Error) as error:
         raise StorageError(f"cannot use the database {path}: {error}; choose another folder with AMBIT_HOME") from error
 
@@ -87,7 +100,8 @@ class Database:
             self._changes = Changes(path)
         if url.startswith("postgresql:"):
             url = "postgresql+psycopg:" + url.removeprefix("postgresql:")
-        arguments: dict[str, Any] = {"timeout": 30, "check_same_thread": False} if self.is_sqlite else _POSTGRESQL
+        of_sqlite = {"timeout": _LOCKED_S, "check_same_thread": False}
+        arguments: dict[str, Any] = of_sqlite if self.is_sqlite else _POSTGRESQL
         self.engine: Engine = create_engine(
             url,
             pool_size=pool_size,

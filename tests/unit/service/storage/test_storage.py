@@ -13,7 +13,7 @@ from sqlalchemy.exc import OperationalError
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.storage import migrate, rigs, workers
 from service.storage.blobs import Blobs
-from service.storage.database import Database, now
+from service.storage.database import Database, now, use_wal
 from service.storage.ids import new_id
 from service.storage.tables import Base, WorkerRow
 from tests.support.databases import BOTH, migrated
@@ -58,6 +58,24 @@ def test_several_processes_may_migrate_at_once(tmp_path):
     for thread in threads:
         thread.join()
     assert failed == []
+
+
+def test_several_processes_may_begin_with_a_new_file_at_once(tmp_path):
+    refused = []
+
+    def begin(path):
+        try:
+            use_wal(path)
+        except StorageError as error:
+            refused.append(error)
+
+    for k in range(60):
+        threads = [threading.Thread(target=begin, args=(tmp_path / f"{k}.db",)) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert refused == []
 
 
 def test_a_change_is_tried_again_while_the_database_is_away(database):
