@@ -157,6 +157,8 @@ class Fitter:
 
     def __init__(self, jobs: int = 1, fitted: Callable[[], None] = lambda: None) -> None:
         self._fitted = fitted
+        self.lost: set[tuple[str, ...]] = set()
+        """explanations that no start led to a rig for"""
         self._pool = workers(jobs) if jobs > 1 else None
         if self._pool:
             for _ in range(jobs):
@@ -170,7 +172,7 @@ class Fitter:
             self._pool.shutdown(cancel_futures=True)
 
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
-        """Fit all; a candidate that no start leads to a rig for is left out."""
+        """Fit all; a candidate that no start leads to a rig for is left out, and named in `lost`."""
         tasks = list(tasks)
         # the longest first, so that none is waited for alone
         order = sorted(range(len(tasks)), key=lambda k: -_labour(tasks[k]))
@@ -179,6 +181,7 @@ class Fitter:
         for k in order:
             found[k] = next(mapped)
             self._fitted()
+        self.lost |= {t.effects for k, t in enumerate(tasks) if found[k] is None}
         return [c for k in range(len(tasks)) if (c := found[k]) is not None]
 
     def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +20,7 @@ from service.gap.observed import observed
 from service.gap.passes import FITTED, found_in
 from service.gap.predict import at_speed_of
 from service.gap.rivals import left_together
+from service.gap.search import Explained
 from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
 from service.gap.telling import ProgressCallback, Telling
 from service.gap.verdict import Ranked, Verdict
@@ -84,7 +86,8 @@ def diagnose(
     with Fitter(jobs, telling.fitted) as fitter:
         found = found_in(data, fitter, telling)
     telling.judging(FITTED)
-    nu, o, unseen, notes = data.nuisance, data.o, found.unseen, [*data.notes, *found.notes]
+    nu, o, unseen = data.nuisance, data.o, found.unseen
+    notes = [*data.notes, *found.notes, *not_weighed(fitter.lost, found.parts)]
     whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
     fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
     sources = [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
@@ -125,3 +128,10 @@ def diagnose(
         tuple(notes),
         discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
     )
+
+
+def not_weighed(lost: Collection[tuple[str, ...]], parts: Sequence[Explained]) -> list[str]:
+    """What is said of the single effects that were tried and of which no part has a fit."""
+    weighed = {r.candidate.effects for e in parts for r in e.order}
+    single = sorted(effects[0] for effects in lost if len(effects) == 1 and effects not in weighed)
+    return [f"{name.replace('_', ' ')} was not weighed: no twin with it could be fitted" for name in single]

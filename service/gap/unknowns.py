@@ -77,7 +77,8 @@ class Unknowns:
         inside = np.clip(e, self.low, self.high) * self.scale
         out: list[dict[str, float]] = [{} for _ in range(self._n_effects)]
         for (k, p), v in zip(self.parameters, inside, strict=True):
-            out[k][p.name] = float(np.clip(np.exp(v), p.low, p.high)) if p.scale == "log" else float(v)
+            # of a bound, scaling back leaves what is beyond it by its last digit
+            out[k][p.name] = float(np.clip(np.exp(v) if p.scale == "log" else v, p.low, p.high))
         return tuple(out)
 
     def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:

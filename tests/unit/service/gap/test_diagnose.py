@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
+from service.gap import candidates
 from service.gap.apply import applied
+from service.gap.candidates import Candidate, Task, fit_task
 from service.gap.diagnose import diagnose
 from service.gap.observation import GapError
+from sim.errors import EffectError
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
@@ -59,6 +62,21 @@ def test_a_withheld_effect_is_named_measured_and_closed(
         assert found[name]["value"] == pytest.approx(value, rel=within)
         assert abs(found[name]["value"] - value) < 4 * found[name]["std"]
         assert found[name]["std"] < within * abs(value)
+
+
+def test_an_effect_that_could_not_be_fitted_is_said_not_to_have_been_weighed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def without(task: Task) -> Candidate:
+        if "off_centre_rotor" in task.effects:
+            raise EffectError("off_centre_rotor leads to no rig")
+        return fit_task(task)
+
+    monkeypatch.setattr(candidates, "fit_task", without)
+    datasheet, truth = known_datasheet(seed=1)
+    measured, datasheet = one_plane(experiment(true_rig(truth)), datasheet)
+    report = diagnose(measured, datasheet).to_dict()
+    assert report["verdict"]["kind"] == "no_gap"
+    assert "off centre rotor was not weighed: no twin with it could be fitted" in report["notes"]
+    assert sum("not weighed" in note for note in report["notes"]) == 1
 
 
 def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:

@@ -8,8 +8,28 @@ from service.gap.nuisance import nuisance
 from service.gap.observation import observe
 from service.gap.part import Ground, parts
 from service.gap.stage import COARSE, EXACT
+from service.gap.unknowns import Unknowns
+from sim.effect import Effect
+from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+
+
+@pytest.fixture(scope="module")
+def ground() -> Ground:
+    datasheet, truth = known_datasheet(seed=4)
+    nu = nuisance(datasheet)
+    o = observe(sweep(true_rig(truth), lines(4), 0.1, 1), nu.rig)
+    return Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
+def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> None:
+    """A candidate whose parameter went to its bound was lost: its law refused the last digit beyond."""
+    unknowns = Unknowns(ground, [effect])
+    for bound in (unknowns.low, unknowns.high, 2 * unknowns.low, 2 * unknowns.high):
+        (values,) = unknowns.values(bound)
+        assert all(p.low <= values[p.name] <= p.high for p in effect.parameters)
 
 
 @pytest.mark.parametrize("seed", [4, 8])
