@@ -14,6 +14,7 @@ from service.gap.evidence import log_likelihood
 from service.gap.fit import Problem
 from service.gap.fitted import Fit
 from service.gap.interference import Interference
+from service.gap.jacobian import stacked
 from service.gap.loss import lag_missing
 from service.gap.nuisance import Nuisance
 from service.gap.observation import Observation
@@ -141,6 +142,26 @@ def held_out(e: Explained, unseen: Observation) -> HeldOut:
         support += float(log_likelihood(np.array(a - noise)) - log_likelihood(np.array(b - noise)))
     closes = closure_of(J_fb, J_fa)
     return HeldOut(J_b, J_a, gap, left, 1.0 if closes is None else closes, support)
+
+
+def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
+    """What unseen lines of the fitted sweep itself leave, beyond what the fitted ones leave open of the explanation.
+
+    Of few lines those between them may lean on values that none of them tells. So the explanation's values may follow
+    the unseen ones, at the price of moving away from the fit; what still is left contradicts it.
+    """
+    if not there.fails:
+        return there
+    best = e.order[0].candidate
+    o, before = on_sweep(e, e.null.candidate, unseen)
+    problem = Problem(replace(e.ground, observations=(o,)), [CATALOGUE[name] for name in best.effects])
+    linear, f = problem.linearised(best.fit), o.fundamental
+    (z,), (J,) = linear.residuals, linear.columns
+    rows = stacked(J)
+    moved = np.linalg.solve(best.fit.curvature + problem.prior + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
+    left = (z - J @ moved)[:, None]
+    closes = closure_of(*(float(np.mean(np.abs(r) ** 2) / 2) for r in (before[:, f], left)))
+    return replace(there, left=max(significance(left, o), overall(left)), closes=1.0 if closes is None else closes)
 
 
 def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen: Observation) -> Verdict:

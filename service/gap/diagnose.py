@@ -93,7 +93,7 @@ def diagnose(
     sources = [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
     whole = with_interference(whole, sources)
     null = whole.null.candidate
-    verdict = judged(found.parts, o, unseen, relative_gap(null.fit.rig, o), sources, found.fault)
+    verdict = judged(found.parts, o, unseen, relative_gap(null.fit.rig, o), sources, found.fault, data.lines_only)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     shrunk = {
         r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, found.name)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.gap.across import Across, across_alike
-from service.gap.compose import heard_too, held_out, verdict_of
+from service.gap.compose import between_lines, heard_too, held_out, verdict_of
 from service.gap.interference import Interference
 from service.gap.observation import Observation
 from service.gap.search import Explained
@@ -27,6 +27,7 @@ def judged(
     gap: float,
     sources: Sequence[Interference] = (),
     fault: str | None = None,
+    lines_only: bool = False,
 ) -> Verdict:
     """The verdict.
 
@@ -36,8 +37,13 @@ def judged(
         Of the plain twin on the fitted sweep, relative.
     fault
         What is wrong with the log.
+    lines_only
+        Whether the unseen points are other lines of the fitted sweep.
     """
-    verdict = verdict_of(found, {e.part.path: held_out(e, unseen) for e in found}, unseen)
+    there = {e.part.path: held_out(e, unseen) for e in found}
+    if lines_only:
+        there = {e.part.path: between_lines(e, unseen, there[e.part.path]) for e in found}
+    verdict = verdict_of(found, there, unseen)
     verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
     verdict = heard_too(verdict, sources)
     if fault is not None:

