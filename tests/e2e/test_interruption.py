@@ -62,7 +62,7 @@ def test_a_campaign_terminated_and_then_ended_by_ctrl_c_is_kept_and_resumed(rig,
     assert not _excited(rig[0])
     assert first.named("main").n_points <= kept.named("main").n_points
 
-    again = ambit(*command, "--json", timeout_s=240)
+    again = ambit(*command, "--json", timeout_s=240, traced=False)
     assert again.returncode == 0, again.stderr
     whole = file.read(out / "experiment.h5")
     assert not (out / "experiment.journal").exists()

@@ -119,6 +119,7 @@ class Service:
     home: Path
     environment: dict[str, str] = field(default_factory=dict)
     flags: tuple[str, ...] = ()
+    traced: bool = True
     workers: dict[str, Running] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -130,13 +131,15 @@ class Service:
             self.home,
             *(self.flags if "--port" in self.flags else ("--port", 0, *self.flags)),
             environment=self.environment,
+            traced=self.traced,
         )
         self.client = httpx.Client(base_url=self.api.said, timeout=30)
 
     def worker(self, name: str) -> Running:
         """A worker beside."""
         log = self.home / f"{name}.log"
-        started = Running(log, "worker", "--home", self.home, "--name", name, environment=self.environment)
+        words = ("worker", "--home", self.home, "--name", name)
+        started = Running(log, *words, environment=self.environment, traced=self.traced)
         self.workers[name] = started
         return started
 
@@ -245,6 +248,6 @@ def service(home: Path, database: str = "sqlite", *flags: str, **settings: objec
             from tests.support.postgres import empty_database
 
             environment["AMBIT_DATABASE_URL"] = stack.enter_context(empty_database())
-        found = Service(home, environment, flags)
+        found = Service(home, environment, flags, traced=database == "sqlite")  # the same lines on either
         stack.callback(found.end)
         yield found
