@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from sim.twin import LinearModel, force_rotation, linear_model
 Complex = NDArray[np.complex128]
 Index = NDArray[np.int64]
 
+RESPONSE = (0, 1, 2, 3)
+"""Harmonics with which the force answers, whether or not they were logged: the mean and the second one of an
+off-centre rotor bend its fundamental, too."""
 STATIC_HZ = 1e-2
 """Frequency at which the static response (harmonic 0) is evaluated: far below every pole of an AMB rig."""
 
@@ -70,7 +74,8 @@ class Responder:
     rig : Rig
     frequency_hz : (F,) distinct excited frequencies
     line : (P,) index of each point's frequency
-    harmonics : ascending, 1 among them
+    harmonics : those of the signals, ascending, 1 among them. Of `RESPONSE`, those that are not among them are what
+        the rig's own controller lets happen: the force has them all the same, and the rotor moves with it
     progress : (P,) share of the campaign at which each point was measured, for rigs that drift
     """
 
@@ -82,15 +87,18 @@ class Responder:
         harmonics: tuple[int, ...] = (0, 1, 2, 3),
         progress: Array | None = None,
     ) -> None:
-        self.rig, self.line, self.harmonics = rig, line, harmonics
+        self.rig, self.line = rig, line
+        self.harmonics = tuple(sorted({*harmonics, *RESPONSE}))
+        self._known = [self.harmonics.index(h) for h in harmonics]
+        self._unknown = [k for k, h in enumerate(self.harmonics) if h not in harmonics]
         self.progress = progress
         self._point: OperatingPoint = actuator.operating_point(rig)
-        grid = np.concatenate([np.maximum(h * frequency_hz, STATIC_HZ) for h in harmonics])
+        grid = np.concatenate([np.maximum(h * frequency_hz, STATIC_HZ) for h in self.harmonics])
         self._omega = 2 * np.pi * grid
         # The rig itself does not know of an offset of its log: the logged control signal is put right first.
         self._model: LinearModel = linear_model(replace(rig, logging_offset_samples=0.0), grid)
         late = np.exp(-1j * self._omega * rig.controller.sample_time_s * rig.logging_offset_samples)
-        self._log_phase: Complex = late.reshape(len(harmonics), -1)[:, line].T[..., None]  # (P, H, 1)
+        self._log_phase: Complex = late.reshape(len(self.harmonics), -1)[:, line].T[..., None]  # (P, H, 1)
         self._strongly = bool(
             np.any(rig.magnets.hysteresis_rad > 0)
             or rig.contact
@@ -121,16 +129,17 @@ class Responder:
         seen_current
             (P, H, n) measured coil current: as `current`.
         """
-        current, effective = self._current(U * self._log_phase, seen_current)
-        return Answer(current, self._displacement(effective, rounds, seen))
+        current, effective = self._current(self._effective(U), self._whole(seen_current))
+        return Answer(current[:, self._known], self._displacement(effective, rounds, self._whole(seen)))
 
     def displacement(
         self, U: Complex, rounds: int | None = None, seen: Complex | None = None, seen_current: Complex | None = None
     ) -> Complex:
         """Sensor signal of `answer` alone, (P, H, n), which takes half the time."""
-        U = U * self._log_phase
-        effective = self._current(U, seen_current)[1] if self._slews else U
-        return self._displacement(effective, rounds, seen)
+        effective = self._effective(U)
+        if self._slews:
+            effective = self._current(effective, self._whole(seen_current))[1]
+        return self._displacement(effective, rounds, self._whole(seen))
 
     def current(self, U: Complex, seen: Complex | None = None) -> Complex:
         """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone.
@@ -138,33 +147,70 @@ class Responder:
         An amplifier beyond its slew limit may answer in two ways: the one nearer to ``seen`` (P, H, n) where that is
         given, else the one that a rising amplitude leads to.
         """
-        return self._current(U * self._log_phase, seen)[0]
+        return self._current(self._effective(U), self._whole(seen))[0][:, self._known]
+
+    def _effective(self, U: Complex) -> Complex:
+        """Control signal that ran, all harmonics, of the logged one, (P, H, n): 0 where none was logged."""
+        return self._whole(U) * self._log_phase
+
+    @overload
+    def _whole(self, X: Complex) -> Complex: ...
+
+    @overload
+    def _whole(self, X: Complex | None) -> Complex | None: ...
+
+    def _whole(self, X: Complex | None) -> Complex | None:
+        """A signal with 0 in the harmonics that were not logged."""
+        if X is None or not self._unknown:
+            return X
+        whole = np.zeros((X.shape[0], len(self.harmonics), X.shape[2]), dtype=complex)
+        whole[:, self._known] = X
+        return whole
+
+    def _fed_back(self, sensed: Complex) -> tuple[Complex, Complex, Complex]:
+        """Displacements at bearings and sensors, and control signal, per force, of harmonics that were not logged.
+
+        With the controller closed, (P, H, n, n) each: logged signals hold by themselves what it does.
+        """
+        m, k = self._model, self._unknown
+        H, n = len(self.harmonics), sensed.shape[-1]
+        omega = self._omega.reshape(H, -1)[:, self.line].T[:, k]
+        C = m.controller.reshape(H, -1)[:, self.line].T[:, k]
+        C = np.where(omega * self.rig.controller.sample_time_s < np.pi, C, 0.0)[..., None, None]
+        y = np.linalg.solve(np.eye(n) + C * self._of_points(m.y_per_u)[:, k], sensed[:, k])
+        u = -C * y
+        x = self._of_points(m.bearing_per_force)[:, k] + self._of_points(m.bearing_per_u)[:, k] @ u
+        return np.asarray(x), np.asarray(y), np.asarray(u)
 
     def _displacement(self, U: Complex, rounds: int | None, seen: Complex | None) -> Complex:
         """Sensor signal, (P, H, n), for the control signal that a linear amplifier would need."""
         m = self._model
         x_linear, Y_linear = self._at_points(m.bearing_per_u, U), self._at_points(m.y_per_u, U)
         bearing, sensed = self._of_points(m.bearing_per_force), self._of_points(m.y_per_force)
-        drawn = self._drawn(self._at_points(m.flux_per_u, U))
+        drawn, fed = self._drawn(self._at_points(m.flux_per_u, U)), None
+        if self._unknown:
+            fed = np.zeros_like(sensed)
+            bearing[:, self._unknown], sensed[:, self._unknown], fed[:, self._unknown] = self._fed_back(sensed)
 
         def force_at(x: Complex, Y: Complex) -> Complex:
             return self._beyond_linear(drawn, x if seen is None else x + self._from_sensors(seen - Y))
 
         force = force_at(x_linear, Y_linear)
         for _ in range((rounds or (3 if seen is not None else 6 if self._strongly else 3)) - 1):
+            if fed is not None:
+                drawn = self._drawn(self._at_points(m.flux_per_u, U + _times(fed, force)))
             force = force_at(x_linear + _times(bearing, force), Y_linear + _times(sensed, force))
-        return self._static_real(Y_linear + _times(sensed, force))
+        return self._static_real(Y_linear + _times(sensed, force))[:, self._known]
 
     def _from_sensors(self, Y: Complex) -> Complex:
         """Displacement at the bearings, (P, H, n), of a rigid rotor that the sensors see at Y.
 
         It corrects a displacement that the model has but for the force in question, so flexibility may be left out;
-        the mean is left to the model, as no sensor knows its own zero.
+        the mean is left to the model, as no sensor knows its own zero, and so is what was not logged.
         """
         own, to_bearings = self._sensed
         at_sensor = Y * own
-        if self.harmonics[0] == 0:
-            at_sensor[:, 0] = 0.0
+        at_sensor[:, [0, *self._unknown]] = 0.0
         return np.asarray(at_sensor @ to_bearings)
 
     @cached_property
@@ -177,10 +223,10 @@ class Responder:
         own = own.reshape(len(self.harmonics), -1, n)[:, self.line].transpose(1, 0, 2)
         return own, np.kron(np.eye(n // 2), plane).T
 
-    def _static_real(self, X: Complex) -> Complex:
-        if self.harmonics[0] == 0:
-            X = X.copy()
-            X[:, 0] = X[:, 0].real
+    @staticmethod
+    def _static_real(X: Complex) -> Complex:
+        X = X.copy()
+        X[:, 0] = X[:, 0].real
         return X
 
     def _drawn(self, flux: Complex) -> tuple[Array, Array]:
@@ -285,14 +331,14 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
 
     Newton-like: the linear loop maps what the nonlinear answer lacks back on u.
     """
-    m, H = responder._model, len(responder.harmonics)
-    controller = m.controller.reshape(H, -1)[:, responder.line].T[..., None]  # (P, H, 1)
-    sensitivity = m.sensitivity
-    U = responder._at_points(sensitivity, R)
+    m, H, known = responder._model, len(responder.harmonics), responder._known
+    controller = m.controller.reshape(H, -1)[:, responder.line].T[:, known, None]  # (P, H, 1)
+    sensitivity, late = responder._of_points(m.sensitivity)[:, known], responder._log_phase[:, known]
+    U = _times(sensitivity, R)
     for _ in range(rounds):
-        lacking = R - controller * responder.displacement(U / responder._log_phase) - U
-        U = U + responder._at_points(sensitivity, lacking)
-    logged = U / responder._log_phase
+        lacking = R - controller * responder.displacement(U / late) - U
+        U = U + _times(sensitivity, lacking)
+    logged = U / late
     return logged, responder.answer(logged)
 
 
