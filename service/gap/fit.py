@@ -263,12 +263,16 @@ class Problem(Unknowns):
 
     def _fit(self, state: _State, w: list[Real], curvature: Real, status: str) -> Fit:
         groups: list[tuple[float, int]] = []
+        across: list[tuple[float, int]] = []
+
+        def chi_square(r: Complex, weight_: Real) -> tuple[float, int]:
+            return float(np.sum(np.abs(r) ** 2)), 2 * int((weight_ > 0).sum())
+
         for o, r, weight_ in zip(self.observations, state.residuals, w, strict=True):
             own = np.arange(len(o.harmonics)) == o.fundamental
-            groups += [
-                (float(np.sum(np.abs(r[:, chosen]) ** 2)), 2 * int((weight_[:, chosen] > 0).sum()))
-                for chosen in (own, ~own)
-            ]
+            groups += [chi_square(r[:, chosen], weight_[:, chosen]) for chosen in (own, ~own)]
+            other_plane = np.arange(r.shape[2]) // 2 != o.axis[:, None] // 2
+            across.append(chi_square(r[:, o.fundamental][other_plane], weight_[:, o.fundamental][other_plane]))
         a = self._a
         theta, values = self.theta(state.x), self.values(state.x[a:])
         penalty, n = self._penalty(state.x), len(self.effects)
@@ -284,6 +288,7 @@ class Problem(Unknowns):
             curvature,
             status,
             values[n:],
+            tuple(across),
         )
 
     def linearised(self, fit: Fit) -> Linearised:

@@ -36,6 +36,8 @@ class Fit:
     status: str
     inherited: tuple[dict[str, float], ...] = ()
     """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
+    across: tuple[tuple[float, int], ...] = ()
+    """as ``groups``, of the fundamental in the plane that was not excited alone, sweep by sweep; part of those"""
 
     @property
     def chi_square(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from service.gap.begun import beside, residuals, rough_beside
 from service.gap.candidates import Candidate, Fitter, Task
+from service.gap.fit import TOLERANCE_BOUND
 from service.gap.part import Ground
 from service.gap.refined import LOST, best_of_each, contained, cost, refined, to_the_end
 from service.gap.significance import alone_hz, significance
@@ -61,7 +62,8 @@ def with_one_more(
 
 
 def _leaves_something(ground: Ground, best: Ranked) -> bool:
-    if max(best.shares) < MIXED:
+    # Of a large gap another law of the same effect may leave a little, but asks for no impossible datasheet.
+    if max(best.apart) < MIXED and not _strained(best) and not _at_bound(best):
         return False
     everywhere = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
     if any(significance(z, o) > REMAINS for z, o in everywhere):
@@ -73,6 +75,12 @@ def _strained(r: Ranked) -> bool:
     """Whether the datasheet's values are further off than chance allows: they make up for what an effect is not."""
     n = len(r.candidate.fit.active)
     return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n))
+
+
+def _at_bound(r: Ranked) -> bool:
+    """Whether a value of the datasheet is as far off as any may be: one of forty in four hundred twins by chance."""
+    fit = r.candidate.fit
+    return bool(np.any(np.abs(fit.theta[fit.active]) > 0.999 * TOLERANCE_BOUND))
 
 
 def _another_explains_more(base: Ranked, order: Sequence[Ranked]) -> bool:
@@ -155,6 +163,7 @@ def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
         return False
     effects = mixture.candidate.effects
     alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
-    little, left = 0.15 if alias else MIXED, np.array(mixture.shares)
-    allowed = [r for r in smaller if not _strained(r)]  # others explain by what the datasheet does not allow
-    return all(np.any((np.array(r.shares) > little) & (left < np.array(r.shares) / 3)) for r in allowed)
+    little, left = 0.15 if alias else MIXED, np.array(mixture.apart)
+    # Others explain by what the datasheet does not allow.
+    allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]
+    return all(np.any((np.array(r.apart) > little) & (left < np.array(r.apart) / 3)) for r in allowed)

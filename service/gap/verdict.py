@@ -37,6 +37,10 @@ CLEAR = 30.0
 """Excess chi-square of a group from which the share that an explanation leaves of it means something."""
 
 
+Groups = Sequence[tuple[float, int]]
+"""(chi-square, number of residuals) each"""
+
+
 @dataclass(frozen=True)
 class Ranked:
     """An explanation with its evidence and probability."""
@@ -49,6 +53,13 @@ class Ranked:
     """share of the plain twin's excess chi-square that is left"""
     shares: tuple[float, ...] = ()
     """the same for the fundamental and for the harmonics of each sweep in turn; 0 where there was no gap"""
+    across: tuple[float, ...] = ()
+    """the same for the fundamental in the plane that was not excited, sweep by sweep"""
+
+    @property
+    def apart(self) -> tuple[float, ...]:
+        """Shares of everything that is told apart: what couples the planes shows where little else does."""
+        return (*self.shares, *self.across)
 
 
 @dataclass(frozen=True)
@@ -103,10 +114,11 @@ class HeldOut:
 
 def noise_levels(null: Candidate, candidates: Sequence[Candidate]) -> list[float]:
     """Chi-square of each group that a right twin leaves: no more than one per residual, nor than the best fit has."""
-    everything = (null, *candidates)
-    return [
-        float(min(count, *(c.fit.groups[g][0] for c in everything))) for g, (_, count) in enumerate(null.fit.groups)
-    ]
+    return _levels([c.fit.groups for c in (null, *candidates)])
+
+
+def _levels(groups: Sequence[Groups]) -> list[float]:
+    return [float(min(one[0][1], *(chi for chi, _ in one))) for one in zip(*groups, strict=True)]
 
 
 def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
@@ -115,9 +127,17 @@ def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
     everything = [null, *candidates]
     logs = np.array([log_evidence(c.fit, c.occam, noise) - DETECTED * len(c.effects) for c in everything])
     p = probabilities(logs)
+    across, quiet = [c.fit.across for c in everything], _levels([c.fit.across for c in everything])
     out = [
-        Ranked(c, float(log), float(q), unexplained(c, null, noise), shares(c, null, noise))
-        for c, log, q in zip(everything, logs, p, strict=True)
+        Ranked(
+            c,
+            float(log),
+            float(q),
+            unexplained(c, null, noise),
+            shares(c.fit.groups, null.fit.groups, noise),
+            shares(there, across[0], quiet),
+        )
+        for c, log, q, there in zip(everything, logs, p, across, strict=True)
     ]
     return sorted(out, key=lambda r: -r.log_evidence)
 
@@ -134,10 +154,10 @@ def unexplained(candidate: Candidate, null: Candidate, noise: Sequence[float]) -
     return float((candidate.fit.chi_square + candidate.fit.penalty - sum(noise)) / before)
 
 
-def shares(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> tuple[float, ...]:
+def shares(groups: Groups, null: Groups, noise: Sequence[float]) -> tuple[float, ...]:
     """Share of the plain twin's excess that is left, group by group; 0 where the plain twin has no clear excess."""
     out = []
-    for (after, _), (before, _), level in zip(candidate.fit.groups, null.fit.groups, noise, strict=True):
+    for (after, _), (before, _), level in zip(groups, null, noise, strict=True):
         clear = before - level > CLEAR
         out.append(float(max(after - level, 0.0) / (before - level)) if clear else 0.0)
     return tuple(out)

@@ -23,7 +23,7 @@ EFFECT = Effect(
         Parameter(
             "slew_inverse_s_per_a",
             "s/A",
-            2e-5,
+            1e-5,
             2e-3,
             2.5e-4,
             0.0,

@@ -23,7 +23,7 @@ EFFECT = Effect(
     id="touchdown_contact",
     path="plant",
     parameters=(
-        Parameter("stiffness_n_per_m", "N/m", 1e5, 1e8, 1e6, 0.0, "log", "of the stop, at each bearing"),
+        Parameter("stiffness_n_per_m", "N/m", 1e4, 1e8, 1e6, 0.0, "log", "of the stop, at each bearing"),
         Parameter("side", "1", -1.0, 1.0, 0.0, 0.0, description="1: only above, -1: only below", strength=False),
         *(
             Parameter(

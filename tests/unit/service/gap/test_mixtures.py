@@ -5,11 +5,12 @@ import pytest
 
 from service.gap.candidates import Candidate, Fitter, Task, fit_task
 from service.gap.diagnose import diagnose
+from service.gap.fit import TOLERANCE_BOUND
 from service.gap.fitted import Fit
 from service.gap.mixtures import from_the_other_side, worth_it
 from service.gap.refined import cost
 from service.gap.stage import EXACT
-from service.gap.verdict import ALIKE, Ranked
+from service.gap.verdict import ALIKE, MIXED, Ranked
 from sim.reference import reference_rig
 from sim.twin import with_effects
 from tests.support.plant import plant_of
@@ -23,8 +24,10 @@ RIG = reference_rig()
 CROSS, AWAY = "magnetic_cross_coupling", "off_centre_rotor"
 
 
-def explanation(effects: tuple[str, ...], evidence: float, shares: tuple[float, float], penalty: float = 0.0) -> Ranked:
-    fit = Fit(effects, np.zeros(1), (), RIG, (), penalty, np.arange(1), np.eye(1), "converged")
+def explanation(
+    effects: tuple[str, ...], evidence: float, shares: tuple[float, float], penalty: float = 0.0, off: float = 0.0
+) -> Ranked:
+    fit = Fit(effects, np.array([off]), (), RIG, (), penalty, np.arange(1), np.eye(1), "converged")
     return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.9, max(shares), shares)
 
 
@@ -47,6 +50,25 @@ def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needles
     for penalty, worth in ((60.0, True), (1.0, False)):
         mode = explanation(("extra_flexible_mode",), -80.0, (0.05, 0.05), penalty)
         assert worth_it(both, [both, mode, *singles]) is worth
+
+
+def test_one_effect_beside_a_value_as_far_off_as_any_may_be_makes_two_not_needless() -> None:
+    both = explanation(("eddy_currents", "sensor_gain"), -10.0, (0.003, 0.003))
+    for off, worth in ((TOLERANCE_BOUND, True), (3.0, False)):
+        single = explanation(("eddy_currents",), -50.0, (0.007, 0.007), off=off)
+        assert worth_it(both, [both, single]) is worth
+
+
+def test_what_couples_the_planes_is_found_beside_what_leaves_a_gap_a_hundred_times_as_large() -> None:
+    datasheet, truth = known_datasheet(seed=55)
+    both = {
+        "support_resonance": {"inverse_mass_per_kg": 5e-4, "frequency_hz": 67.6, "damping_ratio": 0.013},
+        "cross_coupled_stiffness": {"stiffness_n_per_m": 7e3},
+    }
+    e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet, most=2)
+    alone = next(r for r in e.order if r.candidate.effects == ("support_resonance",))
+    assert max(alone.shares) < MIXED
+    assert set(e.order[0].candidate.effects) == set(both)
 
 
 def test_an_effect_that_hardly_shows_is_found_beside_one_that_leaves_no_band_a_gap() -> None:
