@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap.another_rig import other_rig
 from service.gap.candidates import Candidate
 from service.gap.curved import curved
 from service.gap.evidence import log_likelihood
@@ -30,8 +31,6 @@ Complex = NDArray[np.complex128]
 
 LISTED = 12
 """Explanations of a part that are put together with those of the others."""
-IMPLAUSIBLE = 5.0
-"""Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
 NEGLIGIBLE = 0.02
 """Share of all parts' excess up to which a part that nothing explains does not change the verdict."""
 
@@ -173,7 +172,9 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
         explained = own[e.part.path].kind in ("effect", "effects")
         # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
-        if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (reason := other_rig(e)):
+        if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (
+            reason := other_rig(e.ground, chosen_in(e).fit)
+        ):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
         elif explained and (reason := lag_missing(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
@@ -187,7 +188,12 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     unknown = [
         e
         for e in by_size
-        if own[e.part.path].kind == "none_of_these" and e.null.candidate.fit.chi_square > NEGLIGIBLE * total
+        if own[e.part.path].kind == "none_of_these"
+        # a controller, which has hardly any noise, dwarfs what the rotor of another datasheet leaves
+        and (
+            (e.part.path == "plant" and own["plant"].another_rig)
+            or e.null.candidate.fit.chi_square > NEGLIGIBLE * total
+        )
     ]
     if unknown:
         strange = [e for e in unknown if own[e.part.path].another_rig]
@@ -209,18 +215,6 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         probability,
         (),
     )
-
-
-def other_rig(e: Explained) -> str | None:
-    """Why the datasheet cannot be this rig's, in words: even beside the best explanation its values are far off."""
-    fit, names = chosen_in(e).fit, e.ground.nuisance.names
-    own = e.ground.part.active
-    k, off = len(own), float(np.sum(fit.theta[own] ** 2))
-    if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
-        return None
-    worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
-    told = ", ".join(f"{names[j].replace('_', ' ')} by {abs(fit.theta[j]):.1f}" for j in worst)
-    return f"the datasheet seems to be of another rig; its values would be off by many tolerances ({told}): check it"
 
 
 def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:

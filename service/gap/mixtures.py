@@ -7,9 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
+from service.gap.another_rig import at_bound, hopeless
 from service.gap.begun import beside, residuals, rough_beside
 from service.gap.candidates import Candidate, Fitter, Task
-from service.gap.fit import TOLERANCE_BOUND
 from service.gap.part import Ground
 from service.gap.refined import LOST, best_of_each, contained, cost, refined, to_the_end
 from service.gap.significance import alone_hz, significance
@@ -33,6 +33,8 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
 
     ``fewer`` is the explanation by fewer effects that these were looked for beside.
     """
+    if hopeless(ground, order[0].candidate.fit):
+        return None
     # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
     singles = [r for r in order if r.candidate.effects]
     base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
@@ -79,8 +81,7 @@ def _strained(r: Ranked) -> bool:
 
 def _at_bound(r: Ranked) -> bool:
     """Whether a value of the datasheet is as far off as any may be: one of forty in four hundred twins by chance."""
-    fit = r.candidate.fit
-    return bool(np.any(np.abs(fit.theta[fit.active]) > 0.999 * TOLERANCE_BOUND))
+    return bool(at_bound(r.candidate.fit).any())
 
 
 def _another_explains_more(base: Ranked, order: Sequence[Ranked]) -> bool:

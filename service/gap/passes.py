@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.gap.another_rig import hopeless
 from service.gap.between import between
 from service.gap.candidates import Candidate, Fitter
 from service.gap.compose import chosen_in, held_out, on_sweep
@@ -137,7 +138,12 @@ def _understood(amplifiers: Explained) -> bool:
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:
-    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it."""
+    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it.
+
+    Not where the datasheet is of another rig: that sweep would tell the same.
+    """
+    if hopeless(e.ground, chosen_in(e).fit):
+        return False
     o, z = on_sweep(e, chosen_in(e), unseen)
     clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
     return clear or held_out(e, unseen).fails

@@ -162,10 +162,12 @@ def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     assert late.verdict.effects == ("loop_delay",)
 
 
-def test_the_datasheet_of_another_rig_is_said_to_be_one() -> None:
+@pytest.mark.parametrize("gain", [1.0, 2.0], ids=["the same controller", "another controller, too"])
+def test_the_datasheet_of_another_rig_is_said_to_be_one(gain: float) -> None:
     datasheet, truth = known_datasheet(seed=9)
     other = replace(
         datasheet,
+        numerator=tuple(gain * b for b in datasheet.numerator),
         mass_kg=0.3 * datasheet.mass_kg,
         modes=tuple(replace(m, frequency_hz=0.7 * m.frequency_hz) for m in datasheet.modes),
     )

@@ -1,0 +1,38 @@
+"""Is the datasheet of another rig: its values would have to be off by more than its tolerances allow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fit import TOLERANCE_BOUND
+from service.gap.fitted import Fit
+from service.gap.part import Ground
+
+IMPLAUSIBLE = 5.0
+"""Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
+HOPELESS = 0.35
+"""Share of the values that are as far off as any may be, beside the best single effect, from which more effects are not
+looked for. Of rigs that had two gross effects it was at most 0.2, with datasheets of other rotors 0.4 to 0.7."""
+
+
+def at_bound(fit: Fit) -> NDArray[np.bool_]:
+    """Which of the values fitted are as far off as any may be, (a,)."""
+    return np.asarray(np.abs(fit.theta[fit.active]) > 0.999 * TOLERANCE_BOUND)
+
+
+def hopeless(ground: Ground, fit: Fit) -> bool:
+    """Whether so many values are as far off as any may be that no further effect would mend it."""
+    own = len(ground.part.active)
+    return own > 0 and int(at_bound(fit)[:own].sum()) >= HOPELESS * own
+
+
+def other_rig(ground: Ground, fit: Fit) -> str | None:
+    """Why the datasheet cannot be this rig's, in words: even beside the best explanation its values are far off."""
+    own, names = ground.part.active, ground.nuisance.names
+    k, off = len(own), float(np.sum(fit.theta[own] ** 2))
+    if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
+        return None
+    worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
+    told = ", ".join(f"{names[j].replace('_', ' ')} by {abs(fit.theta[j]):.1f}" for j in worst)
+    return f"the datasheet seems to be of another rig; its values would be off by many tolerances ({told}): check it"
