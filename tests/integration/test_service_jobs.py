@@ -119,6 +119,7 @@ def test_a_rig_that_is_stopped_by_hand_ends_its_job_with_the_reason_and_begins_n
     running.post(f"/jobs/{next_id}/retry")
     running.wait(next_id, lambda j: j["progress"]["point"] > 3)
     assert running.client.post(f"/api/v1/rigs/{rig_id}/stop").status_code == 204
+    assert running.wait(next_id)["error"]["title"] == "stopped at the rig"  # else the next test's job hears it
 
 
 def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, rig, rig_id):
