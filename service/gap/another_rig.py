@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +14,9 @@ from service.gap.part import Ground
 IMPLAUSIBLE = 5.0
 """Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
 HOPELESS = 0.35
-"""Share of the values that are as far off as any may be, beside the best single effect, from which more effects are not
-looked for. Of rigs that had two gross effects it was at most 0.2, with datasheets of other rotors 0.4 to 0.7."""
+"""Share of the values that are as far off as any may be, whichever effect is beside them, from which no more are looked
+for. Where it was least, it was at most 0.03 on rigs with two gross effects, and 0.4 to 0.65 with datasheets of other
+rotors."""
 
 
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
@@ -21,10 +24,10 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
     return np.asarray(np.abs(fit.theta[fit.active]) > 0.999 * TOLERANCE_BOUND)
 
 
-def hopeless(ground: Ground, fit: Fit) -> bool:
-    """Whether so many values are as far off as any may be that no further effect would mend it."""
+def hopeless(ground: Ground, fits: Iterable[Fit]) -> bool:
+    """Whether every explanation leaves so many values as far off as any may be that no further effect would mend it."""
     own = len(ground.part.active)
-    return own > 0 and int(at_bound(fit)[:own].sum()) >= HOPELESS * own
+    return own > 0 and all(int(at_bound(fit)[:own].sum()) >= HOPELESS * own for fit in fits)
 
 
 def other_rig(ground: Ground, fit: Fit) -> str | None:

@@ -33,7 +33,7 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
 
     ``fewer`` is the explanation by fewer effects that these were looked for beside.
     """
-    if hopeless(ground, order[0].candidate.fit):
+    if hopeless(ground, (r.candidate.fit for r in order)):
         return None
     # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
     singles = [r for r in order if r.candidate.effects]
@@ -80,7 +80,7 @@ def _strained(r: Ranked) -> bool:
 
 
 def _at_bound(r: Ranked) -> bool:
-    """Whether a value of the datasheet is as far off as any may be: one of forty in four hundred twins by chance."""
+    """Whether a value of the datasheet is as far off as any may be: by chance, one of forty in one twin of 400."""
     return bool(at_bound(r.candidate.fit).any())
 
 

@@ -142,7 +142,7 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
 
     Not where the datasheet is of another rig: that sweep would tell the same.
     """
-    if hopeless(e.ground, chosen_in(e).fit):
+    if hopeless(e.ground, (r.candidate.fit for r in e.order)):
         return False
     o, z = on_sweep(e, chosen_in(e), unseen)
     clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT

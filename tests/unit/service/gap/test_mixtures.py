@@ -59,7 +59,7 @@ def test_one_effect_beside_a_value_as_far_off_as_any_may_be_makes_two_not_needle
         assert worth_it(both, [both, single]) is worth
 
 
-def test_what_couples_the_planes_is_found_beside_what_leaves_a_gap_a_hundred_times_as_large() -> None:
+def test_what_couples_the_planes_is_found_beside_what_makes_a_gap_fifty_times_as_large() -> None:
     datasheet, truth = known_datasheet(seed=55)
     both = {
         "support_resonance": {"inverse_mass_per_kg": 5e-4, "frequency_hz": 67.6, "damping_ratio": 0.013},
