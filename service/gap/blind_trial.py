@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.gap.detectability import Replayed, detectability, duration_s, quiet, replay
+from service.gap.detectability import Replayed, detectability, duration_s, quiet, replay, settle_s
 from service.gap.scoring import Outcome, score
 from service.gap.seal import SealError, opened, seal
 from service.gap.unlisted_laws import TamperedSimulation
@@ -120,15 +120,16 @@ def detectability_of(case: Case, experiment: Experiment) -> dict[str, Any]:
     if case.kind == "clean":
         return {"detectability": 0.0, "each": {}}
     sweeps = plant_sweeps(experiment)
-    rig = _shortened(case.rig, experiment, sweeps)
+    waits = [settle_s([case.plain, case.rig], s) for s in sweeps]
+    replay_s = sum(duration_s(*x, 1 / case.rig.controller.sample_time_s) for x in zip(sweeps, waits, strict=True))
+    rig = _shortened(case.rig, experiment, replay_s)
     coarse = rig.noise.displacement_step_m != case.plain.noise.displacement_step_m
-    replay_s = sum(duration_s(s, 1 / rig.controller.sample_time_s) for s in sweeps)
     changed = TamperedSimulation(quiet(rig, steps=coarse), 0, copy.deepcopy(case.tampering), replay_s)
-    pairs = [(s, replay(changed, s)) for s in sweeps]
+    pairs = [(s, replay(changed, s, wait)) for s, wait in zip(sweeps, waits, strict=True)]
 
     def replayed(plain: Rig) -> list[Replayed]:
-        simulation = Simulation(quiet(_shortened(plain, experiment, sweeps)))
-        return [replay(simulation, s) for s in sweeps]
+        simulation = Simulation(quiet(_shortened(plain, experiment, replay_s)))
+        return [replay(simulation, s, wait) for s, wait in zip(sweeps, waits, strict=True)]
 
     tolerance = case.datasheet.tolerance
     each = {}
@@ -142,12 +143,11 @@ def detectability_of(case: Case, experiment: Experiment) -> dict[str, Any]:
     return {"detectability": detectability(case.plain, tolerance, pairs, replayed), "each": each}
 
 
-def _shortened(rig: Rig, experiment: Experiment, sweeps: Sequence[Sweep]) -> Rig:
+def _shortened(rig: Rig, experiment: Experiment, replay_s: float) -> Rig:
     """The rig with its drift in the time that a replay takes, which is less than the campaign took."""
     took = float(experiment.attributes.get("rig_seconds", "nan"))
     if rig.drift is None or not np.isfinite(took):
         return rig
-    replay_s = sum(duration_s(s, 1 / rig.controller.sample_time_s) for s in sweeps)
     return replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replay_s / took))
 
 

@@ -8,6 +8,7 @@ standard deviations by which the effect stands out for someone who knows what to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,6 +22,7 @@ from service.gap.observation import MODEL_FLOOR
 from sim import control_law
 from sim.datasheet import Tolerance
 from sim.errors import LevitationError
+from sim.loop import Loop
 from sim.rig import Array, FlexibleMode, Noise, Rig
 from sim.stepping import Simulation
 from sim.twin import linear_model
@@ -28,7 +30,11 @@ from sim.twin import linear_model
 Complex = NDArray[np.complex128]
 
 BLOCKS = 2
-SETTLE_S = 0.3
+SETTLE_S, LONGEST_SETTLE_S = 0.3, 1.5
+RUNG_OUT = 4.0
+"""Time constants of a mode that a tone near it waits for, at its fundamental or at a harmonic."""
+NEAR_MODE = 0.1
+"""Of a mode's frequency: as near a tone that ramps up in `RAMP_S` leaves the mode ringing."""
 RAMP_S = 0.1
 BLOCK_S = 0.05
 STEP = 1e-3
@@ -59,13 +65,26 @@ def quiet(rig: Rig, steps: bool = False) -> Rig:
     return replace(rig, noise=kept)
 
 
-def replay(simulation: Simulation, sweep: Sweep) -> Replayed:
-    """Play a sweep's tones, in order, and demodulate them over whole periods."""
+def settle_s(rigs: Sequence[Rig], sweep: Sweep) -> Array:
+    """Time that each of a sweep's tones is to wait on any of ``rigs``, (P,), s: long where a mode would still ring."""
+    wait = np.full(sweep.n_points, SETTLE_S)
+    for rig in rigs:
+        z = np.linalg.eigvals(Loop(rig, 1).closed_loop())
+        s = np.log(z[np.imag(z) > 0]) / rig.controller.sample_time_s
+        hz = np.imag(s) / (2 * np.pi)
+        tones = sweep.frequency_hz[:, None] * np.array([h for h in sweep.harmonics if h])
+        near = (np.abs(tones[..., None] - hz) < NEAR_MODE * hz).any(axis=1)
+        wait = np.maximum(wait, np.where(near, -RUNG_OUT / np.real(s), 0.0).max(axis=1))
+    return np.minimum(wait, LONGEST_SETTLE_S)
+
+
+def replay(simulation: Simulation, sweep: Sweep, settled_s: Array) -> Replayed:
+    """Play a sweep's tones, in order, and demodulate them over whole periods, each ``settled_s`` (P,) after its start."""
     fs, n = 1 / simulation.rig.controller.sample_time_s, simulation.n_axes
     out: dict[str, list[Complex]] = {name: [] for name in "RUIY"}
-    for f, axis, amplitude in zip(sweep.frequency_hz, sweep.axis, sweep.amplitude_a, strict=True):
+    for f, axis, amplitude, wait in zip(sweep.frequency_hz, sweep.axis, sweep.amplitude_a, settled_s, strict=True):
         periods, samples = _block(float(f), fs)
-        settle, ramp = round(SETTLE_S * fs), round(RAMP_S * fs)
+        settle, ramp = round(float(wait) * fs), round(RAMP_S * fs)
         k = np.arange(-settle - ramp, BLOCKS * samples + ramp)
         end = BLOCKS * samples
         level = np.clip(np.minimum((k + settle + ramp) / ramp, (end + ramp - k) / ramp), 0.0, 1.0)
@@ -80,10 +99,10 @@ def replay(simulation: Simulation, sweep: Sweep) -> Replayed:
     return Replayed(**{name: np.array(rows) for name, rows in out.items()})
 
 
-def duration_s(sweep: Sweep, sample_rate_hz: float) -> float:
+def duration_s(sweep: Sweep, settled_s: Array, sample_rate_hz: float) -> float:
     """Time on the rig that `replay` takes."""
     blocks = sum(BLOCKS * _block(float(f), sample_rate_hz)[1] for f in sweep.frequency_hz)
-    return blocks / sample_rate_hz + sweep.n_points * (SETTLE_S + 2 * RAMP_S)
+    return blocks / sample_rate_hz + float(np.sum(settled_s + 2 * RAMP_S))
 
 
 def _block(frequency_hz: float, sample_rate_hz: float) -> tuple[int, int]:
@@ -102,7 +121,7 @@ def _block(frequency_hz: float, sample_rate_hz: float) -> tuple[int, int]:
 
 
 Move = Callable[[Rig, float], Rig]
-"""(rig, relative change) -> rig with one value of its datasheet moved."""
+"""(rig, change) -> rig with one value of its datasheet moved; the change of what is positive is that of its logarithm."""
 
 
 def uncertain_values(rig: Rig, tolerance: Tolerance) -> list[tuple[Move, float]]:
@@ -112,13 +131,13 @@ def uncertain_values(rig: Rig, tolerance: Tolerance) -> list[tuple[Move, float]]
         def move(r: Rig, x: float) -> Rig:
             whole = getattr(r, part)
             values = np.array(getattr(whole, name), dtype=float)
-            values[axis] *= 1 + x
+            values[axis] *= math.exp(x)
             return replace(r, **{part: replace(whole, **{name: values})})
 
         return move
 
     def rotor_value(name: str) -> Move:
-        return lambda r, x: replace(r, rotor=replace(r.rotor, **{name: getattr(r.rotor, name) * (1 + x)}))
+        return lambda r, x: replace(r, rotor=replace(r.rotor, **{name: getattr(r.rotor, name) * math.exp(x)}))
 
     def sensor(end: int) -> Move:
         def move(r: Rig, x: float) -> Rig:
@@ -158,7 +177,7 @@ def _mode_values(plane: int, k: int, t: Tolerance) -> list[tuple[Move, float]]:
         return move
 
     def scaled(name: str) -> Callable[[FlexibleMode, float], FlexibleMode]:
-        return lambda m, x: replace(m, **{name: getattr(m, name) * (1 + x)})
+        return lambda m, x: replace(m, **{name: getattr(m, name) * math.exp(x)})
 
     def shape(name: str, end: int) -> Callable[[FlexibleMode, float], FlexibleMode]:
         def change(m: FlexibleMode, x: float) -> FlexibleMode:
