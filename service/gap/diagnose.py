@@ -106,6 +106,8 @@ def diagnose(
     where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
     pair = left_together(whole.order, verdict)
     proposal = next_experiment(nu, pair, o, experiment.rig)
+    if verdict.kind != "none_of_these" and (far := nu.far_off(chosen.fit.theta)):
+        notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}")
     if pair and proposal is None:
         one, other_one = (" + ".join(c.effects).replace("_", " ") for c in pair)
         notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")

@@ -275,7 +275,7 @@ class Problem(Unknowns):
             across.append(chi_square(r[:, o.fundamental][other_plane], weight_[:, o.fundamental][other_plane]))
         a = self._a
         theta, values = self.theta(state.x), self.values(state.x[a:])
-        penalty, n = self._penalty(state.x), len(self.effects)
+        penalty, n = self._price(state.x), len(self.effects)
         names = tuple(effect.id for effect in self.effects)
         return Fit(
             names,

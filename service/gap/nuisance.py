@@ -16,6 +16,12 @@ from sim.twin import rig_from_datasheet
 
 Real = NDArray[np.float64]
 
+ASSUMED_DOF = 4.0
+"""Degrees of freedom where tolerances are assumed: as near to a normal within them, and twice them costs 3.5, not 4."""
+
+FAR_OFF = 2.5
+"""Tolerances from which a datasheet's value is told to be off."""
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -31,6 +37,8 @@ class Nuisance:
     sigma: Real
     """(k,) physical size of one unit."""
     names: tuple[str, ...]
+    stated: bool = True
+    """whether the datasheet states the tolerances, or they are this product's defaults"""
 
     def __len__(self) -> int:
         return len(self.sigma)
@@ -81,6 +89,20 @@ class Nuisance:
         """Number of modes of the datasheet, per plane."""
         return len(self.rig.rotor.modes[0])
 
+    def price(self, theta: Real) -> float:
+        """What the tolerances hold against some of the deviations, as a chi-square.
+
+        Assumed ones say little of a value far beyond them: it is judged by a Student t as wide, not by a normal.
+        """
+        if self.stated:
+            return float(theta @ theta)
+        return float((ASSUMED_DOF + 1) * np.log1p(theta**2 / ASSUMED_DOF).sum())
+
+    def far_off(self, theta: Real) -> list[str]:
+        """Values that lie beyond `FAR_OFF` tolerances of the datasheet's, in words, the farthest first."""
+        order = [int(k) for k in np.argsort(-np.abs(theta)) if abs(theta[k]) > FAR_OFF]
+        return [f"{_words(self.names[k])} {_moved(self.names[k], float(theta[k] * self.sigma[k]))}" for k in order]
+
     def _splits(self, n: int) -> Real:
         sizes = [n, n, n, n, n, n, 1, 1, 2] + [6] * (self.n_modes * (n // 2))
         return np.cumsum(sizes)[:-1]
@@ -109,4 +131,27 @@ def nuisance(datasheet: Datasheet) -> Nuisance:
             labels = ("frequency", "damping", "bearing_A", "bearing_B", "sensor_A", "sensor_B")
             names += [f"mode{k + 1}_{label}_{plane}" for label in labels]
             sigma += [t.mode_frequency, t.mode_damping, *spread.tolist()]
-    return Nuisance(rig, np.array(sigma, dtype=float), tuple(names))
+    return Nuisance(rig, np.array(sigma, dtype=float), tuple(names), datasheet.tolerance_stated)
+
+
+def _words(name: str) -> str:
+    """
+    >>> _words("ki_xA"), _words("mode1_frequency_y")
+    ('current stiffness xA', 'mode1 frequency y')
+    """
+    what, _, rest = name.partition("_")
+    known = {"ki": "current stiffness", "ks": "position stiffness"}
+    return f"{known.get(what, what)} {rest}".replace("_", " ").strip()
+
+
+def _moved(name: str, by: float) -> str:
+    """A deviation in the unit of its value.
+
+    >>> _moved("ki_xA", -0.6), _moved("sensor_position_A", 3e-3), _moved("mode1_bearing_B_x", 0.02)
+    ('-45 %', '+3 mm', '+0.02 1/sqrt(kg)')
+    """
+    if name.startswith("sensor_position"):
+        return f"{1e3 * by:+.2g} mm"
+    if "_bearing_" in name or "_sensor_" in name:
+        return f"{by:+.2g} 1/sqrt(kg)"
+    return f"{100 * np.expm1(by):+.2g} %"

@@ -108,9 +108,15 @@ class Unknowns:
         return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
 
     def _penalty(self, x: Real) -> float:
-        """What is known beforehand holds so much against a vector, chi-square."""
+        """What is known beforehand holds so much against a vector, chi-square, as a fit minimises it."""
         away = x - self._centre
         return float(away @ self.prior @ away)
+
+    def _price(self, x: Real) -> float:
+        """The same as an explanation is judged by it: of tolerances that are only assumed, less."""
+        other = self.ground.inherited
+        own = x[: self._a - (0 if other is None else len(other.active))]
+        return self._penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
 
 
 def slow_to_compute(name: str) -> bool:

@@ -29,7 +29,7 @@ QUICK = {
     "peak_points": 2,
 }
 """A plan that a simulated rig does in a few seconds."""
-SLOW = {**QUICK, "points": 45, "rig_seconds": 80}
+SLOW = {**QUICK, "points": 30, "rig_seconds": 55}
 """A plan that leaves time to interrupt it."""
 ENDED = ("done", "failed", "cancelled")
 
