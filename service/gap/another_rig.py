@@ -33,7 +33,7 @@ def hopeless(ground: Ground, fits: Iterable[Fit]) -> bool:
 def other_rig(ground: Ground, fit: Fit) -> str | None:
     """Why the datasheet cannot be this rig's, in words: even beside the best explanation its values are far off."""
     own, names = ground.part.active, ground.nuisance.names
-    k, off = len(own), float(np.sum(fit.theta[own] ** 2))
+    k, off = len(own), ground.nuisance.price(fit.theta[own])
     if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
         return None
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]

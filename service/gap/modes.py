@@ -38,7 +38,8 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
     # a housing or a mode that the twin names as an effect is identified too, and is in the twin already
     named = [2 * np.pi * m.frequency_hz for m in folded(datasheet).datasheet.modes]
     of_planes = [
-        [m for m in plane.modes if m.kind == "rotor" and not _among(m, named)] for plane in result.planes.values()
+        _apart([m for m in plane.modes if m.kind == "rotor" and not _among(m, named)])
+        for plane in result.planes.values()
     ]
     modes = [_mean([mode, *_same(mode, of_planes[1:])]) for mode in of_planes[0]]
     if not modes:
@@ -50,6 +51,19 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
         f"the datasheet knows no flexible mode: {told} were identified from this experiment; "
         "a resonance of the support or another mode cannot be told from them",
     )
+
+
+def _apart(modes: Sequence[ModeResult]) -> list[ModeResult]:
+    """A plane's modes without those beside a stronger one: a coupling shows the other plane's loop there, resonant."""
+    w, strength = (np.array([f(m) for m in modes]) for f in (lambda m: m.natural_frequency_rad_s.value, _strength))
+    near = np.abs(w[:, None] / w - 1) < SAME
+    return [m for m, beside, own in zip(modes, near, strength, strict=True) if own >= strength[beside].max()]
+
+
+def _strength(mode: ModeResult) -> float:
+    """Size of a mode's residues, 1/kg."""
+    shape = _shape(mode)
+    return float(np.linalg.norm(shape[:2]) * np.linalg.norm(shape[2:]))
 
 
 def _same(mode: ModeResult, others: Sequence[Sequence[ModeResult]]) -> list[ModeResult]:
