@@ -75,11 +75,11 @@ def settle_s(rigs: Sequence[Rig], sweep: Sweep) -> Array:
         tones = sweep.frequency_hz[:, None] * np.array([h for h in sweep.harmonics if h])
         near = (np.abs(tones[..., None] - hz) < NEAR_MODE * hz).any(axis=1)
         wait = np.maximum(wait, np.where(near, -RUNG_OUT / np.real(s), 0.0).max(axis=1))
-    return np.minimum(wait, LONGEST_SETTLE_S)
+    return np.asarray(np.minimum(wait, LONGEST_SETTLE_S))
 
 
 def replay(simulation: Simulation, sweep: Sweep, settled_s: Array) -> Replayed:
-    """Play a sweep's tones, in order, and demodulate them over whole periods, each ``settled_s`` (P,) after its start."""
+    """Play a sweep's tones, in order, and demodulate them over whole periods, ``settled_s`` (P,) after they began."""
     fs, n = 1 / simulation.rig.controller.sample_time_s, simulation.n_axes
     out: dict[str, list[Complex]] = {name: [] for name in "RUIY"}
     for f, axis, amplitude, wait in zip(sweep.frequency_hz, sweep.axis, sweep.amplitude_a, settled_s, strict=True):
@@ -121,7 +121,7 @@ def _block(frequency_hz: float, sample_rate_hz: float) -> tuple[int, int]:
 
 
 Move = Callable[[Rig, float], Rig]
-"""(rig, change) -> rig with one value of its datasheet moved; the change of what is positive is that of its logarithm."""
+"""(rig, change) -> rig with one value of its datasheet moved; what is positive changes by its logarithm."""
 
 
 def uncertain_values(rig: Rig, tolerance: Tolerance) -> list[tuple[Move, float]]:

@@ -27,8 +27,8 @@ class Fit:
     groups: tuple[tuple[float, int], ...]
     """(chi-square, number of residuals) of the fundamental and of the other harmonics, sweep by sweep"""
     penalty: float
-    """of the values fitted, what the datasheet's tolerances hold against them, |theta|^2 where it states them; of another
-    part's values what its data hold against them"""
+    """of the values fitted, what the datasheet's tolerances hold against them, |theta|^2 where it states them; of
+    another part's values what its data hold against them"""
     active: NDArray[np.int64]
     """indices of the values fitted"""
     curvature: Real

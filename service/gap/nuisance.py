@@ -135,7 +135,8 @@ def nuisance(datasheet: Datasheet) -> Nuisance:
 
 
 def _words(name: str) -> str:
-    """
+    """A value's name as it is told.
+
     >>> _words("ki_xA"), _words("mode1_frequency_y")
     ('current stiffness xA', 'mode1 frequency y')
     """
