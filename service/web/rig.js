@@ -125,6 +125,7 @@ async function gap(found, context) {
       number(100 * found.summary.gap_before, 3) + " %", number(100 * found.summary.noise_floor, 3) + " %",
       closure === null || closure === undefined ? "–" : (100 * closure).toFixed(0) + " %",
     ]], [0, 1, 2]),
+    (document.notes || []).map((note) => h("p", { class: "note" }, note)),
     document.candidates.length ? place : "",
   ];
 }

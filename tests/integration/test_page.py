@@ -37,6 +37,7 @@ GAP = {
         {"effect": "loop_delay", "probability": 0.97},
         {"effect": "loop_delay+magnetic_cross_coupling+cross_coupled_stiffness", "probability": 0.02},
     ],
+    "notes": ["current stiffness xA is <i>far</i> off"],
 }
 
 
@@ -181,6 +182,7 @@ def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
         assert min(labels) >= page.run("document.getElementById('gap').getBoundingClientRect().left")
         for words in ("a note & <b>more</b>", "kiA, N/A", "loop_delay of 35 us", "98 %", "10 checks", "missed"):
             assert words in text, words
+        assert GAP["notes"][0] in text
         assert "force-current factor of bearing" in text
         assert page.run("document.querySelectorAll('#bode .scatterlayer .trace').length") >= 4
         page.run("document.getElementById('entry').value = 1")
