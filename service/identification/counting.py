@@ -164,6 +164,8 @@ class Counting:
         On coarse data several poles may stand for one peak, or one be sharper than the lines around it can tell.
         """
         found = self.fits.begun(starts[0], beside)
+        if self.fits.rms(found) > LOST:
+            starts = [starts[0], *self._with_a_peak_below(starts[0]), *starts[1:]]
         for start in starts[1:]:
             found = self._or_begun(found, start, beside)
         start = starts[0]
@@ -202,6 +204,8 @@ class Counting:
         if found:
             extra.append(modes_from(found[0], refined.model.ki))
         extra += [mode[None, :] for mode in seen]
+        if self.fits.rms(refined) > ADEQUATE:
+            extra += self._peak_below(refined.model)
         tried = []
         for modes in extra:
             alone = with_modes(refined.model, modes)
@@ -210,6 +214,19 @@ class Counting:
             tried.append(self.fits.again(more, weights))
         sound = [t for t in tried if not self._has_lone(t.model) or self._has_feet(t, refined)]
         return min(sound, key=self.fits.cost, default=None)
+
+    def _peak_below(self, model: PlaneModel) -> list[Real]:
+        """The mode that what a model leaves calls loudest for where none is looked for otherwise, [(1, 6)] or none.
+
+        A support is no flexible mode of the rotor, and may well resonate below the first one.
+        """
+        plant = self.plant
+        left = plant.value - model.plant_response(plant.omega)
+        found = [modes_from(f, model.ki) for f in search(plant.omega, left, 1.0 / plant.std, 1, 0.0)]
+        return [m for m in found if m[0, 0] < self.lowest_rad_s and is_visible(m[0, 0], m[0, 1], plant.omega)]
+
+    def _with_a_peak_below(self, start: PlaneModel) -> list[PlaneModel]:
+        return [with_modes(start, np.vstack([start.modes, mode])) for mode in self._peak_below(start)]
 
     def _has_lone(self, model: PlaneModel) -> bool:
         return any(is_lone(m, self.fits.data.plant.omega) for m in model.modes)
