@@ -74,7 +74,7 @@ def settle_s(rigs: Sequence[Rig], sweep: Sweep) -> Array:
         hz = np.imag(s) / (2 * np.pi)
         tones = sweep.frequency_hz[:, None] * np.array([h for h in sweep.harmonics if h])
         near = (np.abs(tones[..., None] - hz) < NEAR_MODE * hz).any(axis=1)
-        wait = np.maximum(wait, np.where(near, -RUNG_OUT / np.real(s), 0.0).max(axis=1))
+        wait = np.maximum(wait, np.where(near, -RUNG_OUT / np.real(s), 0.0).max(axis=1, initial=0.0))
     return np.asarray(np.minimum(wait, LONGEST_SETTLE_S))
 
 

@@ -17,7 +17,8 @@ from sim.twin import rig_from_datasheet
 Real = NDArray[np.float64]
 
 ASSUMED_DOF = 4.0
-"""Degrees of freedom where tolerances are assumed: as near to a normal within them, and twice them costs 3.5, not 4."""
+"""Degrees of freedom of Student's t for assumed tolerances: within its tolerance a value costs what it would with a
+normal, at twice it 3.5 instead of 4, at four times 8 instead of 16."""
 
 FAR_OFF = 2.5
 """Tolerances from which a datasheet's value is told to be off."""
@@ -92,7 +93,7 @@ class Nuisance:
     def price(self, theta: Real) -> float:
         """What the tolerances hold against some of the deviations, as a chi-square.
 
-        Assumed ones say little of a value far beyond them: it is judged by a Student t as wide, not by a normal.
+        Assumed ones say little of a value far beyond them: it is judged by Student's t, not by a normal.
         """
         if self.stated:
             return float(theta @ theta)
