@@ -17,8 +17,8 @@ from sim.twin import rig_from_datasheet
 Real = NDArray[np.float64]
 
 ASSUMED_DOF = 4.0
-"""Degrees of freedom of Student's t for assumed tolerances: within its tolerance a value costs what it would with a
-normal, at twice it 3.5 instead of 4, at four times 8 instead of 16."""
+"""Degrees of freedom of Student's t for assumed tolerances (Lange, Little and Taylor, JASA 84, 1989, pp. 881-896):
+within its tolerance a value costs what it would with a normal, at twice it 3.5 instead of 4, at four 8, not 16."""
 
 FAR_OFF = 2.5
 """Tolerances from which a datasheet's value is told to be off."""
@@ -38,7 +38,7 @@ class Nuisance:
     sigma: Real
     """(k,) physical size of one unit."""
     names: tuple[str, ...]
-    stated: bool = True
+    stated: bool
     """whether the datasheet states the tolerances, or they are this product's defaults"""
 
     def __len__(self) -> int:

@@ -14,9 +14,9 @@ from sim.reference import reference_rig
 from sim.rig import Rig
 from sim.stepping import Simulation
 
-RIG = reference_rig()
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
 
+RIG = reference_rig()
 BLOCKS = 6
 AMPLITUDE_A = 0.05
 TOLERANCE = Tolerance(mode_frequency=0.005)
