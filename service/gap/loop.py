@@ -144,7 +144,8 @@ class Force:
 
 def _of_twin(rig: Rig, o: Observation, frequency_hz: Real, force: Force) -> dict[str, Real]:
     model = linear_model(at_speed_of(rig, o), frequency_hz)
-    return force.figures(model.u_per_r, model.y_per_u @ model.u_per_r, frequency_hz)
+    u_per_r = model.u_per_r
+    return force.figures(u_per_r, model.y_per_u @ u_per_r, frequency_hz)
 
 
 def _own(of: Complex) -> Complex:
@@ -169,8 +170,11 @@ def _dense(frequency_hz: Real, rigs: Sequence[Rig]) -> Real:
     """Frequencies of the measured band, close enough for the peaks of flexible modes."""
     low, high = float(frequency_hz[0]), float(frequency_hz[-1])
     modes = [m.natural_frequency_rad_s / (2 * np.pi) for rig in rigs for plane in rig.rotor.modes for m in plane]
-    near = [m * np.arange(1 - NEAR_A_MODE, 1 + NEAR_A_MODE, FINE) for m in set(modes)]
-    every = np.concatenate([np.geomspace(low, high, 300), frequency_hz, *near])
+    # of all modes by one ladder of steps, so that those near each other share them
+    steps = np.unique([np.rint(np.log(m) / FINE) for m in modes]).astype(int)
+    width = round(NEAR_A_MODE / FINE)
+    near = np.exp(np.unique(steps[:, None] + np.arange(-width, width + 1)) * FINE)
+    every = np.concatenate([np.geomspace(low, high, 300), frequency_hz, near])
     return np.unique(every[(every >= low) & (every <= high)])
 
 
