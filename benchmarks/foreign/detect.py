@@ -144,11 +144,13 @@ def _whiteners(blocks: np.ndarray, lines: int) -> np.ndarray:
     """(P, 12, 12) whitening of the mean over blocks, the covariance pooled over inputs and neighbouring lines."""
     noise = blocks - blocks.mean(axis=1, keepdims=True)
     n = blocks.shape[1]
+    # a signal that one coarse step of a converter swallows does not scatter at all
+    least = 1e-3 * np.sqrt((abs(noise) ** 2).mean(axis=(0, 1))) + 1e-30
     out = np.empty((lines, 12, 12), dtype=complex)
     for line in range(lines):
         near = [m + lines * k for k in range(4) for m in range(max(0, line - 1), min(lines, line + 2))]
         e = noise[near].reshape(-1, 12)
-        scale = np.sqrt((abs(e) ** 2).mean(axis=0))
+        scale = np.maximum(np.sqrt((abs(e) ** 2).mean(axis=0)), least)
         cov = (e / scale).T @ (e / scale).conj() / (len(near) * (n - 1)) / n
         out[line] = np.linalg.inv(np.linalg.cholesky(cov + 1e-4 * np.eye(12) / n)) / scale
     return np.tile(out, (4, 1, 1))
