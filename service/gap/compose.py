@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.gap.another_rig import other_rig
 from service.gap.candidates import Candidate
-from service.gap.curved import curved
+from service.gap.curved import Seen, curved, curved_instead
 from service.gap.evidence import log_likelihood
 from service.gap.fit import Problem
 from service.gap.fitted import Fit
@@ -163,6 +163,15 @@ def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
     return replace(there, left=max(significance(left, o), overall(left)), closes=1.0 if closes is None else closes)
 
 
+def _bent(e: Explained, explained: bool, plain: Seen, unseen: Observation) -> str | None:
+    """What curved signal stands behind a part's gap, in words; ``plain`` is the unseen sweep by the plain twin."""
+    best = on_sweep(e, chosen_in(e), unseen)
+    if explained and (reason := curved_instead(e, plain, best)):
+        return reason
+    # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
+    return curved(e, best) if not explained or e.order[0].unexplained > UNEXPLAINED else None
+
+
 def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen: Observation) -> Verdict:
     """One verdict from the parts': what nothing explains in one part outweighs what is explained in others."""
     own = {}
@@ -178,10 +187,7 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
         elif explained and (reason := lag_missing(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
-        # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
-        elif (own[e.part.path].kind == "no_gap" or (explained and e.order[0].unexplained > UNEXPLAINED)) and (
-            reason := curved(e, on_sweep(e, chosen_in(e), unseen))
-        ):
+        elif (explained or own[e.part.path].kind == "no_gap") and (reason := _bent(e, explained, (seen, z), unseen)):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,), bent=True)
     by_size = sorted(found, key=lambda e: -_excess(e))
     total = sum(_excess(e) for e in found)

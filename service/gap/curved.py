@@ -13,16 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above
+from service.gap.candidates import Candidate
 from service.gap.observation import HARMONIC_ERROR, MODEL_FLOOR, Observation
 from service.gap.predict import at_speed_of, measured_signal, weight, whole_displacement
 from service.gap.search import Explained
 from service.gap.significance import SIGNIFICANT
+from sim.effects import CATALOGUE
 from sim.harmonic_balance import STATIC_HZ
 from sim.rig import Rig
 from sim.twin import linear_model
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Seen = tuple[Observation, Complex]
+"""A sweep, and what a twin leaves of it, weighted, (P, H, n)."""
 
 POWERS = (2, 3)
 WORDS = {
@@ -35,32 +39,48 @@ OF_THE_MAGNETS = 2 * HARMONIC_ERROR
 """Share of what the twin's own magnets leave at a harmonic that is no proof: it may be their law's error."""
 
 
-def curved(e: Explained, unseen: tuple[Observation, Complex]) -> str | None:
+def curved(e: Explained, unseen: Seen) -> str | None:
     """What curvature the best explanation of a part leaves in its displacement or current, in words; None where none.
 
     ``unseen`` is the sweep that no fit saw and what the explanation leaves there, weighted, (P, H, n).
     """
-    if e.part.signal not in WORDS:
+    return _told(e, e.order[0].candidate, [*zip(e.ground.observations, e.left, strict=True), unseen])[0]
+
+
+def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
+    """What curvature, in words, explains a part better than the nonlinear effects that are named for it; else None.
+
+    What bends a force makes harmonics, too, and so may stand for what bends a signal. ``plain`` and ``best`` are the
+    sweep that no fit saw and what the plain twin and the best explanation leave there.
+    """
+    null, named = e.null.candidate, e.order[0].candidate
+    if not named.effects or not all(CATALOGUE[name].nonlinear for name in named.effects):
         return None
+    words, explained = _told(e, null, [*zip(e.ground.observations, e.plain, strict=True), plain])
+    on_unseen = float(np.sum(np.abs(plain[1]) ** 2) - np.sum(np.abs(best[1]) ** 2))
+    return words if explained > null.fit.chi_square - named.fit.chi_square + on_unseen else None
+
+
+def _told(e: Explained, twin: Candidate, sweeps: Sequence[Seen]) -> tuple[str | None, float]:
+    """The curvature that a twin leaves in a signal, in words where it is sure, and the chi-square that it explains."""
+    if e.part.signal not in WORDS:
+        return None, 0.0
     words, unit = WORDS[e.part.signal]
-    sweeps = [*zip(e.ground.observations, e.left, strict=True), unseen]
-    rigs = [at_speed_of(e.order[0].candidate.fit.rig, o) for o, _ in sweeps]
-    told = []
+    rigs = [at_speed_of(twin.fit.rig, o) for o, _ in sweeps]
+    told, explained = [], 0.0
     for power in POWERS:
         value, std = _curvature(sweeps, rigs, power, e.part.signal)
-        n = int(np.isfinite(std).sum())
-        sure = float(normal_above(chi2_tail(np.sum((value / std) ** 2), n))) if n else 0.0
-        if sure > SIGNIFICANT:
+        n, chi_square = int(np.isfinite(std).sum()), float(np.sum((value / std) ** 2))
+        explained += chi_square
+        if n and float(normal_above(chi2_tail(chi_square, n))) > SIGNIFICANT:
             k = int(np.argmax(np.abs(value / std)))
             axis = e.ground.nuisance.rig.axes[k]
             size = f"{value[k]:.2g} per {unit}{'' if power == 2 else '^2'} (standard deviation {std[k]:.1g})"
             told.append(f"in {axis} {e.part.signal} = x + c x^{power} with c = {size}")
-    return f"{words} {' and '.join(told)}" if told else None
+    return (f"{words} {' and '.join(told)}" if told else None), explained
 
 
-def _curvature(
-    sweeps: Sequence[tuple[Observation, Complex]], rigs: Sequence[Rig], power: int, signal: str
-) -> tuple[Real, Real]:
+def _curvature(sweeps: Sequence[Seen], rigs: Sequence[Rig], power: int, signal: str) -> tuple[Real, Real]:
     """Curvature c of each channel, (n,), and its standard deviation, infinite where nothing tells it.
 
     A harmonic of less than `MODEL_FLOOR` of the largest signal is no proof: two programs' integrators bend as much. Of

@@ -17,9 +17,10 @@ from service.gap.observation import Observation
 from service.gap.observed import Observed
 from service.gap.part import Ground, Values, driven_by_current, parts
 from service.gap.search import MOST, Explained, explain, plain_twin
-from service.gap.significance import SIGNIFICANT, alone_hz, significance
+from service.gap.significance import OUTLIER, SIGNIFICANT, alone_hz, significance
 from service.gap.telling import Telling
 from service.gap.verdict import VISIBLE
+from sim.effects import CATALOGUE
 
 ONE_SWEEP, FITTED = 80.0, 97.0
 """Percent that are done when the main sweep is explained, and when every fit is done."""
@@ -27,6 +28,9 @@ UNDERSTOOD = 4.0
 """Significance of what is left of the amplifiers up to which the plant is held against u through them."""
 NOISE_ALONE = 2.0
 """The same for the mean squared residual of a sweep: it counts single lines, of an amplifier at its limit, in full."""
+BEYOND_CHANCE = 36.0
+"""Chi-square that a prediction takes off data no fit has seen: were the effect not there, a change of any size would
+take off x^2 only where noise of x / 2 standard deviations or more happens to look like it; here 6."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +150,29 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
         return False
     o, z = on_sweep(e, chosen_in(e), unseen)
     clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
-    return clear or held_out(e, unseen).fails
+    return clear or held_out(e, unseen).fails or told_by_the_other(e, unseen)
+
+
+def told_by_the_other(e: Explained, unseen: Observation) -> bool:
+    """Whether an effect that the main sweep hardly shows predicts the other one beyond what chance could.
+
+    A force that grows with amplitude may be lost there in the mean of a band, and here in one effect's price.
+    """
+    best = chosen_in(e)
+    more = (
+        r.candidate
+        for r in e.order
+        if set(r.candidate.effects) > set(best.effects)
+        and any(CATALOGUE[name].nonlinear for name in set(r.candidate.effects) - set(best.effects))
+    )
+    left = _left(e, best, unseen)
+    return any(left - _left(e, c, unseen) > BEYOND_CHANCE for c in more)
+
+
+def _left(e: Explained, candidate: Candidate, unseen: Observation) -> float:
+    """Chi-square that an explanation of the main sweep leaves of the other one; an outlier counts up to a bound."""
+    _, z = on_sweep(e, candidate, unseen)
+    return float(np.minimum(np.abs(z) ** 2, 2 * OUTLIER).sum())
 
 
 def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:

@@ -9,7 +9,7 @@ import pytest
 from service.experiment.data import Experiment, Sweep
 from service.gap.candidates import Fitter
 from service.gap.compose import on_sweep
-from service.gap.curved import curved
+from service.gap.curved import curved, curved_instead
 from service.gap.diagnose import diagnose
 from service.gap.nuisance import nuisance
 from service.gap.observation import MODEL_FLOOR, Observation, observe
@@ -153,3 +153,28 @@ def plain(measured: Experiment, datasheet: Datasheet, path: str) -> tuple[Explai
         null, left = plain_twin(fitter, ground)
     e = Explained(ground, tuple(ranked(null, [])), left, left)
     return e, on_sweep(e, null, other)
+
+
+def test_an_effect_that_explains_less_than_a_bent_sensor_would_does_not_stand_for_it() -> None:
+    """A soft stop that the rotor only just reaches makes a harmonic 3, too."""
+    datasheet, truth = known_datasheet(seed=41)
+    rig = true_rig(truth)
+    measured = experiment(rig)
+    bent = replace(measured, sweeps=tuple(with_bent_sensors(rig, s, CUBIC_PER_M2) for s in measured.sweeps))
+    e, unseen = plain(bent, datasheet, "plant")
+
+    def named(effect: str, gain: float) -> Explained:
+        """An explanation that takes so much chi-square off the main sweep, and nothing off the other."""
+        null = e.null.candidate
+        (chi, size), *others = null.fit.groups
+        fit = replace(null.fit, effects=(effect,), values=({},), groups=((chi - gain, size), *others))
+        best = replace(e.null, candidate=replace(null, effects=(effect,), fit=fit))
+        return replace(e, order=(best, e.null))
+
+    assert "x^3" in (curved_instead(named("touchdown_contact", 20.0), unseen, unseen) or "")
+    assert curved_instead(named("touchdown_contact", 5000.0), unseen, unseen) is None
+    assert curved_instead(named("support_resonance", 20.0), unseen, unseen) is None, "what is linear makes no harmonic"
+    clean, unseen_clean = plain(measured, datasheet, "plant")
+    assert (
+        curved_instead(replace(named("touchdown_contact", 0.0), plain=clean.plain), unseen_clean, unseen_clean) is None
+    )
