@@ -29,8 +29,8 @@ UNDERSTOOD = 4.0
 NOISE_ALONE = 2.0
 """The same for the mean squared residual of a sweep: it counts single lines, of an amplifier at its limit, in full."""
 BEYOND_CHANCE = 36.0
-"""Chi-square that a prediction takes off data no fit has seen: were the effect not there, a change of any size would
-take off x^2 only where noise of x / 2 standard deviations or more happens to look like it; here 6."""
+"""Chi-square that a prediction takes off data no fit has seen: without the effect, a predicted change of x standard
+deviations takes off 2 n x - x^2 for noise of n along it, so that n has to be 6 or more, whatever x."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
 IRON = {"saturation_inverse_per_a": 0.1, "flux_share": 0.0, "flux_power": 4.0}
-INERTIA = {"mass_change": 0.03, "inertia_change": 0.0}
+LAG = {"time_constant_s": 2e-5, "delay_s": 0.0}
 QUIET_A, LOUD_A = 0.05, 0.15
 
 
@@ -52,7 +52,7 @@ def test_a_saturation_that_no_band_of_either_sweep_shows_is_told_by_the_louder_o
     ("effects", "alternative"),
     [
         pytest.param({}, ("magnetic_saturation", IRON), id="of a rig without it"),
-        pytest.param({"rotor_inertia": INERTIA}, ("rotor_inertia", INERTIA), id="of what the main sweep shows as well"),
+        pytest.param({"sensor_lag": LAG}, ("sensor_lag", LAG), id="of what the main sweep shows as well"),
     ],
 )
 def test_nothing_is_told(effects: dict[str, Values], alternative: tuple[str, Values]) -> None:
