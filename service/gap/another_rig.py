@@ -36,6 +36,10 @@ def other_rig(ground: Ground, fit: Fit) -> str | None:
     k, off = len(own), ground.nuisance.price(fit.theta[own])
     if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
         return None
+    away = ground.nuisance.off(fit.theta)
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
-    told = ", ".join(f"{names[j].replace('_', ' ')} by {abs(fit.theta[j]):.1f}" for j in worst)
-    return f"the datasheet seems to be of another rig; its values would be off by many tolerances ({told}): check it"
+    told = ", ".join(f"{names[j].replace('_', ' ')} by {away[j]:+.1f}" for j in worst)
+    return (
+        "the datasheet seems to be of another rig; its values would be off, or apart where they are alike in a rig, "
+        f"by many tolerances ({told}): check it"
+    )

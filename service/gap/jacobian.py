@@ -41,7 +41,7 @@ class _Motion:
 
 
 def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
-    """Derivative of the fundamental of i, (P, n, 3 n), per unit deviation of the amplifiers' values.
+    """Derivative of the fundamental of i, (P, n, 3 n), per unit of the amplifiers' values.
 
     Columns are gains, frequencies and dampings, axis by axis; ``rig`` is the rig at the present deviations.
     """
@@ -51,11 +51,12 @@ def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
     columns = np.zeros((len(o.line), n, 3 * n), dtype=complex)
     for k, (d_sampled, _) in enumerate(_amplifier_changes(rig, omega)):
         columns[:, axes, k * n + axes] = d_sampled[o.line] * crossed
-    return np.asarray(columns * nuisance.sigma[2 * n : 5 * n])
+    of_amplifiers = slice(2 * n, 5 * n)
+    return np.asarray(columns @ nuisance.per_unit[of_amplifiers, of_amplifiers])
 
 
 def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True) -> Complex:
-    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit deviation.
+    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit of the vector.
 
     ``rig`` is the rig at the present deviations, effects included; the columns of the amplifiers' values are left
     at zero where they are not asked for.
@@ -88,7 +89,7 @@ def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bo
         columns[:, n:, block] = per_magnet * (point.ki * eddy * d_base)[:, None, :]
     columns[:, n + axes, 5 * n + axes] = displacement
     _mechanical_columns(nuisance, rig, motion, per_force, point.ks, rotation, columns)
-    return np.asarray(columns * nuisance.sigma)
+    return np.asarray(columns @ nuisance.per_unit)
 
 
 def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> _Motion:

@@ -1,6 +1,7 @@
 """What a datasheet leaves uncertain: the parameters that every candidate is fitted beside.
 
-Each parameter is scaled to its own tolerance, so the prior of the vector is a unit normal.
+Each parameter is scaled to its own tolerance, and errors with one cause are correlated. The vector that is fitted has a
+unit normal prior; the root of the correlation makes deviations of it.
 """
 
 from __future__ import annotations
@@ -20,23 +21,34 @@ ASSUMED_DOF = 4.0
 """Degrees of freedom of Student's t for assumed tolerances (Lange, Little and Taylor, JASA 84, 1989, pp. 881-896):
 within its tolerance a value costs what it would with a normal, at twice it 3.5 instead of 4, at four 8, not 16."""
 
+ALIKE_IN_PLANES, DAMPED_ALIKE = 0.75, 0.5
+"""Correlation of a mode's errors in the two planes, and of its damping's: a datasheet states one mode for both, and
+the rotor is nearly the same in them. By tolerances of 0.5 and 50 %, the planes' frequencies then differ by 0.35 % and
+their dampings by a factor of 1.6, one sigma; in the reference rig by 0.19 and 0.12 %, by factors of 1.1 and 2.1."""
+ALIKE_MAGNETS = 0.5
+"""Correlation of the magnets' errors: one design, one air gap and one bias stand behind them. The reference rig's
+magnets had half of the force of their design, all four."""
+
 FAR_OFF = 2.5
 """Tolerances from which a datasheet's value is told to be off."""
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Vector of unit-normal deviations -> rig.
+    """Vector of unit normals -> deviations from the datasheet -> rig.
 
-    Blocks, in order: ki and ks per axis, amplifier gain, frequency and damping per axis, sensor gain per axis
-    (all logarithmic), mass, inertia (logarithmic), sensor positions A and B, then per plane and mode frequency
-    and damping (logarithmic) and shapes at bearings and sensors.
+    Blocks of the deviations, in order: ki and ks per axis, amplifier gain, frequency and damping per axis, sensor
+    gain per axis (all logarithmic), mass, inertia (logarithmic), sensor positions A and B, then per plane and mode
+    frequency and damping (logarithmic) and shapes at bearings and sensors. The vector ``theta`` has the same blocks;
+    where errors are correlated, each of its values moves the others' deviations along.
     """
 
     rig: Rig
     """The twin at zero deviation, effects of its datasheet included."""
     sigma: Real
-    """(k,) physical size of one unit."""
+    """(k,) physical size of one tolerance."""
+    root: Real
+    """(k, k) of the deviations' correlation, symmetric: deviations in tolerances are root theta"""
     names: tuple[str, ...]
     stated: bool
     """whether the datasheet states the tolerances, or they are this product's defaults"""
@@ -45,10 +57,10 @@ class Nuisance:
         return len(self.sigma)
 
     def at(self, theta: Real, base: Rig | None = None) -> Rig:
-        """The rig at deviations ``theta``, (k,); ``base`` may carry other effects of the same datasheet."""
+        """The rig at ``theta``, (k,); ``base`` may carry other effects of the same datasheet."""
         rig = base or self.rig
         n = rig.n_axes
-        v = iter(np.split(np.asarray(theta) * self.sigma, self._splits(n)))
+        v = iter(np.split(self.off(theta) * self.sigma, self._splits(n)))
         magnets = replace(rig.magnets, ki=rig.magnets.ki * np.exp(next(v)), ks=rig.magnets.ks * np.exp(next(v)))
         amp = rig.amplifiers
         gain, frequency, damping = np.exp(next(v)), np.exp(next(v)), np.exp(next(v))
@@ -90,6 +102,15 @@ class Nuisance:
         """Number of modes of the datasheet, per plane."""
         return len(self.rig.rotor.modes[0])
 
+    def off(self, theta: Real) -> Real:
+        """Deviations from the datasheet in its tolerances, (k,)."""
+        return np.asarray(self.root @ theta)
+
+    @property
+    def per_unit(self) -> Real:
+        """(k, k) physical deviations per unit of the vector."""
+        return np.asarray(self.sigma[:, None] * self.root)
+
     def price(self, theta: Real) -> float:
         """What the tolerances hold against some of the deviations, as a chi-square.
 
@@ -101,8 +122,9 @@ class Nuisance:
 
     def far_off(self, theta: Real) -> list[str]:
         """Values that lie beyond `FAR_OFF` tolerances of the datasheet's, in words, the farthest first."""
-        order = [int(k) for k in np.argsort(-np.abs(theta)) if abs(theta[k]) > FAR_OFF]
-        return [f"{_words(self.names[k])} {_moved(self.names[k], float(theta[k] * self.sigma[k]))}" for k in order]
+        off = self.off(theta)
+        order = [int(k) for k in np.argsort(-np.abs(off)) if abs(off[k]) > FAR_OFF]
+        return [f"{_words(self.names[k])} {_moved(self.names[k], float(off[k] * self.sigma[k]))}" for k in order]
 
     def _splits(self, n: int) -> Real:
         sizes = [n, n, n, n, n, n, 1, 1, 2] + [6] * (self.n_modes * (n // 2))
@@ -132,7 +154,36 @@ def nuisance(datasheet: Datasheet) -> Nuisance:
             labels = ("frequency", "damping", "bearing_A", "bearing_B", "sensor_A", "sensor_B")
             names += [f"mode{k + 1}_{label}_{plane}" for label in labels]
             sigma += [t.mode_frequency, t.mode_damping, *spread.tolist()]
-    return Nuisance(rig, np.array(sigma, dtype=float), tuple(names), datasheet.tolerance_stated)
+    root = _root(_alike(len(sigma), n, len(datasheet.modes)))
+    return Nuisance(rig, np.array(sigma, dtype=float), root, tuple(names), datasheet.tolerance_stated)
+
+
+def _alike(k: int, n: int, modes: int) -> Real:
+    """Correlation of ``k`` deviations, (k, k): ki and ks of n magnets come first, the planes' modes last."""
+    alike = np.eye(k)
+    for block in (slice(0, n), slice(n, 2 * n)):
+        alike[block, block] += ALIKE_MAGNETS * (1 - np.eye(n))
+    if n == 4:
+        of_modes = np.tile([ALIKE_IN_PLANES, DAMPED_ALIKE, *[ALIKE_IN_PLANES] * 4], modes)
+        y = k - len(of_modes) + np.arange(len(of_modes))
+        x = y - len(of_modes)
+        alike[x, y] = alike[y, x] = of_modes
+    return alike
+
+
+def _root(correlation: Real) -> Real:
+    """The symmetric root: a value of the vector stays nearest to the deviation of its name.
+
+    >>> root = _root(np.array([[1.0, 0.75], [0.75, 1.0]]))
+    >>> np.round(root, 3)
+    array([[0.911, 0.411],
+           [0.411, 0.911]])
+    >>> np.round(root @ root, 3)
+    array([[1.  , 0.75],
+           [0.75, 1.  ]])
+    """
+    variances, along = np.linalg.eigh(correlation)
+    return np.asarray((along * np.sqrt(variances)) @ along.T)
 
 
 def _words(name: str) -> str:
