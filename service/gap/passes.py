@@ -19,7 +19,7 @@ from service.gap.part import Ground, Values, driven_by_current, parts
 from service.gap.search import MOST, Explained, explain, plain_twin
 from service.gap.significance import OUTLIER, SIGNIFICANT, alone_hz, significance
 from service.gap.telling import Telling
-from service.gap.verdict import VISIBLE
+from service.gap.verdict import VISIBLE, rejected
 from sim.effects import CATALOGUE
 
 ONE_SWEEP, FITTED = 80.0, 97.0
@@ -52,12 +52,13 @@ def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
     found, fault = _explained(fitter, data, (data.o,), {}, telling, (0.0, first))
     if data.lines_only or fault:
         return Found(tuple(found), fault, data.unseen, data.name)
-    failing = {e.part.path: e for e in found if _fails_on(e, data.unseen)}
-    alone = {e.part.path: hz for e in found if (hz := _fails_alone_hz(e, data.unseen))}
+    undecided = [e for e in found if not _decided(e)]
+    failing = {e.part.path: e for e in undecided if _fails_on(e, data.unseen)}
+    alone = {e.part.path: hz for e in undecided if (hz := _fails_alone_hz(e, data.unseen))}
     if not failing and not alone:
         return Found(tuple(found), fault, data.unseen, data.name)
     seen, unseen, name = data.halves(next(iter(alone.values()), None))
-    failing |= {e.part.path: e for e in found if e.part.path in alone}
+    failing |= {e.part.path: e for e in undecided if e.part.path in alone}
     known = {e.part.path: e for e in found if e.part.path not in failing}
     found, fault = _explained(fitter, data, (data.o, seen), known, telling, (ONE_SWEEP, FITTED), failing)
     note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
@@ -141,13 +142,13 @@ def _understood(amplifiers: Explained) -> bool:
     return amplifiers.remaining < UNDERSTOOD and all(chi < NOISE_ALONE * count for chi, count in groups)
 
 
-def _fails_on(e: Explained, unseen: Observation) -> bool:
-    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it.
+def _decided(e: Explained) -> bool:
+    """Whether more data explain no more: the main sweep rejects what explains it best, or is of another rig."""
+    return rejected(e.order[0], e.remaining) or hopeless(e.ground, (r.candidate.fit for r in e.order))
 
-    Not where the datasheet is of another rig: that sweep would tell the same.
-    """
-    if hopeless(e.ground, (r.candidate.fit for r in e.order)):
-        return False
+
+def _fails_on(e: Explained, unseen: Observation) -> bool:
+    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it."""
     o, z = on_sweep(e, chosen_in(e), unseen)
     clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
     return clear or held_out(e, unseen).fails or told_by_the_other(e, unseen)

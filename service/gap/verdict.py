@@ -31,6 +31,8 @@ VISIBLE = 1.5
 ALIKE = 6.0
 """Log evidence behind the best up to which a candidate counts as not told apart."""
 LARGEST_CLASS = 3
+LEAVES, LEAVES_ALL = 6.0, 8.0
+"""Normal deviates of what an effect leaves, and of a gap without any, from which it may be none of these."""
 SURE = 1e-12
 """Probability that rivals keep however certain an explanation was: unseen data can still speak for them."""
 CLEAR = 30.0
@@ -221,6 +223,23 @@ def at_the_end_of_its_range(candidate: Candidate) -> bool:
     )
 
 
+def rejected(best: Ranked, remaining: float) -> bool:
+    """Whether the sweeps that were fitted reject their best explanation: it leaves too much of the gap.
+
+    ``remaining`` is the significance (normal deviate) of what it leaves.
+    """
+    if not best.candidate.effects:
+        return remaining > LEAVES_ALL
+    bent = len(best.candidate.effects) > 1 or at_the_end_of_its_range(best.candidate)
+    allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
+    return remaining > LEAVES and (best.unexplained > allowed or _of_one_sweep(best) > UNEXPLAINED)
+
+
+def _of_one_sweep(best: Ranked) -> float:
+    """The largest share left of a sweep's fundamental: one that explains another sweep only explains neither."""
+    return max(best.shares[::2], default=0.0)
+
+
 def decide(
     order: Sequence[Ranked],
     remaining: float,
@@ -239,17 +258,14 @@ def decide(
     """
     best = order[0]
     if not best.candidate.effects:
-        if min(remaining, significant) > 8.0:
+        if rejected(best, min(remaining, significant)):
             return Verdict("none_of_these", (), (), 0.9, ("no effect of the catalogue explains any of the gap",))
         return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
     words = " + ".join(effects)
     closed = 1 - best.unexplained if there.closure is None else there.closure
-    bent = len(effects) > 1 or at_the_end_of_its_range(best.candidate)
-    allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
-    of_one_sweep = max(best.shares[::2], default=0.0)  # one that explains another sweep only explains neither
-    if remaining > 6.0 and (best.unexplained > allowed or of_one_sweep > UNEXPLAINED or closed < CLOSES):
-        share = min(max(best.unexplained, of_one_sweep, 1 - closed), 1.0)
+    if rejected(best, remaining) or (remaining > LEAVES and closed < CLOSES):
+        share = min(max(best.unexplained, _of_one_sweep(best), 1 - closed), 1.0)
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     if there.fails:

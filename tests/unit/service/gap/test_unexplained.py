@@ -42,16 +42,18 @@ def with_stalling_amplifiers(rig: Rig, s: Sweep) -> Sweep:
 
 
 def test_amplifiers_that_nothing_explains_are_no_datasheet_of_another_rig() -> None:
-    """They draw their values as far as they go, but the rotor is the datasheet's."""
+    """They draw their values as far as they go, but the rotor is the datasheet's. More data explain them no better."""
     datasheet, truth = known_datasheet(seed=35)
     rig = true_rig(truth)
     measured = experiment(rig)
     sweeps = tuple(with_stalling_amplifiers(rig, s) for s in measured.sweeps)
-    verdict = diagnose(*one_plane(replace(measured, sweeps=sweeps), datasheet)).to_dict()["verdict"]
+    found = diagnose(*one_plane(replace(measured, sweeps=sweeps), datasheet)).to_dict()
+    verdict = found["verdict"]
     assert verdict["kind"] == "none_of_these"
     assert verdict["reasons"][0].startswith("amplifier: ")
     assert "another rig" not in " ".join(verdict["reasons"])
     assert "most of all in the amplifier" in verdict["sentence"]
+    assert not any("were fitted too" in note for note in found["notes"])
 
 
 def test_what_only_another_sweep_shows_is_told_of_its_part() -> None:
