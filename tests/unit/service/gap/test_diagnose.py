@@ -157,9 +157,10 @@ def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     (told,) = [note for note in clean.notes if "identified from this experiment" in note]
     first, second = (float(f) for f in re.findall(r"([\d.]+) Hz", told))
     assert (first, second) == pytest.approx([m.frequency_hz for m in truth.modes], rel=1e-3)
-    delayed = experiment(with_effects(rig, {"loop_delay": {"delay_s": 3e-5}}))
-    late = diagnose(*one_plane(delayed, replace(datasheet, modes=())))
-    assert late.verdict.effects == ("loop_delay",)
+    housing = {"inverse_mass_per_kg": 1 / 900, "frequency_hz": 430.0}
+    two = experiment(with_effects(rig, {"loop_delay": {"delay_s": 3e-5}, "support_resonance": housing}))
+    found = diagnose(*one_plane(two, replace(datasheet, modes=()))).verdict
+    assert found.effects == ("loop_delay", "support_resonance")
 
 
 @pytest.mark.parametrize("factor", [2.0, 2.6])

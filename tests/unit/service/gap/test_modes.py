@@ -1,11 +1,13 @@
 """A datasheet without modes takes those that its experiment shows, but not what its twin has already."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.gap.modes import with_identified_modes
+from sim.datasheet import Datasheet
 from sim.twin import rig_from_datasheet, with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep
 from tests.support.two_axes import one_plane
@@ -13,7 +15,7 @@ from tests.support.two_axes import one_plane
 SHEET, TRUTH = known_datasheet()
 
 
-def test_a_coupling_of_the_planes_makes_no_further_modes_of_the_rotor():
+def test_a_coupling_of_the_planes_makes_no_further_modes_of_the_rotor() -> None:
     """Through it the other plane's closed loop shows, resonant beside each mode."""
     coupled = with_effects(rig_from_datasheet(TRUTH), {"magnetic_cross_coupling": {"rotation_rad": 0.05}})
     peaks = [491, 492.5, 494, 497, 498.5, 499.5, 500.5, 502, 504, 905, 908, 911, 915, 920, 925, 930]
@@ -23,13 +25,53 @@ def test_a_coupling_of_the_planes_makes_no_further_modes_of_the_rotor():
     assert [m.frequency_hz for m in found.modes] == pytest.approx([m.frequency_hz for m in TRUTH.modes], rel=2e-3)
 
 
-def test_a_support_that_the_twin_names_is_no_mode_of_the_rotor_as_well():
-    effects = (("support_resonance", (("inverse_mass_per_kg", 1 / 900), ("frequency_hz", 430.0))),)
-    data = experiment(rig_from_datasheet(replace(TRUTH, effects=effects)))
-    data, unknown = one_plane(data, replace(SHEET, modes=()))
-    with_it, _ = with_identified_modes(data, unknown)
-    assert any(abs(m.frequency_hz - 430) < 10 for m in with_it.modes)
-    named, _ = with_identified_modes(data, replace(unknown, effects=effects))
-    assert not any(abs(m.frequency_hz - 430) < 10 for m in named.modes)
-    assert any(abs(m.frequency_hz - 493) < 2 for m in named.modes)
-    assert named.effects == effects
+def shown_by(truth: Datasheet) -> tuple[list[float], str]:
+    """Modes (Hz) that an experiment on one plane of a rig gives a datasheet without any, and the note."""
+    data, unknown = one_plane(experiment(rig_from_datasheet(truth)), replace(SHEET, modes=()))
+    found, note = with_identified_modes(data, unknown)
+    return [m.frequency_hz for m in found.modes], note
+
+
+def on_a_support(truth: Datasheet, **values: float) -> Datasheet:
+    support = {"inverse_mass_per_kg": 1 / 900, **values}
+    return replace(truth, effects=(("support_resonance", tuple(support.items())),))
+
+
+@pytest.mark.parametrize(
+    ("values", "left_hz"),
+    [
+        pytest.param({"frequency_hz": 430.0}, [430.0], id="housing"),
+        pytest.param({"frequency_hz": 130.0}, [130.0], id="far below the modes"),
+        pytest.param(
+            {"frequency_hz": 430.0, "pedestals": 1.0, "frequency_ratio": 0.9}, [0.9 * 430.0, 430.0], id="two pedestals"
+        ),
+    ],
+)
+def test_what_moves_bearings_and_sensors_as_a_support_is_no_mode_of_a_lopsided_rotor(
+    values: dict[str, float], left_hz: list[float]
+) -> None:
+    modes_hz, note = shown_by(on_a_support(TRUTH, **values))
+    assert modes_hz == pytest.approx([m.frequency_hz for m in TRUTH.modes], rel=2e-3)
+    left = note.split("; ")[-1]
+    assert "as a support does" in left
+    assert [float(f) for f in re.findall(r"([\d.]+) Hz", left)] == pytest.approx(left_hz, rel=2e-3)
+
+
+def test_a_rotor_that_is_even_itself_may_have_such_a_mode() -> None:
+    first, second = TRUTH.modes
+    even = (
+        replace(first, shape_at_bearings=(0.06, 0.06), shape_at_sensors=(0.11, 0.11)),
+        replace(second, shape_at_bearings=(0.15, -0.15), shape_at_sensors=(0.11, -0.11)),
+    )
+    modes_hz, note = shown_by(replace(TRUTH, modes=even))
+    assert modes_hz == pytest.approx([m.frequency_hz for m in even], rel=2e-3)
+    assert "as a support does" not in note
+
+
+def test_a_support_that_the_twin_names_is_no_mode_of_the_rotor_as_well() -> None:
+    named = on_a_support(TRUTH, frequency_hz=430.0)
+    data, unknown = one_plane(experiment(rig_from_datasheet(named)), replace(SHEET, modes=()))
+    found, note = with_identified_modes(data, replace(unknown, effects=named.effects))
+    assert [m.frequency_hz for m in found.modes] == pytest.approx([m.frequency_hz for m in TRUTH.modes], rel=2e-3)
+    assert found.effects == named.effects
+    assert "as a support does" not in note
