@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Experiment
+from service.identification.supports import SAME, move_as_supports
 from sim.datasheet import Datasheet, Mode
 from sim.errors import AmbError
 from sim.folded import folded
@@ -20,23 +21,13 @@ if TYPE_CHECKING:
 SHAPE_TOLERANCE = 0.2
 """Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors
 by up to 14 % (measured on rigs of an independent program)."""
-SUPPORTS = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
-"""How A and B move on a common support, and on the pedestal of either."""
-MOVES_AS_ONE = 0.02
-"""Angle (rad) between one of these and how A and B move in a mode up to which they move as on a support.
-Supports of the independent program, their sensors' gains off by 1.5 %, are within 0.001."""
-LOPSIDED = 0.1
-"""The same of another mode from which on it shows that the rotor has no symmetry that would make its modes so."""
-SAME = 0.02
-"""Relative difference of frequency up to which modes of the two planes are one mode of the rotor."""
 
 
 def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple[Datasheet, str]:
     """The datasheet with the rotor's modes as identified from the experiment, and a note on it.
 
-    A resonance that moves both bearings and both sensors alike, or those of one end alone, is a support's (law of
-    sim/effects/support_resonance.py) unless the rotor's other modes are as even: it is left to the diagnosis. Any other
-    cannot be told from a mode of the rotor.
+    What moves the ends as only a support does is left to the diagnosis. Any other resonance cannot be told from a mode
+    of the rotor.
     """
     from service.identification.fit import identify  # takes a while, and few datasheets know no modes
 
@@ -53,7 +44,8 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
     shown = [_mean([mode, *_same(mode, of_planes[1:])]) for mode in of_planes[0]]
     if not shown:
         return datasheet, "the datasheet knows no flexible mode, and the experiment shows none"
-    modes = [mode for mode in shown if not _of_a_support(mode, shown)]
+    support = move_as_supports(np.array([(mode.shape_at_bearings, mode.shape_at_sensors) for mode in shown]))
+    modes, left = ([mode for mode, s in zip(shown, support, strict=True) if s == of] for of in (False, True))
     tolerance = replace(datasheet.tolerance, mode_shape=max(datasheet.tolerance.mode_shape, SHAPE_TOLERANCE))
     note = "the datasheet knows no flexible mode"
     if modes:
@@ -61,31 +53,13 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
             f": {_told(modes)} were identified from this experiment; another mode cannot be told from them, nor a "
             "resonance of the support that moves its ends unlike"
         )
-    if left := [mode for mode in shown if mode not in modes]:
+    if left:
         note += f"; {_told(left)} moves bearings and sensors as a support does, and was taken for no mode of the rotor"
     return replace(datasheet, modes=tuple(modes), tolerance=tolerance), note
 
 
 def _told(modes: Sequence[Mode]) -> str:
     return " and ".join(f"{mode.frequency_hz:.1f} Hz" for mode in modes)
-
-
-def _of_a_support(mode: Mode, shown: Sequence[Mode]) -> bool:
-    """Whether a mode moves bearings and sensors as a support does, and another one shows that the rotor would not."""
-    if np.dot(mode.shape_at_bearings, mode.shape_at_sensors) <= 0:
-        return False
-    return any(
-        _off(mode, moves) < MOVES_AS_ONE
-        and any(min(_off(other, moves), _off(other, (moves[0], -moves[1]))) > LOPSIDED for other in shown)
-        for moves in SUPPORTS
-    )
-
-
-def _off(mode: Mode, moves: tuple[float, float]) -> float:
-    """Angle between how A and B move in a mode and as a support moves them, at bearings or sensors, the larger; rad."""
-    shapes = np.array([mode.shape_at_bearings, mode.shape_at_sensors])
-    along = np.abs(shapes @ moves) / np.linalg.norm(shapes, axis=1) / np.linalg.norm(moves)
-    return float(np.arccos(np.clip(along, 0, 1)).max())
 
 
 def _apart(modes: Sequence[ModeResult]) -> list[ModeResult]:

@@ -39,6 +39,7 @@ from service.identification.rigid import rigid_response
 from service.identification.selection import Selected
 from service.identification.staged import StagedFit
 from service.identification.subspace import subspace
+from service.identification.supports import told_supports
 from service.identification.uncertainty import Uncertainty, response_std, uncertainty_of
 from service.identification.validation import all_pass
 from sim.datasheet import Datasheet
@@ -66,6 +67,7 @@ def assemble(
     seen = _measured_sensitivity(computed(points, model.known.chain))
     peaks = axis_margins(model, controller, u.covariance, u.free, seen)
     total = float(np.sqrt(np.mean(rms**2)))
+    found_modes = modes(model, u, points, selected.splits)
     return PlaneResult(
         plane=points.plane,
         axes=points.axes,
@@ -74,7 +76,7 @@ def assemble(
         parameter_names=tuple(np.array(model.layout.names)[u.free].tolist()),
         amplifiers=amplifiers(model, u, data, fits, held_out),
         stiffness=stiffness(model, u, datasheet, points),
-        modes=modes(model, u, points, selected.splits),
+        modes=found_modes,
         delay_s=_delay(model, u, points),
         poles=roots(model, u, plant_poles(model), pole_pencil),
         zeros=roots(model, u, transmission_zeros(model), zero_pencil),
@@ -114,7 +116,7 @@ def assemble(
         displacement=_displacement(points, datasheet),
         subspace=subspace(plant, 2 * (2 + model.layout.n_modes)),
         status=refined.fit.status,
-        warnings=_warnings(points, refined, u, total),
+        warnings=(*_warnings(points, refined, u, total), *told_supports(found_modes, datasheet)),
         covariance_from_data=u.from_data,
         closed_loop=predicted_closed_loop(model, controller, points if held_out is None else held_out),
     )
