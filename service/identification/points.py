@@ -146,7 +146,7 @@ def planes_of(axes: tuple[str, ...]) -> dict[str, tuple[int, int]]:
 def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints:
     """Usable points of a sweep that excite one plane.
 
-    Points with amplitude 0, not-a-number or a flag in `UNUSABLE` are left out and listed.
+    Points with amplitude 0, not-a-number, no displacement at all or a flag in `UNUSABLE` are left out and listed.
 
     Raises
     ------
@@ -167,13 +167,15 @@ def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints
     signals = [sweep.R[where], sweep.U[where], sweep.Y[where]] + ([] if sweep.I is None else [sweep.I[where]])
     finite = np.all([np.isfinite(x).all(axis=(1, 2)) for x in signals], axis=0)
     driven = (sweep.amplitude_a > 0) & (np.abs(np.nan_to_num(signals[1])).max(axis=(1, 2)) > 0)
+    heard = np.abs(np.nan_to_num(signals[2])).max(axis=(1, 2)) > 0
     flags = sweep.flags or ("",) * sweep.n_points
     sound = np.array([not any(word in f.lower() for word in UNUSABLE) for f in flags], dtype=bool)
     left_out = []
-    for p in np.flatnonzero(members & ~(finite & driven & sound)):
-        why = "not finite" if not finite[p] else "amplitude 0" if not driven[p] else flags[p]
+    usable = finite & driven & heard & sound
+    for p in np.flatnonzero(members & ~usable):
+        why = _why_not(bool(finite[p]), bool(driven[p]), bool(heard[p])) or flags[p]
         left_out.append(f"{axes[sweep.axis[p]]} at {sweep.frequency_hz[p]:.4g} Hz: {why}")
-    keep = np.flatnonzero(members & finite & driven & sound)
+    keep = np.flatnonzero(members & usable)
     keep = keep[np.lexsort((sweep.axis[keep], sweep.frequency_hz[keep]))]
     r, u, y = (np.ascontiguousarray(x[keep], dtype=complex) for x in signals[:3])
     i = np.ascontiguousarray(signals[3][keep], dtype=complex) if len(signals) == 4 else None
@@ -192,6 +194,14 @@ def plane_points(sweep: Sweep, axes: tuple[str, ...], plane: str) -> PlanePoints
         many=ManyLines.of(sweep, keep),
         together=_together(sweep, keep, pair),
     )
+
+
+def _why_not(finite: bool, driven: bool, heard: bool) -> str:
+    if not finite:
+        return "not finite"
+    if not driven:
+        return "amplitude 0"
+    return "" if heard else "y reads 0 in every block, below the resolution of the log or of a sensor without a signal"
 
 
 def _together(sweep: Sweep, keep: NDArray[np.int64], pair: tuple[int, int]) -> Together | None:

@@ -11,6 +11,9 @@ import numpy as np
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real
 
+FAR = 1e3
+"""How many times larger or smaller than where it starts a factor may become: beyond, y does not tell it at all."""
+
 
 def inverse_mass(mass_kg: float, inertia_kgm2: float, bearing_from_cog_m: tuple[float, float]) -> Real:
     """M^-1 from forces to accelerations at the bearings (Appendix B), (2, 2).
@@ -85,14 +88,14 @@ def rigid_refined(
         stack = d.reshape(-1, 4)
         return np.concatenate([e.ravel().real, e.ravel().imag]), np.concatenate([stack.real, stack.imag])
 
-    theta = np.concatenate([ki, ks])
+    theta = start = np.concatenate([ki, ks])
     r, jacobian = terms(theta)
     for _ in range(rounds):
         step = np.linalg.lstsq(jacobian * theta, r, rcond=None)[0] * theta
         size = 1.0
         while size > 1e-4:
             trial = theta + size * step
-            if np.all(trial > 0):
+            if np.all((trial > start / FAR) & (trial < start * FAR)):
                 now, slope = terms(trial)
                 if now @ now <= r @ r * (1 + 1e-12):
                     break

@@ -75,3 +75,18 @@ def test_a_support_that_the_twin_names_is_no_mode_of_the_rotor_as_well() -> None
     assert [m.frequency_hz for m in found.modes] == pytest.approx([m.frequency_hz for m in TRUTH.modes], rel=2e-3)
     assert found.effects == named.effects
     assert "as a support does" not in note
+
+
+def test_sensors_elsewhere_do_not_move_a_mode_from_bearings_to_sensors() -> None:
+    """Data show the product of both; the ratio follows the stiffness at work, and whatever is not in the model."""
+    sheet, truth = known_datasheet(seed=8)
+    moved = with_effects(rig_from_datasheet(truth), {"sensor_position": {"shift_A_m": 0.02, "shift_B_m": 0.01}})
+    found, _ = with_identified_modes(*one_plane(experiment(moved), replace(sheet, modes=())))
+    assert len(found.modes) == len(truth.modes)
+    for mode, true in zip(found.modes, truth.modes, strict=True):
+        bearings, sensors = (
+            np.linalg.norm(getattr(mode, of)) / np.linalg.norm(getattr(true, of))
+            for of in ("shape_at_bearings", "shape_at_sensors")
+        )
+        assert 0.4 < bearings / sensors < 2.5
+        assert bearings * sensors == pytest.approx(1, rel=0.3)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.data import Experiment
+from service.experiment.data import Experiment, Sweep
 from service.identification.fit import Options, identify
 from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
@@ -153,6 +153,29 @@ def test_points_that_cannot_be_used_are_left_out_and_listed(experiment: Experime
     assert "lower amplitude" not in notes
     assert "1 point had not settled" in notes
     assert result.planes["x"].stiffness["kiA"].value == pytest.approx(181, rel=5e-4)
+
+
+@pytest.mark.parametrize("step_m", [1e-7, 1e-6, 1e-5])
+def test_a_log_of_coarse_steps_costs_the_points_that_read_nothing_and_is_said_not_to_fit(
+    experiment: Experiment, datasheet: Datasheet, step_m: float
+) -> None:
+    """Lines are 18 um at most and 0.8 um in the median: high ones round to 0 in every block."""
+
+    def logged(sweep: Sweep) -> Sweep:
+        return replace(sweep, Y=step_m * (np.round(sweep.Y.real / step_m) + 1j * np.round(sweep.Y.imag / step_m)))
+
+    result = identify(replace(experiment, sweeps=tuple(map(logged, experiment.sweeps))), datasheet)
+    for plane in result.planes.values():
+        assert not plane.adequate
+        assert any("y reads 0 in every block" in warning for warning in plane.warnings)
+        assert all(np.isfinite([e.value for e in plane.stiffness.values()]))
+
+
+def test_a_plane_without_any_displacement_is_refused_in_one_line(experiment: Experiment, datasheet: Datasheet) -> None:
+    dead = tuple(replace(sweep, Y=np.zeros_like(sweep.Y)) for sweep in experiment.sweeps)
+    with pytest.raises(AmbError, match="y reads 0 in every block") as caught:
+        identify(replace(experiment, sweeps=dead), datasheet)
+    assert "\n" not in str(caught.value)
 
 
 def test_one_excited_input_is_refused_in_one_line(experiment: Experiment, datasheet: Datasheet) -> None:
