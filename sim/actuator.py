@@ -13,11 +13,10 @@ from sim.rig import Array, Contact, Magnets, Rig
 
 Complex = NDArray[np.complex128]
 
-_PLAY_EDGES_A = 3.0 * (np.arange(33) / 32) ** 2
-PLAY_THRESHOLDS_A = (_PLAY_EDGES_A[1:] + _PLAY_EDGES_A[:-1]) / 2
-"""Thresholds of the plays that make a Rayleigh loop, graded so that small currents see several of them; in the
-middle of their share of the current, so that the sum of plays is the loop to second order."""
-PLAY_WEIGHTS_A = np.diff(_PLAY_EDGES_A)
+NARROW = 1e-6
+"""Width of a band of plays, as a share of their half width, below which they are one."""
+_PLAYS, _WIDEST_PLAY_A = 32, 3.0
+"""Plays that stand for those of every width, and the half width beyond which no current moves one."""
 
 
 def saturated(m: Magnets, current_a: Array) -> Array:
@@ -146,21 +145,29 @@ def rayleigh_coefficient(m: Magnets) -> Array:
     return np.asarray(tangent / ((4 / (3 * math.pi) - tangent) * m.hysteresis_reference_a))
 
 
-def play_share(m: Magnets) -> Array:
-    """c of one play beside the current itself, b = i + c play(i), (n,).
+def play_band(m: Magnets) -> tuple[float, float, float]:
+    """Half widths of the narrowest and of the widest play, A, and how dense they are over those of a Rayleigh loop.
 
-    The play's fundamental at twice its width is (1/2 - j/pi) A, where its lag is largest (Krasnosel'skii and
-    Pokrovskii, Systems with Hysteresis, 1989, chapter 2).
+    b = i + 2 alpha integral play_r(i) dr, r from 0 to infinity, is Lord Rayleigh's loop (Krasnosel'skii and Pokrovskii,
+    Systems with Hysteresis, 1989, chapter 2). Plays from r1 to r2 have the weight that all up to r2 have there, so that
+    one play, r1 = r2, has some too.
     """
-    tangent = np.tan(m.hysteresis_rad)
-    return np.asarray(tangent / (1 / math.pi - tangent / 2))
+    low, inverse = m.hysteresis_narrowest_a, m.hysteresis_widest_inverse_per_a
+    if not inverse:
+        return low, math.inf, 1.0
+    high = max(low, 1 / inverse)
+    return low, high, high / (high - low) if high - low > NARROW * high else math.inf
 
 
 def plays(m: Magnets) -> tuple[Array, Array, Array]:
     """Strength of each axis, (n,), and weights and half widths of the plays, b = i + 2 strength sum w_j play_j(i)."""
-    if m.hysteresis_width_a > 0:
-        return play_share(m) / 2, np.ones(1), np.array([m.hysteresis_width_a])
-    return rayleigh_coefficient(m), PLAY_WEIGHTS_A, PLAY_THRESHOLDS_A
+    low, high, density = play_band(m)
+    if math.isinf(density):
+        return rayleigh_coefficient(m), np.array([high]), np.array([high])
+    # Graded, so that small currents see several of them, and in the middle of their share of the current, so that the
+    # sum of plays is the loop to second order.
+    edges = low + (max(min(high, _WIDEST_PLAY_A), low) - low) * (np.arange(_PLAYS + 1) / _PLAYS) ** 2
+    return rayleigh_coefficient(m), density * np.diff(edges), (edges[1:] + edges[:-1]) / 2
 
 
 def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:

@@ -15,7 +15,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import actuator, amplifier, periodic, sensor
+from sim import actuator, amplifier, loops, periodic, sensor
 from sim.actuator import OperatingPoint
 from sim.rig import Array, Rig
 from sim.twin import LinearModel, force_rotation, linear_model
@@ -233,13 +233,9 @@ class Responder:
         """Current that makes flux over a period, and what of it is magnetically effective, (P, T, n) each."""
         rig, h = self.rig, self.harmonics
         plays = np.any(rig.magnets.hysteresis_rad > 0)
-        n_time = 64 if plays and rig.magnets.hysteresis_width_a else 32 if self._strongly else 16
-        i_t = _samples(flux, h, n_time) + self._point.current_a
-        effective = i_t
-        if plays and rig.magnets.hysteresis_width_a:
-            effective = i_t + actuator.play_share(rig.magnets) * periodic.play(i_t, rig.magnets.hysteresis_width_a)
-        elif plays:
-            effective = self._rayleigh(actuator.rayleigh_coefficient(rig.magnets), i_t)
+        narrow = plays and (rig.magnets.hysteresis_narrowest_a or rig.magnets.hysteresis_widest_inverse_per_a)
+        i_t = _samples(flux, h, 64 if narrow else 32 if self._strongly else 16) + self._point.current_a
+        effective = i_t + loops.lag(rig.magnets, i_t) if plays else i_t
         return i_t, actuator.saturated(rig.magnets, effective)
 
     def _beyond_linear(self, drawn: tuple[Array, Array], x: Complex) -> Complex:
@@ -261,18 +257,6 @@ class Responder:
             depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
             excess = excess - np.where(x_t > 0, above, -below) * depth
         return _amplitudes(excess, h)
-
-    @staticmethod
-    def _rayleigh(alpha: Array, i_t: Array) -> Array:
-        """Current with its Rayleigh loop, closed form for a period with one maximum and one minimum.
-
-        b = (1 + alpha A) i -+ alpha / 2 (A^2 - i^2), - while the current rises, about the middle of its swing: what
-        the time loop's plays do.
-        """
-        top, bottom = i_t.max(axis=1, keepdims=True), i_t.min(axis=1, keepdims=True)
-        A, i = (top - bottom) / 2, i_t - (top + bottom) / 2
-        rising = np.sign(np.roll(i_t, -1, axis=1) - np.roll(i_t, 1, axis=1))
-        return np.asarray(i_t + alpha * (A * i - rising * 0.5 * np.maximum(A**2 - i**2, 0.0)))
 
     def _current(self, U: Complex, seen: Complex | None = None) -> tuple[Complex, Complex]:
         """Sampled coil current, and the control signal that a linear amplifier would need for it."""

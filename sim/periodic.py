@@ -1,4 +1,4 @@
-"""Periodic steady states that only stepping through time finds, compiled: plays, and amplifiers at their slew limit."""
+"""Periodic steady states of amplifiers at their slew limit, which only stepping through time finds, compiled."""
 
 from __future__ import annotations
 
@@ -14,22 +14,6 @@ SETTLED = 1e-4
 """Change from period to period, relative to the largest swing that the limit lets through, that counts as settled."""
 
 _compiled = numba.njit(cache=True, nogil=True)
-
-
-@_compiled
-def play(i: Array, width: float) -> Array:  # pragma: no cover (compiled)
-    """One play of half width ``width`` over periods i (P, T, n), about the middle of each; the second one is steady."""
-    points, steps, axes = i.shape
-    out = np.empty_like(i)
-    for p in range(points):
-        for a in range(axes):
-            middle = (i[p, :, a].max() + i[p, :, a].min()) / 2
-            position = 0.0
-            for t in range(2 * steps):
-                now = i[p, t % steps, a] - middle
-                position = min(max(position, now - width), now + width)
-                out[p, t % steps, a] = position
-    return out
 
 
 def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limit: Array, opposed: bool) -> Array:

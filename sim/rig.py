@@ -99,8 +99,7 @@ class Magnets:
     saturation_current_a: Array
     """i_s of i_s tanh(i/i_s), inf for none, (n,)."""
     hysteresis_rad: Array
-    """Loss angle of the current's loop, 0 for none, (n,): a Rayleigh loop's at the reference amplitude, or the
-    largest that one play has, at twice its width."""
+    """Loss angle of the current's loop, 0 for none, (n,): of a Rayleigh loop, at the reference amplitude."""
     hysteresis_reference_a: float
     cross_coupling_rad: float
     """Rotation of the force from x to y at each bearing, rad."""
@@ -110,8 +109,10 @@ class Magnets:
     """Flux density at the bias over that at which a pole saturates, 0 for none."""
     flux_power: float = 4.0
     """n of a pole's pull / (1 + (B/Bs)^n)"""
-    hysteresis_width_a: float = 0.0
-    """Half width of the one play of the iron; 0 for a Rayleigh loop, which is plays of every width."""
+    hysteresis_narrowest_a: float = 0.0
+    """Half width of the narrowest play of the iron; those of a Rayleigh loop begin at 0 and have no end."""
+    hysteresis_widest_inverse_per_a: float = 0.0
+    """1 / half width of the widest; no wider than the narrowest, that is the only one."""
 
     @property
     def gap_m(self) -> Array:

@@ -132,7 +132,7 @@ def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
     A strength that is fitted by its logarithm counts in its own unit here: near nothing its logarithm moves nothing,
     and would seem to leave no room for another parameter that trades against it.
     """
-    k, own = len(problem.active), problem.parameters[: problem.n_own]
+    k, own = len(problem.active), problem.own
     at = slice(k, k + len(own))
     value = np.array([fit.values[which][p.name] for which, p in own], dtype=float)
     logarithmic = np.array([p.scale == "log" for _, p in own], dtype=bool)

@@ -8,13 +8,14 @@ what they leave tells them apart, not the difference.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fit import Problem
 from service.gap.fitted import Fit
+from sim.effect import Parameter
 
 Real = NDArray[np.float64]
 
@@ -40,10 +41,19 @@ def prior_precision(problem: Problem) -> Real:
 
 
 def occam(problem: Problem, fit: Fit) -> float:
-    """Log of the share of the prior that the data leave: -1/2 logdet of curvature, effect priors uniform."""
-    prior = prior_precision(problem)
-    (_, after), (_, before) = np.linalg.slogdet(fit.curvature + prior), np.linalg.slogdet(prior)
+    """Log of the share of the prior that the data leave: -1/2 logdet of curvature, effect priors uniform.
+
+    A shape that stayed at the end of its range where the law is the plainest is no freedom that was used.
+    """
+    used = np.ones(len(fit.curvature), dtype=bool)
+    used[len(problem.active) :][: problem.n_own] = [not _plain(p, fit.values[k]) for k, p in problem.own]
+    prior, curvature = (m[np.ix_(used, used)] for m in (prior_precision(problem), fit.curvature))
+    (_, after), (_, before) = np.linalg.slogdet(curvature + prior), np.linalg.slogdet(prior)
     return float(0.5 * (before - after))
+
+
+def _plain(p: Parameter, values: Mapping[str, float]) -> bool:
+    return not p.strength and p.null in (p.low, p.high) and values[p.name] == p.null
 
 
 def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float:

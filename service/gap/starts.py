@@ -74,7 +74,8 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         return [{**base, "flux_share": 0.0}, *({**by_flux, "flux_share": share} for share in (0.35, 0.5, 0.7))]
     if effect.id == "magnetic_hysteresis":
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
-        return [base, {**base, "width_a": 0.25 * flux}, {**base, "width_a": 0.6 * flux}]
+        middles = (0.25 * flux, 0.6 * flux)
+        return [base, *({**base, "narrowest_a": 0.5 * m, "widest_inverse_per_a": 1 / (1.5 * m)} for m in middles)]
     if effect.id == "thermal_drift" and rig.drift is not None:  # stated over the same time
         return [{**base, "duration_s": rig.drift.duration_s}]
     if effect.id == "off_centre_rotor":

@@ -50,6 +50,11 @@ class Unknowns:
         self._a, self._signal = len(self.active), ground.part.signal
         self.prior, self._centre = self._priors()
 
+    @property
+    def own(self) -> list[tuple[int, Parameter]]:
+        """Parameters of the part's own effects, each with the number of its effect."""
+        return self.parameters[: self.n_own]
+
     def _lowest(self, effect: Effect, p: Parameter) -> float:
         """Lowest value that a fit gives a parameter, in the fit's own unit."""
         low = p.low

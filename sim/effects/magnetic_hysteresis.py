@@ -6,15 +6,16 @@ from dataclasses import replace
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
 
-NARROWEST_A = 0.01
-"""Half width below which one play counts as none: a Rayleigh loop then."""
-
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     m = rig.magnets
-    at_reference = p["loss_angle_rad"] * m.hysteresis_reference_a / 0.5
-    width = p["width_a"] if p["width_a"] >= NARROWEST_A else 0.0
-    return replace(rig, magnets=replace(m, hysteresis_rad=m.hysteresis_rad + at_reference, hysteresis_width_a=width))
+    magnets = replace(
+        m,
+        hysteresis_rad=m.hysteresis_rad + p["loss_angle_rad"] * m.hysteresis_reference_a / 0.5,
+        hysteresis_narrowest_a=p["narrowest_a"],
+        hysteresis_widest_inverse_per_a=p["widest_inverse_per_a"],
+    )
+    return replace(rig, magnets=magnets)
 
 
 EFFECT = Effect(
@@ -29,25 +30,35 @@ EFFECT = Effect(
             0.02,
             0.0,
             "log",
-            "lag of the force at 0.5 A of coil current, of one play the largest lag",
+            "lag of the force at 0.5 A of coil current, of a Rayleigh loop as dense as these plays are",
         ),
         Parameter(
-            "width_a",
+            "narrowest_a",
             "A",
             0.0,
             1.5,
             0.0,
             0.0,
-            description="half width of one play; 0 for a Rayleigh loop, which is plays of every width",
+            description="half width of the narrowest play; 0 for a Rayleigh loop, which is plays of every width",
+            strength=False,
+        ),
+        Parameter(
+            "widest_inverse_per_a",
+            "1/A",
+            0.0,
+            50.0,
+            0.0,
+            0.0,
+            description="1 / half width of the widest play, 0 for no end; of one play that of the narrowest",
             strength=False,
         ),
     ),
     apply=_apply,
-    law="Rayleigh loop (1 + alpha A) i +- alpha/2 (A^2 - i^2), made of plays, or i + c play(i)",
+    law="b = i + 2 alpha r2/(r2 - r1) integral play_r(i) dr, r = r1..r2; all r: (1 + alpha A) i +- alpha/2 (A^2 - i^2)",
     signature="lag and gain of y/i grow with the current's amplitude A, the same at any frequency; odd harmonics in y",
     aliases=("eddy_currents", "magnetic_saturation"),
     separated_by="a sweep of amplitude at low frequency: eddy currents do not depend on it, saturation has no lag",
     source="Lord Rayleigh, On the behaviour of iron and steel under the operation of feeble magnetic forces, "
-    "Phil. Mag. 23, 1887, pp. 225-245",
+    "Phil. Mag. 23, 1887, pp. 225-245; Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989",
     nonlinear=True,
 )

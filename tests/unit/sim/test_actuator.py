@@ -138,11 +138,12 @@ def test_saturation_is_the_hyperbolic_tangent_of_the_control_current():
 def test_the_plays_lag_by_the_angle_that_rayleigh_gives_in_proportion_to_amplitude(amplitude_a):
     m = effect("magnetic_hysteresis").on(RIG, loss_angle_rad=0.02).magnets
     alpha = actuator.rayleigh_coefficient(m)[0]
-    plays, theta = np.zeros(len(actuator.PLAY_THRESHOLDS_A)), 2 * np.pi * np.arange(2000) / 2000
+    strength, weights, half_widths = actuator.plays(m)
+    plays, theta = np.zeros(len(half_widths)), 2 * np.pi * np.arange(2000) / 2000
     out = []
     for i in amplitude_a * np.cos(np.concatenate([theta, theta])):
-        plays = np.clip(plays, i - actuator.PLAY_THRESHOLDS_A, i + actuator.PLAY_THRESHOLDS_A)
-        out.append(i + 2 * alpha * plays @ actuator.PLAY_WEIGHTS_A)
+        plays = np.clip(plays, i - half_widths, i + half_widths)
+        out.append(i + 2 * strength[0] * plays @ weights)
     fundamental = 2 * np.mean(np.array(out[2000:]) * np.exp(-1j * theta)) / amplitude_a
     law = 1 + alpha * amplitude_a - 4j * alpha * amplitude_a / (3 * math.pi)
     assert fundamental == pytest.approx(law, abs=0.02 * abs(law - 1))

@@ -1,9 +1,9 @@
-"""Steady states of plays and of amplifiers at their slew limit, against what is known in closed form."""
+"""Steady states of amplifiers at their slew limit, against what is known in closed form."""
 
 import numpy as np
 import pytest
 
-from sim.periodic import play, slewing
+from sim.periodic import slewing
 
 T = 2048
 PHASE = 2 * np.pi * np.arange(T) / T
@@ -11,19 +11,6 @@ PHASE = 2 * np.pi * np.arange(T) / T
 
 def fundamental(x):
     return 2 / T * np.sum(x * np.exp(-1j * PHASE))
-
-
-def test_a_play_at_half_the_swing_lags_as_the_literature_says():
-    """Its fundamental at twice its width is (1/2 - j/pi) A (Krasnosel'skii and Pokrovskii 1989, chapter 2)."""
-    i = np.cos(PHASE)[None, :, None] * np.array([1.0, 3.0]) + 5.0
-    out = play(i, 0.5)
-    assert fundamental(out[0, :, 0]) == pytest.approx(0.5 - 1j / np.pi, abs=2e-3)
-    assert abs(out[0, :, 0]).max() == pytest.approx(0.5, abs=1e-3)
-    assert abs(out[0, :, 1]).max() == pytest.approx(2.5, abs=1e-3), "each axis has its own swing"
-
-
-def test_a_play_that_is_never_crossed_does_not_move():
-    assert np.all(play(0.3 * np.cos(PHASE)[None, :, None], 0.5) == 0.0)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1.6 * 9244.0])

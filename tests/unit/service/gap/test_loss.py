@@ -33,10 +33,10 @@ def stronger_beyond(rig: Rig, s: Sweep, current_a: float, most: float) -> Sweep:
     return replace(s, U=U, I=I, Y=Y)
 
 
-@pytest.mark.parametrize("width_a", [0.0, 0.1])
-def test_hysteresis_shows_its_lag_in_full(width_a: float) -> None:
+@pytest.mark.parametrize("shape", [{}, {"narrowest_a": 0.1, "widest_inverse_per_a": 10.0}])
+def test_hysteresis_shows_its_lag_in_full(shape: dict[str, float]) -> None:
     datasheet, truth = known_datasheet(seed=32)
-    effect = {"loss_angle_rad": 2e-3, "width_a": width_a}
+    effect = {"loss_angle_rad": 6e-3 if shape else 2e-3, **shape}
     rig = with_effects(true_rig(truth), {"magnetic_hysteresis": effect})
     e = plant_of(experiment(rig), datasheet)
     assert e.order[0].candidate.effects == ("magnetic_hysteresis",)
@@ -64,7 +64,7 @@ def test_a_law_whose_width_no_current_reaches_is_not_judged_by_its_lag() -> None
     datasheet, truth = known_datasheet(seed=33)
     e = plant_of(experiment(true_rig(truth)), datasheet)
     wide = next(r for r in e.order if r.candidate.effects == ("magnetic_hysteresis",))
-    values = ({"loss_angle_rad": 2e-3, "width_a": 1.5},)
+    values = ({"loss_angle_rad": 2e-3, "narrowest_a": 1.5, "widest_inverse_per_a": 1 / 1.5},)
     rig = with_effects(e.ground.rig(wide.candidate.fit.theta), {"magnetic_hysteresis": values[0]})
     fit = replace(wide.candidate.fit, values=values, rig=rig)
     e = replace(e, order=(replace(wide, candidate=replace(wide.candidate, fit=fit)), e.null))
@@ -79,3 +79,14 @@ def test_hysteresis_far_below_a_degree_is_named_with_its_strength() -> None:
     best = e.order[0].candidate
     assert best.effects == ("magnetic_hysteresis",)
     assert abs(best.fit.values[0]["loss_angle_rad"] / 4e-4 - 1) < 0.15
+
+
+def test_the_widths_of_its_plays_are_found_and_nothing_is_named_beside_it() -> None:
+    datasheet, truth = known_datasheet(seed=35)
+    values = {"loss_angle_rad": 8e-3, "widest_inverse_per_a": 8.0}
+    e = plant_of(experiment(with_effects(true_rig(truth), {"magnetic_hysteresis": values}), noise=0.3), datasheet)
+    best = e.order[0].candidate
+    assert best.effects == ("magnetic_hysteresis",)
+    assert best.fit.values[0]["widest_inverse_per_a"] == pytest.approx(8.0, rel=0.05)
+    assert best.fit.values[0]["loss_angle_rad"] == pytest.approx(8e-3, rel=0.05)
+    assert best.fit.values[0]["narrowest_a"] == pytest.approx(0.0, abs=0.01)

@@ -95,11 +95,14 @@ def test_iron_that_bends_little_is_found_beside_a_lag_and_so_is_what_else_could_
 def test_an_effect_that_was_found_first_is_looked_for_anew_beside_the_second() -> None:
     datasheet, truth = known_datasheet(seed=52)
     both = {
-        "magnetic_hysteresis": {"loss_angle_rad": 0.007, "width_a": 0.0},
+        "magnetic_hysteresis": {"loss_angle_rad": 0.007, "narrowest_a": 0.0, "widest_inverse_per_a": 0.0},
         "cross_coupled_stiffness": {"stiffness_n_per_m": -26600.0},
     }
     e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet)
-    wrong = ({"loss_angle_rad": 0.0127, "width_a": 0.35}, both["cross_coupled_stiffness"])
+    wrong = (
+        {"loss_angle_rad": 0.0127, "narrowest_a": 0.35, "widest_inverse_per_a": 50.0},
+        both["cross_coupled_stiffness"],
+    )
     null, singles = e.null.candidate, [r.candidate for r in e.order if len(r.candidate.effects) == 1]
     stuck = fit_task(Task(e.ground, tuple(both), (wrong,), null.fit.theta, (EXACT,)))
     with Fitter() as fitter:
