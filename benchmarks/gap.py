@@ -3,7 +3,8 @@
 `python benchmarks/gap.py [--practice DIR] [--foreign N or DIR] [--trial N] [--seed S] [--jobs J]`. Every part prints
 verdicts as they come, scores and the time that a diagnosis took; 0 leaves a part out. `--alone` has the practice cases
 diagnosed one after the other, each by a command of its own on all ``--jobs`` cores as a user would, and nothing else:
-the time from its start until its report is written.
+the time from its start until its report is written. `--multisine N` draws N rigs of a blind trial, has each measured by
+multisines, and prints what is found; no detectability is known there.
 """
 
 from __future__ import annotations
@@ -21,8 +22,11 @@ from pathlib import Path
 from typing import Any
 
 from service.experiment import file
+from service.experiment.multisine_plan import MultisineProfile
 from service.gap.scoring import Outcome, score
-from service.trial import diagnose, run_blind_trial
+from service.gap.withheld import draw
+from service.trial import diagnose, measure, run_blind_trial
+from sim.errors import AmbError
 from sim.rig_file import parse
 
 PRACTICE = Path(__file__).resolve().parents[2] / "shared" / "practice"
@@ -159,6 +163,7 @@ def main() -> None:
     parser.add_argument("--practice", default=str(PRACTICE))
     parser.add_argument("--foreign", default="40", help="how many cases to make, or a folder of them")
     parser.add_argument("--trial", type=int, default=200)
+    parser.add_argument("--multisine", type=int, default=12, help="rigs of a blind trial, measured by multisines")
     parser.add_argument("--seed", type=int, default=2024)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder of what is made; a temporary one when not given")
@@ -183,12 +188,46 @@ def main() -> None:
             made_foreign(int(args.foreign), args.seed, folder, args.jobs)
         print("== rigs of another program")
         shown("foreign", score(run_folder(sorted(p.parent for p in folder.glob("*/truth.json")), args.jobs)))
+    if args.multisine:
+        print(f"== rigs measured by multisines, seed {args.seed}")
+        multisines(args.multisine, args.seed, out / "multisine", args.jobs)
     if args.trial:
         print(f"== blind trial, {args.trial} cases, seed {args.seed}")
         result = run_blind_trial(
             args.trial, args.seed, out / "trial", lambda a, b, text: print(f"{a}/{b} {text}", flush=True), args.jobs
         )
         shown("blind trial", result["scores"])
+
+
+def by_multisines(number: int, seed: int, out: Path) -> tuple[Outcome, str] | str:
+    """A rig of a blind trial measured by multisines, diagnosed, and what was withheld; or why it cannot be measured."""
+    case, folder = draw(number, seed), out / f"case-{number + 1:04d}"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        measure(case, folder, MultisineProfile())
+    except AmbError as error:
+        return f"case {number + 1} cannot be measured: {error}"
+    start = time.perf_counter()
+    report = json.loads(json.dumps(diagnose(file.read(folder / "experiment.h5"), case.datasheet).to_dict()))
+    effects = tuple(name for name, _ in case.effects)
+    told = " + ".join(effects) or case.law or "clean"
+    return Outcome(number, case.kind, effects, {}, case.law, 1e9, report, time.perf_counter() - start), told
+
+
+def multisines(cases: int, seed: int, out: Path, jobs: int) -> None:
+    """Print what is found, case by case, and how often it is right, no gap, or wrong."""
+    count = {"right": 0, "no gap": 0, "WRONG": 0}
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for done in pool.map(by_multisines, range(cases), [seed] * cases, [out] * cases):
+            if isinstance(done, str):
+                print(done, flush=True)
+                continue
+            o, told = done
+            verdict = " + ".join(o.named) or o.verdict["kind"]
+            mark = "right" if o.right else "no gap" if verdict == "no_gap" else "WRONG"
+            count[mark] += 1
+            print(f"{mark:6s} {told:45s} -> {verdict} (p {o.probability:.2f}, {o.seconds:.1f} s)", flush=True)
+    print(f"-- multisines: {count}; what leaves no gap may be too faint")
 
 
 def made_foreign(count: int, seed: int, folder: Path, jobs: int) -> None:

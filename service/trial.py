@@ -23,6 +23,7 @@ from service.experiment.aims import Profile
 from service.experiment.campaign import EXPERIMENT, run_campaign
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
+from service.experiment.multisine_plan import MultisineProfile
 from service.gap.blind_trial import Diagnose, checked, run_case, summary
 from service.gap.seal import SealError
 from service.gap.unlisted_laws import TamperedSimulation
@@ -58,8 +59,8 @@ ANEW = 1_000_003
 """From the seed of one drawing to that of the next."""
 
 
-def measure(case: Case, out_dir: Path) -> Experiment:
-    """Run the compact campaign on a case's rig; experiment.h5 is written to ``out_dir``.
+def measure(case: Case, out_dir: Path, profile: Profile | MultisineProfile | None = None) -> Experiment:
+    """Run a campaign, the compact one by default, on a case's rig; experiment.h5 is written to ``out_dir``.
 
     Raises
     ------
@@ -70,7 +71,9 @@ def measure(case: Case, out_dir: Path) -> Experiment:
     device = RigDevice(case.rig, simulation=TamperedSimulation(case.rig, case.number, law, CAMPAIGN_S))
     controller = SimulatedController(device)
     try:
-        return run_campaign(controller, case.datasheet, out_dir, profile=PROFILE, resume=False, holder="blind trial")
+        return run_campaign(
+            controller, case.datasheet, out_dir, profile=profile or PROFILE, resume=False, holder="blind trial"
+        )
     finally:
         controller.close()
         device.close()

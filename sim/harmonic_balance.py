@@ -15,10 +15,10 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import actuator, amplifier, loops, periodic, sensor
+from sim import actuator, amplifier, magnetic_force, periodic, sensor
 from sim.actuator import OperatingPoint
 from sim.rig import Array, Rig
-from sim.twin import LinearModel, force_rotation, linear_model
+from sim.twin import LinearModel, linear_model
 
 Complex = NDArray[np.complex128]
 Index = NDArray[np.int64]
@@ -216,12 +216,8 @@ class Responder:
     @cached_property
     def _sensed(self) -> tuple[Complex, Array]:
         """Displacement per signal of each sensor, (P, H, n), and displacements at the sensors -> at the bearings."""
-        rotor, n = self.rig.rotor, self.rig.n_axes
-        (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
-        plane = np.array([[1.0, a], [1.0, -b]]) @ np.linalg.inv([[1.0, sa], [1.0, -sb]])
-        own = 1 / sensor.response(self.rig.sensors, self._omega)  # (H F, n)
-        own = own.reshape(len(self.harmonics), -1, n)[:, self.line].transpose(1, 0, 2)
-        return own, np.kron(np.eye(n // 2), plane).T
+        own, to_bearings = bearings_per_sensors(self.rig, self._omega)
+        return own.reshape(len(self.harmonics), -1, self.rig.n_axes)[:, self.line].transpose(1, 0, 2), to_bearings
 
     @staticmethod
     def _static_real(X: Complex) -> Complex:
@@ -231,32 +227,19 @@ class Responder:
 
     def _drawn(self, flux: Complex) -> tuple[Array, Array]:
         """Current that makes flux over a period, and what of it is magnetically effective, (P, T, n) each."""
-        rig, h = self.rig, self.harmonics
-        plays = np.any(rig.magnets.hysteresis_rad > 0)
-        narrow = plays and (rig.magnets.hysteresis_narrowest_a or rig.magnets.hysteresis_widest_inverse_per_a)
-        i_t = _samples(flux, h, 64 if narrow else 32 if self._strongly else 16) + self._point.current_a
-        effective = i_t + loops.lag(rig.magnets, i_t) if plays else i_t
-        return i_t, actuator.saturated(rig.magnets, effective)
+        m = self.rig.magnets
+        banded = np.any(m.hysteresis_rad > 0) and (m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a)
+        n_time = 64 if banded else 32 if self._strongly else 16
+        i_t = _samples(flux, self.harmonics, n_time) + self._point.current_a
+        return i_t, magnetic_force.effective(m, i_t)
 
     def _beyond_linear(self, drawn: tuple[Array, Array], x: Complex) -> Complex:
         """Bearing force beyond the linear one, on the rotor, (P, H, n), of what `_drawn` gives at a displacement."""
-        rig, point, h = self.rig, self._point, self.harmonics
         i_t, effective = drawn
-        x_t = _samples(x, h, i_t.shape[1])
-        total = actuator.pull(rig.magnets, effective, x_t)
-        if rig.drift and self.progress is not None:
-            passed = rig.drift.progress(self.progress)[:, None, None]
-            ki, ks = 1 + rig.drift.ki_change * passed, rig.drift.ks_change * passed
-            total = ki * total + (ks - (ki - 1)) * point.ks * x_t
-        excess = total - point.ki * (i_t - point.current_a) - point.ks * x_t
-        if rig.magnets.cross_coupling_rad or rig.magnets.cross_coupling_symmetric:
-            excess = excess @ force_rotation(rig).T
-        excess = excess + point.load_n
-        if rig.contact:
-            above, below = actuator.stop_stiffness(rig.contact)
-            depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
-            excess = excess - np.where(x_t > 0, above, -below) * depth
-        return _amplitudes(excess, h)
+        passed = None if self.progress is None else self.progress[:, None, None]
+        x_t = _samples(x, self.harmonics, i_t.shape[1])
+        excess = magnetic_force.beyond_linear(self.rig, self._point, i_t, effective, x_t, passed)
+        return _amplitudes(excess, self.harmonics)
 
     def _current(self, U: Complex, seen: Complex | None = None) -> tuple[Complex, Complex]:
         """Sampled coil current, and the control signal that a linear amplifier would need for it."""
@@ -326,6 +309,14 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
     return logged, responder.answer(logged)
 
 
+def bearings_per_sensors(rig: Rig, omega_rad_s: Array) -> tuple[Complex, Array]:
+    """Displacement per signal of each sensor, (F, n), and displacements at sensors -> at bearings of a rigid rotor."""
+    rotor = rig.rotor
+    (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
+    plane = np.array([[1.0, a], [1.0, -b]]) @ np.linalg.inv([[1.0, sa], [1.0, -sb]])
+    return 1 / sensor.response(rig.sensors, omega_rad_s), np.kron(np.eye(rig.n_axes // 2), plane).T
+
+
 def time_points(frequency_hz: Array) -> tuple[Array, Index]:
     """Distinct frequencies and the index of each point's among them.
 
@@ -336,4 +327,4 @@ def time_points(frequency_hz: Array) -> tuple[Array, Index]:
     return distinct, line.astype(np.int64)
 
 
-__all__ = ["Answer", "Responder", "respond_to_excitation", "time_points"]
+__all__ = ["Answer", "Responder", "bearings_per_sensors", "respond_to_excitation", "time_points"]

@@ -1,4 +1,4 @@
-"""Periodic steady states of amplifiers at their slew limit, which only stepping through time finds, compiled."""
+"""Periodic steady states that only stepping through time finds, compiled: plays, and amplifiers at their slew limit."""
 
 from __future__ import annotations
 
@@ -14,6 +14,27 @@ SETTLED = 1e-4
 """Change from period to period, relative to the largest swing that the limit lets through, that counts as settled."""
 
 _compiled = numba.njit(cache=True, nogil=True)
+
+
+@_compiled
+def played(i: Array, weights: Array, half_widths: Array) -> Array:  # pragma: no cover (compiled)
+    """Weighted sum of plays over periods i (P, T, n), about the middle of each; the second one is steady."""
+    points, steps, axes = i.shape
+    out = np.zeros_like(i)
+    for p in range(points):
+        for a in range(axes):
+            middle = (i[p, :, a].max() + i[p, :, a].min()) / 2
+            swing = i[p, :, a].max() - middle
+            for k in range(weights.size):
+                width, weight, position = half_widths[k], weights[k], 0.0
+                if width >= swing:
+                    continue
+                for t in range(2 * steps):
+                    now = i[p, t % steps, a] - middle
+                    position = min(max(position, now - width), now + width)
+                    if t >= steps:
+                        out[p, t - steps, a] += weight * position
+    return out
 
 
 def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limit: Array, opposed: bool) -> Array:

@@ -60,6 +60,11 @@ class Sweep:
         """Index of harmonic ``h`` in the arrays; ValueError when it was not measured."""
         return self.harmonics.index(h)
 
+    @property
+    def in_sequence(self) -> bool:
+        """Whether the blocks of a point followed one another: those of a multisine are made of several experiments."""
+        return self.kind != "multisine"
+
     def select(self, points: NDArray[np.bool_] | NDArray[np.int64]) -> Sweep:
         """The sweep with some of its points, in order."""
         index = np.arange(self.n_points)[points]

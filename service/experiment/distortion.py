@@ -31,9 +31,13 @@ class Distortion:
     """The same at even lines."""
 
     def in_decibels(self) -> dict[str, Real]:
-        """Noise, odd and even distortion over the signal, dB; -inf where there is none."""
-        with np.errstate(divide="ignore"):
-            return {k: 20 * np.log10(getattr(self, k) / self.signal) for k in ("noise", "odd", "even")}
+        """Noise, odd and even distortion over the signal, dB; -inf where there is none, not even a signal."""
+        found = {}
+        for k in ("noise", "odd", "even"):
+            with np.errstate(divide="ignore"):
+                level = np.divide(getattr(self, k), self.signal, out=np.zeros_like(self.signal), where=self.signal > 0)
+                found[k] = 20 * np.log10(level)
+        return found
 
 
 def levels(periods: Complex, lines: Lines) -> Distortion:

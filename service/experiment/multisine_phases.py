@@ -307,7 +307,8 @@ class MultisinePhases:
             values,
             max(float(x["peak_displacement_m"]) for x in found),
             max(float(x["peak_current_a"]) for x in found),
-            fourth / (3 * second**2),
+            # a log coarser than the motion shows none
+            np.divide(fourth, 3 * second**2, out=np.ones_like(fourth), where=second > 0),
         )
 
     def _excess(self, multisine: Multisine, found: dict[str, Any]) -> float:

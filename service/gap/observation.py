@@ -19,6 +19,7 @@ from service.gap.coherent import PATTERNS, beside_hum, left_in_mean, without_hum
 from service.gap.leak import leaked, periods
 from service.gap.scatter import mean_scatter
 from service.gap.settling import drifting
+from service.gap.together import Together
 from service.gap.wander import wander
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points
@@ -91,6 +92,8 @@ class Observation:
     drift: Real
     """(P,) change along the trend of a point's blocks, relative to its size"""
     speed_rad_s: float
+    together: Together | None = None
+    """Of a multisine, whose lines excite the rotor at once; None for one tone after the other."""
 
     @property
     def points_hz(self) -> Real:
@@ -140,6 +143,7 @@ def observe(
     progress: tuple[float, float] = (0.0, 1.0),
     hums_hz: Sequence[float] = (),
     span_s: tuple[float, float] | None = None,
+    together: Together | None = None,
 ) -> Observation:
     """Prepare a sweep.
 
@@ -153,6 +157,8 @@ def observe(
         ... unless this gives the times, s, of progress 0 and 1, and the sweep those of its points.
     hums_hz
         Frequencies of interference, the loudest first; it leaves something in the mean over a point's blocks.
+    together
+        All lines of the multisine that the sweep is part of.
     """
     sweep = usable(sweep)
     frequency, line = time_points(sweep.frequency_hz)
@@ -197,6 +203,7 @@ def observe(
         _progress(sweep, progress, span_s),
         *drifting(sweep),
         sweep.speed_rad_s,
+        together,
     )
 
 

@@ -11,10 +11,11 @@ from service.gap.conditions import same_condition
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.modes import with_identified_modes
 from service.gap.nuisance import Nuisance, nuisance
-from service.gap.observation import GapError, Observation, observe
+from service.gap.observation import GapError, Observation, observe, usable
 from service.gap.settling import DRIFTS
 from service.gap.sweeps import halves, notes_on, span_s, sweeps_for, timed
 from service.gap.thin import thinned
+from service.gap.together import Together
 from sim.datasheet import Datasheet
 
 
@@ -76,13 +77,14 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         notes.append(note)
     nu = nuisance(datasheet)
     main, other, lines_only = timed(main), None if other is None else timed(other), other is None
+    together = [Together.of(usable(sweep)) for sweep in (main, main if other is None else other)]
     if other is None:
         line = np.unique(main.frequency_hz, return_inverse=True)[1]
         main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)
-    sources = tuple(interference(main, nu.rig))
+    sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)
-    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span)
-    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span)
+    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span, together[0])
+    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span, together[1])
     if o.unsettled > DRIFTS:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not lines_only and (same := same_condition(o, unseen)):

@@ -25,6 +25,9 @@ Values = Mapping[str, float]
 
 STANDSTILL = {"modal_damping": "internal_damping"}
 """Effects that nothing tells apart on a rotor that stands still: only the first is fitted then, and both are named."""
+ONE_TONE = ("amplifier_voltage_limit", "thermal_drift")
+"""Effects that are not looked for in a multisine: what its lines show of them depends on all of the current's slope, or
+on when each was measured."""
 SIGNALS = {"controller": "u", "amplifier": "i", "plant": "y"}
 
 
@@ -100,6 +103,7 @@ class Ground:
 def possible(nuisance: Nuisance, observations: Sequence[Observation], paths: Sequence[str]) -> list[Effect]:
     """Effects of some paths that this rig and these conditions could show, one of each exact alias."""
     turning = any(o.speed_rad_s for o in observations)
+    together = any(o.together for o in observations)
     return [
         e
         for e in CATALOGUE.values()
@@ -108,6 +112,7 @@ def possible(nuisance: Nuisance, observations: Sequence[Observation], paths: Seq
         and (turning or not e.needs_speed)
         and (nuisance.n_modes or e.id not in ("modal_damping", "internal_damping"))
         and (turning or e.id not in STANDSTILL.values())
+        and not (together and e.id in ONE_TONE)
     ]
 
 

@@ -31,6 +31,8 @@ def at_speed_of(rig: Rig, o: Observation) -> Rig:
 
 def answer(rig: Rig, o: Observation) -> Complex:
     """Twin's [i, y] for the measured control signal, all harmonics, (P, H, 2 n)."""
+    if o.together:
+        return np.concatenate([current(rig, o), whole_displacement(rig, o)], axis=2)
     a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(
         o.U, seen=o.Y, seen_current=o.I
     )
@@ -39,6 +41,9 @@ def answer(rig: Rig, o: Observation) -> Complex:
 
 def whole_displacement(rig: Rig, o: Observation) -> Complex:
     """y of `answer`, (P, H, n), which takes half the time."""
+    if o.together:
+        added = o.together.displacement(at_speed_of(rig, o), o.points_hz, o.axis)
+        return (displacement(rig, o) + added)[:, None]
     responder = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress)
     return responder.displacement(o.U, seen=o.Y, seen_current=o.I)
 

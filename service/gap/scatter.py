@@ -60,6 +60,9 @@ def mean_scatter(sweep: Sweep, rig: Rig, by: Estimate | None = None) -> tuple[Re
     by = by or plain_mean(*sweep.Y.shape[:2])
     scatter = unexplained(sweep, rig)
     of_u, of_i, of_y = (np.zeros((e.shape[0], *e.shape[2:])) for e in scatter)
+    if not sweep.in_sequence:  # none began where another ended
+        of_u, of_i, of_y = (smooth_variance(_variance(e), sweep.frequency_hz, by.free) for e in scatter)
+        return of_u, of_i, of_y
     alike = by.free == sweep.Y.shape[1] - 1  # where a hum could not be taken off, it is in the scatter
     for points in (np.flatnonzero(alike), np.flatnonzero(~alike)):
         if len(points):

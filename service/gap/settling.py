@@ -52,10 +52,12 @@ def trend(X: Complex) -> tuple[Real, Real]:
 def drifting(sweep: Sweep) -> tuple[NDArray[np.bool_], Real]:
     """Which points had not settled, (P,), and the change of each from first block to last relative to its size, (P,).
 
-    Judged by u and y of the excited axis at the excited frequency.
+    Judged by u and y of the excited axis at the excited frequency; blocks that are not in sequence tell of no trend.
     """
     f, points = sweep.harmonics.index(1), np.arange(sweep.n_points)
     found, change = np.zeros(sweep.n_points, dtype=bool), np.zeros(sweep.n_points)
+    if not sweep.in_sequence:
+        return found, change
     for X in (sweep.U[:, :, f], sweep.Y[:, :, f]):
         probability, moved = (v[points, sweep.axis] for v in trend(X))
         size = np.abs(X.mean(axis=1))[points, sweep.axis]

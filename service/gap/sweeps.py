@@ -12,17 +12,17 @@ from service.identification.block_length import block_samples
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 
+ELSEWHERE = ("amplifier", "coarse")
+"""Comments of sweeps that are not of the plant, or not exact enough."""
+
 
 def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
     """The sweep to fit, the one that no fit sees, and its name; only excited sweeps of the plant count."""
-    # Lines of a multisine drive the magnets' nonlinearity together, and the fits here know one tone at a time.
-    excited = [
-        (k, s)
-        for k, s in enumerate(experiment.sweeps)
-        if s.kind == "stepped-sine" and s.comment not in ("amplifier", "coarse")
-    ]
+    plant = [(k, s) for k, s in enumerate(experiment.sweeps) if s.kind != "noise" and s.comment not in ELSEWHERE]
+    tones = [(k, s) for k, s in plant if s.kind == "stepped-sine"]  # shows more effects than a multisine does
+    excited = tones or plant
     if not excited:
-        raise GapError("the experiment has no stepped-sine sweep of the plant; run one, then diagnose")
+        raise GapError("the experiment has no stepped-sine or multisine sweep of the plant; run one, then diagnose")
     main = excited[0][1]
     for k, s in excited[1:]:
         return main, s, f"sweeps/{k}"
@@ -71,6 +71,11 @@ def notes_on(main: Sweep, other: Sweep | None, datasheet: Datasheet) -> list[str
         )
     if main.I is None:
         notes.append("the coil current was not logged: amplifier and plant cannot be told apart, alias classes grow")
+    if not main.in_sequence:
+        notes.append(
+            "a multisine drives all axes at once: its lines tell nothing of voltage limits, drift, mains and runout, "
+            "each of which may look like another effect; a stepped sine shows them"
+        )
     if across := unseen_across(datasheet, main.speed_rad_s != 0):
         names = ", ".join(name.replace("_", " ") for name in across)
         notes.append(f"two axes only: effects that couple x and y cannot be seen ({names}); one may look like another")

@@ -9,6 +9,7 @@ same separation done to them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,25 +53,31 @@ class ManyLines:
         current, displacement
             (P, 2) columns at the bearings, A and m.
         """
-        mixing = orthogonal(self.n_axes)
-        samples = next_fast_len(4 * int(self.line.max()) + 1, real=True)  # third harmonics fold back on no line
-        i, x = (self._in_time(v, mixing, samples) for v in (current, displacement))
-        out = np.empty((self.phasor.shape[1], 3, len(self.line), 2), dtype=np.complex128)
-        back = (mixing[:, self.axis].conj() / len(mixing))[None] * self.phasor.T.conj()[:, None]  # (B, E, P)
-        for k, product in enumerate((i * i * x, i * x * x, x * x * x)):
-            spectrum = rfft(product)[..., self.line] * (2 / samples)
-            out[:, k] = np.einsum("bep,bejp->bpj", back, spectrum)
-        return out
+        i, x = (self.in_time(v) for v in (current, displacement))
+        return np.stack([self.at_lines(product) for product in (i * i * x, i * x * x, x * x * x)], axis=1)
 
-    def _in_time(self, columns: Complex, mixing: Complex, samples: int) -> Real:
-        """(B, experiments, 2, samples) time functions of columns."""
+    @cached_property
+    def samples(self) -> int:
+        """Of a period: third harmonics fold back on no line."""
+        return next_fast_len(4 * int(self.line.max()) + 1, real=True)
+
+    def in_time(self, columns: Complex) -> Real:
+        """(B, experiments, n, samples) time functions of columns (P, n)."""
+        mixing = orthogonal(self.n_axes)
         blocks, experiments = self.phasor.shape[1], len(mixing)
-        half = np.zeros((blocks, experiments, 2, samples // 2 + 1), dtype=np.complex128)
+        half = np.zeros((blocks, experiments, columns.shape[1], self.samples // 2 + 1), dtype=np.complex128)
         for axis in np.unique(self.axis):  # each of its lines once
             own = self.axis == axis
             weight = self.phasor[own].T[:, None] * mixing[:, axis][:, None]  # (B, E, own)
             half[..., self.line[own]] += weight[:, :, None] * columns[own].T
-        return np.asarray(irfft(half * (samples / 2), samples))
+        return np.asarray(irfft(half * (self.samples / 2), self.samples))
+
+    def at_lines(self, x: Real) -> Complex:
+        """What time functions, as `in_time` gives them, put at each point's line, after the separation, (B, P, n)."""
+        mixing = orthogonal(self.n_axes)
+        back = (mixing[:, self.axis].conj() / len(mixing))[None] * self.phasor.T.conj()[:, None]  # (B, E, P)
+        spectrum = rfft(x)[..., self.line] * (2 / self.samples)
+        return np.asarray(np.einsum("bep,bejp->bpj", back, spectrum))
 
 
 def excess_of_products(ki: Real, ks: Real, bias_current_a: Real, products: Complex) -> tuple[Complex, Complex, Complex]:

@@ -286,3 +286,18 @@ def test_leaving_the_lease_ends_a_waveform():
     thread.join(20)
     assert caught
     assert rig.status().excitation_a == 0
+
+
+class Coarse(Faulty):
+    """A rig that logs its displacement in steps of 2 um."""
+
+    def measure_periodic(self, waveform):
+        found = self.inner.measure_periodic(waveform)
+        y = 2e-6 * np.round(found.records["y"] / 2e-6)
+        return replace(found, records={**found.records, "y": y})
+
+
+def test_an_experiment_whose_log_is_coarser_than_the_motion_can_be_read(tmp_path):
+    campaign(tmp_path, Coarse(lambda k: None), replace(SHORT, lines=40, amplifier_lines=12))
+    amplifier = next(s for s in read(tmp_path / "experiment.h5").sweeps if s.comment == "amplifier")
+    assert np.all(amplifier.kurtosis == 1.0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim import actuator
+from sim import actuator, magnetic_force
 from sim.effects import effect
 from sim.loops import lag
 from sim.reference import reference_rig
@@ -69,6 +69,18 @@ def test_the_time_loops_plays_are_the_same_band(narrowest_a, widest_inverse_per_
     i = wave(0.5)
     in_time = 2 * strength[0] * stepped(i[0, :, 0], half_widths) @ weights
     np.testing.assert_allclose(in_time, lag(m, i)[0, :, 0], atol=0.03 * np.abs(in_time).max())
+
+
+@pytest.mark.parametrize(("narrowest_a", "widest_inverse_per_a"), [(0.0, 0.0), (0.1, 4.0), (0.2, 5.0)])
+def test_plays_stepped_over_a_current_of_many_turns_are_the_loops_where_it_turns_once(
+    narrowest_a, widest_inverse_per_a
+):
+    m = replace(iron(narrowest_a, widest_inverse_per_a), saturation_current_a=np.full(4, np.inf))
+    i = wave(0.5, mean_a=0.1)
+    added = magnetic_force.effective(m, i) - i
+    np.testing.assert_allclose(
+        magnetic_force.effective(m, i, many_turns=True) - i, added, atol=0.03 * np.abs(added).max()
+    )
 
 
 def test_a_band_that_narrows_becomes_one_play():

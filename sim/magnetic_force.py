@@ -1,0 +1,59 @@
+"""What the magnets and the stops do beyond their linearisation, in time, over a period."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim import actuator, loops, periodic
+from sim.actuator import OperatingPoint
+from sim.rig import Array, Magnets, Rig
+from sim.twin import force_rotation
+
+
+def effective(m: Magnets, i_t: Array, many_turns: bool = False) -> Array:
+    """What of a coil current is magnetically effective, A, (P, T, n), where eddy currents are off it.
+
+    Parameters
+    ----------
+    i_t
+        (P, T, n) samples of a period, A.
+    many_turns
+        Whether it has more than one maximum and one minimum, so that the iron's plays have to be stepped.
+    """
+    if np.any(m.hysteresis_rad > 0):
+        if many_turns:
+            strength, weights, half_widths = actuator.plays(m)
+            i_t = i_t + 2 * strength * periodic.played(np.ascontiguousarray(i_t), weights, half_widths)
+        else:
+            i_t = i_t + loops.lag(m, i_t)
+    return actuator.saturated(m, i_t)
+
+
+def beyond_linear(
+    rig: Rig, point: OperatingPoint, i_t: Array, effective_t: Array, x_t: Array, passed: Array | None = None
+) -> Array:
+    """Bearing force beyond ki i + ks x and the static load, on the rotor, N, (P, T, n).
+
+    Parameters
+    ----------
+    i_t, effective_t
+        (P, T, n) current that makes flux and what of it is effective, A.
+    x_t
+        (P, T, n) displacement at the bearings, m.
+    passed
+        Share of the campaign at which each was measured, (P, 1, 1), for rigs that drift.
+    """
+    total = actuator.pull(rig.magnets, effective_t, x_t)
+    if rig.drift and passed is not None:
+        gone = rig.drift.progress(passed)
+        ki, ks = 1 + rig.drift.ki_change * gone, rig.drift.ks_change * gone
+        total = ki * total + (ks - (ki - 1)) * point.ks * x_t
+    excess = total - point.ki * (i_t - point.current_a) - point.ks * x_t
+    if rig.magnets.cross_coupling_rad or rig.magnets.cross_coupling_symmetric:
+        excess = excess @ force_rotation(rig).T
+    excess = excess + point.load_n
+    if rig.contact:
+        above, below = actuator.stop_stiffness(rig.contact)
+        depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
+        excess = excess - np.where(x_t > 0, above, -below) * depth
+    return np.asarray(excess)

@@ -1,0 +1,102 @@
+"""The gap of a rig that was measured by multisines on all axes at once, from campaigns on the rig in time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.simulated.driver import SimulatedController
+from service.experiment.campaign import run_campaign
+from service.experiment.data import Experiment
+from service.experiment.file import read
+from service.experiment.multisine_plan import MultisineProfile
+from service.gap.diagnose import diagnose
+from service.gap.observation import observe
+from service.gap.predict import displacement, measured_signal, weight, whole_displacement
+from service.gap.sweeps import sweeps_for
+from service.gap.together import PhasesError, Together
+from service.report.gap import gap_page
+from sim.reference import reference_rig
+from sim.twin import with_effects
+from tests.support.synthetic import experiment as tone_by_tone
+from tests.support.synthetic import known_datasheet, true_rig
+
+pytestmark = [pytest.mark.no_cover, pytest.mark.timeout(600)]  # numbers; other tests cover the lines
+
+DATASHEET, TRUTH = known_datasheet(seed=71)
+RIG = replace(true_rig(TRUTH), noise=reference_rig().noise)
+PROFILE = MultisineProfile(lines=100, periods=4, validation_realisations=1, amplifier_realisations=1)
+
+
+def measured(effects: dict[str, dict[str, float]], folder) -> Experiment:
+    controller = SimulatedController(with_effects(RIG, effects), seed=3)
+    run_campaign(controller, DATASHEET, folder, profile=PROFILE)
+    return read(folder / "experiment.h5")
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Experiment:
+    return measured({}, tmp_path_factory.mktemp("plain"))
+
+
+def test_what_the_magnets_bend_is_predicted_line_by_line(plain):
+    """Without it the right twin leaves a clear gap where the rotor swings most; with it, noise."""
+    main = plain.main
+    o = observe(main, RIG, together=Together.of(main))
+    low, w = o.points_hz < 30, weight(o, "y")[:, 0]
+    left, bent = (
+        np.mean(np.abs((measured_signal(o, "y")[:, 0] - y) * w)[low] ** 2) / 2
+        for y in (whole_displacement(RIG, o)[:, 0], displacement(RIG, o))
+    )
+    assert bent > 10
+    assert left < 1.5
+
+
+def test_a_rig_that_is_its_twin_has_no_gap_and_the_notes_tell_what_a_multisine_hides(plain):
+    d = diagnose(plain, DATASHEET)
+    assert d.verdict.kind == "no_gap"
+    assert any("a stepped sine shows them" in note for note in d.notes)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"loop_delay": {"delay_s": 6e-6}, "magnetic_cross_coupling": {"rotation_rad": 0.02}},
+        {"magnetic_saturation": {"saturation_inverse_per_a": 1.2}},
+    ],
+    ids="+".join,
+)
+def test_effects_are_named_with_their_strength(effects, tmp_path):
+    experiment = measured(effects, tmp_path)
+    d = diagnose(experiment, DATASHEET)
+    assert set(d.verdict.effects) == set(effects)
+    assert d.shrinkage.closure is not None
+    assert d.shrinkage.closure > 0.9
+    found = dict(zip(d.verdict.effects, d.chosen.fit.values, strict=True))
+    for name, values in effects.items():
+        for parameter, true in values.items():
+            assert found[name][parameter] == pytest.approx(true, rel=0.15), (name, parameter)
+    page = gap_page(d)
+    assert "<svg" in page or "<img" in page
+
+
+def test_tones_are_preferred_where_both_were_measured(plain):
+    tones = tone_by_tone(RIG)
+    both = replace(tones, sweeps=(*plain.sweeps, *tones.sweeps))
+    main, other, _ = sweeps_for(both)
+    assert (main.kind, other.kind) == ("stepped-sine", "stepped-sine")
+
+
+def test_a_multisine_whose_phases_nobody_wrote_down_is_refused(plain):
+    nameless = replace(plain, sweeps=tuple(replace(s, phase_rad=None) for s in plain.sweeps))
+    with pytest.raises(PhasesError, match=r"phase_rad.*or run a stepped sine"):
+        diagnose(nameless, DATASHEET)
+
+
+def test_an_observation_of_some_lines_still_sees_what_the_others_do(plain):
+    main = plain.main
+    line = np.unique(main.frequency_hz, return_inverse=True)[1]
+    some = line % 3 == 0
+    whole = observe(main, RIG, together=Together.of(main))
+    part = observe(main.select(some), RIG, together=Together.of(main))
+    np.testing.assert_allclose(whole_displacement(RIG, part), whole_displacement(RIG, whole)[some], rtol=1e-9)
