@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.gap.another_rig import at_bound, hopeless
 from service.gap.begun import beside, residuals, rough_beside
@@ -17,12 +18,16 @@ from service.gap.stage import PROBE
 from service.gap.verdict import ALIKE, CLEAR, MIXED, Ranked, ranked, renormalised
 from sim.effects import CATALOGUE
 
+Real = NDArray[np.float64]
+
 PAIRED = 5
 """Best single effects that are also tried in pairs."""
 REMAINS = 4.0
 """Significance of what an explanation leaves from which another effect beside it is looked for."""
 STRAINED = 3.0
 """Standard deviations of the datasheet's part of the cost, chi-squared, beyond which it is no chance."""
+ANOTHER_LAW = 0.15
+"""Share of the gap that another program's law of the same effect may leave."""
 HOPEFUL = 0.75
 """Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
 a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
@@ -164,7 +169,21 @@ def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
         return False
     effects = mixture.candidate.effects
     alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
-    little, left = 0.15 if alias else MIXED, np.array(mixture.apart)
+    left = np.array(mixture.apart)
     # Others explain by what the datasheet does not allow.
     allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]
-    return all(np.any((np.array(r.apart) > little) & (left < np.array(r.apart) / 3)) for r in allowed)
+    return all(np.any((np.array(r.apart) > _little(r, alias)) & (left < np.array(r.apart) / 3)) for r in allowed)
+
+
+def _little(r: Ranked, alias: bool) -> Real:
+    """Share of what is told apart that an explanation may leave before another effect is needed, one each.
+
+    Another program's law of an effect is some way off, and an alias would make up for it. But what a linear effect
+    leaves at one amplitude and not at the other is no matter of its law.
+    """
+    little = np.full(len(r.apart), ANOTHER_LAW if alias else MIXED)
+    if alias and not any(CATALOGUE[name].nonlinear for name in r.candidate.effects):
+        of_sweep = np.array(r.shares)[::2]  # fundamentals
+        at_one = of_sweep > 3 * of_sweep.min(initial=np.inf)
+        little[: len(r.shares) : 2][at_one] = MIXED
+    return little

@@ -25,7 +25,7 @@ CROSS, AWAY = "magnetic_cross_coupling", "off_centre_rotor"
 
 
 def explanation(
-    effects: tuple[str, ...], evidence: float, shares: tuple[float, float], penalty: float = 0.0, off: float = 0.0
+    effects: tuple[str, ...], evidence: float, shares: tuple[float, ...], penalty: float = 0.0, off: float = 0.0
 ) -> Ranked:
     fit = Fit(effects, np.array([off]), (), RIG, (), penalty, np.arange(1), np.eye(1), "converged")
     return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.9, max(shares), shares)
@@ -42,6 +42,23 @@ def test_a_second_effect_that_one_alone_makes_needless_is_notworth_it() -> None:
     enough = explanation((CROSS,), -15.0, (0.01, 0.01))
     useless = explanation((AWAY,), -99.0, (1.0, 0.5))
     assert not worth_it(both, [both, enough, useless])
+
+
+@pytest.mark.parametrize(
+    ("linear", "left", "worth"),
+    [
+        ("eddy_currents", (0.005, 0.0, 0.07, 0.0), True),
+        ("eddy_currents", (0.07, 0.0, 0.07, 0.0), False),
+        ("magnetic_saturation", (0.005, 0.0, 0.07, 0.0), False),
+    ],
+)
+def test_what_a_linear_effect_leaves_at_one_amplitude_alone_is_no_other_law_of_it(
+    linear: str, left: tuple[float, ...], worth: bool
+) -> None:
+    """An alias beside it would make up for another program's law, which is as far off at any amplitude."""
+    both = explanation((linear, "magnetic_hysteresis"), -10.0, (0.001, 0.0, 0.001, 0.0))
+    singles = [explanation((linear,), -90.0, left), explanation(("magnetic_hysteresis",), -99.0, (0.9, 0.5, 0.9, 0.5))]
+    assert worth_it(both, [both, *singles]) is worth
 
 
 def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needless() -> None:
