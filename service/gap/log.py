@@ -18,6 +18,7 @@ from service.gap.observation import Observation
 from service.gap.part import Ground, parts
 from service.gap.search import Explained, gap_significance
 from service.gap.stage import COARSE, EXACT, MIDDLE
+from service.gap.verdict import CLEAR
 from sim import control_law
 
 Complex = NDArray[np.complex128]
@@ -26,6 +27,7 @@ SIGNIFICANT = 5.0
 """Significance from which a part has a gap."""
 CURED = 0.1
 """Share of the plant's excess that may be left once the signal is worked out."""
+DISPLACEMENT = "the logged displacement is not the one that the controller used"
 
 
 def log_fault(
@@ -50,12 +52,9 @@ def log_fault(
     if not gap or gap_significance(plain[1], ground.observations) <= SIGNIFICANT:
         return None
     if "controller" in gap and "logging_offset" not in gap["controller"].order[0].candidate.effects:
-        worked_out = tuple(as_the_controller_saw(ground, o) for o in ground.observations)
-        as_uncertain = tuple(replace(o, sd_y=w.sd_y) for o, w in zip(ground.observations, worked_out, strict=True))
-        cured = _plain_excess(fitter, replace(ground, observations=worked_out))
-        # Worked out, the displacement is less certain; a gap that only that hides is not cured.
-        if cured < CURED * _plain_excess(fitter, replace(ground, observations=as_uncertain)):
-            return "the logged displacement is not the one that the controller used"
+        worked_out, as_uncertain = _worked_out(ground)
+        if _plain_excess(fitter, worked_out) < CURED * _plain_excess(fitter, as_uncertain):
+            return DISPLACEMENT
     if "amplifier" in gap:
         driven = gap["amplifier"].ground
         silent = tuple(replace(o, I=None) for o in logged)
@@ -68,6 +67,33 @@ def log_fault(
         if cured < CURED * min(_excess(plain[0].fit), believed):
             return "the logged coil current is not the one that moves the rotor"
     return None
+
+
+def faint_log_fault(fitter: Fitter, before: Sequence[Explained], plant: Explained, best: Candidate) -> str | None:
+    """The same where the plant's gap is so faint that only an effect, ``best``, shows that there is one; or None.
+
+    Noise is estimated, and where it is overestimated a faint gap leaves no excess over the number of values. What the
+    effect leaves is then the measure: with the displacement worked out, the plain twin must leave no more.
+    """
+    controller = next((e for e in before if e.part.path == "controller" and e.significance > SIGNIFICANT), None)
+    if controller is None or not best.effects or "logging_offset" in controller.order[0].candidate.effects:
+        return None
+    worked_out, as_uncertain = _worked_out(plant.ground)
+    told = Task(as_uncertain, best.effects, (best.fit.values,), best.fit.theta, (MIDDLE, EXACT))
+    cured, plain, explained = (c.fit for c in fitter.run([_plain(worked_out), _plain(as_uncertain), told]))
+    floor = [min(*chis) for chis in zip(*(_fundamentals(f) for f in (cured, plain, explained)), strict=True)]
+    left, gap = (sum(_fundamentals(f)) - sum(floor) + f.penalty for f in (cured, plain))
+    return DISPLACEMENT if gap > CLEAR and left < CURED * gap else None
+
+
+def _worked_out(ground: Ground) -> tuple[Ground, Ground]:
+    """The plant with the displacement that the controller betrays, and with the logged one made as uncertain.
+
+    Worked out, the displacement is less certain; a gap that only that hides is not cured.
+    """
+    worked_out = tuple(as_the_controller_saw(ground, o) for o in ground.observations)
+    as_uncertain = tuple(replace(o, sd_y=w.sd_y) for o, w in zip(ground.observations, worked_out, strict=True))
+    return replace(ground, observations=worked_out), replace(ground, observations=as_uncertain)
 
 
 def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
@@ -86,7 +112,16 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
 
 def _plain_excess(fitter: Fitter, ground: Ground) -> float:
     """What the plain twin, refitted, leaves of the plant on another ground."""
-    return _excess(fitter.run([Task(ground, (), ((),), ground.theta, (COARSE, MIDDLE, EXACT))])[0].fit)
+    return _excess(fitter.run([_plain(ground)])[0].fit)
+
+
+def _plain(ground: Ground) -> Task:
+    return Task(ground, (), ((),), ground.theta, (COARSE, MIDDLE, EXACT))
+
+
+def _fundamentals(fit: Fit) -> list[float]:
+    """Chi-square of the excited frequency, sweep by sweep."""
+    return [chi for chi, _ in fit.groups[::2]]
 
 
 def _excess(fit: Fit) -> float:

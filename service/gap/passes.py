@@ -12,7 +12,7 @@ from service.gap.between import between
 from service.gap.candidates import Candidate, Fitter
 from service.gap.compose import chosen_in, held_out, on_sweep
 from service.gap.inherited import inherited_from
-from service.gap.log import log_fault
+from service.gap.log import faint_log_fault, log_fault
 from service.gap.observation import Observation
 from service.gap.observed import Observed
 from service.gap.part import Ground, Values, driven_by_current, parts
@@ -105,6 +105,8 @@ def _explained(
             if part.path == "plant" and not data.aloud:
                 fault = log_fault(fitter, out, ground, plain, observations)
             result = explain(fitter, ground, plain, 1 if fault else MOST, sooner)
+            if part.path == "plant" and not data.aloud and not fault:
+                fault = faint_log_fault(fitter, out, result, chosen_in(result))
             if ground.inherited is not None and not fault:
                 out[-1], result = _shared(fitter, out[-1], result)
         out.append(result)
