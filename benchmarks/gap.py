@@ -23,8 +23,8 @@ from typing import Any
 
 from service.experiment import file
 from service.experiment.multisine_plan import MultisineProfile
-from service.gap.scoring import Outcome, score
-from service.gap.withheld import draw
+from service.gap.trial.scoring import Outcome, score
+from service.gap.trial.withheld import draw
 from service.trial import diagnose, measure, run_blind_trial
 from sim.errors import AmbError
 from sim.rig_file import parse
@@ -52,7 +52,7 @@ def diagnosed(folder: Path) -> tuple[dict[str, Any], dict[str, Any], float]:
     experiment = file.read(folder / "experiment.h5")
     datasheet = parse((folder / "rig.toml").read_text(), str(folder))
     start = time.perf_counter()
-    report = json.loads(json.dumps(diagnose(experiment, datasheet).to_dict()))
+    report = json.loads(json.dumps(diagnose(experiment, datasheet)))
     return json.loads((folder / "truth.json").read_text()), report, time.perf_counter() - start
 
 
@@ -208,7 +208,7 @@ def by_multisines(number: int, seed: int, out: Path) -> tuple[Outcome, str] | st
     except AmbError as error:
         return f"case {number + 1} cannot be measured: {error}"
     start = time.perf_counter()
-    report = json.loads(json.dumps(diagnose(file.read(folder / "experiment.h5"), case.datasheet).to_dict()))
+    report = json.loads(json.dumps(diagnose(file.read(folder / "experiment.h5"), case.datasheet)))
     effects = tuple(name for name, _ in case.effects)
     told = " + ".join(effects) or case.law or "clean"
     return Outcome(number, case.kind, effects, {}, case.law, 1e9, report, time.perf_counter() - start), told

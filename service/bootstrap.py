@@ -202,6 +202,7 @@ def diagnose_into(
         The data do not allow a diagnosis, or the folder cannot be written.
     """
     from service.gap.diagnose import diagnose
+    from service.gap.document import gap_document
     from service.report.gap import gap_page
 
     said = tell or (lambda phase, percent: None)
@@ -211,7 +212,7 @@ def diagnose_into(
         experiment, datasheet, jobs or os.cpu_count() or 1, lambda percent, words: said(words, 2.0 + 0.94 * percent)
     )
     said("writing the report", 97.0)
-    document = diagnosis.to_dict()
+    document = gap_document(diagnosis)
     files = {
         "gap": write_text(out_dir / GAP, json_text(document)),
         "report": write_text(out_dir / GAP_REPORT, gap_page(diagnosis)),

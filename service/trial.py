@@ -24,10 +24,10 @@ from service.experiment.campaign import EXPERIMENT, run_campaign
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
 from service.experiment.multisine_plan import MultisineProfile
-from service.gap.blind_trial import Diagnose, checked, run_case, summary
-from service.gap.seal import SealError
-from service.gap.unlisted_laws import TamperedSimulation
-from service.gap.withheld import Case, described, draw
+from service.gap.trial.blind_trial import Diagnose, checked, run_case, summary
+from service.gap.trial.seal import SealError
+from service.gap.trial.unlisted_laws import TamperedSimulation
+from service.gap.trial.withheld import Case, described, draw
 from service.pool import workers
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -79,11 +79,12 @@ def measure(case: Case, out_dir: Path, profile: Profile | MultisineProfile | Non
         device.close()
 
 
-def diagnose(experiment: Experiment, datasheet: Datasheet) -> Any:
-    """The service's own diagnosis, on one core."""
+def diagnose(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
+    """The service's own diagnosis, on one core, as the document gap.json."""
     from service.gap.diagnose import diagnose as engine
+    from service.gap.document import gap_document
 
-    return engine(experiment, datasheet)
+    return gap_document(engine(experiment, datasheet))
 
 
 def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 
-from service.gap.observation import GapError
+from service.gap.measured.observation import GapError
 from sim.datasheet import Datasheet
 from sim.effects import effect
 

@@ -8,22 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.another_rig import other_rig
-from service.gap.candidates import Candidate
-from service.gap.curved import Seen, curved, curved_instead
-from service.gap.evidence import log_likelihood
-from service.gap.fit import Problem
-from service.gap.fitted import Fit
+from service.gap.doubts.curved import Seen, curved, curved_instead
+from service.gap.doubts.loss import lag_missing
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.nuisance import Nuisance
+from service.gap.fitting.part import STANDSTILL
 from service.gap.interference import Interference
-from service.gap.jacobian import stacked
-from service.gap.loss import lag_missing
-from service.gap.nuisance import Nuisance
-from service.gap.observation import Observation
-from service.gap.part import STANDSTILL, driven_by_current
-from service.gap.search import Explained
-from service.gap.shrinkage import closure_of
-from service.gap.significance import overall, significance
-from service.gap.verdict import UNEXPLAINED, HeldOut, Ranked, Verdict, decide
+from service.gap.measured.observation import Observation
+from service.gap.weighing.another_rig import other_rig
+from service.gap.weighing.significance import significance
+from service.gap.weighing.verdict import UNEXPLAINED, HeldOut, Ranked, Verdict, decide
+from service.gap.which.held_out import on_sweep
+from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
@@ -47,14 +44,9 @@ class Composition:
         return next(r for r in self.order if not r.candidate.effects)
 
 
-def chosen_in(e: Explained) -> Candidate:
-    """The explanation of a part that other parts build on: the best one where it beats the plain twin."""
-    return e.order[0].candidate
-
-
 def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
     """Twins of the chosen explanations, of every alternative in one part, and of none."""
-    chosen = [next(r for r in e.order if r.candidate is chosen_in(e)) for e in found]
+    chosen = [next(r for r in e.order if r.candidate is e.chosen) for e in found]
     by_size = sorted(range(len(found)), key=lambda k: -_excess(found[k]))
     picks = [list(chosen), [e.null for e in found]]
     for k, e in enumerate(found):
@@ -117,55 +109,9 @@ def _combined(
     return Candidate(fit.effects, fit, sum(r.candidate.occam for r in pick), tuple(sds for _, _, sds in named))
 
 
-def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observation, Complex]:
-    """A sweep as the part sees it, and the weighted residuals of a candidate there, (P, H, n)."""
-    ground = e.ground
-    if ground.from_current:
-        o = driven_by_current(ground.rig(ground.theta), o)
-    there = Problem(replace(ground, observations=(o,)), [CATALOGUE[name] for name in candidate.effects])
-    return o, there.residuals(candidate.fit)[0]
-
-
-def held_out(e: Explained, unseen: Observation) -> HeldOut:
-    """A part on the unseen sweep, with the plain twin and with the best explanation."""
-    o, before = on_sweep(e, e.null.candidate, unseen)
-    _, after = on_sweep(e, e.order[0].candidate, unseen)
-    f = o.fundamental
-    gap, left = (max(significance(z[:, [f]], o), overall(z[:, f])) for z in (before, after))
-    J_b, J_a, J_fb, J_fa = (float(np.mean(np.abs(z) ** 2) / 2) for z in (before, after, before[:, f], after[:, f]))
-    apart = np.arange(before.shape[1]) == f
-    support = 0.0
-    for group in (apart, ~apart):
-        b, a = (float(np.sum(np.abs(z[:, group]) ** 2)) for z in (before, after))
-        noise = min(float(2 * before[:, group].size), a, b)
-        support += float(log_likelihood(np.array(a - noise)) - log_likelihood(np.array(b - noise)))
-    closes = closure_of(J_fb, J_fa)
-    return HeldOut(J_b, J_a, gap, left, 1.0 if closes is None else closes, support)
-
-
-def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
-    """What unseen lines of the fitted sweep itself leave, beyond what the fitted ones leave open of the explanation.
-
-    Of few lines those between them may lean on values that none of them tells. So the explanation's values may follow
-    the unseen ones, at the price of moving away from the fit; what still is left contradicts it.
-    """
-    if not there.fails:
-        return there
-    best = e.order[0].candidate
-    o, before = on_sweep(e, e.null.candidate, unseen)
-    problem = Problem(replace(e.ground, observations=(o,)), [CATALOGUE[name] for name in best.effects])
-    linear, f = problem.linearised(best.fit), o.fundamental
-    (z,), (J,) = linear.residuals, linear.columns
-    rows = stacked(J)
-    moved = np.linalg.solve(best.fit.curvature + problem.prior + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
-    left = (z - J @ moved)[:, None]
-    closes = closure_of(*(float(np.mean(np.abs(r) ** 2) / 2) for r in (before[:, f], left)))
-    return replace(there, left=max(significance(left, o), overall(left)), closes=1.0 if closes is None else closes)
-
-
 def _bent(e: Explained, explained: bool, plain: Seen, unseen: Observation) -> str | None:
     """What curved signal stands behind a part's gap, in words; ``plain`` is the unseen sweep by the plain twin."""
-    best = on_sweep(e, chosen_in(e), unseen)
+    best = on_sweep(e, e.chosen, unseen)
     if explained and (reason := curved_instead(e, plain, best)):
         return reason
     # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
@@ -182,7 +128,7 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         explained = own[e.part.path].kind in ("effect", "effects")
         # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
         if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (
-            reason := other_rig(e.ground, chosen_in(e).fit)
+            reason := other_rig(e.ground, e.chosen.fit)
         ):
             own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
         elif explained and (reason := lag_missing(e)):

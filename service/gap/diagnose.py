@@ -3,66 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
-from typing import Any
 
 from service.experiment.data import Experiment
-from service.gap.candidates import Candidate, Fitter
 from service.gap.compose import composed, dated, with_interference
-from service.gap.discrepancy import discrepancy
-from service.gap.document import gap_document, listed
+from service.gap.diagnosis import Diagnosis, listed
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.predict import at_speed_of
 from service.gap.interference import measured_by, scatter_shrinkage
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import next_experiment
-from service.gap.observation import Observation
 from service.gap.observed import observed
 from service.gap.passes import FITTED, found_in
-from service.gap.predict import at_speed_of
-from service.gap.rivals import left_together
-from service.gap.search import Explained
-from service.gap.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
 from service.gap.telling import ProgressCallback, Telling
-from service.gap.verdict import Ranked, Verdict
-from service.gap.where import Where, locate
+from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
+from service.gap.where.discrepancy import discrepancy
+from service.gap.where.where import locate
+from service.gap.which.rivals import left_together
+from service.gap.which.search import Explained
 from sim.datasheet import Datasheet
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """Everything that a diagnosis found; `service.gap.document` turns it into gap.json."""
-
-    rig: str
-    where: Where
-    order: tuple[Ranked, ...]
-    verdict: Verdict
-    shrinkage: Shrinkage
-    closures: dict[tuple[str, ...], float | None]
-    gap_before: float
-    noise_floor: float
-    gaps_after: dict[tuple[str, ...], float]
-    observation: Observation
-    held_out: Observation
-    loop: dict[str, Any] = field(default_factory=dict)
-    """sensitivity peaks per axis: predicted before and after, measured; largest nu-gap before and after"""
-    next_experiment: dict[str, Any] | None = None
-    notes: tuple[str, ...] = field(default=())
-    discrepancy: dict[str, Any] | None = None
-    """where nothing explains the gap, its shape over frequency, amplitude and channel"""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The document gap.json."""
-        return gap_document(self)
-
-    @property
-    def null(self) -> Candidate:
-        """The plain twin, its datasheet's values refitted."""
-        return next(r.candidate for r in self.order if not r.candidate.effects)
-
-    @property
-    def chosen(self) -> Candidate:
-        """The explanation that the verdict names, else the best one."""
-        return next((r.candidate for r in self.order if r.candidate.effects == self.verdict.effects), self.null)
 
 
 def diagnose(

@@ -2,45 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from service.gap.shrinkage import Closed
-from service.gap.verdict import ALIKE, Ranked
-
-if TYPE_CHECKING:
-    from service.gap.diagnose import Diagnosis
-
-SHOWN = 10
-"""Candidates in the report."""
-
-
-def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = SHOWN) -> list[Ranked]:
-    """Explanations for the report: the chosen one, rivals by falling evidence, then what adds to the chosen one.
-
-    What contains the chosen one is no rival of it, and there are so many that they would crowd out all others.
-    """
-    effects = [r for r in order if r.candidate.effects]
-    if not chosen:
-        return effects[:most]
-    named = [r for r in effects if r.candidate.effects == chosen]
-    more = [r for r in effects if set(chosen) < set(r.candidate.effects)]
-    rivals = [r for r in effects if r not in named and r not in more]
-    return [*named, *rivals, *more][:most]
-
-
-def runner_up(order: Sequence[Ranked], chosen: tuple[str, ...]) -> Ranked | None:
-    """The best explanation that does not contain the chosen one."""
-    rivals = (r for r in order if r.candidate.effects and not set(chosen) <= set(r.candidate.effects))
-    return next(rivals, None) if chosen else None
+from service.gap.diagnosis import Diagnosis, listed, runner_up
+from service.gap.weighing.shrinkage import Closed
+from service.gap.weighing.verdict import ALIKE, Ranked
+from sim.effects import CATALOGUE
 
 
 def verdict_path(d: Diagnosis) -> str:
     """Path of the block that the verdict blames: the effect's own where there is one, else where the gap is."""
-    from sim.effects import CATALOGUE
-
     if d.verdict.effects:
         return CATALOGUE[d.verdict.effects[0]].path
     return d.where.path
@@ -48,8 +21,6 @@ def verdict_path(d: Diagnosis) -> str:
 
 def _blamed(d: Diagnosis) -> str:
     """All blocks of the loop that hold an effect of the verdict, in words."""
-    from sim.effects import CATALOGUE
-
     paths = dict.fromkeys(CATALOGUE[effect].path for effect in d.verdict.effects)
     return " and the ".join("signals" if path == "additive" else path for path in paths)
 

@@ -15,12 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.candidates import LAW_ERROR
-from service.gap.coherent import PATTERNS, beside_hum, coherence, heard_in, hum_power, resolution_hz, without_hum
-from service.gap.estimate import Estimate
-from service.gap.observation import HUMMED, near_hum, usable
-from service.gap.scatter import block_scatter
-from service.gap.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
+from service.gap.fitting.candidates import LAW_ERROR
+from service.gap.measured.coherent import (
+    PATTERNS,
+    beside_hum,
+    coherence,
+    heard_in,
+    hum_power,
+    resolution_hz,
+    without_hum,
+)
+from service.gap.measured.estimate import Estimate
+from service.gap.measured.observation import HUMMED, near_hum, usable
+from service.gap.measured.scatter import block_scatter
+from service.gap.weighing.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
 from sim.rig import Rig
 from sim.twin import linear_model
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.gap.across import Across, across_alike
-from service.gap.compose import between_lines, heard_too, held_out, verdict_of
+from service.gap.compose import heard_too, verdict_of
+from service.gap.doubts.across import Across, across_alike
 from service.gap.interference import Interference
-from service.gap.observation import Observation
-from service.gap.search import Explained
-from service.gap.settling import UNSETTLED
-from service.gap.verdict import LARGEST_CLASS, UNEXPLAINED, Verdict
+from service.gap.measured.observation import Observation
+from service.gap.measured.settling import UNSETTLED
+from service.gap.weighing.verdict import LARGEST_CLASS, UNEXPLAINED, Verdict
+from service.gap.which.held_out import between_lines, held_out
+from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 
 UNDECIDED = 0.5

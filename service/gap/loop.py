@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.candidates import Candidate
-from service.gap.nuisance import Nuisance
-from service.gap.observation import Observation
-from service.gap.predict import NOTHING_SEEN, at_speed_of
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.nuisance import Nuisance
+from service.gap.fitting.predict import NOTHING_SEEN, at_speed_of
+from service.gap.measured.observation import Observation
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model

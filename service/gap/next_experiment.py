@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import normal_tail
-from service.gap.candidates import Candidate
-from service.gap.jacobian import answer_jacobian
-from service.gap.nuisance import Nuisance
-from service.gap.observation import Observation
-from service.gap.predict import answer, centred, control, weights
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.jacobian import answer_jacobian
+from service.gap.fitting.nuisance import Nuisance
+from service.gap.fitting.predict import answer, centred, control, weights
+from service.gap.measured.observation import Observation
 from sim.rig import Rig
 from sim.twin import linear_model
 

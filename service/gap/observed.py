@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.gap.conditions import same_condition
+from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
+from service.gap.measured.observation import GapError, Observation, observe, usable
+from service.gap.measured.settling import DRIFTS
+from service.gap.measured.sweeps import halves, notes_on, span_s, sweeps_for, timed
+from service.gap.measured.thin import thinned
+from service.gap.measured.together import Together
 from service.gap.modes import with_identified_modes
-from service.gap.nuisance import Nuisance, nuisance
-from service.gap.observation import GapError, Observation, observe, usable
-from service.gap.settling import DRIFTS
-from service.gap.sweeps import halves, notes_on, span_s, sweeps_for, timed
-from service.gap.thin import thinned
-from service.gap.together import Together
+from service.gap.where.conditions import same_condition
 from sim.datasheet import Datasheet
 
 

@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.gap.another_rig import hopeless
-from service.gap.between import between
-from service.gap.candidates import Candidate, Fitter
-from service.gap.compose import chosen_in, held_out, on_sweep
-from service.gap.inherited import inherited_from
-from service.gap.log import faint_log_fault, log_fault
-from service.gap.observation import Observation
+from service.gap.doubts.log import faint_log_fault, log_fault
+from service.gap.fitting.candidates import Candidate, Fitter
+from service.gap.fitting.inherited import inherited_from
+from service.gap.fitting.part import Ground, Values, driven_by_current, parts
+from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
-from service.gap.part import Ground, Values, driven_by_current, parts
-from service.gap.search import MOST, Explained, explain, plain_twin
-from service.gap.significance import OUTLIER, SIGNIFICANT, alone_hz, significance
 from service.gap.telling import Telling
-from service.gap.verdict import VISIBLE, rejected
+from service.gap.weighing.another_rig import hopeless
+from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, significance
+from service.gap.weighing.verdict import VISIBLE, rejected
+from service.gap.which.between import between
+from service.gap.which.held_out import held_out, on_sweep
+from service.gap.which.search import MOST, Explained, explain, plain_twin
 from sim.effects import CATALOGUE
 
 ONE_SWEEP, FITTED = 80.0, 97.0
@@ -84,8 +84,8 @@ def _explained(
     fault: str | None = None
     looked_at = parts(data.nuisance, observations)
     for part in looked_at:
-        theta = chosen_in(out[-1]).fit.theta if out else np.zeros(len(data.nuisance))
-        named = tuple(found for e in out for found in _found(chosen_in(e)))
+        theta = out[-1].chosen.fit.theta if out else np.zeros(len(data.nuisance))
+        named = tuple(found for e in out for found in _found(e.chosen))
         understood = all(_understood(e) for e in out if e.part.path == "amplifier")
         ground = Ground(data.nuisance, part, observations, theta, named)
         if part.path == "plant" and not understood:
@@ -93,7 +93,7 @@ def _explained(
             driven = tuple(driven_by_current(rig, o) for o in observations)
             ground = replace(ground, observations=driven, from_current=True)
         elif part.path == "plant" and out and out[-1].part.path == "amplifier":
-            ground = _through(ground, out[-1], chosen_in(out[-1]))
+            ground = _through(ground, out[-1], out[-1].chosen)
         if part.path not in known:
             telling.part(part, [p for p in looked_at if p.path not in known], *percent)
         result = known.get(part.path)
@@ -106,7 +106,7 @@ def _explained(
                 fault = log_fault(fitter, out, ground, plain, observations)
             result = explain(fitter, ground, plain, 1 if fault else MOST, sooner)
             if part.path == "plant" and not data.aloud and not fault:
-                fault = faint_log_fault(fitter, out, result, chosen_in(result))
+                fault = faint_log_fault(fitter, out, result, result.chosen)
             if ground.inherited is not None and not fault:
                 out[-1], result = _shared(fitter, out[-1], result)
         out.append(result)
@@ -120,8 +120,8 @@ def _shared(fitter: Fitter, amplifiers: Explained, plant: Explained) -> tuple[Ex
         return _through(plant.ground, amplifiers, candidate)
 
     now, plant = between(fitter, amplifiers, plant, through)
-    if chosen_in(now) is not chosen_in(amplifiers):
-        plant = explain(fitter, through(chosen_in(now)))
+    if now.chosen is not amplifiers.chosen:
+        plant = explain(fitter, through(now.chosen))
     return now, plant
 
 
@@ -140,7 +140,7 @@ def _through(ground: Ground, amplifiers: Explained, candidate: Candidate) -> Gro
 
 def _understood(amplifiers: Explained) -> bool:
     """Whether the plant can be held against u through the amplifiers: what is left of them is noise, in every line."""
-    groups = chosen_in(amplifiers).fit.groups[::2]
+    groups = amplifiers.chosen.fit.groups[::2]
     return amplifiers.remaining < UNDERSTOOD and all(chi < NOISE_ALONE * count for chi, count in groups)
 
 
@@ -151,7 +151,7 @@ def _decided(e: Explained) -> bool:
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:
     """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it."""
-    o, z = on_sweep(e, chosen_in(e), unseen)
+    o, z = on_sweep(e, e.chosen, unseen)
     clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
     return clear or held_out(e, unseen).fails or told_by_the_other(e, unseen)
 
@@ -161,7 +161,7 @@ def told_by_the_other(e: Explained, unseen: Observation) -> bool:
 
     A force that grows with amplitude may be lost there in the mean of a band, and here in one effect's price.
     """
-    best = chosen_in(e)
+    best = e.chosen
     more = (
         r.candidate
         for r in e.order
@@ -180,5 +180,5 @@ def _left(e: Explained, candidate: Candidate, unseen: Observation) -> float:
 
 def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
     """The line of the other sweep that alone shows a gap that amplifiers at their voltage limit may make, Hz."""
-    o, z = on_sweep(e, chosen_in(e), unseen)
+    o, z = on_sweep(e, e.chosen, unseen)
     return alone_hz(e.part, z, o)

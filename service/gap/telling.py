@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from service.gap.part import Part
+from service.gap.fitting.part import Part
 
 ProgressCallback = Callable[[float, str], None]
 """Told the percent that are done, never falling, and what is done now, in words."""

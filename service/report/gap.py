@@ -6,8 +6,8 @@ import json
 from html import escape
 from typing import Any
 
-from service.gap.diagnose import Diagnosis
-from service.gap.document import alike
+from service.gap.diagnosis import Diagnosis
+from service.gap.document import alike, gap_document
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, decibel, fixed, number, paragraph, quantity, signed, table
 from service.report.gap_discrepancy import discrepancy_figure
@@ -24,7 +24,7 @@ TONES: dict[str, Tone] = {"no_gap": "good", "effect": "warn", "effects": "warn",
 
 def gap_page(diagnosis: Diagnosis) -> str:
     """The report as one self-contained HTML file."""
-    document = diagnosis.to_dict()
+    document = gap_document(diagnosis)
     verdict = document["verdict"]
     axes = diagnosis.null.fit.rig.axes
     before, after = diagnosis.null.fit.rig, diagnosis.chosen.fit.rig

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.diagnose import Diagnosis
-from service.gap.observation import Observation
-from service.gap.predict import answer, control, measured, residual, weights
+from service.gap.diagnosis import Diagnosis
+from service.gap.fitting.predict import answer, control, measured, residual, weights
+from service.gap.measured.observation import Observation
 from service.report.figure import (
     BAD,
     FOURTH,

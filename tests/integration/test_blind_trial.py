@@ -3,19 +3,17 @@
 import json
 import shutil
 import stat
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import service.trial
 from service.experiment.data import Experiment
-from service.gap.blind_trial import checked, summary
-from service.gap.seal import SealError, opened
-from service.gap.withheld import draw
+from service.gap.trial.blind_trial import checked, summary
+from service.gap.trial.seal import SealError, opened
+from service.gap.trial.withheld import draw
 from service.trial import PROFILE, run_blind_trial, run_one
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -35,7 +33,7 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     out = tmp_path_factory.mktemp("trial")
     told: list[tuple[int, int]] = []
 
-    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+    def engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
         assert experiment.named("main") is not None
         assert datasheet.name == "withheld"
         return _report("effect", "loop_delay")
@@ -113,7 +111,7 @@ def test_a_trial_that_was_stopped_goes_on_with_what_it_has(trial: tuple[Path, di
     (kept / "case-0003" / "case.json").unlink()  # stopped while this one was diagnosed
     asked: list[int] = []
 
-    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+    def engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
         asked.append(1)
         return _report()
 
@@ -129,15 +127,14 @@ def test_a_folder_of_another_trial_is_refused(trial: tuple[Path, dict[str, Any]]
         run_blind_trial(CASES, SEED + 1, out, jobs=1)
 
 
-def _report(kind: str = "no_gap", *effects: str) -> Any:
+def _report(kind: str = "no_gap", *effects: str) -> dict[str, Any]:
     verdict = {"kind": kind, "effects": list(effects), "indistinguishable": [], "probability": 0.9}
-    document: Mapping[str, Any] = {
+    return {
         "verdict": verdict,
         "where": {"path": "plant"},
         "candidates": [],
         "shrinkage": {"closure": 0.9},
     }
-    return SimpleNamespace(to_dict=lambda: dict(document))
 
 
 def _measured(trial: tuple[Path, dict[str, Any]], folder: Path) -> None:
@@ -154,7 +151,7 @@ def test_the_truth_is_committed_to_before_the_diagnosis_begins(
     _measured(trial, tmp_path)
     seen: list[set[str]] = []
 
-    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+    def engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
         seen.append({p.name for p in (tmp_path / "case-0003").iterdir()})
         return _report()
 
@@ -167,7 +164,7 @@ def test_a_seal_changed_while_the_diagnosis_runs_is_caught(trial: tuple[Path, di
     _measured(trial, tmp_path)
     sealed = tmp_path / "case-0003" / "sealed.json"
 
-    def engine(experiment: Experiment, datasheet: Datasheet) -> Any:
+    def engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
         document = json.loads(sealed.read_text())
         truth = {**json.loads(document["truth"]), "kind": "single", "effects": ["loop_delay"]}
         sealed.write_text(json.dumps({**document, "truth": json.dumps(truth)}))

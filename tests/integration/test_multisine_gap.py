@@ -11,10 +11,11 @@ from service.experiment.data import Experiment
 from service.experiment.file import read
 from service.experiment.multisine_plan import MultisineProfile
 from service.gap.diagnose import diagnose
-from service.gap.observation import observe
-from service.gap.predict import displacement, measured_signal, weight, whole_displacement
-from service.gap.sweeps import sweeps_for
-from service.gap.together import PhasesError, Together
+from service.gap.document import gap_document
+from service.gap.fitting.predict import displacement, measured_signal, weight, whole_displacement
+from service.gap.measured.observation import observe
+from service.gap.measured.sweeps import sweeps_for
+from service.gap.measured.together import PhasesError, Together
 from service.report.gap import gap_page
 from sim.reference import reference_rig
 from sim.twin import with_effects
@@ -76,7 +77,7 @@ def test_effects_are_named_with_their_strength(effects, tmp_path):
     for name, values in effects.items():
         for parameter, true in values.items():
             assert found[name][parameter] == pytest.approx(true, rel=0.15), (name, parameter)
-    assert " ".join(d.to_dict()["verdict"]["effects"][0].split("_")) in gap_page(d)
+    assert " ".join(gap_document(d)["verdict"]["effects"][0].split("_")) in gap_page(d)
 
 
 def test_tones_are_preferred_where_both_were_measured(plain):

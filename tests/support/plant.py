@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from service.experiment.data import Experiment
-from service.gap.candidates import Fitter
-from service.gap.nuisance import nuisance
-from service.gap.observation import observe
-from service.gap.part import Ground, parts
-from service.gap.search import MOST, Explained, explain
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import observe
+from service.gap.which.search import MOST, Explained, explain
 from sim.datasheet import Datasheet
 
 

@@ -5,7 +5,7 @@ import copy
 import pytest
 
 from service.gap.apply import applied
-from service.gap.observation import GapError
+from service.gap.measured.observation import GapError
 from sim.reference import reference_datasheet
 
 SHEET = reference_datasheet()

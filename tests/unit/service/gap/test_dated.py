@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from service.gap.candidates import Candidate
 from service.gap.compose import Composition, dated
-from service.gap.fitted import Fit
-from service.gap.verdict import Ranked
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.weighing.verdict import Ranked
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
-from service.gap import candidates
 from service.gap.apply import applied
-from service.gap.candidates import Candidate, Task, fit_task
 from service.gap.diagnose import diagnose
-from service.gap.observation import GapError
+from service.gap.document import gap_document
+from service.gap.fitting import candidates
+from service.gap.fitting.candidates import Candidate, Task, fit_task
+from service.gap.measured.observation import GapError
 from sim.errors import EffectError
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
@@ -24,7 +25,7 @@ def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
     measured = experiment(true_rig(truth))
     d = diagnose(measured, datasheet, progress=lambda percent, words: heard.append((percent, words)))
     assert d.verdict.kind == "no_gap"
-    assert d.to_dict()["verdict"]["effects"] == []
+    assert gap_document(d)["verdict"]["effects"] == []
     percents = [percent for percent, _ in heard]
     assert percents == sorted(percents)
     assert 0 <= percents[0] < 5
@@ -53,7 +54,7 @@ def test_a_withheld_effect_is_named_measured_and_closed(
 ) -> None:
     datasheet, truth = known_datasheet(seed=2)
     d = diagnose(experiment(with_effects(true_rig(truth), {effect: values})), datasheet)
-    report = d.to_dict()
+    report = gap_document(d)
     assert report["verdict"]["effects"] == [effect]
     assert report["where"]["path"] == path
     assert report["shrinkage"]["closure"] > 0.95
@@ -92,7 +93,7 @@ def test_an_effect_that_could_not_be_fitted_is_said_not_to_have_been_weighed(mon
     monkeypatch.setattr(candidates, "fit_task", without)
     datasheet, truth = known_datasheet(seed=1)
     measured, datasheet = one_plane(experiment(true_rig(truth)), datasheet)
-    report = diagnose(measured, datasheet).to_dict()
+    report = gap_document(diagnose(measured, datasheet))
     assert report["verdict"]["kind"] == "no_gap"
     assert "off centre rotor was not weighed: no twin with it could be fitted" in report["notes"]
     assert sum("not weighed" in note for note in report["notes"]) == 1
@@ -102,7 +103,7 @@ def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:
     datasheet, truth = known_datasheet(seed=4)
     rig = with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 2e-5}})
     measured, datasheet = one_plane(experiment(rig), datasheet)
-    report = diagnose(measured, datasheet).to_dict()
+    report = gap_document(diagnose(measured, datasheet))
     twin = applied(datasheet, report)
     assert [name for name, _ in twin.effects] == report["verdict"]["effects"]
     assert diagnose(measured, twin).verdict.kind == "no_gap"
@@ -121,7 +122,7 @@ def test_an_unknown_law_is_not_explained_away() -> None:
 
     d = diagnose(Experiment(measured.rig, measured.axes, tuple(bent(s) for s in measured.sweeps)), datasheet)
     assert d.verdict.kind == "none_of_these"
-    assert d.to_dict()["where"]["path"] in ("controller", "plant")
+    assert gap_document(d)["where"]["path"] in ("controller", "plant")
 
 
 def test_one_sweep_is_cross_validated_and_says_so() -> None:
@@ -191,7 +192,7 @@ def test_the_datasheet_of_another_rig_is_said_to_be_one(gain: float) -> None:
     measured = experiment(true_rig(truth))
     d = diagnose(*one_plane(replace(measured, sweeps=measured.sweeps[:1]), other))
     assert d.verdict.kind == "none_of_these"
-    said = d.to_dict()["verdict"]
+    said = gap_document(d)["verdict"]
     assert "of another rig" in " ".join(said["reasons"])
     assert said["sentence"].startswith("Nothing can be said of effects")
     assert "check it" in said["sentence"]

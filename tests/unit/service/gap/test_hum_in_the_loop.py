@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.candidates import Candidate
 from service.gap.compose import Composition, with_interference
-from service.gap.fitted import Fit
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
 from service.gap.interference import Interference, interference, measured_by
-from service.gap.rivals import left_together
-from service.gap.verdict import Ranked, Verdict
+from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.which.rivals import left_together
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from sim.twin import linear_model

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.candidates import Candidate
-from service.gap.fitted import Fit
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.nuisance import nuisance
 from service.gap.loop import QUANTITIES, drawn_twins, loop_figures
-from service.gap.nuisance import nuisance
-from service.gap.observation import observe
+from service.gap.measured.observation import observe
 from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 

@@ -9,13 +9,13 @@ import pytest
 
 from service.api.options import checked_options
 from service.cli.client import Kind, _options
-from service.gap.candidates import Candidate
-from service.gap.fitted import Fit
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.nuisance import nuisance
+from service.gap.measured.observation import observe
 from service.gap.next_experiment import Option, next_experiment, options, rig_seconds, submission
-from service.gap.nuisance import nuisance
-from service.gap.observation import observe
-from service.gap.rivals import left_together
-from service.gap.verdict import Ranked, Verdict
+from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.which.rivals import left_together
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
-from service.gap.candidates import Fitter
-from service.gap.compose import on_sweep
-from service.gap.conditions import dependence
 from service.gap.diagnose import diagnose
-from service.gap.nuisance import nuisance
-from service.gap.observation import Observation, observe
-from service.gap.part import Ground, parts
-from service.gap.search import Explained, plain_twin
-from service.gap.significance import alone_hz, fastest_alone_hz, shows_alone_hz
-from service.gap.sweeps import halves
-from service.gap.verdict import ranked
+from service.gap.document import gap_document
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import Observation, observe
+from service.gap.measured.sweeps import halves
+from service.gap.weighing.significance import alone_hz, fastest_alone_hz, shows_alone_hz
+from service.gap.weighing.verdict import ranked
+from service.gap.where.conditions import dependence
+from service.gap.which.held_out import on_sweep
+from service.gap.which.search import Explained, plain_twin
 from sim.datasheet import Datasheet
 from sim.rig import Rig
 from sim.twin import with_effects
@@ -57,7 +58,7 @@ def test_a_limit_that_only_the_other_sweep_reaches_and_in_one_line_is_named_and_
     measured, datasheet = limited
     d = diagnose(measured, datasheet)
     assert d.verdict.effects == ("amplifier_voltage_limit",)
-    found = d.to_dict()["candidates"][0]["parameters"]["slew_inverse_s_per_a"]
+    found = gap_document(d)["candidates"][0]["parameters"]["slew_inverse_s_per_a"]
     true = 1 / (0.9 * largest_rate(true_rig(known_datasheet(seed=3)[1]), HIGHEST))
     assert found["value"] == pytest.approx(true, rel=0.02)
     assert any("not the other" in note for note in d.notes)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.candidates import Candidate, Fitter
-from service.gap.compose import on_sweep
-from service.gap.nuisance import nuisance
-from service.gap.observation import Observation, observe
-from service.gap.part import Ground, Values, parts
+from service.gap.fitting.candidates import Candidate, Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, Values, parts
+from service.gap.measured.observation import Observation, observe
 from service.gap.passes import told_by_the_other
-from service.gap.search import Explained, plain_twin
-from service.gap.significance import SIGNIFICANT, significance
-from service.gap.verdict import ranked
+from service.gap.weighing.significance import SIGNIFICANT, significance
+from service.gap.weighing.verdict import ranked
+from service.gap.which.held_out import on_sweep
+from service.gap.which.search import Explained, plain_twin
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane

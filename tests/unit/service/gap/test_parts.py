@@ -7,12 +7,13 @@ import pytest
 
 from service.experiment.data import Experiment, Sweep
 from service.gap.diagnose import diagnose
+from service.gap.document import gap_document
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import parts
+from service.gap.fitting.predict import control, weight
 from service.gap.interference import interference
-from service.gap.nuisance import nuisance
-from service.gap.observation import observe
-from service.gap.part import parts
-from service.gap.predict import control, weight
-from service.gap.significance import SIGNIFICANT, significance
+from service.gap.measured.observation import observe
+from service.gap.weighing.significance import SIGNIFICANT, significance
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
@@ -33,34 +34,7 @@ def test_effects_of_two_parts_are_both_named_however_different_in_size() -> None
     }
     d = diagnose(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet))
     assert set(d.verdict.effects) == set(both)
-    assert d.to_dict()["where"]["path"] == "controller"
-
-
-def test_a_log_that_lags_is_no_effect_of_the_rig() -> None:
-    """y written down half a sample late: controller and plant both seem off, but neither is."""
-    datasheet, truth = known_datasheet(seed=12)
-    rig = true_rig(truth)
-
-    def late(s: Sweep) -> Sweep:
-        h = np.array(s.harmonics)
-        lag = np.exp(-2j * np.pi * s.frequency_hz[:, None] * h * 0.5 * rig.controller.sample_time_s)
-        return replace(s, Y=s.Y * lag[:, None, :, None])
-
-    d = diagnose(*one_plane(spoiled(experiment(rig), late), datasheet))
-    assert d.verdict.kind == "none_of_these"
-    assert "logged displacement" in d.to_dict()["verdict"]["reasons"][0]
-
-
-def test_a_filtered_current_log_is_no_effect_of_the_rig() -> None:
-    datasheet, truth = known_datasheet(seed=13)
-
-    def filtered(s: Sweep) -> Sweep:
-        at = s.frequency_hz[:, None] * np.array(s.harmonics)
-        return replace(s, I=s.I / (1 + 1j * at / 4000.0)[:, None, :, None])
-
-    d = diagnose(*one_plane(spoiled(experiment(true_rig(truth)), filtered), datasheet))
-    assert d.verdict.kind == "none_of_these"
-    assert "logged coil current" in d.to_dict()["verdict"]["reasons"][0]
+    assert gap_document(d)["where"]["path"] == "controller"
 
 
 def test_a_stop_that_only_the_larger_amplitude_reaches_is_named() -> None:
@@ -110,7 +84,7 @@ def test_hum_of_the_mains_is_heard_in_the_scatter_and_named() -> None:
     assert 6e-9 < heard[0].parameters["amplitude_m"] < 36e-9, "no line of the sweep meets the mains exactly"
     d = diagnose(loud, datasheet)
     assert d.verdict.effects == ("mains_interference",)
-    assert d.to_dict()["where"]["path"] == "additive"
+    assert gap_document(d)["where"]["path"] == "additive"
 
 
 def test_without_the_current_amplifier_and_plant_are_one_part() -> None:

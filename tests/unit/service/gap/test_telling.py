@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.gap.part import Part
+from service.gap.fitting.part import Part
 from service.gap.telling import Telling
 
 NONE = np.zeros(0, dtype=np.int64)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.candidates import Fitter
 from service.gap.diagnose import diagnose
+from service.gap.document import gap_document
+from service.gap.fitting.candidates import Fitter
 from service.gap.observed import observed
 from service.gap.passes import found_in
 from service.gap.telling import Telling
-from service.gap.where import locate
+from service.gap.where.where import locate
 from sim.rig import Rig
 from sim.twin import linear_model
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
@@ -47,7 +48,7 @@ def test_amplifiers_that_nothing_explains_are_no_datasheet_of_another_rig() -> N
     rig = true_rig(truth)
     measured = experiment(rig)
     sweeps = tuple(with_stalling_amplifiers(rig, s) for s in measured.sweeps)
-    found = diagnose(*one_plane(replace(measured, sweeps=sweeps), datasheet)).to_dict()
+    found = gap_document(diagnose(*one_plane(replace(measured, sweeps=sweeps), datasheet)))
     verdict = found["verdict"]
     assert verdict["kind"] == "none_of_these"
     assert verdict["reasons"][0].startswith("amplifier: ")

@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.candidates import Candidate
-from service.gap.conditions import Dependence
-from service.gap.diagnose import Diagnosis
-from service.gap.fitted import Fit
+from service.gap.diagnosis import Diagnosis
+from service.gap.document import gap_document
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
 from service.gap.loop import loop_figures
-from service.gap.observation import observe
-from service.gap.shrinkage import relative_gap, relative_noise, shrinkage
-from service.gap.verdict import Ranked, Verdict
-from service.gap.where import PathGap, Where
+from service.gap.measured.observation import observe
+from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
+from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.where.conditions import Dependence
+from service.gap.where.where import PathGap, Where
 from service.identification.synthetic import plane_model_of, synthetic_sweep
 from service.report.gap import gap_page
 from sim.effects import CATALOGUE, effect
@@ -113,7 +114,7 @@ def test_how_sure_is_told_whatever_the_verdict(diagnosis, kind):
 
 
 def test_closure_is_told_by_path_and_channel(diagnosis):
-    s = diagnosis.to_dict()["shrinkage"]
+    s = gap_document(diagnosis)["shrinkage"]
     by_path = {p["path"]: p for p in s["paths"]}
     assert set(by_path) == {"controller", "amplifier", "plant"}
     assert by_path["amplifier"]["before"] > 2 > by_path["amplifier"]["after"]
@@ -133,7 +134,7 @@ def test_the_runner_up_is_kept_whatever_adds_to_the_chosen_one(diagnosis):
     rig = chosen.candidate.fit.rig
     more = [replace(chosen, candidate=candidate(rig, "loop_delay", e, values=(found, {}))) for e in names]
     crowded = replace(diagnosis, order=(chosen, *more, rival, plain))
-    document = crowded.to_dict()
+    document = gap_document(crowded)
     assert document["shrinkage"]["runner_up"]["effects"] == ["sensor_lag"]
     shown = [c["effects"] for c in document["candidates"]]
     assert shown[:2] == [["loop_delay"], ["sensor_lag"]]

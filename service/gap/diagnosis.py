@@ -1,0 +1,69 @@
+"""What a diagnosis ends with, and which of its explanations are told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.measured.observation import Observation
+from service.gap.weighing.shrinkage import Shrinkage
+from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.where.where import Where
+
+SHOWN = 10
+"""Candidates in the report."""
+
+
+def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = SHOWN) -> list[Ranked]:
+    """Explanations for the report: the chosen one, rivals by falling evidence, then what adds to the chosen one.
+
+    What contains the chosen one is no rival of it, and there are so many that they would crowd out all others.
+    """
+    effects = [r for r in order if r.candidate.effects]
+    if not chosen:
+        return effects[:most]
+    named = [r for r in effects if r.candidate.effects == chosen]
+    more = [r for r in effects if set(chosen) < set(r.candidate.effects)]
+    rivals = [r for r in effects if r not in named and r not in more]
+    return [*named, *rivals, *more][:most]
+
+
+def runner_up(order: Sequence[Ranked], chosen: tuple[str, ...]) -> Ranked | None:
+    """The best explanation that does not contain the chosen one."""
+    rivals = (r for r in order if r.candidate.effects and not set(chosen) <= set(r.candidate.effects))
+    return next(rivals, None) if chosen else None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that a diagnosis found; `service.gap.document` turns it into gap.json."""
+
+    rig: str
+    where: Where
+    order: tuple[Ranked, ...]
+    verdict: Verdict
+    shrinkage: Shrinkage
+    closures: dict[tuple[str, ...], float | None]
+    gap_before: float
+    noise_floor: float
+    gaps_after: dict[tuple[str, ...], float]
+    observation: Observation
+    held_out: Observation
+    loop: dict[str, Any] = field(default_factory=dict)
+    """sensitivity peaks per axis: predicted before and after, measured; largest nu-gap before and after"""
+    next_experiment: dict[str, Any] | None = None
+    notes: tuple[str, ...] = field(default=())
+    discrepancy: dict[str, Any] | None = None
+    """where nothing explains the gap, its shape over frequency, amplitude and channel"""
+
+    @property
+    def null(self) -> Candidate:
+        """The plain twin, its datasheet's values refitted."""
+        return next(r.candidate for r in self.order if not r.candidate.effects)
+
+    @property
+    def chosen(self) -> Candidate:
+        """The explanation that the verdict names, else the best one."""
+        return next((r.candidate for r in self.order if r.candidate.effects == self.verdict.effects), self.null)

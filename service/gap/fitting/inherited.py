@@ -1,0 +1,32 @@
+"""What the fit of the amplifiers leaves uncertain, for the plant, which is held against u through them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.evidence import prior_precision
+from service.gap.fitting.fit import Problem
+from service.gap.fitting.part import Ground, Inherited
+from service.gap.fitting.unknowns import slow_to_compute
+from sim.effects import CATALOGUE
+
+
+def inherited_from(ground: Ground, candidate: Candidate) -> Inherited:
+    """Datasheet's values and effect parameters of a fitted part, normal about what was found.
+
+    What the part's own law leaves beyond the noise widens them. Effects that are slow to compute stay as fitted.
+    """
+    problem, fit = Problem(ground, [CATALOGUE[name] for name in candidate.effects]), candidate.fit
+    widened = max(1.0, fit.chi_square / fit.n_residuals)
+    covariance = np.linalg.inv(fit.curvature / widened + prior_precision(problem))
+    free = [k for k, name in enumerate(candidate.effects) if not slow_to_compute(name)]
+    a = len(problem.active)
+    at = [*range(a), *(a + j for j, (k, _) in enumerate(problem.parameters) if k in free)]
+    return Inherited(
+        candidate.effects,
+        problem.active,
+        tuple((candidate.effects[k], fit.values[k]) for k in free),
+        problem.vector(fit)[at],
+        np.linalg.inv(covariance[np.ix_(at, at)]),
+    )

@@ -1,0 +1,190 @@
+"""Exact derivatives of the small-signal answer with respect to what a datasheet leaves uncertain.
+
+With the closed mechanics Zc = M s^2 + D s + K - B R Ks Cb, coordinates q = Zc^-1 B R Ki E i and y = S Cs q, a change
+of any part is a generalised force on q or a change of the sensor map, so each column costs one outer product.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.nuisance import Nuisance
+from service.gap.measured.observation import Observation
+from sim import actuator, amplifier, rotor, sensor
+from sim.rig import Amplifiers, Rig
+from sim.twin import force_rotation, linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+STEP = 1e-5
+"""Central difference of the amplifiers' closed form, relative: smooth to well below it."""
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Coordinates and forces at the points of an observation."""
+
+    q: Complex
+    """(P, q)"""
+    force: Complex
+    """(P, n) total bearing force"""
+    y_per_push: Complex
+    """(P, n, q) sensor signal per generalised force"""
+    sensor: Complex
+    """(P, n) sensor response"""
+    s: Complex
+    """(P,)"""
+
+
+def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
+    """Derivative of the fundamental of i, (P, n, 3 n), per unit of the amplifiers' values.
+
+    Columns are gains, frequencies and dampings, axis by axis; ``rig`` is the rig at the present deviations.
+    """
+    n, omega, axes = rig.n_axes, 2 * np.pi * o.frequency_hz, np.arange(rig.n_axes)
+    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    crossed = (o.U[:, o.fundamental] * early) @ rig.amplifiers.crosstalk.T
+    columns = np.zeros((len(o.line), n, 3 * n), dtype=complex)
+    for k, (d_sampled, _) in enumerate(_amplifier_changes(rig, omega)):
+        columns[:, axes, k * n + axes] = d_sampled[o.line] * crossed
+    of_amplifiers = slice(2 * n, 5 * n)
+    return np.asarray(columns @ nuisance.per_unit[of_amplifiers, of_amplifiers])
+
+
+def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True) -> Complex:
+    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit of the vector.
+
+    ``rig`` is the rig at the present deviations, effects included; the columns of the amplifiers' values are left
+    at zero where they are not asked for.
+    """
+    rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
+    n, omega = rig.n_axes, 2 * np.pi * o.frequency_hz
+    model = linear_model(rig, o.frequency_hz)
+    U = o.U[:, o.fundamental]
+    displacement = (model.y_per_u[o.line] @ U[..., None])[..., 0]
+    columns = np.zeros((len(U), 2 * n, len(nuisance)), dtype=complex)
+
+    m, point, rotation = rotor.mechanics(rig), actuator.operating_point(rig), force_rotation(rig)
+    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    base = (model.baseband[o.line] @ U[..., None])[..., 0]
+    eddy = actuator.eddy_factor(rig.magnets, omega)[o.line]
+    magnetic = point.ki * eddy * base * early  # (P, n) force of the current alone
+    motion = _motion(rig, m, magnetic, o)
+    push, at_bearing = motion.y_per_push, motion.q @ m.bearing_map.T
+
+    per_force = push @ m.force_map  # (P, n, n)
+    per_magnet = per_force @ rotation
+    columns[:, n:, 0:n] = per_magnet * magnetic[:, None, :]
+    columns[:, n:, n : 2 * n] = per_magnet * (point.ks * at_bearing)[:, None, :]
+    axes = np.arange(n)
+    crossed = U @ rig.amplifiers.crosstalk.T
+    for k, change in enumerate(_amplifier_changes(rig, omega) if amplifiers else ()):
+        d_sampled, d_base = (c[o.line] * crossed * early for c in change)
+        block = slice((2 + k) * n, (3 + k) * n)
+        columns[:, axes, (2 + k) * n + axes] = d_sampled
+        columns[:, n:, block] = per_magnet * (point.ki * eddy * d_base)[:, None, :]
+    columns[:, n + axes, 5 * n + axes] = displacement
+    _mechanical_columns(nuisance, rig, motion, per_force, point.ks, rotation, columns)
+    return np.asarray(columns @ nuisance.per_unit)
+
+
+def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> _Motion:
+    """Motion of mechanics ``m`` under the force of the coil currents alone, (P, n), before it is turned."""
+    omega = 2 * np.pi * o.frequency_hz
+    point, rotation, s = actuator.operating_point(rig), force_rotation(rig), 1j * omega
+    stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
+    closed = np.linalg.inv(m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness))
+    q = (closed[o.line] @ (magnetic @ rotation.T @ m.force_map.T)[..., None])[..., 0]
+    total = (magnetic + point.ks * (q @ m.bearing_map.T)) @ rotation.T
+    response = sensor.response(rig.sensors, omega)[o.line]
+    push = response[:, :, None] * (m.sensor_map @ closed)[o.line]
+    return _Motion(q, total, push, response, np.asarray(s[o.line]))
+
+
+def residue_columns(rig: Rig, o: Observation) -> Complex:
+    """Change of y per residue of one more resonance, (P, n, 2, 2), without its own 1 / (s^2 + 2 zeta w s + w^2).
+
+    The residue is that of a light mode, the same in every plane: displacement at end A or B, by bearing and by sensor
+    alike, for a force at end A or B.
+    """
+    rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
+    n, omega, m = rig.n_axes, 2 * np.pi * o.frequency_hz, rotor.mechanics(rig)
+    point, rotation = actuator.operating_point(rig), force_rotation(rig)
+    base = (linear_model(rig, o.frequency_hz).baseband[o.line] @ o.U[:, o.fundamental, :, None])[..., 0]
+    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    motion = _motion(rig, m, point.ki * actuator.eddy_factor(rig.magnets, omega)[o.line] * base * early, o)
+    per_displacement = motion.y_per_push @ m.force_map @ (rotation * point.ks)
+    per_displacement[:, np.arange(n), np.arange(n)] += motion.sensor
+    planes = (len(motion.s), n, n // 2, 2)
+    force = motion.force.reshape(len(motion.s), -1, 2)
+    return np.asarray(np.einsum("piva,pvb->piab", per_displacement.reshape(planes), force))
+
+
+def _amplifier_changes(rig: Rig, omega: Real) -> list[tuple[Complex, Complex]]:
+    """Derivatives of the sampled and the baseband response by ln gain, ln frequency, ln damping, each (F, n)."""
+    amp, period = rig.amplifiers, rig.controller.sample_time_s
+    delay = amp.delay_s + rig.controller.computing_delay_s
+    late = np.exp(-1j * omega[:, None] * delay) * amplifier.hold(omega, period)[:, None]
+
+    def both(a: Amplifiers) -> tuple[Complex, Complex]:
+        return amplifier.sampled(a, omega, period, delay), amplifier.continuous(a, omega) * late
+
+    def moved(name: str, factor: float) -> tuple[Complex, Complex]:
+        value = getattr(amp, name)
+        return both(amp if value is None else replace(amp, **{name: value * factor}))
+
+    changes = []
+    for name in ("gain", "natural_frequency_rad_s", "damping_ratio"):
+        up, down = moved(name, 1 + STEP), moved(name, 1 - STEP)
+        changes.append(((up[0] - down[0]) / (2 * STEP), (up[1] - down[1]) / (2 * STEP)))
+    return changes
+
+
+def _mechanical_columns(
+    nuisance: Nuisance,
+    rig: Rig,
+    motion: _Motion,
+    per_force: Complex,
+    ks: Real,
+    rotation: Real,
+    columns: Complex,
+) -> None:
+    """Columns of mass, inertia, sensor positions and modes, written in place."""
+    n, c, r = rig.n_axes, 6 * rig.n_axes, rig.rotor
+    s2 = motion.s[:, None] ** 2
+
+    def pushed(coordinate: int, generalised_force: Complex) -> Complex:
+        return motion.y_per_push[:, :, coordinate] * generalised_force
+
+    start = 0
+    column = c + 4
+    for plane, modes in enumerate(r.modes):
+        q = motion.q
+        columns[:, n:, c] += pushed(start, -r.mass_kg * s2 * q[:, [start]])
+        columns[:, n:, c + 1] += pushed(start + 1, -r.transverse_inertia_kgm2 * s2 * q[:, [start + 1]])
+        for side, sign in enumerate((1.0, -1.0)):
+            axis = 2 * plane + side
+            columns[:, n + axis, c + 2 + side] += sign * motion.sensor[:, axis] * q[:, start + 1]
+        for k, mode in enumerate(modes[: nuisance.n_modes]):
+            at = start + 2 + k
+            w, qk, s = mode.natural_frequency_rad_s, q[:, [at]], motion.s[:, None]
+            damping = 2 * (mode.damping_ratio + r.internal_damping_ratio) * w * s
+            columns[:, n:, column] = pushed(at, -(2 * w**2 + damping) * qk)
+            columns[:, n:, column + 1] = pushed(at, -2 * mode.damping_ratio * w * s * qk)
+            for side in range(2):
+                axis = 2 * plane + side
+                extra = per_force @ rotation[:, axis] * (ks[axis] * qk)
+                columns[:, n:, column + 2 + side] = pushed(at, motion.force[:, [axis]]) + extra
+                columns[:, n + axis, column + 4 + side] = motion.sensor[:, axis] * qk[:, 0]
+            column += 6
+        start += 2 + len(modes)
+
+
+def stacked(x: Complex) -> Real:
+    """(..., columns) complex -> (2 rows, columns): real parts, then imaginary ones."""
+    flat = x.reshape(int(np.prod(x.shape[:-1])), x.shape[-1])
+    return np.concatenate([flat.real, flat.imag])

@@ -1,0 +1,141 @@
+"""Observation and rig -> weighted residuals of u, i and y: what the twin leaves unexplained, in units of noise.
+
+u is held against r and y through the controller, i and y against u through amplifier and plant, so an error in
+one block of the loop does not spread to the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.measured.observation import Observation
+from sim import control_law
+from sim.harmonic_balance import STATIC_HZ, Responder
+from sim.rig import Rig
+from sim.twin import current_per_control, linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+NOTHING_TOLD, NOTHING_SEEN = 1e-100, 1e-30
+"""In place of a weight, 1/m or 1/A, and of a signal, m or A, that are zero: far below any, and squares stay finite."""
+
+
+def at_speed_of(rig: Rig, o: Observation) -> Rig:
+    """The rig at the speed of the observation."""
+    return rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
+
+
+def answer(rig: Rig, o: Observation) -> Complex:
+    """Twin's [i, y] for the measured control signal, all harmonics, (P, H, 2 n)."""
+    if o.together:
+        return np.concatenate([current(rig, o), whole_displacement(rig, o)], axis=2)
+    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(
+        o.U, seen=o.Y, seen_current=o.I
+    )
+    return np.concatenate([a.I, a.Y], axis=2)
+
+
+def whole_displacement(rig: Rig, o: Observation) -> Complex:
+    """y of `answer`, (P, H, n), which takes half the time."""
+    if o.together:
+        added = o.together.displacement(at_speed_of(rig, o), o.points_hz, o.axis)
+        return (displacement(rig, o) + added)[:, None]
+    responder = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress)
+    return responder.displacement(o.U, seen=o.Y, seen_current=o.I)
+
+
+def linear_answer(rig: Rig, o: Observation) -> Complex:
+    """Small-signal [i, y] at the fundamental, (P, 2 n): the cheap part of `answer`."""
+    model = linear_model(at_speed_of(rig, o), o.frequency_hz)
+    U = o.U[:, o.fundamental, :, None]
+    return np.concatenate([(model.i_per_u[o.line] @ U)[..., 0], (model.y_per_u[o.line] @ U)[..., 0]], axis=1)
+
+
+def displacement(rig: Rig, o: Observation) -> Complex:
+    """Small-signal y at the fundamental, (P, n)."""
+    model = linear_model(at_speed_of(rig, o), o.frequency_hz)
+    return np.asarray((model.y_per_u[o.line] @ o.U[:, o.fundamental, :, None])[..., 0])
+
+
+def current(rig: Rig, o: Observation) -> Complex:
+    """Twin's coil current for the measured control signal, all harmonics, (P, H, n)."""
+    if np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)):
+        return Responder(rig, o.frequency_hz, o.line, o.harmonics).current(o.U, o.I)
+    per_harmonic = [current_per_control(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))[o.line] for h in o.harmonics]
+    answers = [(G @ o.U[:, k, :, None])[..., 0] for k, G in enumerate(per_harmonic)]
+    return np.stack(answers, axis=1)
+
+
+def control(rig: Rig, o: Observation) -> Complex:
+    """Twin's logged control signal for the measured displacement, R - C Y, all harmonics, (P, H, n).
+
+    Harmonic 0 is taken as measured: an integrator's mean says nothing.
+    """
+    out = o.U.copy()
+    for k, h in enumerate(o.harmonics):
+        if h == 0:
+            continue
+        omega = 2 * np.pi * h * o.points_hz
+        early = np.exp(1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)
+        C = control_law.response(rig.controller, omega)
+        out[:, k] = (o.R[:, k] - C[:, None] * o.Y[:, k]) * early[:, None]
+    return out
+
+
+def measured_signal(o: Observation, signal: str) -> Complex:
+    """u, i or y of all harmonics, (P, H, n)."""
+    if signal == "i":
+        assert o.I is not None
+        return o.I
+    return o.U if signal == "u" else o.Y
+
+
+def weight(o: Observation, signal: str) -> Real:
+    """1 / sd of the real and of the imaginary part of u, i or y, (P, H, n)."""
+    w = np.asarray(np.sqrt(2) / {"u": o.sd_u, "i": o.sd_i, "y": o.sd_y}[signal])
+    if signal == "u" and 0 in o.harmonics:
+        w[:, o.harmonics.index(0)] = 0.0  # an integrator's mean says nothing
+    return w
+
+
+def measured(o: Observation) -> Complex:
+    """[u, i, y] of all harmonics, (P, H, 3 n); i is zero where it was not logged."""
+    current = np.zeros_like(o.Y) if o.I is None else o.I
+    return np.concatenate([o.U, current, o.Y], axis=2)
+
+
+def weights(o: Observation) -> Real:
+    """1 / sd of the real and of the imaginary part of [u, i, y], (P, H, 3 n); 0 where nothing was logged."""
+    w_i = np.zeros_like(o.sd_y) if o.I is None else weight(o, "i")
+    return np.concatenate([weight(o, "u"), w_i, weight(o, "y")], axis=2)
+
+
+def centred(e: Complex, w: Real, o: Observation) -> Complex:
+    """``e`` (P, H, 3 n, ...) with each line's weighted mean of harmonic 0 taken out: static loads are nobody's effect.
+
+    They wander, as magnets keep some of their flux after a large swing and as rigs warm up; what counts is how the mean
+    differs with the axis that is excited.
+    """
+    if 0 not in o.harmonics:
+        return e
+    k = o.harmonics.index(0)
+    power = w[:, k] ** 2
+    power = power.reshape(*power.shape, *(1,) * (e.ndim - 3))
+    total = np.zeros((len(o.frequency_hz), *e.shape[2:]), dtype=e.dtype)
+    weight_of_line = np.zeros((len(o.frequency_hz), *power.shape[1:]))
+    np.add.at(total, o.line, e[:, k] * power)
+    np.add.at(weight_of_line, o.line, power)
+    e = e.copy()
+    e[:, k] -= (total / np.maximum(weight_of_line, 1e-300))[o.line]
+    return e
+
+
+def residual(rig: Rig, o: Observation) -> Complex:
+    """Weighted residual of [u, i, y], all harmonics, (P, H, 3 n): unit variance when the twin is right."""
+    predicted = np.concatenate([control(rig, o), answer(rig, o)], axis=2)
+    w = weights(o)
+    return np.asarray(centred(measured(o) - predicted, w, o) * w)

@@ -1,0 +1,186 @@
+"""Starting values of an effect, found in what the twin leaves unexplained.
+
+A resonance starts where the twin fails most, a slew limit at the largest rate of current, a stop at the clearance
+whose force answers best to the residuals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.jacobian import answer_jacobian, residue_columns, stacked
+from service.gap.fitting.part import Ground
+from service.gap.fitting.predict import linear_answer, weight, whole_displacement
+from service.gap.measured.observation import Observation
+from sim.effect import Effect
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+
+Complex = NDArray[np.complex128]
+
+CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
+"""Shares of each axis's largest displacement at which a stop is looked for."""
+DAMPED = 0.02
+"""Damping ratio of a resonance that is looked for: wide enough not to fall between two lines."""
+DAMPINGS = (0.001, 0.003, 0.006, 0.06)
+"""Those at which the best is looked at more closely: it may stand between two lines and show at one of them alone..."""
+BESIDE = 17
+"""... at so many frequencies from the one beside it to the other."""
+APART = 8
+"""Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
+SOFT = 0.02
+"""Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
+
+
+def peaks_of_failure(z: Complex, o: Observation, count: int = 2) -> list[float]:
+    """Frequencies where a twin leaves most unexplained, Hz, largest first; z (P, H, n) weighted residuals."""
+    total = np.bincount(
+        o.line, weights=np.log1p(np.abs(z[:, o.fundamental]) ** 2).sum(axis=1), minlength=len(o.frequency_hz)
+    )
+    per_line = total / np.maximum(np.bincount(o.line, minlength=len(o.frequency_hz)), 1)
+    inner = np.r_[False, (per_line[1:-1] >= per_line[:-2]) & (per_line[1:-1] >= per_line[2:]), False]
+    inner[[0, -1]] = per_line[[0, -1]] > per_line[[1, -2]]
+    order = np.argsort(np.where(inner, -per_line, 0.0))
+    return [float(o.frequency_hz[k]) for k in order[:count]]
+
+
+def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground) -> list[dict[str, float]]:
+    """Starting values of an effect's parameters, several where its answer has several valleys.
+
+    ``z`` (P, H, n) are the weighted residuals that ``rig`` leaves and the effect is to explain.
+    """
+    base = {
+        p.name: p.typical if p.scale == "log" or not p.strength else p.null + 0.2 * (p.typical - p.null)
+        for p in effect.parameters
+    }
+    if effect.id in ("support_resonance", "extra_flexible_mode"):
+        found = resonances(rig, z, o, ground, effect.id == "extra_flexible_mode")
+        others = (peaks_of_failure(z, o, 1)[0], base["frequency_hz"])
+        return [{**base, **f} for f in (*found, *({"frequency_hz": f} for f in dict.fromkeys(others)))]
+    if effect.id == "eddy_currents":
+        return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
+    if effect.id == "touchdown_contact":
+        return stops(effect, base, rig, z, o)
+    if effect.id == "amplifier_voltage_limit":
+        rate = largest_rate(o, rig)
+        return [
+            {"slew_inverse_s_per_a": 1 / (share * rate), "slope_seen": seen}
+            for share in (0.9, np.pi / 4)  # a current that slews all the time is a triangle, 4/pi as steep in this
+            for seen in (0.1, 0.9)
+        ]
+    if effect.id == "magnetic_saturation":
+        by_flux = {"saturation_inverse_per_a": 0.02, "flux_power": 5.0}
+        return [{**base, "flux_share": 0.0}, *({**by_flux, "flux_share": share} for share in (0.35, 0.5, 0.7))]
+    if effect.id == "magnetic_hysteresis":
+        flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
+        middles = (0.25 * flux, 0.6 * flux)
+        return [base, *({**base, "narrowest_a": 0.5 * m, "widest_inverse_per_a": 1 / (1.5 * m)} for m in middles)]
+    if effect.id == "thermal_drift" and rig.drift is not None:  # stated over the same time
+        return [{**base, "duration_s": rig.drift.duration_s}]
+    if effect.id == "off_centre_rotor":
+        return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]
+    return [base]
+
+
+def largest_rate(o: Observation, rig: Rig | None = None) -> float:
+    """Largest slope of the coil current, A/s.
+
+    Where the current was not logged it is that of the small-signal ``rig``, or else of the control signal.
+    """
+    if o.I is not None or rig is None:
+        currents = (o.U if o.I is None else o.I)[:, o.fundamental]
+    else:  # of an amplifier far above its bandwidth, much less than the control signal asks for
+        currents = linear_answer(rig, o)[:, : rig.n_axes]
+    return float((np.abs(currents).max(axis=1) * 2 * np.pi * o.points_hz).max())
+
+
+def resonances(
+    rig: Rig, z: Complex, o: Observation, ground: Ground, shaped: bool, count: int = 2
+) -> list[dict[str, float]]:
+    """Where one more resonance would explain most that the datasheet's values cannot, best first.
+
+    A score test: the resonance is so light that its answer is proportional to its residues, and what the values of the
+    datasheet could do as well is projected out. A housing moves both ends alike; what is ``shaped`` moves them by the
+    residue of rank one that is nearest, and gets that shape.
+    """
+    if rig.support is not None and not shaped:
+        return []
+    f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
+    J = answer_jacobian(ground.nuisance, rig, o, ground.part.from_control)[:, rig.n_axes :, ground.part.active]
+    rows = stacked(J * w[..., None])
+    basis = np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]  # the tolerances as data
+    columns = residue_columns(rig, o) * w[..., None, None]
+    columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
+    wanted, s = stacked(z[:, f, :, None]), 2j * np.pi * o.points_hz
+    wanted -= basis @ (basis.T @ wanted)
+
+    def score(own_hz: float, damping_ratio: float) -> tuple[float, NDArray[np.float64]]:
+        own = 2 * np.pi * own_hz
+        light = stacked(columns / (s**2 + 2 * damping_ratio * own * s + own**2)[:, None, None])
+        along, known = (light.T @ wanted)[:, 0], basis.T @ light
+        power = light.T @ light - known.T @ known
+        residue = np.linalg.solve(power + 1e-9 * np.trace(power) * np.eye(len(power)), along)
+        return float(along @ residue) if shaped or residue[0] > 0 else 0.0, residue
+
+    between = np.sqrt(o.frequency_hz[:-1] * o.frequency_hz[1:])
+    grid = np.sort(np.concatenate([o.frequency_hz, between]))
+    order = np.argsort([-score(own, DAMPED)[0] for own in grid])
+    best = [int(order[0])]
+    best += [int(k) for k in order if abs(int(k) - best[0]) > APART][: count - 1]
+    found = []
+    for k in best:
+        low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+        tried = [(own, damping) for damping in (DAMPED, *DAMPINGS) for own in np.geomspace(low, high, BESIDE)]
+        own, damping = max(tried, key=lambda at: score(*at)[0])
+        shape = _shape(score(own, damping)[1]) if shaped else {}
+        found.append({"frequency_hz": float(own), "damping_ratio": float(damping), **shape})
+    return found
+
+
+def _shape(residue: NDArray[np.float64]) -> dict[str, float]:
+    """The mode shape whose residue, (4,), is nearest: displacement at A and B for forces at A, then at B."""
+    u, size, v = np.linalg.svd(residue.reshape(2, 2))
+    at_sensors, at_bearings = np.sqrt(size[0]) * u[:, 0], np.sqrt(size[0]) * v[0]
+    known = {p.name: p for p in CATALOGUE["extra_flexible_mode"].parameters}
+    shapes = {
+        f"{place}_{end}_per_sqrt_kg": float(shape[k])
+        for place, shape in (("sensor", at_sensors), ("bearing", at_bearings))
+        for k, end in enumerate("AB")
+    }
+    return {name: float(np.clip(v, known[name].low, known[name].high)) for name, v in shapes.items()}
+
+
+def stops(
+    effect: Effect, base: dict[str, float], rig: Rig, z: Complex, o: Observation, count: int = 2
+) -> list[dict[str, float]]:
+    """The clearances and sides, best first, whose soft stop answers most to the residuals, with the fitting stiffness.
+
+    The force of a stop is proportional to its stiffness where the rotor was seen to move, so one soft stop tells
+    the best stiffness of each clearance by linear regression.
+    """
+    if rig.contact is not None:
+        return [base]
+    swing = np.abs(o.Y[:, o.fundamental]).max(axis=0)
+    soft = SOFT * float(np.max(rig.magnets.ks))
+    known = {p.name: p for p in effect.parameters}
+    limits = known["stiffness_n_per_m"]
+    without, w = whole_displacement(rig, o), weight(o, "y")
+    found = []
+    for share in CLEARANCES:
+        clearances = {
+            name: float(np.clip(share * s, known[name].low, known[name].high))
+            for name, s in zip((f"clearance_{axis}_m" for axis in rig.axes), swing, strict=True)
+        }
+        for side in (0.0, 1.0, -1.0):
+            values = {**base, **clearances, "side": 0.9 * side, "stiffness_n_per_m": max(soft, limits.low)}
+            change = (whole_displacement(effect.on(rig, **values), o) - without) * w
+            power = float(np.vdot(change, change).real)
+            along = float(np.vdot(change, z).real)
+            if along <= 0 or power <= 0:
+                continue
+            stiffness = values["stiffness_n_per_m"] * along / power
+            values["stiffness_n_per_m"] = float(np.clip(stiffness, limits.low, limits.high))
+            found.append((along**2 / power, values))
+    found.sort(key=lambda f: -f[0])
+    return [values for _, values in found[:count]] or [base]

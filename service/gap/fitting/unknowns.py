@@ -1,0 +1,134 @@
+"""What is fitted: a part's uncertain values and the parameters of its effects as one vector, and what is known of them.
+
+The datasheet's values are in units of their tolerances, with a unit-normal prior; an effect's own parameters range
+freely between their bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.part import Ground
+from sim.effect import Effect, Parameter
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+
+Real = NDArray[np.float64]
+
+LONGEST_LOG = 1.5
+"""Longest step of a magnitude, in nats: a clearance that jumps past the rotor's reach would not come back."""
+IN_BAND = ("extra_flexible_mode", "frequency_hz")
+"""An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
+any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
+CHANGING = ("thermal_drift",)
+"""Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
+
+
+class Unknowns:
+    """The vector (a + e,) of a fit: ``a`` deviations of the datasheet's values, then ``e`` parameters of effects."""
+
+    def __init__(self, ground: Ground, effects: Sequence[Effect] = ()) -> None:
+        self.ground, self.effects = ground, tuple(effects)
+        self.observations, self.active = ground.observations, ground.part.active
+        other = ground.inherited
+        theirs = [] if other is None else [CATALOGUE[name] for name, _ in other.effects]
+        self.parameters = [(k, p) for k, e in enumerate((*effects, *theirs)) for p in e.parameters]
+        self._n_effects = len(effects) + len(theirs)
+        self.n_own = sum(len(e.parameters) for e in effects)
+        if other is not None:
+            self.active = np.concatenate([self.active, other.active])
+        self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
+        lowest = [self._lowest((*effects, *theirs)[k], p) for k, p in self.parameters]
+        self.low: Real = np.array(lowest, dtype=float) / self.scale
+        self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
+        self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
+        self.nonlinear = any(slow_to_compute(e.id) for e in effects)
+        self._a, self._signal = len(self.active), ground.part.signal
+        self.prior, self._centre = self._priors()
+
+    @property
+    def own(self) -> list[tuple[int, Parameter]]:
+        """Parameters of the part's own effects, each with the number of its effect."""
+        return self.parameters[: self.n_own]
+
+    def _lowest(self, effect: Effect, p: Parameter) -> float:
+        """Lowest value that a fit gives a parameter, in the fit's own unit."""
+        low = p.low
+        if (effect.id, p.name) == IN_BAND:
+            low = max(low, min(float(o.frequency_hz.min()) for o in self.observations))
+        return self._inner(p, low)
+
+    def _priors(self) -> tuple[Real, Real]:
+        """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""
+        a, size, other = self._a, self._a + len(self.scale), self.ground.inherited
+        precision, centre = np.zeros((size, size)), np.zeros(size)
+        precision[range(a), range(a)] = 1.0
+        if other is not None:
+            at = np.r_[a - len(other.active) : a, a + self.n_own : size]
+            precision[np.ix_(at, at)], centre[at] = other.precision, other.mean
+        return precision, centre
+
+    @staticmethod
+    def _inner(p: Parameter, value: float) -> float:
+        """A parameter as the fit sees it: magnitudes over decades by their logarithm."""
+        return float(np.log(np.clip(value, p.low, p.high))) if p.scale == "log" else value
+
+    def values(self, e: Real) -> tuple[dict[str, float], ...]:
+        """Effect parameters by name, one dict per effect, then per inherited one, from the scaled vector."""
+        inside = np.clip(e, self.low, self.high) * self.scale
+        out: list[dict[str, float]] = [{} for _ in range(self._n_effects)]
+        for (k, p), v in zip(self.parameters, inside, strict=True):
+            # of a bound, scaling back leaves what is beyond it by its last digit
+            out[k][p.name] = float(np.clip(np.exp(v) if p.scale == "log" else v, p.low, p.high))
+        return tuple(out)
+
+    def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:
+        """Inverse of `values`; parameters not given keep their typical value, inherited ones what was found."""
+        if self.ground.inherited is not None and len(values) < self._n_effects:
+            values = (*values, *(found for _, found in self.ground.inherited.effects))
+        inner = [self._inner(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
+        return np.asarray(np.array(inner, dtype=float) / self.scale)
+
+    def theta(self, x: Real) -> Real:
+        """All deviations, (k,): the part's own from ``x``, the others as found before."""
+        theta = self.ground.theta.copy()
+        theta[self.active] = x[: self._a]
+        return theta
+
+    def build(self, x: Real) -> Rig:
+        """The rig at a vector of deviations and effect parameters, (a + e,)."""
+        values, n = self.values(x[self._a :]), len(self.effects)
+        rig = self.ground.rig(self.theta(x), values[n:])
+        for effect, own in zip(self.effects, values[:n], strict=True):
+            rig = effect.on(rig, **own)
+        return rig
+
+    def vector(self, fit: Fit) -> Real:
+        """The vector (a + e,) at which a fit of this problem ended."""
+        theirs = fit.inherited if self._n_effects > len(self.effects) else ()
+        return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
+
+    def _penalty(self, x: Real) -> float:
+        """What is known beforehand holds so much against a vector, chi-square, as a fit minimises it."""
+        away = x - self._centre
+        return float(away @ self.prior @ away)
+
+    def _price(self, x: Real) -> float:
+        """The same as an explanation is judged by it: of tolerances that are only assumed, less."""
+        other = self.ground.inherited
+        own = x[: self._a - (0 if other is None else len(other.active))]
+        return self._penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
+
+
+def slow_to_compute(name: str) -> bool:
+    """Whether an effect's force has to be evaluated in time; it is held where it hardly changes."""
+    return CATALOGUE[name].nonlinear or name in CHANGING
+
+
+def _scale(p: Parameter) -> float:
+    """Size of one unit of an effect's parameter in the fit."""
+    return 1.0 if p.scale == "log" else abs(p.typical - p.null) or abs(p.high - p.low)

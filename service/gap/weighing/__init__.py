@@ -1,0 +1,1 @@
+"""What fitted explanations are worth: significance, closure, the verdict on one part of the loop."""

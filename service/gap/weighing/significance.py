@@ -1,0 +1,97 @@
+"""Whether residuals are more than noise: the worst band and channel, with its false-alarm rate controlled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.distributions import normal_above, normal_tail
+from service.gap.fitting.part import Part
+from service.gap.measured.observation import Observation
+
+Complex = NDArray[np.complex128]
+
+SIGNIFICANT = 5.0
+"""Standard deviations, after the number of bands and channels looked at, beyond which there is a gap."""
+OUTLIER = 12.0
+"""Largest squared residual (over its expectation) that one value adds to a cell."""
+
+ALONE = 2 * OUTLIER
+"""Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap: noise
+does so in one line of some dozen values with a probability of 1e-19."""
+
+
+def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OUTLIER) -> float:
+    """Largest excess of mean square over bands and channels, as a one-sided normal deviate after Bonferroni.
+
+    Residuals of one line's points share what is left of the twin's error, so a cell counts half its values.
+    """
+    edges = np.quantile(o.frequency_hz, np.linspace(0, 1, n_bands + 1))
+    which = np.clip(np.searchsorted(edges, o.points_hz, side="right") - 1, 0, n_bands - 1)
+    return worst([z[which == band] for band in range(n_bands)], bound)
+
+
+def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -> float:
+    """Significance of the worst channel of some cells, weighted residuals (points, ...channels) each.
+
+    ``looked_at`` is how many times as many cells were looked at.
+    """
+    deviates = []
+    for z in cells:
+        # A few outliers at a sharp peak are not a gap: each value counts up to a bound.
+        cell = np.minimum(np.abs(z) ** 2 / 2, bound)  # mean one
+        if not len(cell):
+            continue
+        mean = cell.reshape(len(cell), -1).mean(axis=0)
+        deviates.append((mean - 1.0) * np.sqrt(len(cell) / 2))
+    if not deviates:
+        return 0.0
+    values = np.concatenate(deviates)
+    largest = float(values.max())
+    if largest > 30:
+        return largest
+    p = min(1.0, float(normal_tail(largest)) * len(values) * looked_at)
+    return float(max(normal_above(p), 0.0)) if p < 1 else 0.0
+
+
+def shows_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line that alone shows a gap, Hz: of all the one where two values are furthest off; None where none is so far.
+
+    For amplifiers, which reach a voltage limit in the highest line alone, perhaps, where it drowns in a band. Other
+    parts have peaks that look so. One value alone may be a transient.
+    """
+    off = np.abs(z) ** 2 / 2
+    at, largest = 0, 0.0
+    for line in range(len(o.frequency_hz)):
+        values = np.sort(off[o.line == line][:, [k for k, h in enumerate(o.harmonics) if h > 0]], axis=None)
+        if len(values) > 1 and values[-2] > largest:
+            at, largest = line, float(values[-2])
+    return float(o.frequency_hz[at]) if largest > ALONE else None
+
+
+def fastest_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line that asks for the steepest current, Hz, where it shows a gap as in `shows_alone_hz`; None where not.
+
+    For the plant driven by the control signal, its currents not logged: a voltage limit is met in that line first.
+    """
+    steepness = np.abs(o.U[:, o.fundamental]).max(axis=1) * o.points_hz
+    line = int(o.line[np.argmax(steepness)])
+    return shows_alone_hz(np.where((o.line == line)[:, None, None], z, 0), o)
+
+
+def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
+    """The line that alone shows a gap that amplifiers at their voltage limit may make, Hz; other parts have peaks."""
+    if part.path == "amplifier":
+        return shows_alone_hz(z, o)
+    return fastest_alone_hz(z, o) if part.from_control else None
+
+
+def overall(z: Complex) -> float:
+    """Excess of the mean square of all residuals as a normal deviate: what every cell leaves a little of adds up.
+
+    As in `significance` a value counts half and up to a bound.
+    """
+    size = np.minimum(np.abs(z) ** 2 / 2, OUTLIER)
+    return float((size.mean() - 1.0) * np.sqrt(size.size / 2)) if size.size else 0.0

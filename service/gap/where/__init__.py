@@ -1,0 +1,1 @@
+"""Where the gap lies: part, band, channel, condition, and its shape where nothing explains it."""

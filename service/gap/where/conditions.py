@@ -1,0 +1,140 @@
+"""Does the gap depend on amplitude or speed: two sweeps at different conditions, held against each other.
+
+A gap in proportion to the excitation is one transfer function, whatever the amplitude: the error over the measured
+signal of the excited axis is then the same in both sweeps. Their lines differ, so the main sweep's is interpolated, and
+what interpolation costs is told by leaving out each of its lines in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
+from service.gap.measured.observation import Observation
+from service.gap.weighing.significance import SIGNIFICANT, alone_hz, overall, significance
+from service.gap.which.held_out import on_sweep
+from service.gap.which.search import Explained
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+ANOTHER_AMPLITUDE = 1.2
+"""Ratio of amplitudes from which a sweep is at another one: the cubic terms of the magnets' force, which grow with its
+square, then change by 44 %; below, by less than what two laws of one effect differ (`UNEXPLAINED`)."""
+ANOTHER_SPEED = 0.01
+"""The same, relative, of speeds: a rig's speed is held to better than that."""
+ENOUGH_LINES = 4
+"""Lines of an axis from which its error can be interpolated."""
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Whether the gap depends on a condition; None where these data do not test it."""
+
+    amplitude: bool | None = None
+    speed: bool | None = None
+
+
+def conditions_of(main: Observation, other: Observation) -> tuple[bool, bool]:
+    """Whether two sweeps differ in amplitude, and whether in speed."""
+    ratios = []
+    for axis in np.unique(other.axis):
+        (hz, points), (at, points_there) = _lines(main, int(axis)), _lines(other, int(axis))
+        if len(hz) > 1:
+            own, there = _drive(main)[points, axis], _drive(other)[points_there, axis]
+            ratios.append(np.log(there) - np.interp(np.log(at), np.log(hz), np.log(own)))
+    amplitude = bool(ratios) and bool(abs(np.median(np.concatenate(ratios))) > np.log(ANOTHER_AMPLITUDE))
+    fastest = max(abs(main.speed_rad_s), abs(other.speed_rad_s))
+    return amplitude, abs(main.speed_rad_s - other.speed_rad_s) > ANOTHER_SPEED * fastest
+
+
+def _drive(o: Observation) -> Real:
+    """Amplitude of the excitation, (P, n), A; no less than rounding."""
+    return np.asarray(np.maximum(np.abs(o.R[:, o.fundamental]), 1e-300))
+
+
+def same_condition(main: Observation, other: Observation) -> str | None:
+    """What to say of an unseen sweep that is no other condition."""
+    if any(conditions_of(main, other)):
+        return None
+    return (
+        "both sweeps have the same amplitude and speed: closure is on other lines only, which is weaker than another "
+        "condition; whether the gap depends on the speed was not tested, and on the amplitude by harmonics alone"
+    )
+
+
+def dependence(e: Explained, other: Observation, distorted: bool) -> Dependence:
+    """Whether a part's gap depends on amplitude and speed.
+
+    Parameters
+    ----------
+    e
+        The part, with what the plain twin leaves of the main sweep.
+    other
+        The whole other sweep.
+    distorted
+        A nonlinearity is proven at one amplitude already: by harmonics, or by what explains the gap.
+    """
+    amplitude, speed = conditions_of(e.ground.observations[0], other)
+    differs = changes(e, other) if amplitude or speed else False
+    if amplitude and speed and differs:  # one of them, or both
+        return Dependence(distorted or None, None)
+    return Dependence(distorted or (differs if amplitude else None), differs if speed else None)
+
+
+def changes(e: Explained, other: Observation) -> bool:
+    """Whether the plain twin's relative error differs between the two sweeps by more than noise and interpolation."""
+    main, (there, z_there) = e.ground.observations[0], on_sweep(e, e.null.candidate, other)
+    signal, n = e.part.signal, e.ground.nuisance.rig.n_axes
+    (error, variance), (error_there, variance_there) = (
+        relative_error(z, o, signal) for z, o in ((e.plain[0], main), (z_there, there))
+    )
+    z = np.zeros((len(there.axis), 1, n), dtype=complex)
+    known = np.zeros(len(there.axis), dtype=bool)
+    for axis in np.unique(there.axis):
+        hz, at = _lines(main, int(axis))
+        if len(hz) < ENOUGH_LINES:
+            continue
+        rows = np.flatnonzero((there.axis == axis) & (there.points_hz >= hz[0]) & (there.points_hz <= hz[-1]))
+        expected, spread = interpolated(hz, error[at], variance[at], there.points_hz[rows])
+        z[rows, 0] = np.sqrt(2) * (error_there[rows] - expected) / np.sqrt(variance_there[rows] + spread)
+        known[rows] = True
+    kept = replace(there, line=there.line[known], axis=there.axis[known])
+    if alone_hz(e.part, z_there, there) is not None and alone_hz(e.part, e.plain[0], main) is None:
+        return True  # a limit that one line of one sweep reaches drowns in every band
+    return max(significance(z[known], kept), overall(z[known])) > SIGNIFICANT
+
+
+def relative_error(z: Complex, o: Observation, signal: str) -> tuple[Complex, Real]:
+    """Error of a twin over the measured signal of the excited axis, (P, n), and its variance."""
+    f, points = o.fundamental, np.arange(len(o.axis))
+    w = np.maximum(weight(o, signal)[:, f], NOTHING_TOLD)
+    size = measured_signal(o, signal)[points, f, o.axis][:, None]
+    size = np.where(size == 0, NOTHING_SEEN, size)  # a log so coarse that it shows no displacement at all
+    return z[:, f] / w / size, 2 / (w * np.abs(size)) ** 2
+
+
+def interpolated(hz: Real, values: Complex, variance: Real, at_hz: Real) -> tuple[Complex, Real]:
+    """Values (F, n) at other frequencies, linear in log frequency, and their variance with interpolation's own error.
+
+    Leaving a line out widens its interval to two, so the error found this way is rather too large.
+    """
+    x, at = np.log(hz), np.log(at_hz)
+    share = ((x[1:-1] - x[:-2]) / (x[2:] - x[:-2]))[:, None]
+    missed = np.abs(values[1:-1] - (1 - share) * values[:-2] - share * values[2:]) ** 2
+    missed = np.concatenate([missed[:1], missed, missed[-1:]])
+    k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    s = ((at - x[k]) / (x[k + 1] - x[k]))[:, None]
+    expected = (1 - s) * values[k] + s * values[k + 1]
+    noise = (1 - s) ** 2 * variance[k] + s**2 * variance[k + 1]
+    return expected, noise + np.maximum(missed[k], missed[k + 1])
+
+
+def _lines(o: Observation, axis: int) -> tuple[Real, NDArray[np.int64]]:
+    """Frequencies at which an axis was excited, rising and distinct, and the points that did."""
+    points = np.flatnonzero(o.axis == axis)
+    hz, first = np.unique(o.points_hz[points], return_index=True)
+    return hz, points[first]

@@ -1,0 +1,68 @@
+"""Explanations of one part of the loop on a sweep that no fit has seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.evidence import log_likelihood
+from service.gap.fitting.fit import Problem
+from service.gap.fitting.jacobian import stacked
+from service.gap.fitting.part import driven_by_current
+from service.gap.measured.observation import Observation
+from service.gap.weighing.shrinkage import closure_of
+from service.gap.weighing.significance import overall, significance
+from service.gap.weighing.verdict import HeldOut
+from service.gap.which.search import Explained
+from sim.effects import CATALOGUE
+
+Complex = NDArray[np.complex128]
+
+
+def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observation, Complex]:
+    """A sweep as the part sees it, and the weighted residuals of a candidate there, (P, H, n)."""
+    ground = e.ground
+    if ground.from_current:
+        o = driven_by_current(ground.rig(ground.theta), o)
+    there = Problem(replace(ground, observations=(o,)), [CATALOGUE[name] for name in candidate.effects])
+    return o, there.residuals(candidate.fit)[0]
+
+
+def held_out(e: Explained, unseen: Observation) -> HeldOut:
+    """A part on the unseen sweep, with the plain twin and with the best explanation."""
+    o, before = on_sweep(e, e.null.candidate, unseen)
+    _, after = on_sweep(e, e.order[0].candidate, unseen)
+    f = o.fundamental
+    gap, left = (max(significance(z[:, [f]], o), overall(z[:, f])) for z in (before, after))
+    J_b, J_a, J_fb, J_fa = (float(np.mean(np.abs(z) ** 2) / 2) for z in (before, after, before[:, f], after[:, f]))
+    apart = np.arange(before.shape[1]) == f
+    support = 0.0
+    for group in (apart, ~apart):
+        b, a = (float(np.sum(np.abs(z[:, group]) ** 2)) for z in (before, after))
+        noise = min(float(2 * before[:, group].size), a, b)
+        support += float(log_likelihood(np.array(a - noise)) - log_likelihood(np.array(b - noise)))
+    closes = closure_of(J_fb, J_fa)
+    return HeldOut(J_b, J_a, gap, left, 1.0 if closes is None else closes, support)
+
+
+def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
+    """What unseen lines of the fitted sweep itself leave, beyond what the fitted ones leave open of the explanation.
+
+    Of few lines those between them may lean on values that none of them tells. So the explanation's values may follow
+    the unseen ones, at the price of moving away from the fit; what still is left contradicts it.
+    """
+    if not there.fails:
+        return there
+    best = e.order[0].candidate
+    o, before = on_sweep(e, e.null.candidate, unseen)
+    problem = Problem(replace(e.ground, observations=(o,)), [CATALOGUE[name] for name in best.effects])
+    linear, f = problem.linearised(best.fit), o.fundamental
+    (z,), (J,) = linear.residuals, linear.columns
+    rows = stacked(J)
+    moved = np.linalg.solve(best.fit.curvature + problem.prior + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
+    left = (z - J @ moved)[:, None]
+    closes = closure_of(*(float(np.mean(np.abs(r) ** 2) / 2) for r in (before[:, f], left)))
+    return replace(there, left=max(significance(left, o), overall(left)), closes=1.0 if closes is None else closes)

@@ -1,0 +1,189 @@
+"""Mixtures of effects in one part of the loop: whether to look for one more, which, and whether all are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.candidates import Candidate, Fitter, Task
+from service.gap.fitting.part import Ground
+from service.gap.fitting.stage import PROBE
+from service.gap.weighing.another_rig import at_bound, hopeless
+from service.gap.weighing.significance import alone_hz, significance
+from service.gap.weighing.verdict import ALIKE, CLEAR, MIXED, Ranked, ranked, renormalised
+from service.gap.which.begun import beside, residuals, rough_beside
+from service.gap.which.refined import LOST, best_of_each, contained, cost, refined, to_the_end
+from sim.effects import CATALOGUE
+
+Real = NDArray[np.float64]
+
+PAIRED = 5
+"""Best single effects that are also tried in pairs."""
+REMAINS = 4.0
+"""Significance of what an explanation leaves from which another effect beside it is looked for."""
+STRAINED = 3.0
+"""Standard deviations of the datasheet's part of the cost, chi-squared, beyond which it is no chance."""
+ANOTHER_LAW = 0.15
+"""Share of the gap that another program's law of the same effect may leave."""
+HOPEFUL = 0.75
+"""Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
+a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
+
+
+def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) -> Ranked | None:
+    """The explanation by ``size`` effects that one more is looked for beside; None where that has no prospect.
+
+    ``fewer`` is the explanation by fewer effects that these were looked for beside.
+    """
+    if hopeless(ground, (r.candidate.fit for r in order)):
+        return None
+    # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
+    singles = [r for r in order if r.candidate.effects]
+    base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
+    if len(base.candidate.effects) < size:
+        return None
+    if not _leaves_something(ground, base) and not _another_explains_more(base, order):
+        return None
+    # Alone, an effect may explain much by values that the datasheet does not allow; beside another it need not.
+    hopeful = [base] if size > 1 else [r for r in order if r.candidate.effects]
+    gives_way = any(now < HOPEFUL * was for r in hopeful for now, was in zip(r.shares, fewer.shares, strict=True))
+    return base if gives_way else None
+
+
+def with_one_more(
+    fitter: Fitter, ground: Ground, order: Sequence[Ranked], base: Ranked, found: Sequence[Candidate]
+) -> list[Candidate]:
+    """What was found and the mixtures of one effect more than ``base``, the best fit of each."""
+    null = next(r.candidate for r in order if not r.candidate.effects)
+    larger = refined(fitter, ground, null, fitter.run(_larger(order, base, ground)))
+    everything = [*found, *larger]
+    if larger:
+        best = min(larger, key=cost)
+        if _leaves_something(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
+            everything += from_the_other_side(fitter, ground, null, best, everything)
+            everything += exchanged(fitter, ground, best, everything)
+    return best_of_each([*everything, *contained(fitter, ground, *everything)])
+
+
+def _leaves_something(ground: Ground, best: Ranked) -> bool:
+    # Of a large gap another law of the same effect may leave a little, but asks for no impossible datasheet.
+    if max(best.apart) < MIXED and not _strained(best) and not _at_bound(best):
+        return False
+    everywhere = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
+    if any(significance(z, o) > REMAINS for z, o in everywhere):
+        return True
+    return any(alone_hz(ground.part, z, o) is not None for z, o in everywhere)
+
+
+def _strained(r: Ranked) -> bool:
+    """Whether the datasheet's values are further off than chance allows: they make up for what an effect is not."""
+    n = len(r.candidate.fit.active)
+    return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n))
+
+
+def _at_bound(r: Ranked) -> bool:
+    """Whether a value of the datasheet is as far off as any may be: by chance, one of forty in one twin of 400."""
+    return bool(at_bound(r.candidate.fit).any())
+
+
+def _another_explains_more(base: Ranked, order: Sequence[Ranked]) -> bool:
+    """Whether other effects leave less where ``base`` leaves too much: they know the shape that bands blur."""
+    left = [(k, chi) for k, (chi, _) in enumerate(base.candidate.fit.groups) if base.shares[k] > MIXED]
+    others = [r.candidate.fit.groups for r in order if not set(r.candidate.effects) <= set(base.candidate.effects)]
+    return any(chi - groups[k][0] > CLEAR for k, chi in left for groups in others)
+
+
+def _larger(order: Sequence[Ranked], base: Ranked, ground: Ground) -> Iterable[Task]:
+    """Mixtures of one effect more: those of ``base`` with every other effect, and pairs of good singles."""
+    best, null = base.candidate, next(r.candidate for r in order if not r.candidate.effects)
+    tried, rough, left = set(), rough_beside(best, ground), residuals(ground, best)
+    for name in ground.part.effects:
+        if name not in best.effects:
+            tried.add(frozenset((*best.effects, name)))
+            yield beside(name, best, null, left, ground, best.fit.theta, rough)
+    if len(best.effects) > 1:
+        return
+    singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]
+    for a, b in combinations(singles, 2):
+        if frozenset((*a.effects, *b.effects)) in tried:
+            continue
+        yield beside(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta, rough_beside(a, ground))
+
+
+def from_the_other_side(
+    fitter: Fitter, ground: Ground, null: Candidate, best: Candidate, found: Sequence[Candidate]
+) -> list[Candidate]:
+    """A mixture that leaves something, each of its effects begun anew beside the others.
+
+    What was found first had explained the gap of both, and may have kept a valley that only this made good.
+    """
+    fewer = {frozenset(c.effects): c for c in found}
+    others = [(name, fewer.get(frozenset(best.effects) - {name})) for name in best.effects[:-1]]  # the last was so
+    probed = fitter.run(
+        beside(name, rest, null, residuals(ground, rest), ground, best.fit.theta, rough_beside(rest, ground))
+        for name, rest in others
+        if rest is not None
+    )
+    better = [c for c in probed if cost(c) < cost(best) + LOST]
+    return fitter.run(to_the_end(ground, sorted(better, key=cost)[:1]))
+
+
+def exchanged(fitter: Fitter, ground: Ground, best: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
+    """The mixture ``best``, an alias in the place of one of its effects, where none such does as well.
+
+    Alone the two looked alike and one was taken; beside another effect it may be the other that fits, or either.
+    """
+    singles = {c.effects[0]: c.fit.values[0] for c in found if len(c.effects) == 1}
+    as_well = {frozenset(c.effects) for c in found if cost(c) < cost(best) + 2 * ALIKE}
+    probed = fitter.run(
+        Task(ground, effects, (values,), best.fit.theta, (PROBE,))
+        for k, name in enumerate(best.effects)
+        for alias in CATALOGUE[name].aliases
+        if alias in singles and alias not in best.effects
+        for effects in [(*best.effects[:k], alias, *best.effects[k + 1 :])]
+        for values in [(*best.fit.values[:k], singles[alias], *best.fit.values[k + 1 :])]
+        if frozenset(effects) not in as_well
+    )
+    return fitter.run(to_the_end(ground, sorted(probed, key=cost)[:1]))
+
+
+def worthy(everything: Sequence[Ranked]) -> list[Ranked]:
+    """The explanations that need all of their effects, by falling evidence."""
+    return renormalised([r for r in everything if worth_it(r, everything)])
+
+
+def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
+    """Whether all effects of a mixture are needed: whatever fewer explain, somewhere they leave three times as much.
+
+    And more than a little of that. Each of two effects may explain all of what is its own, one the fundamental and one
+    the harmonics: no single one explains both.
+    """
+    size = len(mixture.candidate.effects)
+    if size < 2:
+        return True
+    smaller = [r for r in order if 0 < len(r.candidate.effects) < size]
+    if mixture.log_evidence < max(r.log_evidence for r in smaller):
+        return False
+    effects = mixture.candidate.effects
+    alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
+    left = np.array(mixture.apart)
+    # Others explain by what the datasheet does not allow.
+    allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]
+    return all(np.any((np.array(r.apart) > _little(r, alias)) & (left < np.array(r.apart) / 3)) for r in allowed)
+
+
+def _little(r: Ranked, alias: bool) -> Real:
+    """Share of what is told apart that an explanation may leave before another effect is needed, one each.
+
+    Another program's law of an effect is some way off, and an alias would make up for it. But what a linear effect
+    leaves at one amplitude and not at the other is no matter of its law.
+    """
+    little = np.full(len(r.apart), ANOTHER_LAW if alias else MIXED)
+    if alias and not any(CATALOGUE[name].nonlinear for name in r.candidate.effects):
+        of_sweep = np.array(r.shares)[::2]  # fundamentals
+        at_one = of_sweep > 3 * of_sweep.min(initial=np.inf)
+        little[: len(r.shares) : 2][at_one] = MIXED
+    return little

@@ -1,0 +1,102 @@
+"""Fits gone on with: to the end, from the plain twin where one was lost, and from where another explanation ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from service.gap.fitting.candidates import Candidate, Fitter, Task
+from service.gap.fitting.part import Ground
+from service.gap.fitting.stage import EXACT
+from service.gap.fitting.unknowns import slow_to_compute
+from service.gap.weighing.verdict import ranked
+from sim.effects import CATALOGUE
+
+REFINED = 6
+"""Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
+WITHIN = 30.0
+"""Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
+ALIASES = 2
+"""Known aliases of the best that are fitted to the end whatever a probe makes of them: to be told apart takes both."""
+LOST = 2.0
+"""Cost above the plain twin's from which a probe has not found its valley."""
+
+
+def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:
+    """The probed candidates, those that may win fitted to the end.
+
+    One that does worse than the plain twin, which it contains, is lost: it begins again at the plain twin.
+    """
+    lost = [c for c in probed if cost(c) > cost(null) + LOST and not any(map(slow_to_compute, c.effects))]
+    again = fitter.run(Task(ground, c.effects, (c.fit.values,), null.fit.theta, (EXACT,)) for c in lost)
+    probed = [*(c for c in probed if c not in lost), *again]
+    order = [r for r in ranked(null, probed) if r.candidate is not null]
+    near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
+    near += [r.candidate for r in order if r.candidate not in near and _aliases(r.candidate, near[0])][:ALIASES]
+    refined = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
+    lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refined[: len(near)], refined))}
+    kept = []
+    for c in refined:
+        other = lent.pop(frozenset(c.effects), c)
+        kept.append(c if cost(c) <= cost(other) else other)
+    return [*kept, *lent.values()]
+
+
+def _lent(ground: Ground, lenders: Sequence[Candidate], known: Sequence[Candidate]) -> Iterable[Task]:
+    """Tasks to fit known aliases from where their like ended, where they did worse: a resonance has many valleys."""
+    costs = {frozenset(c.effects): cost(c) for c in known}
+    tried: set[frozenset[str]] = set()
+    for lender in sorted(lenders, key=cost):
+        for k, name in enumerate(lender.effects):
+            for alias in CATALOGUE[name].aliases:
+                likened = CATALOGUE[alias].likened.get(name)
+                effects = (*lender.effects[:k], alias, *lender.effects[k + 1 :])
+                these = frozenset(effects)
+                if likened is None or alias not in ground.part.effects or len(these) < len(effects) or these in tried:
+                    continue
+                values = likened(lender.fit.values[k])
+                if values and costs.get(these, np.inf) > cost(lender):
+                    tried.add(these)
+                    starts = ((*lender.fit.values[:k], values, *lender.fit.values[k + 1 :]),)
+                    yield Task(ground, effects, starts, lender.fit.theta, (EXACT,))
+
+
+def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
+    """The explanations with one effect less than the one that leaves least, where they do better from where that ended.
+
+    A fit that stopped short of its valley leaves what any further effect seems to explain, by going on from there.
+    """
+    best, costs = min(found, key=cost), {frozenset(c.effects): cost(c) for c in found}
+    tasks = []
+    for without in best.effects:
+        kept = [k for k, name in enumerate(best.effects) if name != without]
+        values = tuple(best.fit.values[k] for k in kept)
+        tasks.append(Task(ground, tuple(best.effects[k] for k in kept), (values,), best.fit.theta, (EXACT,)))
+    return [c for c in fitter.run(tasks) if cost(c) < costs.get(frozenset(c.effects), np.inf) - LOST]
+
+
+def best_of_each(found: Sequence[Candidate]) -> list[Candidate]:
+    """Of explanations by the same effects the one that leaves least."""
+    best: dict[frozenset[str], Candidate] = {}
+    for c in found:
+        these = frozenset(c.effects)
+        if these not in best or cost(c) < cost(best[these]):
+            best[these] = c
+    return list(best.values())
+
+
+def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:
+    """Tasks to fit candidates exactly from where they are."""
+    return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
+
+
+def _aliases(a: Candidate, b: Candidate) -> bool:
+    """Whether two explanations are the same but for one effect that looks like the other's."""
+    one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
+    return len(one) == len(other) == 1 and bool(other & set(CATALOGUE[next(iter(one))].aliases))
+
+
+def cost(c: Candidate) -> float:
+    """What the fit minimised: chi-square and the price of the datasheet's values."""
+    return c.fit.chi_square + c.fit.penalty

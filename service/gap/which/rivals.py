@@ -1,0 +1,68 @@
+"""Which explanations are left to be told apart: those of one alias class, else rivals of nearly the same evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.part import STANDSTILL
+from service.gap.weighing.verdict import Ranked, Verdict
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+
+NEARLY = 5.0
+"""Log evidence behind the chosen explanation up to which another is a rival: what naming an effect costs."""
+
+
+def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate, Candidate] | None:
+    """The chosen explanation and the one it is to be told from; None where nothing is left.
+
+    What adds an effect to the chosen one is no rival: it contains it.
+    """
+    chosen = next((r for r in order if r.candidate.effects == verdict.effects and r.candidate.effects), None)
+    if verdict.kind not in ("effect", "effects") or chosen is None:
+        return None
+    c = chosen.candidate
+    by_effects = {frozenset(r.candidate.effects): r.candidate for r in order}
+    for group in verdict.indistinguishable:
+        named = next((name for name in group if name in c.effects), None)
+        for other in group:
+            if named is None or other == named:
+                continue
+            instead = by_effects.get(frozenset({*c.effects, other} - {named}))
+            if instead is None and STANDSTILL.get(named) == other:
+                instead = turning_with_the_shaft(c)
+            if instead is not None:
+                return c, instead
+    fitted = {name for name in c.effects if CATALOGUE[name].path != "additive"}  # the others were heard
+    for r in order:
+        effects = set(r.candidate.effects)
+        if effects and not effects >= fitted and r.log_evidence > chosen.log_evidence - NEARLY:
+            return c, r.candidate
+    return None
+
+
+def turning_with_the_shaft(c: Candidate) -> Candidate | None:
+    """The same twin at rest, but what damping it has gained is internal; None where it has gained none."""
+    k = c.effects.index("modal_damping")
+    total = [m.damping_ratio for m in c.fit.rig.rotor.modes[0]]
+    gained = [t * (1 - math.exp(-c.fit.values[k][f"mode{n + 1}_log_ratio"])) for n, t in enumerate(total) if n < 2]
+    most = min((g for g in gained if g > 0), default=0.0)
+    if not most:
+        return None
+    effect = CATALOGUE["internal_damping"]
+    rig = effect.on(_outside(c.fit.rig, most), damping_ratio=most)
+    effects = (*c.effects[:k], effect.id, *c.effects[k + 1 :])
+    values = (*c.fit.values[:k], {"damping_ratio": most}, *c.fit.values[k + 1 :])
+    return replace(c, effects=effects, fit=replace(c.fit, effects=effects, values=values, rig=rig))
+
+
+def _outside(rig: Rig, internal: float) -> Rig:
+    """The rig with so much less damping outside the shaft."""
+    modes = tuple(
+        tuple(replace(m, damping_ratio=max(m.damping_ratio - internal, 0.0)) for m in plane)
+        for plane in rig.rotor.modes
+    )
+    return replace(rig, rotor=replace(rig.rotor, modes=modes))

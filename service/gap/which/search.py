@@ -1,0 +1,141 @@
+"""The explanations of one part of the loop: the plain twin, every single effect, then mixtures by forward selection."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.candidates import Candidate, Fitter, Task
+from service.gap.fitting.part import Ground, Part
+from service.gap.fitting.stage import EXACT, PROBE
+from service.gap.fitting.unknowns import slow_to_compute
+from service.gap.measured.observation import Observation
+from service.gap.weighing.significance import significance
+from service.gap.weighing.verdict import Ranked, ranked
+from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
+from service.gap.which.mixtures import exchanged, extended, with_one_more, worthy
+from service.gap.which.refined import best_of_each, contained, cost, refined
+from sim.effects import CATALOGUE
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+MOST = 3
+"""Largest mixture within one part."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What the search found in one part."""
+
+    ground: Ground
+    order: tuple[Ranked, ...]
+    """by falling evidence, the plain twin among them"""
+    plain: tuple[Complex, ...]
+    """weighted residuals of the plain twin, (P, H, n) per sweep"""
+    left: tuple[Complex, ...]
+    """the same of the best explanation"""
+    elsewhere: tuple[Ranked, ...] = ()
+    """by effects of another part, which would explain this one's gap about as well; log evidence on this one's scale"""
+
+    @property
+    def part(self) -> Part:
+        """The part of the loop."""
+        return self.ground.part
+
+    @property
+    def chosen(self) -> Candidate:
+        """The explanation that other parts build on: the best one where it beats the plain twin, else that."""
+        return self.order[0].candidate
+
+    @property
+    def null(self) -> Ranked:
+        """The plain twin."""
+        return next(r for r in self.order if not r.candidate.effects)
+
+    @property
+    def significance(self) -> float:
+        """Of the gap that the plain twin leaves."""
+        return gap_significance(self.plain, self.ground.observations)
+
+    @property
+    def remaining(self) -> float:
+        """Significance of what the best explanation leaves."""
+        return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
+
+
+def gap_significance(plain: Sequence[Complex], observations: Sequence[Observation]) -> float:
+    """Significance of what the plain twin leaves at the excited frequency, over bands and channels."""
+    return max(significance(z[:, [o.fundamental]], o, bound=np.inf) for z, o in zip(plain, observations, strict=True))
+
+
+def plain_twin(
+    fitter: Fitter, ground: Ground, before: Explained | None = None
+) -> tuple[Candidate, tuple[Complex, ...]]:
+    """The plain twin, the datasheet's values of the part refitted, and what it leaves, (P, H, n) per sweep.
+
+    ``before`` is what was found on fewer sweeps.
+    """
+    if before is None:
+        null = fitter.run([Task(ground, (), ((),), ground.theta, (*rough_stages(ground), EXACT))])[0]
+    else:
+        null = fitter.run([Task(ground, (), ((),), before.null.candidate.fit.theta, (EXACT,))])[0]
+    return null, residuals(ground, null)
+
+
+def explain(
+    fitter: Fitter,
+    ground: Ground,
+    plain_fit: tuple[Candidate, tuple[Complex, ...]] | None = None,
+    most: int = MOST,
+    before: Explained | None = None,
+) -> Explained:
+    """Fit the plain twin, every single effect of the part, and mixtures where one effect leaves too much.
+
+    Parameters
+    ----------
+    plain_fit
+        What `plain_twin` returned, where that was asked before.
+    most
+        Largest mixture to look at.
+    before
+        What was found on fewer sweeps: effects in proportion to the excitation go on from there.
+    """
+    null, plain = plain_fit or plain_twin(fitter, ground)
+    known = {} if before is None else {c.effects: c for c in (r.candidate for r in before.order)}
+    # An effect draws the plain twin's values off, a large one as far as their tolerances let it: what is quickly
+    # computed finds its own way from the datasheet's, and a resonance where hardly anything else is left.
+    rough = rough_beside(null, ground)
+    near = rough != rough_stages(ground)
+
+    def theta(name: str) -> Real:
+        return null.fit.theta if near and (slow_to_compute(name) or name in LOOKED_FOR) else ground.theta
+
+    probed = fitter.run(
+        Task(ground, (name,), (known[name,].fit.values,), known[name,].fit.theta, (PROBE,))
+        if (name,) in known and not CATALOGUE[name].nonlinear
+        else beside(name, null, null, plain, ground, theta(name), rough)
+        for name in ground.part.effects
+    )
+    found = refined(fitter, ground, null, probed)
+    if plainer := contained(fitter, ground, null, min(found, key=cost, default=null)):
+        null, plain = plainer[0], residuals(ground, plainer[0])
+        found = refined(fitter, ground, null, found)
+    order, left = ranked(null, found), plain
+    fewer = next(r for r in order if r.candidate is null)
+    for size in range(1, most + 1):
+        left = residuals(ground, order[0].candidate)
+        base = None if size == most else extended(ground, order, fewer, size)
+        if base is None:
+            break
+        fewer = base
+        found = with_one_more(fitter, ground, order, base, found)
+        order = worthy(ranked(null, found))
+    if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
+        found = best_of_each([*found, *exchanged(fitter, ground, order[0].candidate, found)])
+        order = worthy(ranked(null, found))
+        left = residuals(ground, order[0].candidate)
+    return Explained(ground, tuple(order), plain, left)

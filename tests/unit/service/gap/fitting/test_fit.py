@@ -1,0 +1,66 @@
+"""A fit ends in its valley wherever it begins, also where a parameter is best at its bound."""
+
+import numpy as np
+import pytest
+
+from service.gap.fitting.candidates import Fitter, Task
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.fitting.stage import COARSE, EXACT
+from service.gap.fitting.unknowns import Unknowns
+from service.gap.measured.observation import observe
+from sim.effect import Effect
+from sim.effects import CATALOGUE
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+
+
+@pytest.fixture(scope="module")
+def ground() -> Ground:
+    datasheet, truth = known_datasheet(seed=4)
+    nu = nuisance(datasheet)
+    o = observe(sweep(true_rig(truth), lines(4), 0.1, 1), nu.rig)
+    return Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
+def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> None:
+    """A candidate whose parameter went to its bound was lost: its law refused the last digit beyond."""
+    unknowns = Unknowns(ground, [effect])
+    for bound in (unknowns.low, unknowns.high, 2 * unknowns.low, 2 * unknowns.high):
+        (values,) = unknowns.values(bound)
+        assert all(p.low <= values[p.name] <= p.high for p in effect.parameters)
+
+
+@pytest.mark.parametrize("seed", [4, 8])
+def test_a_parameter_at_its_bound_does_not_hold_the_others_up(seed: int) -> None:
+    """A lag without delay: the step that would make the delay negative must not stop the lag short."""
+    lag_s = 2.6e-6
+    datasheet, truth = known_datasheet(seed=seed)
+    nu = nuisance(datasheet)
+    rig = with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": lag_s, "delay_s": 0.0}})
+    o = observe(sweep(rig, lines(20), 0.1, seed), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    begun = [{"time_constant_s": start_s, "delay_s": 0.0} for start_s in (lag_s, 1e-5, 3e-5)]
+    with Fitter(1) as fitter:
+        tasks = [Task(ground, ("sensor_lag",), ((start,),), np.zeros(len(nu)), (EXACT,)) for start in begun]
+        fits = [c.fit for c in fitter.run(tasks)]
+    true, *others = (f.chi_square + f.penalty for f in fits)
+    assert max(others) < true + 0.01 * o.Y.size
+    for fit in fits:
+        values = fit.values[0]
+        assert values["time_constant_s"] + values["delay_s"] == pytest.approx(lag_s, rel=0.1)
+
+
+def test_a_mode_is_not_fitted_below_the_lowest_line_where_it_would_be_a_mass() -> None:
+    datasheet, truth = known_datasheet(seed=4)
+    nu = nuisance(datasheet)
+    rig = with_effects(true_rig(truth), {"rotor_inertia": {"mass_change": -0.09, "inertia_change": 0.0}})
+    o = observe(sweep(rig, lines(20), 0.1, 1), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    shape = {f"{at}_{end}_per_sqrt_kg": 0.01 for at in ("bearing", "sensor") for end in "AB"}
+    begun = {"frequency_hz": 0.6 * o.frequency_hz.min(), "damping_ratio": 0.01, **shape}
+    task = Task(ground, ("extra_flexible_mode",), ((begun,),), np.zeros(len(nu)), (COARSE, EXACT))
+    with Fitter(1) as fitter:
+        found = fitter.run([task])[0].fit.values[0]
+    assert found["frequency_hz"] >= 0.999 * o.frequency_hz.min()

@@ -1,0 +1,55 @@
+"""The exact derivatives of the twin's answer, against differences of it."""
+
+import numpy as np
+import pytest
+
+from service.gap.fitting.jacobian import answer_jacobian, residue_columns
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.predict import linear_answer
+from service.gap.measured.observation import observe
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+
+EFFECTS = [
+    {},
+    {"loop_delay": {"delay_s": 3e-5}, "channel_crosstalk": {"share_ab": 0.03}},
+    {"support_resonance": {"frequency_hz": 300.0}, "magnetic_cross_coupling": {"rotation_rad": 0.03}},
+    {"eddy_currents": {"time_constant_s": 1e-5, "corner_rad_s": 1e4}, "logging_offset": {"samples": 1.0}},
+]
+
+
+@pytest.mark.parametrize("effects", EFFECTS, ids=lambda e: "+".join(e) or "plain")
+def test_every_column_is_the_derivative_of_the_answer(effects: dict[str, dict[str, float]]) -> None:
+    datasheet, truth = known_datasheet(seed=3)
+    nu = nuisance(datasheet)
+    o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), nu.rig)
+    base = with_effects(nu.rig, effects)
+    theta = 0.3 * np.random.default_rng(5).standard_normal(len(nu))
+    J = answer_jacobian(nu, nu.at(theta, base), o)
+    step = 1e-4
+    for j, name in enumerate(nu.names):
+        e = np.zeros(len(nu))
+        e[j] = step
+        ahead = linear_answer(nu.at(theta + e, base), o)
+        difference = (ahead - linear_answer(nu.at(theta - e, base), o)) / (2 * step)
+        size = np.linalg.norm(difference)
+        assert np.linalg.norm(J[:, :, j] - difference) < 2e-3 * size, name
+
+
+@pytest.mark.parametrize("effects", EFFECTS[1:], ids="+".join)
+def test_residues_are_the_change_that_a_light_mode_makes(effects: dict[str, dict[str, float]]) -> None:
+    datasheet, truth = known_datasheet(seed=3)
+    rig = with_effects(nuisance(datasheet).rig, effects)
+    o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), rig)
+    shape, w, zeta = 1e-3 * np.array([1.0, -0.7]), 2 * np.pi * 310.0, 0.02
+    named = dict(zip("AB", shape, strict=True))
+    values = {f"{at}_{end}_per_sqrt_kg": v for at in ("bearing", "sensor") for end, v in named.items()}
+    light = with_effects(
+        rig, {"extra_flexible_mode": {"frequency_hz": w / (2 * np.pi), "damping_ratio": zeta, **values}}
+    )
+    change = (linear_answer(light, o) - linear_answer(rig, o))[:, rig.n_axes :]
+    s = 2j * np.pi * o.points_hz
+    told = (residue_columns(rig, o) * np.outer(shape, shape)).sum(axis=(2, 3)) / (s**2 + 2 * zeta * w * s + w**2)[
+        :, None
+    ]
+    np.testing.assert_allclose(told, change, rtol=0, atol=1e-3 * np.abs(change).max())

@@ -1,0 +1,79 @@
+"""Where a fit of a resonance begins."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.fitting.predict import residual
+from service.gap.fitting.starts import starts
+from service.gap.measured.observation import observe
+from service.gap.which.search import explain
+from sim.effects import CATALOGUE
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
+
+def test_a_mode_between_two_lines_begins_near_its_frequency_and_shape() -> None:
+    """Its ends move against each other, which no housing does, and it is far narrower than the lines are apart."""
+    datasheet, truth = known_datasheet(seed=12)
+    nu = nuisance(datasheet)
+    shape = {"bearing_A": 0.017, "bearing_B": -0.019, "sensor_A": 0.017, "sensor_B": -0.015}
+    values = {"frequency_hz": 145.0, "damping_ratio": 0.0016, **{f"{k}_per_sqrt_kg": v for k, v in shape.items()}}
+    o = observe(sweep(with_effects(true_rig(truth), {"extra_flexible_mode": values}), lines(), 0.15, seed=1), nu.rig)
+    assert np.abs(o.frequency_hz / 145.0 - 1).min() > 0.02
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    left = residual(nu.rig, o)[..., 2 * nu.rig.n_axes :]
+    first, *_ = starts(CATALOGUE["extra_flexible_mode"], nu.rig, left, o, ground)
+    assert abs(first["frequency_hz"] / 145.0 - 1) < 0.01
+    found, true = (np.array([v[f"{k}_per_sqrt_kg"] for k in shape]) for v in (first, values))
+    assert abs(found @ true) > 0.8 * np.linalg.norm(found) * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize(("beside", "size"), [(0.98, 1.4), (1.02, 2.0)])
+def test_a_faint_mode_that_shows_at_one_line_alone_is_found(beside: float, size: float) -> None:
+    """To a rough stage of a fit the twin is as good without it, and its start as good as any other."""
+    datasheet, truth = known_datasheet(seed=12)
+    nu, hz = nuisance(datasheet), lines(24)
+    shape = {"bearing_A": 1.7e-3, "bearing_B": 1.4e-3, "sensor_A": -1.3e-3, "sensor_B": -1.0e-3}
+    values = {f"{k}_per_sqrt_kg": size * v for k, v in shape.items()}
+    own = beside * float(hz[np.argmin(np.abs(hz - 90.0))])
+    faint = with_effects(
+        true_rig(truth), {"extra_flexible_mode": {"frequency_hz": own, "damping_ratio": 0.0035, **values}}
+    )
+    o = observe(sweep(faint, hz, 0.15, seed=1), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    best = explain(Fitter(), ground).order[0].candidate
+    assert best.effects == ("extra_flexible_mode",)
+    assert abs(best.fit.values[0]["frequency_hz"] / own - 1) < 0.002
+
+
+def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -> None:
+    """Such a current is a triangle, whose fundamental is 4/pi as steep; from a limit far off there it is not found."""
+    datasheet, truth = known_datasheet(seed=13)
+    nu = nuisance(datasheet)
+    o = observe(sweep(true_rig(truth), lines(8), 0.15, seed=1), nu.rig)
+    assert o.I is not None
+    limit_a_per_s, steepest = 400.0, np.abs(o.I[:, o.fundamental]).max(axis=1) * 2 * np.pi * o.points_hz
+    o = replace(o, I=o.I * (4 / np.pi * limit_a_per_s / steepest)[:, None, None])
+    ground = Ground(nu, parts(nu, (o,))[1], (o,), np.zeros(len(nu)))
+    begun = starts(CATALOGUE["amplifier_voltage_limit"], nu.rig, np.zeros_like(o.I), o, ground)
+    assert min(abs(1 / s["slew_inverse_s_per_a"] / limit_a_per_s - 1) for s in begun) < 0.01
+
+
+def test_without_the_current_a_voltage_limit_begins_at_what_the_amplifiers_make_of_the_control_signal() -> None:
+    """Above their bandwidth they ask for much less than it: from a limit beyond that, none is ever reached."""
+    datasheet, truth = known_datasheet(seed=13)
+    nu = nuisance(datasheet)
+    measured = sweep(true_rig(truth), np.geomspace(100.0, 2500.0, 8), 0.15, seed=1)
+    o, blind = observe(measured, nu.rig), observe(replace(measured, I=None), nu.rig)
+    assert o.I is not None
+    steepest = float((np.abs(o.I[:, o.fundamental]).max(axis=1) * 2 * np.pi * o.points_hz).max())
+    ground = Ground(nu, parts(nu, (blind,))[1], (blind,), np.zeros(len(nu)))
+    begun = starts(CATALOGUE["amplifier_voltage_limit"], nu.rig, np.zeros_like(o.Y), blind, ground)
+    assert all(0.5 * steepest < 1 / s["slew_inverse_s_per_a"] < steepest for s in begun)

@@ -1,0 +1,127 @@
+"""Hum in blocks that follow one another: heard by its phase, taken off, and never found in noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Sweep
+from service.gap.interference import interference
+from service.gap.measured.coherent import beside_hum, coherence, hum_power, left_in_mean, without_hum
+from service.gap.measured.scatter import mean_scatter
+from service.gap.measured.sweeps import timed
+from sim.reference import reference_rig
+
+BLOCKS, AXES, HARMONICS, RATE_HZ = 6, 4, (0, 1, 2, 3), 10_000.0
+NOISE_M = 1e-9
+
+
+def played(hum_m: float, hum_hz: float, seed: int) -> tuple[Sweep, Sweep]:
+    """A sweep of samples with a response and noise, demodulated block by block: (with a hum on y, without)."""
+    rng = np.random.default_rng(seed)
+    frequency = np.repeat(np.geomspace(12, 300, 40), 2)
+    periods = np.ceil(frequency * 0.05)
+    samples = np.round(periods * RATE_HZ / frequency).astype(int)
+    frequency = periods * RATE_HZ / samples
+    clean = np.zeros((len(frequency), BLOCKS, len(HARMONICS), AXES), dtype=complex)
+    hum = np.zeros_like(clean)
+    for p, (k, n) in enumerate(zip(periods, samples, strict=True)):
+        t = np.arange(BLOCKS * n)
+        noise = NOISE_M * np.sqrt(n / 2) * rng.standard_normal((len(t), AXES))
+        tone = 1e-6 * np.cos(2 * np.pi * k * t / n + rng.uniform(0, 6))[:, None] * rng.uniform(0.3, 1, AXES)
+        added = hum_m * np.cos(2 * np.pi * hum_hz * t / RATE_HZ + rng.uniform(0, 6))[:, None] * np.ones(AXES)
+        for j, h in enumerate(HARMONICS):
+            basis = np.exp(-2j * np.pi * h * k * t / n) * (2 if h else 1) / n
+            clean[p, :, j] = (basis[:, None] * (tone + noise)).reshape(BLOCKS, n, AXES).sum(axis=1)
+            hum[p, :, j] = (basis[:, None] * added).reshape(BLOCKS, n, AXES).sum(axis=1)
+    zero = np.zeros_like(clean)
+    without = Sweep(
+        "stepped-sine", frequency, np.tile([0, 1], 40), np.ones(len(frequency)), HARMONICS, zero, zero, zero, clean,
+        sample_rate_hz=RATE_HZ, block_samples=samples,
+    )  # fmt: skip
+    return replace(without, Y=clean + hum), without
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 27.3, 50.0, 60.0, 120.0])
+def test_a_hum_is_heard_where_it_is_and_as_loud_as_it_is(hum_hz: float) -> None:
+    loud, _ = played(5e-9, hum_hz, seed=1)
+    share, deviate = coherence(loud, loud.Y, hum_hz)
+    assert share > 0.5
+    assert deviate > 8
+    heard = np.sqrt(np.mean(hum_power(loud, loud.Y, hum_hz)))
+    assert heard == pytest.approx(5e-9, rel=0.15)
+
+
+def test_noise_alone_is_no_hum() -> None:
+    deviates = [
+        coherence(quiet, quiet.Y, f)[1] for seed in range(8) for _, quiet in [played(0.0, 50.0, seed)]
+        for f in (15.1, 50.0, 60.0, 100.0, 150.0)
+    ]  # fmt: skip
+    assert max(deviates) < 6
+    assert abs(np.mean(deviates)) < 1, "the share of noise is known"
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 50.0, 110.0])
+def test_what_it_leaves_in_a_mean_is_taken_off_or_foretold(hum_hz: float) -> None:
+    """A hum of a thousand times the noise leaks into every point."""
+    loud, quiet = played(1e-6, hum_hz, seed=2)
+    before, left = (np.abs(s.Y.mean(axis=1) - quiet.Y.mean(axis=1)) for s in (loud, without_hum(loud, hum_hz)))
+    foretold = left_in_mean(loud, loud.Y, [hum_hz])
+    taken = foretold == 0
+    assert taken.mean() > 0.3
+    assert np.mean(left[taken] ** 2) < NOISE_M**2 < 1e-2 * np.mean(before[taken] ** 2)
+    assert np.mean(left[~taken] ** 2) == pytest.approx(np.mean(foretold[~taken] ** 2), rel=0.5)
+    others = left_in_mean(loud, loud.Y, [50.3, hum_hz])
+    assert np.mean(before**2) == pytest.approx(np.mean(others**2), rel=0.7), "one that is not the loudest is foretold"
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 50.0, 110.0])
+def test_without_it_the_scatter_is_that_of_the_noise(hum_hz: float) -> None:
+    loud, quiet = played(1e-7, hum_hz, seed=3)
+    turning = np.abs((hum_hz * loud.block_samples / RATE_HZ + 0.5) % 1 - 0.5) > 0.2
+    before, after, noise = (np.mean(s.select(turning).Y.var(axis=1)) for s in (loud, without_hum(loud, hum_hz), quiet))
+    assert before > 20 * noise
+    assert 0.7 * noise < after < 2 * noise
+
+
+@pytest.mark.parametrize("hum_hz", [15.1, 50.0, 110.0])
+def test_beside_it_the_scatter_foretells_how_far_off_responses_are(hum_hz: float) -> None:
+    """What is left of the blocks goes together from one to the next as noise does not: no ends cancel in that."""
+    loud, _ = played(1e-6, hum_hz, seed=4)
+    by = beside_hum(loud, hum_hz)
+    told = by.free < BLOCKS - 1
+    assert told.mean() > 0.5
+    _, _, of_y = mean_scatter(without_hum(loud, hum_hz), reference_rig(), by)
+    true = 2 * NOISE_M**2 * (np.abs(by.weights) ** 2).sum(axis=1)
+    assert np.mean(of_y[told, 1:] / true[told, None, None]) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("turns_hz", [14.0, 19.2, 42.9, 43.6])
+def test_a_loud_hum_is_not_heard_as_another_that_it_only_leaks_to(turns_hz: float) -> None:
+    loud, _ = played(3e-6, turns_hz, seed=5)
+    heard = interference(replace(loud, speed_rad_s=2 * np.pi * turns_hz), reference_rig())
+    assert [(s.effect, s.aliases) for s in heard] == [("runout", ())]
+
+
+def test_a_rotor_that_turns_at_the_mains_frequency_leaves_both_open() -> None:
+    loud, _ = played(1e-6, 50.0, seed=8)
+    heard = interference(replace(loud, speed_rad_s=2 * np.pi * 50.0), reference_rig())
+    assert [{s.effect, *s.aliases} for s in heard] == [{"mains_interference", "runout"}]
+
+
+def test_a_faint_hum_is_heard_beside_a_loud_one() -> None:
+    loud, _ = played(3e-6, 17.3, seed=6)
+    faint, quiet = played(2e-8, 50.0, seed=7)
+    both = replace(loud, Y=loud.Y + faint.Y - quiet.Y, speed_rad_s=2 * np.pi * 17.3)
+    heard = interference(both, reference_rig())
+    assert [(s.effect, s.frequency_hz) for s in heard] == [("runout", 17.3), ("mains_interference", 50.0)]
+
+
+def test_a_file_that_does_not_tell_its_blocks_is_heard_as_well_where_its_lines_tell_them() -> None:
+    loud, _ = played(5e-9, 50.0, seed=1)
+    told = timed(replace(loud, block_samples=None))
+    assert told.block_samples is not None
+    assert np.mean(told.block_samples == loud.block_samples) > 0.9
+    assert coherence(told, told.Y, 50.0)[1] > 0.8 * coherence(loud, loud.Y, 50.0)[1]
+    odd = replace(loud, block_samples=None, frequency_hz=loud.frequency_hz * np.pi / 3)
+    assert timed(odd).block_samples is None, "no whole number of samples holds whole periods"

@@ -1,0 +1,41 @@
+"""What blocks' ends leave cancels from block to block, and how far it does is read from the blocks."""
+
+import numpy as np
+import pytest
+
+from service.gap.measured.ends import share
+
+SIZE = np.exp(np.random.default_rng(2).standard_normal((300, 1, 2)))
+"""Of each channel's scatter."""
+
+
+def seen(blocks: np.ndarray) -> np.ndarray:
+    """The share of each point, of blocks whose scatter is known."""
+    return share(blocks - blocks.mean(axis=1, keepdims=True), SIZE[:, 0] ** 2, np.arange(len(blocks)))
+
+
+def white(blocks: int) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    return SIZE * (rng.standard_normal((300, blocks, 2)) + 1j * rng.standard_normal((300, blocks, 2)))
+
+
+@pytest.mark.parametrize("blocks", [5, 6, 12])
+@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
+def test_the_share_is_the_variance_of_means_over_that_of_independent_blocks(blocks: int, noise: float) -> None:
+    ends, own = white(blocks + 1), white(2 * blocks)[:, blocks:]
+    e = (1 - noise) * np.diff(ends, axis=1) + noise * own
+    of_ends, of_noise = 4 * (1 - noise) ** 2, 2 * noise**2  # variance of a block
+    of_a_mean = of_ends / blocks**2 + of_noise / blocks
+    # near its bounds chance has one side alone
+    assert seen(e).mean() == pytest.approx(of_a_mean / ((of_ends + of_noise) / blocks), abs=0.07)
+
+
+def test_blocks_too_few_are_taken_for_independent() -> None:
+    assert (seen(np.diff(white(4), axis=1)) == 1.0).all()
+
+
+def test_ends_that_leave_much_at_low_frequencies_alone_cancel_there_alone() -> None:
+    low = np.arange(300) < 150
+    found = seen(np.where(low[:, None, None], np.diff(white(7), axis=1), white(6)))
+    assert found[low][:-12].max() < 0.35
+    assert found[~low][12:].min() > 0.65

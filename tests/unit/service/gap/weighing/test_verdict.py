@@ -1,0 +1,141 @@
+"""From what explanations leave to a verdict: what is told when an explanation does not explain."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from service.gap.document import sentence
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.weighing.verdict import ALIKE, HeldOut, Ranked, Verdict, decide
+from sim.reference import reference_rig
+
+RIG = reference_rig()
+
+
+def explanation(effects: tuple[str, ...], evidence: float, left: float, shares: tuple[float, ...]) -> Ranked:
+    groups = ((1.0, 1), (1.0, 1))
+    fit = Fit(effects, np.zeros(1), tuple({} for _ in effects), RIG, groups, 0.0, np.arange(1), np.eye(1), "converged")
+    return Ranked(Candidate(effects, fit, 0.0, tuple({} for _ in effects)), evidence, 0.9, left, shares)
+
+
+PLAIN = explanation((), -100.0, 1.0, (1.0, 0.0, 1.0, 0.0))
+
+
+CLOSED = HeldOut(before=21.0, after=2.0, gap=40.0, left=2.0, closes=0.95, support=300.0)
+NOT_SHOWN = HeldOut(before=0.9, after=0.9, gap=0.0, left=0.0)
+
+
+def said(best: Ranked, remaining: float, there: HeldOut = CLOSED) -> str:
+    return decide([best, PLAIN], remaining, there, significant=50.0).kind
+
+
+def test_an_explanation_that_leaves_little_is_named() -> None:
+    assert said(explanation(("rotor_inertia",), 0.0, 0.01, (0.01, 0.0, 0.02, 0.0)), remaining=12.0) == "effect"
+
+
+def test_an_explanation_of_one_sweep_only_is_none() -> None:
+    """What answers to the excitation in proportion cannot be there at one amplitude and not at the other."""
+    one_only = explanation(("extra_flexible_mode",), 0.0, 0.2, (0.66, 0.0, 0.01, 0.0))
+    assert said(one_only, remaining=20.0) == "none_of_these"
+    assert said(replace(one_only, shares=(0.01, 0.0, 0.66, 0.0)), remaining=20.0) == "none_of_these"
+
+
+def test_harmonics_of_another_law_of_the_same_effect_may_be_left() -> None:
+    assert said(explanation(("rotor_inertia",), 0.0, 0.01, (0.01, 0.6, 0.01, 0.5)), remaining=12.0) == "effect"
+
+
+@pytest.mark.parametrize("remaining", [1.0, 5.0])
+def test_what_is_left_must_be_significant_to_count(remaining: float) -> None:
+    assert said(explanation(("rotor_inertia",), 0.0, 0.2, (0.4, 0.0)), remaining) == "effect"
+
+
+def test_nothing_named_and_much_left_is_none_of_these() -> None:
+    assert decide([PLAIN], 20.0, NOT_SHOWN, significant=30.0).kind == "none_of_these"
+    assert decide([PLAIN], 2.0, NOT_SHOWN, significant=30.0).kind == "no_gap"
+
+
+NAMED = explanation(("sensor_gain",), 0.0, 0.1, (0.1, 0.0))
+
+
+def test_an_explanation_that_does_not_close_what_unseen_data_clearly_show_is_none() -> None:
+    """The sweep that was fitted leaves nothing significant; only the unseen one tells that it is something else."""
+    half = HeldOut(before=1.9, after=1.3, gap=26.0, left=12.0, closes=0.53, support=14.0)
+    verdict = decide([NAMED, PLAIN], 3.7, half, significant=15.0)
+    assert verdict.kind == "none_of_these"
+    assert "47 % of the gap on unseen data" in verdict.reasons[0]
+
+
+def test_a_small_gap_may_be_closed_in_part_only_by_chance() -> None:
+    faint = HeldOut(before=1.4, after=1.2, gap=9.0, left=3.0, closes=0.5, support=4.0)
+    assert said(NAMED, 2.0, faint) == "effect"
+
+
+def test_an_effect_that_the_unseen_sweep_cannot_show_keeps_its_probability() -> None:
+    verdict = decide([NAMED, PLAIN], 2.0, NOT_SHOWN, significant=50.0)
+    assert verdict.effects == ("sensor_gain",)
+    assert verdict.probability == NAMED.probability
+
+
+def test_a_predicted_gap_that_is_absent_costs_probability_and_then_the_verdict() -> None:
+    def verdict(support: float, significant: float = 50.0):
+        absent = HeldOut(before=0.9, after=1.4, gap=0.0, left=4.0, support=support)
+        return decide([NAMED, PLAIN], 2.0, absent, significant)
+
+    assert 0.5 < verdict(-2.0).probability < NAMED.probability
+    assert verdict(-2.0).kind == "effect"
+    assert verdict(-10.0).kind == "none_of_these"
+    assert "that is not there" in verdict(-10.0).reasons[0]
+    assert verdict(-10.0, significant=3.0).kind == "no_gap"
+
+
+@pytest.mark.parametrize(
+    ("behind", "told"), [(1.0, "not told apart from amplifier bandwidth"), (12.0, "far less likely")]
+)
+def test_what_fits_as_well_but_is_far_less_likely_is_told_as_that(behind: float, told: str) -> None:
+    """It stays in the class, but "not told apart" beside a probability of 0 % would contradict itself."""
+    assert abs(behind - ALIKE) > 1
+    order = [
+        explanation(("loop_delay",), -50.0, 0.0, (0.0,)),
+        explanation(("amplifier_bandwidth",), -50.0 - behind, 0.0, (0.0,)),
+    ]
+    verdict = Verdict("effect", ("loop_delay",), (("loop_delay", "amplifier_bandwidth"),), 0.97, ())
+    shown = SimpleNamespace(verdict=verdict, order=order, gap_before=0.01, shrinkage=SimpleNamespace(closure=1.0))
+    words = sentence(shown)
+    assert told in words
+    assert "amplifier bandwidth" in words
+    assert ("not told apart" in words) == (behind < ALIKE)
+
+
+def test_what_another_part_would_explain_as_well_is_in_the_class_and_shares_its_probability() -> None:
+    best, other = explanation(("sensor_gain",), -50.0, 0.0, (0.0,)), explanation(("loop_delay",), -52.0, 0.0, (0.0,))
+    alone = decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0)
+    assert alone.indistinguishable == ()
+    shared = decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[other])
+    assert shared.effects == ("sensor_gain",)
+    assert shared.indistinguishable == (("sensor_gain", "loop_delay"),)
+    far = replace(other, log_evidence=-50.0 - ALIKE - 1)
+    assert decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[far]).indistinguishable == ()
+
+
+def test_what_the_other_sweep_rejects_is_what_is_fitted_to_half_of_it_first() -> None:
+    """A gap that is there, and too much of it left; not what may be chance, before or after, nor a little rest."""
+    rejected = HeldOut(before=1.4, after=1.2, gap=26.0, left=12.0, closes=0.5)
+    assert rejected.fails
+    assert not replace(rejected, gap=0.5).fails
+    assert not replace(rejected, left=0.5).fails
+    assert not replace(rejected, closes=0.9).fails
+
+
+def test_an_effect_of_a_mixture_that_an_alias_could_stand_for_is_told_with_it() -> None:
+    left = (0.01, 0.0, 0.02, 0.0)
+    best = replace(explanation(("eddy_currents", "support_resonance"), 0.0, 0.01, left), probability=0.8)
+    like = replace(explanation(("support_resonance", "sensor_lag"), -ALIKE / 2, 0.01, left), probability=0.15)
+    far = replace(explanation(("eddy_currents", "extra_flexible_mode"), -2 * ALIKE, 0.01, left), probability=0.01)
+    other = replace(explanation(("eddy_currents", "sensor_gain"), -ALIKE / 2, 0.01, left), probability=0.01)
+    found = decide([best, like, far, other, PLAIN], 12.0, CLOSED, significant=50.0)
+    assert found.effects == best.candidate.effects
+    assert found.indistinguishable == (("eddy_currents", "sensor_lag"),)
+    assert found.probability == pytest.approx(0.95)

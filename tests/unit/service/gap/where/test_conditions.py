@@ -1,0 +1,103 @@
+"""Sweeps are compared by the condition that differs, and nothing is said of a condition that does not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from service.gap.compose import Explained
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import Observation, observe
+from service.gap.weighing.verdict import ranked
+from service.gap.where.conditions import changes, conditions_of, dependence, relative_error, same_condition
+from service.gap.where.where import locate
+from service.gap.which.search import plain_twin
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
+
+DATASHEET, TRUTH = known_datasheet(seed=2)
+NU = nuisance(DATASHEET)
+LINEAR = {"sensor_lag": {"time_constant_s": 2e-5}}
+BENT = {"magnetic_saturation": {"saturation_inverse_per_a": 0.6}}
+
+
+@cache
+def plant(effect: str) -> tuple[Explained, Observation]:
+    """The plant's plain twin on the main sweep of a rig with an effect, and the other sweep at twice the amplitude."""
+    rig = with_effects(true_rig(TRUTH), {"linear": LINEAR, "bent": BENT, "none": {}}[effect])
+    main, other = (observe(s, NU.rig) for s in experiment(rig).sweeps)
+    part = next(p for p in parts(NU, (main,)) if p.path == "plant")
+    ground = Ground(NU, part, (main,), np.zeros(len(NU)))
+    with Fitter(1) as fitter:
+        null, plain = plain_twin(fitter, ground)
+    return Explained(ground, tuple(ranked(null, [])), plain, plain), other
+
+
+@pytest.mark.parametrize(("effect", "depends"), [("linear", False), ("bent", True), ("none", False)])
+def test_only_what_is_not_in_proportion_depends_on_the_amplitude(effect: str, depends: bool) -> None:
+    e, other = plant(effect)
+    found = dependence(e, other, distorted=False)
+    assert found.amplitude is depends
+    assert found.speed is None, "both sweeps are at standstill"
+
+
+def test_where_only_the_speed_differs_the_amplitude_is_not_blamed() -> None:
+    e, _ = plant("none")
+    hz = np.geomspace(13.0, 930.0, 16)
+    whirling = with_effects(true_rig(TRUTH), {"cross_coupled_stiffness": {"stiffness_n_per_m": 4e5}})
+    there = observe(replace(sweep(whirling, hz, 0.15, 8), speed_rad_s=300.0), NU.rig)
+    found = dependence(e, there, distorted=False)
+    assert (found.amplitude, found.speed) == (None, True)
+
+
+def test_two_sweeps_of_one_condition_test_nothing_and_that_is_said() -> None:
+    e, _ = plant("linear")
+    again = observe(sweep(true_rig(TRUTH), np.geomspace(13.0, 930.0, 16), 0.15, 9), NU.rig)
+    assert conditions_of(e.ground.observations[0], again) == (False, False)
+    assert "same amplitude and speed" in (same_condition(e.ground.observations[0], again) or "")
+    found = dependence(e, again, distorted=False)
+    assert (found.amplitude, found.speed) == (None, None)
+    assert dependence(e, again, distorted=True).amplitude is True, "harmonics prove it at one amplitude"
+
+
+def test_another_amplitude_needs_no_such_note() -> None:
+    e, other = plant("linear")
+    assert same_condition(e.ground.observations[0], other) is None
+
+
+def test_bands_and_channels_have_a_significance_and_are_of_the_blamed_part() -> None:
+    e, other = plant("linear")
+    where = locate([e], other, ("sensor_lag",))
+    assert where.blamed == "plant"
+    assert max(s for *_, s in where.bands) > 5, "the lag shows at the high end"
+    own = [s for a, b, _, s in where.channels if a == b]
+    across = [s for a, b, _, s in where.channels if a[0] != b[0]]
+    assert min(own) > 5 > max(across)
+    clean, other = plant("none")
+    quiet = locate([clean], other)
+    assert max(s for *_, s in (*quiet.bands, *quiet.channels)) < 5
+
+
+def test_an_effect_that_is_not_in_proportion_depends_on_the_amplitude_by_its_law() -> None:
+    e, other = plant("linear")
+    assert locate([e], other, ("touchdown_contact",)).depends.amplitude is True
+    assert locate([e], other, ("sensor_lag",)).depends.amplitude is False
+
+
+def test_a_log_so_coarse_that_it_shows_nothing_is_compared_without_a_division_by_zero() -> None:
+    e, other = plant("none")
+    Y, sd_y = other.Y.copy(), other.sd_y.copy()
+    Y[::2, other.fundamental] = 0.0
+    sd_y[::3] = np.inf
+    coarse = replace(other, Y=Y, sd_y=sd_y)
+    z = np.zeros_like(Y)
+    z[::2] = 100.0
+    z[::3] = 0.0
+    error, variance = relative_error(z, coarse, "y")
+    assert np.isfinite(error).all()
+    assert np.isfinite(variance).all()
+    assert np.all(variance[::2] > 1e20)
+    assert not changes(e, replace(other, sd_y=sd_y))

@@ -1,0 +1,97 @@
+"""What one part's data leave open is left open for the next: no part is blamed for what was not known of another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.gap.diagnose import diagnose
+from service.gap.fitting.candidates import Candidate, Fitter
+from service.gap.fitting.fit import Problem
+from service.gap.fitting.inherited import inherited_from
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.fitting.stage import Stage
+from service.gap.measured.observation import observe
+from service.gap.which.begun import residuals
+from service.gap.which.search import explain
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
+
+def noisy_currents(measured: Experiment, sd_a: float, seed: int = 5) -> Experiment:
+    rng = np.random.default_rng(seed)
+
+    def heard(I: np.ndarray) -> np.ndarray:
+        e = sd_a * (rng.standard_normal(I.shape) + 1j * rng.standard_normal(I.shape))
+        e[:, :, 0] = e[:, :, 0].real
+        return I + e
+
+    return replace(measured, sweeps=tuple(replace(s, I=heard(s.I)) for s in measured.sweeps))
+
+
+def test_a_delay_that_noisy_currents_hardly_show_is_not_laid_to_the_plant() -> None:
+    """The displacement is measured far better than the current: alone it says eddy currents and a mode."""
+    datasheet, truth = known_datasheet(seed=21)
+    rig = with_effects(true_rig(truth), {"loop_delay": {"delay_s": 5e-6}})
+    d = diagnose(noisy_currents(experiment(rig), 3e-3), datasheet)
+    assert d.verdict.effects == ("loop_delay",)
+
+
+def ground_of(effects: dict[str, dict[str, float]], path: str) -> Ground:
+    datasheet, truth = known_datasheet(seed=22)
+    measured, nu = experiment(with_effects(true_rig(truth), effects)), nuisance(datasheet)
+    o = observe(measured.sweeps[0], nu.rig)
+    part = next(p for p in parts(nu, (o,)) if p.path == path)
+    return Ground(nu, part, (o,), np.zeros(len(nu)))
+
+
+def test_a_plain_twin_whose_fit_stopped_short_is_not_beaten_by_any_effect() -> None:
+    """Every effect goes on from where it stopped and leaves less, though it is not there."""
+    ground = ground_of({}, "plant")
+    start = np.full(len(ground.part.active), 1.5) * np.resize([1, -1], len(ground.part.active))
+    fit = Problem(ground).run(start, Stage(closed=False, relative_floor=0.0, iterations=1, tolerance=0.5))
+    short = Candidate((), fit, 0.0, ())
+    assert fit.chi_square > 10 * fit.n_residuals
+    with Fitter() as fitter:
+        found = explain(fitter, ground, (short, residuals(ground, short)))
+    assert found.order[0].candidate.effects == ()
+    assert found.remaining < 4.0
+    assert found.significance < 4.0
+
+
+def test_what_the_amplifiers_leave_open_is_as_wide_as_their_data_and_the_datasheet_say() -> None:
+    ground = ground_of({}, "amplifier")
+    with Fitter() as fitter:
+        found = explain(fitter, ground)
+    delayed = next(r.candidate for r in found.order if r.candidate.effects == ("loop_delay",))
+    for candidate in (found.null.candidate, delayed):
+        theirs = inherited_from(found.ground, candidate)
+        spread = np.sqrt(np.diag(np.linalg.inv(theirs.precision)))
+        k = len(theirs.active)
+        assert len(spread) == k + len(candidate.effects), "a delay's one value is uncertain too"
+        assert np.all(spread[:k] < 1.0), "no wider than the tolerances"
+        np.testing.assert_allclose(theirs.mean[:k], candidate.fit.theta[theirs.active])
+    assert theirs.effects == (("loop_delay", delayed.fit.values[0]),)
+
+
+def test_inherited_values_move_the_plant_but_at_the_price_of_the_other_parts_data() -> None:
+    amplifiers = ground_of({}, "amplifier")
+    with Fitter() as fitter:
+        found = explain(fitter, amplifiers)
+    theirs = inherited_from(amplifiers, found.null.candidate)
+    plant = replace(ground_of({}, "plant"), theta=found.null.candidate.fit.theta, inherited=theirs)
+    problem = Problem(plant)
+    at = np.concatenate([plant.theta[plant.part.active], theirs.mean])
+    away = at.copy()
+    away[-1] += 1.0
+    assert not np.allclose(
+        problem.predict(problem.build(away), plant.observations[0], closed=False),
+        problem.predict(problem.build(at), plant.observations[0], closed=False),
+        rtol=1e-9,
+    )
+    step = away - at
+    assert step @ problem.prior @ step > 1.0, "their currents know it better than its tolerance"

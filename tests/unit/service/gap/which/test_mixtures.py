@@ -1,0 +1,140 @@
+"""Two effects of one part of the loop: both are named, whatever each of them explains alone."""
+
+import numpy as np
+import pytest
+
+from service.gap.diagnose import diagnose
+from service.gap.fitting.candidates import Candidate, Fitter, Task, fit_task
+from service.gap.fitting.fit import TOLERANCE_BOUND
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.stage import EXACT
+from service.gap.weighing.verdict import ALIKE, MIXED, Ranked
+from service.gap.which.mixtures import from_the_other_side, worth_it
+from service.gap.which.refined import cost
+from sim.reference import reference_rig
+from sim.twin import with_effects
+from tests.support.plant import plant_of
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
+
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
+
+RIG = reference_rig()
+CROSS, AWAY = "magnetic_cross_coupling", "off_centre_rotor"
+
+
+def explanation(
+    effects: tuple[str, ...], evidence: float, shares: tuple[float, ...], penalty: float = 0.0, off: float = 0.0
+) -> Ranked:
+    fit = Fit(effects, np.array([off]), (), RIG, (), penalty, np.arange(1), np.eye(1), "converged")
+    return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.9, max(shares), shares)
+
+
+def test_of_two_effects_one_may_make_the_fundamental_s_gap_and_the_other_that_of_the_harmonics() -> None:
+    both = explanation((CROSS, AWAY), -10.0, (0.01, 0.01))
+    singles = [explanation((CROSS,), -90.0, (0.01, 1.0)), explanation((AWAY,), -99.0, (1.0, 0.01))]
+    assert worth_it(both, [both, *singles])
+
+
+def test_a_second_effect_that_one_alone_makes_needless_is_notworth_it() -> None:
+    both = explanation((CROSS, AWAY), -10.0, (0.009, 0.008))
+    enough = explanation((CROSS,), -15.0, (0.01, 0.01))
+    useless = explanation((AWAY,), -99.0, (1.0, 0.5))
+    assert not worth_it(both, [both, enough, useless])
+
+
+@pytest.mark.parametrize(
+    ("linear", "left", "worth"),
+    [
+        ("eddy_currents", (0.005, 0.0, 0.07, 0.0), True),
+        ("eddy_currents", (0.07, 0.0, 0.07, 0.0), False),
+        ("magnetic_saturation", (0.005, 0.0, 0.07, 0.0), False),
+    ],
+)
+def test_what_a_linear_effect_leaves_at_one_amplitude_alone_is_no_other_law_of_it(
+    linear: str, left: tuple[float, ...], worth: bool
+) -> None:
+    """An alias beside it would make up for another program's law, which is as far off at any amplitude."""
+    both = explanation((linear, "magnetic_hysteresis"), -10.0, (0.001, 0.0, 0.001, 0.0))
+    singles = [explanation((linear,), -90.0, left), explanation(("magnetic_hysteresis",), -99.0, (0.9, 0.5, 0.9, 0.5))]
+    assert worth_it(both, [both, *singles]) is worth
+
+
+def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needless() -> None:
+    both = explanation(("rotor_inertia", "sensor_position"), -10.0, (0.01, 0.01))
+    singles = [explanation(("rotor_inertia",), -90.0, (0.3, 0.3)), explanation(("sensor_position",), -99.0, (0.9, 0.9))]
+    for penalty, worth in ((60.0, True), (1.0, False)):
+        mode = explanation(("extra_flexible_mode",), -80.0, (0.05, 0.05), penalty)
+        assert worth_it(both, [both, mode, *singles]) is worth
+
+
+def test_one_effect_beside_a_value_as_far_off_as_any_may_be_makes_two_not_needless() -> None:
+    both = explanation(("eddy_currents", "sensor_gain"), -10.0, (0.003, 0.003))
+    for off, worth in ((TOLERANCE_BOUND, True), (3.0, False)):
+        single = explanation(("eddy_currents",), -50.0, (0.007, 0.007), off=off)
+        assert worth_it(both, [both, single]) is worth
+
+
+def test_what_couples_the_planes_is_found_beside_what_makes_a_gap_fifty_times_as_large() -> None:
+    datasheet, truth = known_datasheet(seed=55)
+    both = {
+        "support_resonance": {"inverse_mass_per_kg": 5e-4, "frequency_hz": 67.6, "damping_ratio": 0.013},
+        "cross_coupled_stiffness": {"stiffness_n_per_m": 7e3},
+    }
+    e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet, most=2)
+    alone = next(r for r in e.order if r.candidate.effects == ("support_resonance",))
+    assert max(alone.shares) < MIXED
+    assert set(e.order[0].candidate.effects) == set(both)
+
+
+def test_an_effect_that_hardly_shows_is_found_beside_one_that_leaves_no_band_a_gap() -> None:
+    datasheet, truth = known_datasheet(seed=51)
+    offset = {f"offset_{axis}_m": 0.6e-6 if axis == "xB" else 0.0 for axis in RIG.axes}
+    both = {"eddy_currents": {"time_constant_s": 2.7e-8, "corner_rad_s": 1.0}, AWAY: offset}
+    e = plant_of(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet))
+    assert set(e.order[0].candidate.effects) == set(both)
+
+
+def test_iron_that_bends_little_is_found_beside_a_lag_and_so_is_what_else_could_lag() -> None:
+    """Its law has three parameters and begins far from where they end; stiffnesses and gains have to follow it."""
+    datasheet, truth = known_datasheet(seed=53)
+    bent = {"saturation_inverse_per_a": 0.02, "flux_share": 0.55, "flux_power": 4.0}
+    both = {"magnetic_saturation": bent, "sensor_lag": {"time_constant_s": 2e-6, "delay_s": 0.0}}
+    rig = with_effects(true_rig(truth), both)
+    e = plant_of(*one_plane(experiment(rig, amplitude_a=0.2), datasheet))
+    found = [set(r.candidate.effects) for r in e.order[:2]]
+    assert {"magnetic_saturation", "sensor_lag"} in found
+    assert {"magnetic_saturation", "eddy_currents"} in found
+    assert abs(e.order[0].log_evidence - e.order[1].log_evidence) < ALIKE
+
+
+def test_an_effect_that_was_found_first_is_looked_for_anew_beside_the_second() -> None:
+    datasheet, truth = known_datasheet(seed=52)
+    both = {
+        "magnetic_hysteresis": {"loss_angle_rad": 0.007, "narrowest_a": 0.0, "widest_inverse_per_a": 0.0},
+        "cross_coupled_stiffness": {"stiffness_n_per_m": -26600.0},
+    }
+    e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet)
+    wrong = (
+        {"loss_angle_rad": 0.0127, "narrowest_a": 0.35, "widest_inverse_per_a": 50.0},
+        both["cross_coupled_stiffness"],
+    )
+    null, singles = e.null.candidate, [r.candidate for r in e.order if len(r.candidate.effects) == 1]
+    stuck = fit_task(Task(e.ground, tuple(both), (wrong,), null.fit.theta, (EXACT,)))
+    with Fitter() as fitter:
+        (better,) = from_the_other_side(fitter, e.ground, null, stuck, [null, *singles, stuck])
+    assert cost(better) < 0.9 * cost(stuck)
+    values = dict(zip(better.effects, better.fit.values, strict=True))
+    assert values["magnetic_hysteresis"]["loss_angle_rad"] == pytest.approx(0.007, rel=0.02)
+
+
+def test_an_effect_that_is_likely_but_explains_little_is_named_with_the_one_that_explains_the_rest() -> None:
+    """Alone the other explains most, by a datasheet that is far off, and so is the less likely of the two."""
+    datasheet, truth = known_datasheet(seed=21)
+    iron = {"time_constant_s": 1.7e-6, "corner_rad_s": 1.0}
+    both = {"eddy_currents": iron, CROSS: {"rotation_rad": 0.0, "symmetric_share": -0.04}}
+    d = diagnose(experiment(with_effects(true_rig(truth), both)), datasheet)
+    assert set(d.verdict.effects) == set(both)
+    assert d.shrinkage.closure is not None
+    assert d.shrinkage.closure > 0.95
