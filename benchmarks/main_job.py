@@ -19,7 +19,7 @@ from service import bootstrap
 from service.experiment import file
 from service.experiment.campaign import run_campaign
 from service.identification.fit import identify
-from sim import datasheet as datasheets
+from sim import rig_file
 
 PRACTICE = Path(__file__).resolve().parents[2] / "shared" / "practice" / "p01"
 
@@ -55,7 +55,7 @@ def practice() -> None:
     if not PRACTICE.exists():
         print("practice experiment of another program: not at hand, left out")
         return
-    found = identify(file.read(PRACTICE / "experiment.h5"), datasheets.read(PRACTICE / "rig.toml")).document()
+    found = identify(file.read(PRACTICE / "experiment.h5"), rig_file.read(PRACTICE / "rig.toml")).document()
     truth = {"x": (181, 186, 1.68e6, 1.73e6), "y": (184, 198, 1.69e6, 1.88e6)}
     errors = [
         abs(found["planes"][plane]["stiffness"][name]["value"] / value - 1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -122,10 +122,27 @@ def measure(
         As the message says; the rig is stopped, and what was measured stays in ``out_dir``.
     """
     from service.experiment.campaign import run_campaign
-    from sim.rig_file import to_toml
 
-    write_text(ready_folder(out_dir) / DATASHEET, to_toml(datasheet))
+    write_datasheet(ready_folder(out_dir), datasheet)
     return run_campaign(controller, datasheet, out_dir, progress, cancelled, resume, profile)
+
+
+def write_datasheet(folder: Path, datasheet: Datasheet) -> Path:
+    """The datasheet beside its results, which makes them a baseline; a file that says the same already is left alone.
+
+    Raises
+    ------
+    AmbError
+        The folder cannot be written.
+    """
+    from sim.errors import DatasheetError
+    from sim.rig_file import read, to_toml
+
+    path = folder / DATASHEET
+    with suppress(DatasheetError):
+        if path.exists() and read(path) == datasheet:
+            return path
+    return write_text(path, to_toml(datasheet))
 
 
 def identify_into(
@@ -137,7 +154,7 @@ def identify_into(
     priors: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Commissioned:
-    """Identify an experiment, and write result.json and report.html.
+    """Identify an experiment, and write result.json, report.html and the datasheet.
 
     Parameters
     ----------
@@ -171,6 +188,7 @@ def identify_into(
     say("writing the report")
     page = commissioning_page(result, experiment, datasheet)
     files["report"] = write_text(out_dir / REPORT, page)
+    files["datasheet"] = write_datasheet(out_dir, datasheet)
     seconds = {"identification": identified - began, "report": time.monotonic() - identified}
     return Commissioned(result, document, files, seconds)
 

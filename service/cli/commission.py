@@ -50,7 +50,9 @@ STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
 
 
 def commission(
-    controller: Annotated[str, typer.Option(help="Where the controller is: modbus://host:502, canopen://..., ...")],
+    controller: Annotated[
+        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu://, canopen:// or simulated://.")
+    ],
     rig: Annotated[Path, typer.Option(help="Datasheet of the rig, rig.toml.")],
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
     resume: Annotated[
@@ -84,7 +86,7 @@ def identify(
     priors: Priors = False,
     as_json: Json = False,
 ) -> None:
-    """Identify a rig from an experiment file, and write result.json and report.html.
+    """Identify a rig from an experiment file, and write result.json, report.html and the datasheet beside them.
 
     An experiment at several speeds, in one file or in several, gives the rotating model, too.
     """
@@ -128,7 +130,7 @@ def commission_directly(
         experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
     measured = time.monotonic() - began
     done = bootstrap.identify_into(experiment, datasheet, out, announce=say, priors=priors)
-    files = {**done.files, "experiment": out / bootstrap.EXPERIMENT, "datasheet": out / bootstrap.DATASHEET}
+    files = {**done.files, "experiment": out / bootstrap.EXPERIMENT}
     show(done.document, files, {"experiment": measured, **done.seconds}, experiment, as_json, truth)
 
 

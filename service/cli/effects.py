@@ -61,13 +61,14 @@ def document(e: Effect) -> dict[str, Any]:
 def _list(chosen: list[Effect]) -> None:
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for head in ("path", "effect", "law"):
         table.add_column(head)
     order = ("controller", "amplifier", "plant", "additive")
     for e in sorted(chosen, key=lambda e: (order.index(e.path), e.id)):
-        table.add_row(e.path, e.id, e.law)
+        table.add_row(e.path, e.id, Text(e.law))  # brackets of a law are no markup
     stdout().print(table)
 
 

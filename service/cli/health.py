@@ -30,7 +30,9 @@ History = Annotated[
 
 @app.command()
 def check(
-    controller: Annotated[str, typer.Option(help="Where the controller is: modbus://host:502, canopen://..., ...")],
+    controller: Annotated[
+        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu://, canopen:// or simulated://.")
+    ],
     baseline: BaselineFolder,
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
     budget_s: Budget = BUDGET_S,

@@ -76,13 +76,15 @@ def list_keys(config: Config = None, home: Home = None, as_json: Json = False) -
         return
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for head in ("id", "name", "scope", "state", "created", "expires", "last used", "from"):
         table.add_column(head)
     for d in found:
         times = (d[k] or "" for k in ("created", "expires", "used"))
-        table.add_row(d["id"], d["name"], d["scope"], d["state"], *times, d["used_from"])
+        cells = (d["id"], d["name"], d["scope"], d["state"], *times, d["used_from"])
+        table.add_row(*map(Text, cells))  # names are no markup
     stdout().print(table)
 
 

@@ -22,13 +22,13 @@ def kept(tmp_path) -> str:
 
 
 def test_the_first_key_is_an_admins_and_is_shown_once(ambit, tmp_path):
-    made = ambit("keys", "create", "--name", "bench laptop")
+    made = ambit("keys", "create", "--name", "bench [red] laptop")
     key = made.stdout.strip()
     assert made.returncode == 0
     assert key.startswith("ambit_")
     assert "admin" in made.stderr
     shown = json.loads(ambit("keys", "list", "--json").stdout)["keys"]
-    assert [(k["name"], k["scope"], k["state"]) for k in shown] == [("bench laptop", "admin", "valid")]
+    assert [(k["name"], k["scope"], k["state"]) for k in shown] == [("bench [red] laptop", "admin", "valid")]
     assert key.rsplit("_", 1)[1] not in kept(tmp_path)
 
     second = json.loads(ambit("keys", "create", "--days", "1", "--json").stdout)
@@ -37,7 +37,7 @@ def test_the_first_key_is_an_admins_and_is_shown_once(ambit, tmp_path):
     assert ambit("keys", "revoke", second["id"]).returncode == 0
     table = ambit("keys", "list").stdout
     assert "revoked" in table
-    assert "bench laptop" in table
+    assert "bench [red] laptop" in table, "a name is no markup"
     assert "key.revoked" in kept(tmp_path)
 
 

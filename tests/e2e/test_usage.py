@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from sim import rig_file
+from sim.effects import CATALOGUE
 from sim.reference import reference_datasheet
 from tests.support.command import AMBIT, ENVIRONMENT, ambit, refusal
 
@@ -75,6 +76,13 @@ def test_the_catalogue_as_json():
     catalogue = json.loads(done.stdout)
     assert done.returncode == 0
     assert {e["id"] for e in catalogue["effects"]} >= {"loop_delay", "sensor_lag", "eddy_currents"}
+
+
+def test_the_list_shows_every_law_to_the_letter():
+    """Brackets of a law are no markup of the terminal's."""
+    shown = "".join(ambit("effects").stdout.split())
+    missing = [e.id for e in CATALOGUE.values() if "".join(e.law.split()) not in shown]
+    assert not missing
 
 
 def test_one_effect_in_words():
