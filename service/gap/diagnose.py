@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from service.experiment.data import Experiment
-from service.gap.compose import composed, dated, with_interference
+from service.gap.compose import composed
+from service.gap.dated import dated
 from service.gap.diagnosis import Diagnosis, listed
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.predict import at_speed_of
-from service.gap.interference import measured_by, scatter_shrinkage
+from service.gap.heard import scatter_shrinkage, with_interference
+from service.gap.interference import measured_by
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import next_experiment
@@ -50,9 +52,9 @@ def diagnose(
     whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
     fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
     sources = [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
-    whole = with_interference(whole, sources)
     null = whole.null.candidate
     verdict = judged(found.parts, o, unseen, relative_gap(null.fit.rig, o), sources, found.fault, data.lines_only)
+    whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     shrunk = {
         r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, found.name)

@@ -145,8 +145,8 @@ def sentence(d: Diagnosis) -> str:
     if v.kind == "none_of_these":
         why = f" ({v.reasons[0]})" if v.reasons else ""
         return (
-            f"The rig differs from its twin by {gap}, most of all in the {verdict_path(d)}, "
-            f"and no known effect explains it{why}, {sure}."
+            f"The rig differs from its twin by {gap}, and what is wrong in the {verdict_path(d)} no known effect "
+            f"explains{why}, {sure}."
         )
     words = " and ".join(e.replace("_", " ") for e in v.effects)
     rivals, unlikely = (", ".join(e.replace("_", " ") for e in told) for told in alike(d))

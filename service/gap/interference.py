@@ -20,15 +20,12 @@ from service.gap.measured.coherent import (
     PATTERNS,
     beside_hum,
     coherence,
-    heard_in,
     hum_power,
     resolution_hz,
-    without_hum,
 )
 from service.gap.measured.estimate import Estimate
-from service.gap.measured.observation import HUMMED, near_hum, usable
+from service.gap.measured.observation import HUMMED, usable
 from service.gap.measured.scatter import block_scatter
-from service.gap.weighing.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
 from sim.rig import Rig
 from sim.twin import linear_model
 
@@ -173,7 +170,7 @@ def _heard(
 ) -> Interference | None:
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     away = np.abs(at / frequency_hz - 1)
-    quiet = ~_near_modes(at, rig) & (np.array(sweep.harmonics) > 0)
+    quiet = quiet_cells(sweep, rig)
     near, far = quiet & (away < NEAR), quiet & (away > FAR[0]) & (away < FAR[1])
     if near.sum() < 4 or far.sum() < 4 or np.mean(variance[quiet] > 0) < SCATTERS:
         return None
@@ -210,48 +207,15 @@ def _parameters(effect: str, frequency_hz: float, signal: str, amplitude: float)
     return {name: amplitude, other: 0.0, "frequency_hz": frequency_hz}
 
 
+def quiet_cells(sweep: Sweep, rig: Rig) -> NDArray[np.bool_]:
+    """Harmonics of the points whose scatter may tell of interference: none that rings, nor the mean, (P, H)."""
+    harmonics = np.array(sweep.harmonics)
+    return ~_near_modes(sweep.frequency_hz[:, None] * harmonics, rig) & (harmonics > 0)
+
+
 def _near_modes(at_hz: Real, rig: Rig) -> NDArray[np.bool_]:
     modes = np.array([m.natural_frequency_rad_s for plane in rig.rotor.modes for m in plane]) / (2 * np.pi)
     return np.asarray(np.any(np.abs(at_hz[..., None] - modes) < 0.1 * modes, axis=-1))
-
-
-def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], name: str) -> Shrinkage | None:
-    """How far the scatter near the sources shrinks to the quiet one once they are counted in.
-
-    ``sweep`` is one that was not used to find them; None where it comes near none of them.
-    """
-    sweep = usable(sweep)
-    _, of_i, of_y = block_scatter(sweep, rig)
-    at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
-    quiet = ~_near_modes(at, rig) & (np.array(sweep.harmonics) > 0)
-    before, after = np.empty(0), np.empty(0)
-    for source in sources:
-        variance, away = (of_i if source.signal == "i" else of_y), np.abs(at / source.frequency_hz - 1)
-        far, near, without = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR), variance
-        if source.heard_hz:
-            near = quiet & heard_in(sweep, source.frequency_hz)
-            _, *rest = block_scatter(without_hum(sweep, source.frequency_hz), rig)
-            without = rest[source.signal == "y"]  # a loud one leaks far, too
-        if not near.any() or not far.any():
-            continue
-        floor = np.exp(np.log(np.maximum(without[far], 1e-300)).mean(axis=0))
-        ratio = (variance / floor)[near].mean(axis=1)
-        if source.heard_hz:
-            before = np.concatenate([before, ratio])
-            after = np.concatenate([after, (without / floor)[near].mean(axis=1)])
-            continue
-        expected = np.array(source.shape)[np.searchsorted(BINS, away[near], side="right") - 1]
-        before = np.concatenate([before, ratio])
-        after = np.concatenate([after, ratio / np.maximum(expected, 1.0)])
-    if not len(before):
-        return None
-    drawn = np.random.default_rng(0).integers(0, len(before), (RESAMPLES, len(before)))
-    resampled = [
-        closure_of(float(b), float(a)) for b, a in zip(before[drawn].mean(1), after[drawn].mean(1), strict=True)
-    ]
-    told = interval_95([c for c in resampled if c is not None], len(resampled))
-    J_b, J_a = float(before.mean()), float(after.mean())
-    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), told, name, NOISE)
 
 
 def hums_hz(sources: Sequence[Interference]) -> tuple[float, ...]:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from service.gap.compose import heard_too, verdict_of
+from service.gap.compose import excess_of
 from service.gap.doubts.across import Across, across_alike
+from service.gap.doubts.curved import Seen, curved, curved_instead
+from service.gap.doubts.loss import lag_missing
+from service.gap.fitting.part import STANDSTILL
+from service.gap.heard import heard_too
 from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
-from service.gap.weighing.verdict import LARGEST_CLASS, UNEXPLAINED, Verdict
-from service.gap.which.held_out import between_lines, held_out
+from service.gap.weighing.another_rig import other_rig
+from service.gap.weighing.significance import significance
+from service.gap.weighing.verdict import LARGEST_CLASS, UNEXPLAINED, HeldOut, Verdict, decide
+from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 
+NEGLIGIBLE = 0.02
+"""Share of all parts' excess that the chi-square of a part which nothing explains has to exceed to be told."""
 UNDECIDED = 0.5
 """Probability of a verdict that says nothing either way."""
 
@@ -46,12 +54,86 @@ def judged(
         there = {e.part.path: between_lines(e, unseen, there[e.part.path]) for e in found}
     verdict = verdict_of(found, there, unseen)
     verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
-    verdict = heard_too(verdict, sources)
+    verdict = heard_too(verdict, sources, found)
     if fault is not None:
         verdict = Verdict("none_of_these", (), (), 0.9, (fault,))
     if verdict.kind != "no_gap" and (why := not_settled(o, gap)):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict
+
+
+def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen: Observation) -> Verdict:
+    """One verdict from the parts': what nothing explains in one part outweighs what is explained in others."""
+    own = {}
+    for e in found:
+        seen, z = on_sweep(e, e.null.candidate, unseen)
+        significant = max(e.significance, significance(z, seen))
+        own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
+        explained = own[e.part.path].kind in ("effect", "effects")
+        # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
+        if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (
+            reason := other_rig(e.ground, e.chosen.fit)
+        ):
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
+        elif explained and (reason := lag_missing(e)):
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
+        elif (explained or own[e.part.path].kind == "no_gap") and (reason := _bent(e, explained, (seen, z), unseen)):
+            own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,), bent=True)
+    by_size = sorted(found, key=lambda e: -excess_of(e))
+    total = sum(excess_of(e) for e in found)
+    unknown = [
+        e
+        for e in by_size
+        if own[e.part.path].kind == "none_of_these"
+        # a controller, which has hardly any noise, dwarfs what the rotor of another datasheet leaves
+        and (
+            (e.part.path == "plant" and own["plant"].another_rig)
+            or e.null.candidate.fit.chi_square > NEGLIGIBLE * total
+        )
+    ]
+    if unknown:
+        strange = [e for e in unknown if own[e.part.path].another_rig]
+        unknown = [*strange, *(e for e in unknown if e not in strange)]  # what else fails there fails for that reason
+        reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in own[e.part.path].reasons)
+        return replace(own[unknown[0].part.path], reasons=reasons, unexplained=unknown[0].part.path)
+    named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
+    probability = float(np.prod([v.probability for v in own.values() if v.kind != "none_of_these"]))
+    if not named:
+        return Verdict("no_gap", (), (), probability, ())
+    effects = tuple(name for v in named for name in v.effects)
+    classes = tuple(group for v in named for group in v.indistinguishable)
+    if not any(o.speed_rad_s for e in found for o in e.ground.observations):
+        classes = with_exact_aliases(effects, classes)
+    return Verdict(
+        "effect" if len(effects) == 1 else "effects",
+        effects,
+        classes,
+        probability,
+        (),
+    )
+
+
+def _bent(e: Explained, explained: bool, plain: Seen, unseen: Observation) -> str | None:
+    """What curved signal stands behind a part's gap, in words; ``plain`` is the unseen sweep by the plain twin."""
+    best = on_sweep(e, e.chosen, unseen)
+    if explained and (reason := curved_instead(e, plain, best)):
+        return reason
+    # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
+    return curved(e, best) if not explained or e.order[0].unexplained > UNEXPLAINED else None
+
+
+def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
+    """Alias classes with the effects that a rotor at rest cannot show apart from those named.
+
+    >>> with_exact_aliases(["modal_damping"], [])
+    (('modal_damping', 'internal_damping'),)
+    """
+    out = []
+    for name in effects:
+        group = next((g for g in classes if name in g), (name,))
+        group += tuple(STANDSTILL[n] for n in group if n in STANDSTILL)
+        out += [group] if len(group) > 1 else []
+    return tuple(out)
 
 
 def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:

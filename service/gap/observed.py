@@ -9,13 +9,13 @@ import numpy as np
 from service.experiment.data import Experiment, Sweep
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
+from service.gap.measured.condition import same_condition
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.gap.measured.settling import DRIFTS
-from service.gap.measured.sweeps import halves, notes_on, span_s, sweeps_for, timed
+from service.gap.measured.sweeps import best_check, halves, notes_on, span_s, sweeps_for, timed
 from service.gap.measured.thin import thinned
 from service.gap.measured.together import Together
 from service.gap.modes import with_identified_modes
-from service.gap.where.conditions import same_condition
 from sim.datasheet import Datasheet
 
 
@@ -52,7 +52,7 @@ class Observed:
         """Whether some interference is heard by its loudness alone."""
         return not all(s.heard_hz for s in self.sources)
 
-    def halves(self, fitted_hz: float | None) -> tuple[Observation, Observation, str]:
+    def halves(self, fitted_hz: float | None) -> tuple[Observation, Observation, str] | None:
         """The other sweep in two, one half to fit, the other one unseen, and the name of that: `sweeps.halves`."""
         return halves(self.unseen, self.name, fitted_hz)
 
@@ -70,21 +70,28 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
             f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; "
             "give the datasheet of the rig that was measured, with the same axes"
         )
-    main, other, name = sweeps_for(experiment)
-    notes = notes_on(main, other, datasheet)
+    (main_name, main), *others = sweeps_for(experiment)
+    notes = notes_on(main, bool(others), datasheet)
     if not datasheet.modes:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
     nu = nuisance(datasheet)
-    main, other, lines_only = timed(main), None if other is None else timed(other), other is None
-    together = [Together.of(usable(sweep)) for sweep in (main, main if other is None else other)]
-    if other is None:
-        line = np.unique(main.frequency_hz, return_inverse=True)[1]
-        main, other = main.select(line % 2 == 0), main.select(line % 2 == 1)
+    main, lines_only = timed(main), not others
+    if lines_only:
+        together = Together.of(usable(main))
+        of_both, line = (together, together), np.unique(main.frequency_hz, return_inverse=True)[1]
+        main, other, name = main.select(line % 2 == 0), main.select(line % 2 == 1), f"every other line of {main_name}"
+    else:
+        (name, other), unused = best_check(main, others, nu.rig)
+        other = timed(other)
+        of_both = Together.of(usable(main)), Together.of(usable(other))
+        notes += [f"{n} is not used: a diagnosis fits one sweep and checks on one other, here {name}" for n in unused]
     sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)
-    o = observe(thinned(main), nu.rig, (0.0, 0.8), hums, span, together[0])
-    unseen = observe(thinned(other), nu.rig, (0.8, 1.0), hums, span, together[1])
+    # A file that does not date its points has them in their order, the other sweep after the main one.
+    during, after = ((0.0, 1.0), (0.0, 1.0)) if lines_only else ((0.0, 0.8), (0.8, 1.0))
+    o = observe(thinned(usable(main)), nu.rig, during, hums, span, of_both[0])
+    unseen = observe(thinned(usable(other)), nu.rig, after, hums, span, of_both[1])
     if o.unsettled > DRIFTS:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not lines_only and (same := same_condition(o, unseen)):

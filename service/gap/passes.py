@@ -15,7 +15,7 @@ from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
 from service.gap.telling import Telling
 from service.gap.weighing.another_rig import hopeless
-from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, significance
+from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
 from service.gap.weighing.verdict import VISIBLE, rejected
 from service.gap.which.between import between
 from service.gap.which.held_out import held_out, on_sweep
@@ -57,7 +57,11 @@ def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
     alone = {e.part.path: hz for e in undecided if (hz := _fails_alone_hz(e, data.unseen))}
     if not failing and not alone:
         return Found(tuple(found), fault, data.unseen, data.name)
-    seen, unseen, name = data.halves(next(iter(alone.values()), None))
+    halved = data.halves(next(iter(alone.values()), None))
+    if halved is None:
+        note = "the twin fits the main sweep but not the other, which has too few lines to fit half of it too"
+        return Found(tuple(found), fault, data.unseen, data.name, (note,))
+    seen, unseen, name = halved
     failing |= {e.part.path: e for e in undecided if e.part.path in alone}
     known = {e.part.path: e for e in found if e.part.path not in failing}
     found, fault = _explained(fitter, data, (data.o, seen), known, telling, (ONE_SWEEP, FITTED), failing)
@@ -152,7 +156,7 @@ def _decided(e: Explained) -> bool:
 def _fails_on(e: Explained, unseen: Observation) -> bool:
     """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it."""
     o, z = on_sweep(e, e.chosen, unseen)
-    clear = float(np.mean(np.abs(z) ** 2) / 2) > VISIBLE and significance(z, o) > SIGNIFICANT
+    clear = mean_power(z) > VISIBLE and significance(z, o) > SIGNIFICANT
     return clear or held_out(e, unseen).fails or told_by_the_other(e, unseen)
 
 

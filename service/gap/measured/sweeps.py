@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
-from service.gap.measured.observation import GapError, Observation
+from service.gap.measured.condition import conditions_of
+from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.identification.block_length import block_samples
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
+from sim.rig import Rig
 
 ELSEWHERE = ("amplifier", "coarse")
 """Comments of sweeps that are not of the plant, or not exact enough."""
 
 
-def sweeps_for(experiment: Experiment) -> tuple[Sweep, Sweep | None, str]:
-    """The sweep to fit, the one that no fit sees, and its name; only excited sweeps of the plant count."""
+def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
+    """The sweep to fit and those that may be the one that no fit sees, with their names: excited ones of the plant."""
     plant = [(k, s) for k, s in enumerate(experiment.sweeps) if s.kind != "noise" and s.comment not in ELSEWHERE]
     tones = [(k, s) for k, s in plant if s.kind == "stepped-sine"]  # shows more effects than a multisine does
     excited = tones or plant
     if not excited:
         raise GapError("the experiment has no stepped-sine or multisine sweep of the plant; run one, then diagnose")
-    main = excited[0][1]
-    for k, s in excited[1:]:
-        return main, s, f"sweeps/{k}"
-    return main, None, "every other line of sweeps/0"
+    return [(f"sweeps/{k}", s) for k, s in excited]
+
+
+def best_check(main: Sweep, others: Sequence[tuple[str, Sweep]], rig: Rig) -> tuple[tuple[str, Sweep], list[str]]:
+    """The sweep to check on, the first at another condition if there is one, and the names of those left over."""
+    chosen = others[0]
+    if len(others) > 1:
+        here = observe(usable(main), rig)
+        apart = (one for one in others if any(conditions_of(here, observe(usable(one[1]), rig))))
+        chosen = next(apart, chosen)
+    return chosen, [name for name, _ in others if name != chosen[0]]
 
 
 def timed(sweep: Sweep) -> Sweep:
@@ -45,13 +55,18 @@ def span_s(*sweeps: Sweep) -> tuple[float, float] | None:
     return (first, last) if last > first else None
 
 
-def halves(other: Observation, name: str, fitted_hz: float | None = None) -> tuple[Observation, Observation, str]:
-    """The other sweep in two: every other line to fit, with the one at ``fitted_hz`` or else the first; unseen ones."""
+def halves(
+    other: Observation, name: str, fitted_hz: float | None = None
+) -> tuple[Observation, Observation, str] | None:
+    """The other sweep in two: every other line to fit, with the one at ``fitted_hz`` or else the first; unseen ones.
+
+    None where it has one line alone.
+    """
+    if len(other.frequency_hz) < 2:
+        return None
     first = 0 if fitted_hz is None else int(np.argmin(np.abs(other.frequency_hz - fitted_hz)))
     fitted = (np.arange(len(other.frequency_hz)) - first) % 2 == 0
     seen, unseen = other.select(fitted), other.select(~fitted)
-    if min(len(half.line) for half in (seen, unseen)) * 2 <= 16:
-        return other, other, name + " (fitted too)"
     return seen, unseen, name + ", every other line"
 
 
@@ -62,10 +77,10 @@ def unseen_across(datasheet: Datasheet, turning: bool) -> list[str]:
     return [e.id for e in CATALOGUE.values() if e.needs_axes > 2 and (turning or not e.needs_speed)]
 
 
-def notes_on(main: Sweep, other: Sweep | None, datasheet: Datasheet) -> list[str]:
-    """What the data or the datasheet lack, in words."""
+def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
+    """What the data or the datasheet lack, in words; ``checked``: there is another sweep."""
     notes = []
-    if other is None:
+    if not checked:
         notes.append(
             "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
         )

@@ -7,17 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.distributions import normal_above, normal_tail
+from service.distributions import chi2_tail, normal_above, normal_tail
 from service.gap.fitting.part import Part
 from service.gap.measured.observation import Observation
 
 Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
 
 SIGNIFICANT = 5.0
 """Standard deviations, after the number of bands and channels looked at, beyond which there is a gap."""
 OUTLIER = 12.0
 """Largest squared residual (over its expectation) that one value adds to a cell."""
 
+FEW = 8
+"""Values of a cell below which its mean is far from normal: their exact tail is heavier."""
 ALONE = 2 * OUTLIER
 """Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap: noise
 does so in one line of some dozen values with a probability of 1e-19."""
@@ -44,8 +47,7 @@ def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -
         cell = np.minimum(np.abs(z) ** 2 / 2, bound)  # mean one
         if not len(cell):
             continue
-        mean = cell.reshape(len(cell), -1).mean(axis=0)
-        deviates.append((mean - 1.0) * np.sqrt(len(cell) / 2))
+        deviates.append(_deviate(cell.reshape(len(cell), -1).mean(axis=0), len(cell) / 2))
     if not deviates:
         return 0.0
     values = np.concatenate(deviates)
@@ -54,6 +56,21 @@ def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -
         return largest
     p = min(1.0, float(normal_tail(largest)) * len(values) * looked_at)
     return float(max(normal_above(p), 0.0)) if p < 1 else 0.0
+
+
+def _deviate(mean: Real, count: float) -> Real:
+    """Normal deviate of the mean of so many independent squares that are 1 in the mean, as of complex noise."""
+    plain = (mean - 1.0) * np.sqrt(count)
+    if 2 * count >= FEW:
+        return np.asarray(plain)
+    p = chi2_tail(2 * count * mean, 2 * count)
+    return np.asarray(np.where(p > 0, normal_above(np.maximum(p, 1e-300)), plain))
+
+
+def mean_power(z: Complex) -> float:
+    """Mean square of weighted residuals over its expectation, J: 1 for noise. What was not weighed, 0, is left out."""
+    power = np.abs(z[z != 0]) ** 2 / 2
+    return float(power.mean()) if power.size else 0.0
 
 
 def shows_alone_hz(z: Complex, o: Observation) -> float | None:
@@ -91,7 +108,7 @@ def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
 def overall(z: Complex) -> float:
     """Excess of the mean square of all residuals as a normal deviate: what every cell leaves a little of adds up.
 
-    As in `significance` a value counts half and up to a bound.
+    As in `significance` a value counts half and up to a bound; what was not weighed, 0, does not count.
     """
-    size = np.minimum(np.abs(z) ** 2 / 2, OUTLIER)
+    size = np.minimum(np.abs(z[z != 0]) ** 2 / 2, OUTLIER)
     return float((size.mean() - 1.0) * np.sqrt(size.size / 2)) if size.size else 0.0

@@ -14,7 +14,7 @@ import numpy as np
 from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT, worst
-from service.gap.where.conditions import relative_error
+from service.gap.where.dependence import relative_error
 from service.gap.which.held_out import on_sweep
 from service.gap.which.search import Explained
 

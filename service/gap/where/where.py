@@ -18,7 +18,7 @@ from service.gap.fitting.predict import measured_signal, weight
 from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT, significance, worst
-from service.gap.where.conditions import Dependence, dependence
+from service.gap.where.dependence import Dependence, dependence
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 
@@ -35,8 +35,6 @@ class PathGap:
     path: str
     gap: float
     significance: float
-    residual: Complex
-    """(P, H, n) weighted"""
     logged: bool = True
 
 
@@ -54,12 +52,9 @@ class Where:
     depends: Dependence
     blamed: str
     """the part that bands, channels and dependence are of"""
-
-    @property
-    def path(self) -> str:
-        """The part whose gap stands out most on the fitted sweep; where none does there, the one that is blamed."""
-        first = max(self.paths, key=lambda p: p.significance)
-        return first.path if first.significance > SIGNIFICANT else self.blamed
+    path: str
+    """the part that nothing explains; else the one whose gap stands out most on the fitted sweep, interference among
+    them; where none does there, the one that is blamed"""
 
 
 def relative_gap(e: Complex, x: Complex) -> float:
@@ -85,7 +80,7 @@ def locate(
     effects
         What the verdict names; the part of the first one is blamed, else the part whose gap stands out most.
     unexplained
-        The part that the verdict says nothing explains; it is blamed where none stands out on the fitted sweep.
+        The part that the verdict says nothing explains; it is blamed however plain the gap of another one is.
     bent
         Whether the verdict says that what is not explained is not in proportion to the excitation.
     """
@@ -96,24 +91,26 @@ def locate(
         error = unweighted(z, o, signal)
         gap = relative_gap(error[:, f], measured_signal(o, signal)[:, f])
         own = significance(z[:, [f]], o, bound=np.inf)
-        paths.append(PathGap(e.part.path, gap, own, z, not e.part.from_control))
+        paths.append(PathGap(e.part.path, gap, own, not e.part.from_control))
         if signal != "u":
             harmonics += [(signal, h, significance(z[:, [k]], o)) for k, h in enumerate(o.harmonics) if h > 1]
-    first = max(paths, key=lambda p: p.significance)
-    named = unexplained if unexplained and first.significance <= SIGNIFICANT else first.path
-    named = CATALOGUE[effects[0]].path if effects else named
+    plainest = max(paths, key=lambda p: p.significance).path
+    named = CATALOGUE[effects[0]].path if effects else unexplained or plainest
     blamed = next((e for e in found if e.part.path == named), found[-1])
     distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
     bent = bent or any(CATALOGUE[name].nonlinear for name in effects)
     depends = dependence(blamed, other, distorted or bent)
     if "thermal_drift" in effects:  # the sweeps differ in time too
         depends = Dependence(distorted or bent or None, None)
+    o, f = found[-1].ground.observations[0], found[-1].ground.observations[0].fundamental
     for source in sources:
         amplitude = max(source.parameters[name] for name in source.parameters if name.startswith("amplitude"))
         measured = float(np.sqrt(np.mean(np.abs(measured_signal(o, source.signal)[:, f]) ** 2)))
-        paths.append(PathGap("additive", amplitude / measured, source.significance, np.zeros_like(o.Y)))
+        paths.append(PathGap("additive", amplitude / measured, source.significance))
     bands, channels = _bands(blamed), _channels(blamed)
-    return Where(tuple(paths), bands, channels, tuple(harmonics), depends, blamed.part.path)
+    first = max(paths, key=lambda p: p.significance)
+    path = unexplained or (first.path if first.significance > SIGNIFICANT else blamed.part.path)
+    return Where(tuple(paths), bands, channels, tuple(harmonics), depends, blamed.part.path, path)
 
 
 def _fundamental(e: Explained) -> tuple[Observation, Complex, Complex, Complex]:

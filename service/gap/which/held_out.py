@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.evidence import log_likelihood
+from service.gap.fitting.evidence import log_likelihood, prior_precision
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.jacobian import stacked
 from service.gap.fitting.part import driven_by_current
 from service.gap.measured.observation import Observation
 from service.gap.weighing.shrinkage import closure_of
-from service.gap.weighing.significance import overall, significance
+from service.gap.weighing.significance import mean_power, overall, significance
 from service.gap.weighing.verdict import HeldOut
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
@@ -37,7 +37,7 @@ def held_out(e: Explained, unseen: Observation) -> HeldOut:
     _, after = on_sweep(e, e.order[0].candidate, unseen)
     f = o.fundamental
     gap, left = (max(significance(z[:, [f]], o), overall(z[:, f])) for z in (before, after))
-    J_b, J_a, J_fb, J_fa = (float(np.mean(np.abs(z) ** 2) / 2) for z in (before, after, before[:, f], after[:, f]))
+    J_b, J_a, J_fb, J_fa = map(mean_power, (before, after, before[:, f], after[:, f]))
     apart = np.arange(before.shape[1]) == f
     support = 0.0
     for group in (apart, ~apart):
@@ -62,7 +62,9 @@ def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
     linear, f = problem.linearised(best.fit), o.fundamental
     (z,), (J,) = linear.residuals, linear.columns
     rows = stacked(J)
-    moved = np.linalg.solve(best.fit.curvature + problem.prior + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
+    known = best.fit.curvature + prior_precision(problem)
+    known = best.fit.curvature + prior_precision(problem)
+    moved = np.linalg.solve(known + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
     left = (z - J @ moved)[:, None]
-    closes = closure_of(*(float(np.mean(np.abs(r) ** 2) / 2) for r in (before[:, f], left)))
+    closes = closure_of(mean_power(before[:, f]), mean_power(left))
     return replace(there, left=max(significance(left, o), overall(left)), closes=1.0 if closes is None else closes)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from service.gap.compose import Composition, dated
+from service.gap.compose import Composition
+from service.gap.dated import dated
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.weighing.verdict import Ranked

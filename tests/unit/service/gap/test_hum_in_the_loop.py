@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.compose import Composition, with_interference
-from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.fitted import Fit
-from service.gap.interference import Interference, interference, measured_by
-from service.gap.weighing.verdict import Ranked, Verdict
-from service.gap.which.rivals import left_together
-from sim.effects import CATALOGUE
+from service.gap.interference import interference, measured_by
 from sim.reference import reference_rig
 from sim.twin import linear_model
 
@@ -50,29 +44,3 @@ def test_a_hum_on_the_sensors_is_as_large_as_it_is_though_feedback_makes_most_of
     assert right.parameters["amplitude_m"] == pytest.approx(HUM_M, rel=0.03)
     assert abs(right.parameters["amplitude_m"] - HUM_M) < 3 * right.std
     assert heard[0].parameters["amplitude_m"] != pytest.approx(HUM_M, rel=0.05)
-
-
-def test_an_explanation_beside_a_hum_is_listed_once_and_has_none_without_it_for_a_rival() -> None:
-    """The hum was heard: no experiment is needed to tell it from its absence."""
-    rig = reference_rig()
-
-    def ranked(effects: tuple[str, ...], evidence: float, probability: float) -> Ranked:
-        values = tuple({p.name: p.typical for p in CATALOGUE[name].parameters} for name in effects)
-        fit = Fit(effects, np.zeros(1), values, rig, (), 0.0, np.arange(1), np.eye(1), "converged")
-        return Ranked(Candidate(effects, fit, 0.0, values), evidence, probability, 0.0, (0.0, 0.0))
-
-    lag, rotor, plain = (
-        ranked(("sensor_lag",), -10.0, 0.9),
-        ranked(("rotor_inertia",), -12.0, 0.1),
-        ranked((), -99.0, 0.0),
-    )
-    hum = Interference("mains_interference", HUM_HZ, {"amplitude_m": HUM_M}, HUM_M / 10, 0.0, 9.0, 20.0, "y")
-    order = with_interference(Composition((lag, rotor, plain)), (hum,)).order
-    both = ("sensor_lag", "mains_interference")
-    assert [r.candidate.effects for r in order] == [both, ("rotor_inertia",), ()]
-    pair = left_together(order, Verdict("effects", both, (), 0.9, ()))
-    assert pair is not None
-    assert pair[1].effects == ("rotor_inertia",)
-    assert left_together((order[0], order[2]), Verdict("effects", both, (), 0.9, ())) is None
-    alone = with_interference(Composition((plain, lag)), (hum,)).order
-    assert [r.candidate.effects for r in alone] == [("mains_interference",), (), ("sensor_lag",)]

@@ -15,7 +15,7 @@ from service.gap.measured.observation import Observation, observe
 from service.gap.measured.sweeps import halves
 from service.gap.weighing.significance import alone_hz, fastest_alone_hz, shows_alone_hz
 from service.gap.weighing.verdict import ranked
-from service.gap.where.conditions import dependence
+from service.gap.where.dependence import dependence
 from service.gap.which.held_out import on_sweep
 from service.gap.which.search import Explained, plain_twin
 from sim.datasheet import Datasheet
@@ -78,12 +78,18 @@ def test_without_the_current_the_gap_of_that_line_alone_depends_on_amplitude(
     assert dependence(e, other, distorted=False).amplitude is True
 
 
+def halved(other: Observation, fitted_hz: float | None = None) -> tuple[Observation, Observation]:
+    both = halves(other, "sweeps/1", fitted_hz)
+    assert both is not None
+    return both[:2]
+
+
 def test_the_line_that_alone_shows_a_gap_is_among_those_that_are_fitted_too(
     limited: tuple[Experiment, Datasheet],
 ) -> None:
     other = observe(limited[0].sweeps[1], nuisance(limited[1]).rig)
     for hz in OTHER_HZ[-2:]:
-        seen, unseen, _ = halves(other, "sweeps/1", float(hz))
+        seen, unseen = halved(other, float(hz))
         assert hz in seen.frequency_hz
         assert hz not in unseen.frequency_hz
 
@@ -92,7 +98,7 @@ def test_a_half_has_the_points_of_its_lines_and_the_noise_that_all_lines_told_of
     limited: tuple[Experiment, Datasheet],
 ) -> None:
     other = observe(limited[0].sweeps[1], nuisance(limited[1]).rig)
-    for half in halves(other, "sweeps/1")[:2]:
+    for half in halved(other):
         at = np.isin(other.points_hz, half.frequency_hz)
         assert 0.3 < at.mean() < 0.7
         np.testing.assert_array_equal(half.points_hz, other.points_hz[at])

@@ -14,7 +14,7 @@ from service.gap.passes import found_in
 from service.gap.telling import Telling
 from service.gap.where.where import locate
 from sim.rig import Rig
-from sim.twin import linear_model
+from sim.twin import linear_model, with_effects
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
@@ -53,8 +53,21 @@ def test_amplifiers_that_nothing_explains_are_no_datasheet_of_another_rig() -> N
     assert verdict["kind"] == "none_of_these"
     assert verdict["reasons"][0].startswith("amplifier: ")
     assert "another rig" not in " ".join(verdict["reasons"])
-    assert "most of all in the amplifier" in verdict["sentence"]
+    assert "wrong in the amplifier no known effect explains" in verdict["sentence"]
     assert not any("were fitted too" in note for note in found["notes"])
+
+
+def test_what_nothing_explains_is_blamed_beside_an_explained_part_without_noise() -> None:
+    """A controller has hardly any noise, so that its gap is the plainest of all whatever its size."""
+    datasheet, truth = known_datasheet(seed=35)
+    rig = with_effects(true_rig(truth), {"controller_mismatch": {"gain_change": 0.05}})
+    measured = experiment(rig)
+    sweeps = tuple(with_stalling_amplifiers(rig, s) for s in measured.sweeps)
+    found = gap_document(diagnose(*one_plane(replace(measured, sweeps=sweeps), datasheet)))
+    assert found["verdict"]["kind"] == "none_of_these"
+    assert found["where"]["path"] == found["where"]["bands_and_channels_of"] == "amplifier"
+    assert "wrong in the amplifier no known effect explains" in found["verdict"]["sentence"]
+    assert (found["discrepancy"]["path"], found["discrepancy"]["signal"]) == ("amplifier", "i")
 
 
 def test_what_only_another_sweep_shows_is_told_of_its_part() -> None:

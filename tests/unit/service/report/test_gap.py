@@ -15,7 +15,7 @@ from service.gap.loop import loop_figures
 from service.gap.measured.observation import observe
 from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
 from service.gap.weighing.verdict import Ranked, Verdict
-from service.gap.where.conditions import Dependence
+from service.gap.where.dependence import Dependence
 from service.gap.where.where import PathGap, Where
 from service.identification.synthetic import plane_model_of, synthetic_sweep
 from service.report.gap import gap_page
@@ -48,13 +48,13 @@ def diagnosis() -> Diagnosis:
         Ranked(candidate(rig, "sensor_lag", values=({"time_constant_s": 3e-5, "delay_s": 1e-7},)), -13.0, 0.1, 0.01),
         Ranked(candidate(twin), -900.0, 0.0, 1.0),
     )
-    z = np.zeros((len(main.axis), len(main.harmonics), 4), dtype=complex)
     where = Where(
-        (PathGap("controller", 0.0, 0.3, z), PathGap("amplifier", 0.04, 22.0, z), PathGap("plant", 0.001, 0.5, z)),
+        (PathGap("controller", 0.0, 0.3), PathGap("amplifier", 0.04, 22.0), PathGap("plant", 0.001, 0.5)),
         ((10.0, 100.0, 0.01, 6.0), (100.0, 950.0, 0.1, 20.0)),
         (("xA", "xA", 0.04, 22.0),),
         (("i", 2, 0.4), ("y", 3, 7.5)),
         Dependence(amplitude=False, speed=None),
+        "amplifier",
         "amplifier",
     )
     return Diagnosis(
@@ -186,7 +186,7 @@ def test_the_gap_closes_down_to_the_noise(diagnosis):
 def test_nothing_to_add_shows_one_twin(diagnosis):
     twin = replace(diagnosis, verdict=Verdict("none_of_these", (), (), 0.9, ("nothing fits",)), next_experiment=None)
     page = gap_page(twin)
-    assert "no known effect explains it" in lead(page)
+    assert "no known effect explains" in lead(page)
     assert {t["name"] for t in figure(page, "gap")["data"]} == {"noise floor", "twin"}
     assert len(figure(page, "residuals")["data"]) == 1
     assert "nothing fits" in page

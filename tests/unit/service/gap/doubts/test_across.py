@@ -10,7 +10,7 @@ from service.gap.weighing.verdict import Verdict
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
-from tests.unit.service.gap.where.test_conditions import plant
+from tests.unit.service.gap.where.test_dependence import plant
 
 DATASHEET, TRUTH = known_datasheet(seed=3)
 

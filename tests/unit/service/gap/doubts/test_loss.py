@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.compose import verdict_of
 from service.gap.doubts.loss import lag_missing, lag_share
+from service.gap.judged import verdict_of
 from service.gap.measured.observation import observe
 from service.gap.which.held_out import held_out
 from sim.rig import Rig

@@ -54,9 +54,9 @@ def at_harmonics(o: Observation) -> float:
 
 def test_a_clean_rig_whose_integrator_has_not_settled_shows_no_harmonics(monkeypatch: pytest.MonkeyPatch) -> None:
     restless = low_lines(0.3, 0.05)
-    assert at_harmonics(observe(restless, RIG)) < 4
+    assert at_harmonics(observe(restless, RIG)) < 2
     monkeypatch.setattr(observation, "leaked", lambda *_: 0.0)
-    assert at_harmonics(observe(restless, RIG)) > 8, "it would show some"
+    assert at_harmonics(observe(restless, RIG)) > 4.5, "it would show some, though its cells have four values each"
 
 
 def test_a_settled_rig_is_looked_at_as_closely_as_noise_allows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from service.gap.where.discrepancy import discrepancy
 from service.report.gap_discrepancy import discrepancy_figure
-from tests.unit.service.gap.where.test_conditions import plant
+from tests.unit.service.gap.where.test_dependence import plant
 
 
 def test_a_lag_is_a_phase_that_grows_with_frequency_at_any_amplitude() -> None:

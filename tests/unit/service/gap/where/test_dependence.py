@@ -6,15 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from service.gap.compose import Explained
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
+from service.gap.measured.condition import conditions_of, same_condition
 from service.gap.measured.observation import Observation, observe
 from service.gap.weighing.verdict import ranked
-from service.gap.where.conditions import changes, conditions_of, dependence, relative_error, same_condition
+from service.gap.where.dependence import changes, dependence, relative_error
 from service.gap.where.where import locate
-from service.gap.which.search import plain_twin
+from service.gap.which.search import Explained, plain_twin
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 

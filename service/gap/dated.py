@@ -1,0 +1,40 @@
+"""A drift that was found, stated over the time that the experiment took."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.gap.compose import Composition
+from service.gap.weighing.verdict import Ranked
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+
+
+def dated(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Composition:
+    """The same twins, a drift that was found stated over the time that the experiment took, s.
+
+    A fit knows a point's share of the campaign only. Where the file does not tell the time, or the datasheet has a
+    drift already, the time stays as it is.
+    """
+    if campaign_s is None or datasheet.drift is not None:
+        return whole
+    effect = CATALOGUE["thermal_drift"]
+    duration = next(p for p in effect.parameters if p.name == "duration_s")
+    stated_s = float(np.clip(campaign_s, duration.low, duration.high))
+
+    def restated(r: Ranked) -> Ranked:
+        c = r.candidate
+        if "thermal_drift" not in c.effects:
+            return r
+        at = c.effects.index("thermal_drift")
+        values, spread = ([dict(v) for v in of] for of in (c.fit.values, c.standard_deviations))
+        values[at]["duration_s"], spread[at]["duration_s"] = campaign_s, 0.0
+        if stated_s != campaign_s:  # a campaign of days, stated over the longest time that the effect may take
+            values[at] = dict(effect.restated(values[at], {**values[at], "duration_s": stated_s}))
+        drift = None if c.fit.rig.drift is None else replace(c.fit.rig.drift, duration_s=campaign_s)
+        fit = replace(c.fit, values=tuple(values), rig=replace(c.fit.rig, drift=drift))
+        return replace(r, candidate=replace(c, fit=fit, standard_deviations=tuple(spread)))
+
+    return Composition(tuple(restated(r) for r in whole.order))

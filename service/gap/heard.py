@@ -1,0 +1,123 @@
+"""What interference that was heard changes: the twins, the verdict, and what closes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.experiment.data import Sweep
+from service.gap.compose import Composition
+from service.gap.fitting.candidates import Candidate
+from service.gap.interference import BINS, NEAR, Interference, hums_hz, quiet_cells
+from service.gap.measured.coherent import heard_in, without_hum
+from service.gap.measured.observation import near_hum, usable
+from service.gap.measured.scatter import block_scatter
+from service.gap.weighing.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
+from service.gap.weighing.significance import SIGNIFICANT, significance
+from service.gap.weighing.verdict import Verdict
+from service.gap.which.search import Explained
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+
+ALONE = 0.9
+"""Probability of interference that is named in the place of what nothing explains near it."""
+
+
+def heard_too(verdict: Verdict, sources: Sequence[Interference], found: Sequence[Explained] = ()) -> Verdict:
+    """The verdict with the interference that was heard beside it.
+
+    Where it is heard by its loudness alone it could not be taken off the means, so what nothing explains is laid to it
+    where all of that lies near it. A phase tells how far it reaches; there nothing is.
+    """
+    if not sources:
+        return verdict
+    names = tuple(s.effect for s in sources)
+    classes = tuple((s.effect, *s.aliases) for s in sources if s.aliases)
+    if verdict.kind != "none_of_these":
+        effects = (*verdict.effects, *names)
+        kind = "effect" if len(effects) == 1 else "effects"
+        return replace(verdict, kind=kind, effects=effects, indistinguishable=(*verdict.indistinguishable, *classes))
+    by_phase = all(s.heard_hz for s in sources)
+    unknown = [e for e in found if e.part.path == verdict.unexplained]
+    if by_phase or verdict.another_rig or not all(_near(e, sources) for e in unknown):
+        told = tuple(f"{s.effect} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
+        return replace(verdict, reasons=(*verdict.reasons, *told))
+    return Verdict("effect" if len(names) == 1 else "effects", names, classes, ALONE, ())
+
+
+def _near(e: Explained, sources: Sequence[Interference]) -> bool:
+    """Whether what the best explanation of a part leaves lies near the interference, and nothing of it elsewhere."""
+    for z, o in zip(e.left, e.ground.observations, strict=True):
+        at = (o.points_hz[:, None] * np.array(o.harmonics))[..., None]
+        away = np.abs(at / np.array(hums_hz(sources)) - 1).min(axis=-1).min(axis=-1) > BINS[-1]
+        if away.any() and significance(z[away], replace(o, line=o.line[away], axis=o.axis[away])) > SIGNIFICANT:
+            return False
+    return True
+
+
+def with_interference(whole: Composition, effects: Sequence[str], sources: Sequence[Interference]) -> Composition:
+    """The twin that the verdict names with the interference that was heard, before the others.
+
+    ``effects`` are the verdict's, interference among them; where it names none, the likeliest twin has it. The plain
+    twin stays among the others.
+    """
+    if not sources:
+        return whole
+    own = tuple(name for name in effects if name not in {s.effect for s in sources})
+    named = (r for r in whole.order if r.candidate.effects == own)
+    best = next(named, whole.order[0]) if effects else whole.order[0]
+    c = best.candidate
+    together, rig = (*c.effects, *(s.effect for s in sources)), c.fit.rig
+    for s in sources:
+        rig = CATALOGUE[s.effect].on(rig, **s.parameters)
+    values = (*c.fit.values, *(dict(s.parameters) for s in sources))
+    spread = tuple(
+        {name: s.std if v and name.startswith("amplitude") else 0.0 for name, v in s.parameters.items()}
+        for s in sources
+    )
+    heard = Candidate(
+        together, replace(c.fit, effects=together, values=values, rig=rig), c.occam, (*c.standard_deviations, *spread)
+    )
+    others = [r for r in whole.order if r is not best or not c.effects]
+    return Composition((replace(best, candidate=heard), *others))
+
+
+def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], name: str) -> Shrinkage | None:
+    """How far the scatter near the sources shrinks to the quiet one once they are counted in.
+
+    ``sweep`` is one that was not used to find them; None where it comes near none of them.
+    """
+    sweep = usable(sweep)
+    _, of_i, of_y = block_scatter(sweep, rig)
+    at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
+    quiet = quiet_cells(sweep, rig)
+    before, after = np.empty(0), np.empty(0)
+    for source in sources:
+        variance, away = (of_i if source.signal == "i" else of_y), np.abs(at / source.frequency_hz - 1)
+        far, near, without = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR), variance
+        if source.heard_hz:
+            near = quiet & heard_in(sweep, source.frequency_hz)
+            _, *rest = block_scatter(without_hum(sweep, source.frequency_hz), rig)
+            without = rest[source.signal == "y"]  # a loud one leaks far, too
+        if not near.any() or not far.any():
+            continue
+        floor = np.exp(np.log(np.maximum(without[far], 1e-300)).mean(axis=0))
+        ratio = (variance / floor)[near].mean(axis=1)
+        if source.heard_hz:
+            before = np.concatenate([before, ratio])
+            after = np.concatenate([after, (without / floor)[near].mean(axis=1)])
+            continue
+        expected = np.array(source.shape)[np.searchsorted(BINS, away[near], side="right") - 1]
+        before = np.concatenate([before, ratio])
+        after = np.concatenate([after, ratio / np.maximum(expected, 1.0)])
+    if not len(before):
+        return None
+    drawn = np.random.default_rng(0).integers(0, len(before), (RESAMPLES, len(before)))
+    resampled = [
+        closure_of(float(b), float(a)) for b, a in zip(before[drawn].mean(1), after[drawn].mean(1), strict=True)
+    ]
+    told = interval_95([c for c in resampled if c is not None], len(resampled))
+    J_b, J_a = float(before.mean()), float(after.mean())
+    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), told, name, NOISE)

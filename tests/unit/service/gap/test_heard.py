@@ -1,0 +1,112 @@
+"""What interference that is heard changes in a verdict: it stands beside what is known, and for nothing far from it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.compose import Composition
+from service.gap.diagnose import diagnose
+from service.gap.document import gap_document
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.heard import heard_too, with_interference
+from service.gap.interference import Interference
+from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.which.rivals import left_together
+from service.gap.which.search import Explained
+from sim.effects import CATALOGUE
+from sim.reference import reference_rig
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
+from tests.unit.service.gap.test_parts import hummed, spoiled
+from tests.unit.service.gap.where.test_dependence import plant
+
+HUM_HZ = 50.0
+LOUD = Interference("mains_interference", HUM_HZ, {"amplitude_m": 2e-7}, 2e-8, 0.0, 9.0, 20.0, "y")
+BY_PHASE = replace(LOUD, heard_hz=(HUM_HZ,))
+UNKNOWN = Verdict("none_of_these", (), (), 0.9, ("plant: leaves 80 % of the gap",), unexplained="plant", bent=True)
+
+
+def left(near: bool) -> Explained:
+    """The plant with a residual that nothing explains, near the hum alone or everywhere but there."""
+    e, _ = plant("none")
+    o = e.ground.observations[0]
+    at = (o.points_hz[:, None] * np.array(o.harmonics))[..., None]
+    of_hum = np.any(np.abs(at / (HUM_HZ * np.array([1, 2, 3, 5])) - 1) < 0.3, axis=-1).any(axis=-1)
+    return replace(e, left=(np.where((of_hum == near)[:, None, None], 30.0, e.left[0]),))
+
+
+def test_what_nothing_explains_near_a_hum_that_could_not_be_taken_off_is_laid_to_it() -> None:
+    told = heard_too(UNKNOWN, [LOUD], [left(near=True)])
+    assert (told.kind, told.effects, told.reasons) == ("effect", ("mains_interference",), ())
+    assert told.unexplained is None
+    assert not told.bent
+
+
+@pytest.mark.parametrize(
+    ("verdict", "source", "near"),
+    [
+        (UNKNOWN, LOUD, False),
+        (UNKNOWN, BY_PHASE, True),
+        (replace(UNKNOWN, another_rig=True), LOUD, True),
+    ],
+    ids=["far from it", "heard by its phase", "of another rig"],
+)
+def test_what_a_hum_cannot_do_stays_unexplained(verdict: Verdict, source: Interference, near: bool) -> None:
+    told = heard_too(verdict, [source], [left(near)])
+    assert (told.kind, told.effects, told.unexplained) == ("none_of_these", (), "plant")
+    assert told.reasons == (*verdict.reasons, "mains_interference at 50 Hz is heard beside it")
+
+
+def test_a_hum_is_named_beside_an_effect_and_alone_where_there_is_none() -> None:
+    aliased = replace(LOUD, aliases=("runout",))
+    beside = heard_too(Verdict("effect", ("sensor_lag",), (), 0.8, ()), [aliased])
+    assert (beside.kind, beside.effects) == ("effects", ("sensor_lag", "mains_interference"))
+    assert beside.indistinguishable == (("mains_interference", "runout"),)
+    alone = heard_too(Verdict("no_gap", (), (), 0.8, ()), [LOUD])
+    assert (alone.kind, alone.effects, alone.probability) == ("effect", ("mains_interference",), 0.8)
+
+
+@pytest.mark.no_cover
+def test_the_datasheet_of_another_rig_is_told_as_one_beside_a_hum() -> None:
+    datasheet, truth = known_datasheet(seed=9)
+    other = replace(
+        datasheet,
+        mass_kg=0.3 * datasheet.mass_kg,
+        modes=tuple(replace(m, frequency_hz=0.7 * m.frequency_hz) for m in datasheet.modes),
+    )
+    loud = spoiled(experiment(true_rig(truth)), lambda s: hummed(s, HUM_HZ, 60e-9, seed=3))
+    measured, sheet = one_plane(replace(loud, sweeps=loud.sweeps[:1]), other)
+    verdict = gap_document(diagnose(measured, sheet))["verdict"]
+    assert verdict["kind"] == "none_of_these"
+    assert "of another rig" in verdict["sentence"]
+
+
+def ranked(effects: tuple[str, ...], evidence: float, probability: float) -> Ranked:
+    values = tuple({p.name: p.typical for p in CATALOGUE[name].parameters} for name in effects)
+    fit = Fit(effects, np.zeros(1), values, reference_rig(), (), 0.0, np.arange(1), np.eye(1), "converged")
+    return Ranked(Candidate(effects, fit, 0.0, values), evidence, probability, 0.0, (0.0, 0.0))
+
+
+LAG, ROTOR = ranked(("sensor_lag",), -10.0, 0.9), ranked(("rotor_inertia",), -12.0, 0.1)
+PLAIN = ranked((), -99.0, 0.0)
+
+
+def test_an_explanation_beside_a_hum_is_listed_once_and_has_none_without_it_for_a_rival() -> None:
+    """The hum was heard: no experiment is needed to tell it from its absence."""
+    both = ("sensor_lag", "mains_interference")
+    order = with_interference(Composition((LAG, ROTOR, PLAIN)), both, [LOUD]).order
+    assert [r.candidate.effects for r in order] == [both, ("rotor_inertia",), ()]
+    pair = left_together(order, Verdict("effects", both, (), 0.9, ()))
+    assert pair is not None
+    assert pair[1].effects == ("rotor_inertia",)
+    assert left_together((order[0], order[2]), Verdict("effects", both, (), 0.9, ())) is None
+
+
+def test_the_twin_that_the_verdict_names_is_listed_also_where_another_is_likelier() -> None:
+    """The verdict may give up what explains best; `ambit gap apply` needs the parameters of what it names."""
+    for order in ((PLAIN, LAG), (LAG, PLAIN)):
+        listed = with_interference(Composition(order), ("mains_interference",), [LOUD]).order
+        assert listed[0].candidate.effects == ("mains_interference",)
+        assert {r.candidate.effects for r in listed[1:]} == {("sensor_lag",), ()}
