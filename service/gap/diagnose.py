@@ -65,6 +65,9 @@ def diagnose(
         closed = scatter_shrinkage(data.other, nu.rig, sources, found.name) or closed
         shrunk[verdict.effects] = closed
     where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
+    if verdict.also_alike:
+        told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
+        notes.append(f"not told apart either: {told}")
     pair = left_together(whole.order, verdict)
     proposal = next_experiment(nu, pair, o, experiment.rig)
     if verdict.kind != "none_of_these" and (far := nu.far_off(chosen.fit.theta)):

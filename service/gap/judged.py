@@ -18,7 +18,7 @@ from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import other_rig
 from service.gap.weighing.significance import significance
-from service.gap.weighing.verdict import LARGEST_CLASS, UNEXPLAINED, HeldOut, Verdict, decide
+from service.gap.weighing.verdict import UNEXPLAINED, HeldOut, Verdict, decide
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
@@ -104,13 +104,9 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     classes = tuple(group for v in named for group in v.indistinguishable)
     if not any(o.speed_rad_s for e in found for o in e.ground.observations):
         classes = with_exact_aliases(effects, classes)
-    return Verdict(
-        "effect" if len(effects) == 1 else "effects",
-        effects,
-        classes,
-        probability,
-        (),
-    )
+    kind = "effect" if len(effects) == 1 else "effects"
+    also = tuple(name for v in named for name in v.also_alike)
+    return Verdict(kind, effects, (), probability, (), also_alike=also).with_classes(classes)
 
 
 def _bent(e: Explained, explained: bool, plain: Seen, unseen: Observation) -> str | None:
@@ -131,7 +127,7 @@ def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]
     out = []
     for name in effects:
         group = next((g for g in classes if name in g), (name,))
-        group += tuple(STANDSTILL[n] for n in group if n in STANDSTILL)
+        group = tuple(alias for n in group for alias in (n, STANDSTILL.get(n)) if alias is not None)
         out += [group] if len(group) > 1 else []
     return tuple(out)
 
@@ -149,7 +145,7 @@ def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:
     group = next((g for g in verdict.indistinguishable if of_plant[0] in g), (of_plant[0],))
     others = tuple(g for g in verdict.indistinguishable if of_plant[0] not in g)
     wider = (of_plant[0], *(a.effect for a in alike), *(name for name in group if name != of_plant[0]))
-    return replace(verdict, indistinguishable=(wider[:LARGEST_CLASS], *others))
+    return verdict.with_classes((wider, *others))
 
 
 def not_settled(o: Observation, gap: float) -> str | None:

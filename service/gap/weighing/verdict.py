@@ -31,6 +31,7 @@ VISIBLE = 1.5
 ALIKE = 6.0
 """Log evidence behind the best up to which a candidate counts as not told apart."""
 LARGEST_CLASS = 3
+"""Effects that a class lists, the likeliest; what else is not told apart is told in words."""
 LEAVES, LEAVES_ALL = 6.0, 8.0
 """Normal deviates of what an effect leaves, and of a gap without any, from which it may be none of these."""
 SURE = 1e-12
@@ -82,6 +83,14 @@ class Verdict:
     """whether the datasheet seems to be of another rig, so that there is no gap to speak of"""
     bent: bool = False
     """whether what is not explained is proven not to be in proportion to the excitation"""
+    also_alike: tuple[str, ...] = ()
+    """what the data cannot tell from the effects either, beyond what the classes list"""
+
+    def with_classes(self, classes: Sequence[tuple[str, ...]]) -> Verdict:
+        """The same with these alias classes, each cut to what a class lists."""
+        more = (name for group in classes for name in group[LARGEST_CLASS:])
+        also = tuple(dict.fromkeys((*self.also_alike, *more)))
+        return replace(self, indistinguishable=tuple(g[:LARGEST_CLASS] for g in classes), also_alike=also)
 
 
 @dataclass(frozen=True)
@@ -187,7 +196,7 @@ def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = (
     near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
     near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE]
     near.sort(key=lambda r: (r is not best, -r.log_evidence))
-    return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))[:LARGEST_CLASS]
+    return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))
 
 
 def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str, ...], ...], float]:
@@ -209,7 +218,7 @@ def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str
                 group.append(alias)
                 added += r.probability
         if len(group) > 1:
-            classes.append(tuple(group[:LARGEST_CLASS]))
+            classes.append(tuple(group))
     return tuple(classes), added
 
 
@@ -279,7 +288,8 @@ def decide(
     else:
         group = alike(best, order, elsewhere)
         classes = (group,) if len(group) > 1 else ()
-        singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in group]
+        listed = group[:LARGEST_CLASS]
+        singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in listed]
         probability = sum(r.probability for r in singles) if classes else weighed[0].probability
     probability = supported(float(probability), there.support)
     if probability < 0.5 and there.support < 0:
@@ -287,7 +297,8 @@ def decide(
             return Verdict("no_gap", (), (), 1 - probability, ())
         reason = f"the best explanation, {words}, predicts a gap on unseen data that is not there"
         return Verdict("none_of_these", (), (), 1 - probability, (reason,))
-    return Verdict("effect" if len(effects) == 1 else "effects", effects, classes, probability, ())
+    kind = "effect" if len(effects) == 1 else "effects"
+    return Verdict(kind, effects, (), probability, ()).with_classes(classes)
 
 
 def supported(probability: float, support: float) -> float:

@@ -139,3 +139,10 @@ def test_an_effect_of_a_mixture_that_an_alias_could_stand_for_is_told_with_it() 
     assert found.effects == best.candidate.effects
     assert found.indistinguishable == (("eddy_currents", "sensor_lag"),)
     assert found.probability == pytest.approx(0.95)
+
+
+def test_a_class_lists_the_three_likeliest_and_the_others_are_not_lost() -> None:
+    verdict = Verdict("effect", ("a",), (), 0.9, ()).with_classes([("a", "b", "c", "d"), ("e", "f")])
+    assert verdict.indistinguishable == (("a", "b", "c"), ("e", "f"))
+    assert verdict.also_alike == ("d",)
+    assert verdict.with_classes([("a", "d", "b", "g")]).also_alike == ("d", "g"), "what was left out before stays told"
