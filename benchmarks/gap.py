@@ -108,7 +108,7 @@ def run_folder(folders: list[Path], jobs: int) -> list[Outcome]:
             outcomes.append(o)
             verdict = " + ".join(o.named) or o.verdict["kind"]
             others = sorted({e for g in o.verdict["indistinguishable"] for e in g} - set(o.named))
-            told = " + ".join(truth.get("laws", o.effects)) or "clean"
+            told = " + ".join(truth.get("laws", truth["effects"])) or "clean"
             closure = report["shrinkage"]["closure"]
             print(
                 f"{folder.name} {'ok   ' if o.right else 'WRONG'} {told:38s} -> {verdict}"

@@ -40,6 +40,7 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
         "closure": d.closures.get(c.effects),
         "log_evidence": r.log_evidence,
         "unexplained": r.unexplained,
+        "status": c.fit.status,
     }
 
 
@@ -68,6 +69,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
             "harmonics": [{"signal": a, "harmonic": h, "significance": g} for a, h, g in w.harmonics],
             "amplitude_dependent": w.depends.amplitude,
             "speed_dependent": w.depends.speed,
+            "dependence_significance": w.depends.significance,
         },
         "verdict": {
             "kind": v.kind,

@@ -111,6 +111,8 @@ def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tup
         for p in where["paths"]
     ]
     words = [_depends(where[f"{condition}_dependent"], condition) for condition in ("amplitude", "speed")]
+    if (change := where["dependence_significance"]) is not None:
+        words.append(f"Between the two sweeps the relative error changes by {fixed(change, 1)} standard deviations.")
     return [
         table(["block of the loop", "gap by itself", "significance, standard deviations"], rows),
         paragraph(" ".join(words)),

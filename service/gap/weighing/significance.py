@@ -22,8 +22,9 @@ OUTLIER = 12.0
 FEW = 8
 """Values of a cell below which its mean is far from normal: their exact tail is heavier."""
 ALONE = 2 * OUTLIER
-"""Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap: noise
-does so in one line of some dozen values with a probability of 1e-19."""
+"""Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap."""
+BY_CHANCE = 1e-19
+"""Probability that noise does so in one line of some dozen values."""
 
 
 def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OUTLIER) -> float:

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.distributions import normal_above
 from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
 from service.gap.measured.condition import conditions_of, lines_of
 from service.gap.measured.observation import Observation
-from service.gap.weighing.significance import SIGNIFICANT, alone_hz, overall, significance
+from service.gap.weighing.significance import BY_CHANCE, SIGNIFICANT, alone_hz, overall, significance
 from service.gap.which.held_out import on_sweep
 from service.gap.which.search import Explained
 
@@ -32,6 +33,8 @@ class Dependence:
 
     amplitude: bool | None = None
     speed: bool | None = None
+    significance: float | None = None
+    """of the change between the two sweeps, a normal deviate; None where they are at one condition"""
 
 
 def dependence(e: Explained, other: Observation, distorted: bool) -> Dependence:
@@ -47,14 +50,18 @@ def dependence(e: Explained, other: Observation, distorted: bool) -> Dependence:
         A nonlinearity is proven at one amplitude already: by harmonics, or by what explains the gap.
     """
     amplitude, speed = conditions_of(e.ground.observations[0], other)
-    differs = changes(e, other) if amplitude or speed else False
+    change = change_between(e, other) if amplitude or speed else None
+    differs = change is not None and change > SIGNIFICANT
     if amplitude and speed and differs:  # one of them, or both
-        return Dependence(distorted or None, None)
-    return Dependence(distorted or (differs if amplitude else None), differs if speed else None)
+        return Dependence(distorted or None, None, change)
+    return Dependence(distorted or (differs if amplitude else None), differs if speed else None, change)
 
 
-def changes(e: Explained, other: Observation) -> bool:
-    """Whether the plain twin's relative error differs between the two sweeps by more than noise and interpolation."""
+def change_between(e: Explained, other: Observation) -> float:
+    """How far the plain twin's relative error differs between the two sweeps, beside noise and interpolation.
+
+    A normal deviate; 0 for a difference that is no more than those.
+    """
     main, (there, z_there) = e.ground.observations[0], on_sweep(e, e.null.candidate, other)
     signal, n = e.part.signal, e.ground.nuisance.rig.n_axes
     (error, variance), (error_there, variance_there) = (
@@ -72,8 +79,8 @@ def changes(e: Explained, other: Observation) -> bool:
         known[rows] = True
     kept = replace(there, line=there.line[known], axis=there.axis[known])
     if alone_hz(e.part, z_there, there) is not None and alone_hz(e.part, e.plain[0], main) is None:
-        return True  # a limit that one line of one sweep reaches drowns in every band
-    return max(significance(z[known], kept), overall(z[known])) > SIGNIFICANT
+        return float(normal_above(BY_CHANCE))  # a limit that one line of one sweep reaches drowns in every band
+    return max(significance(z[known], kept), overall(z[known]), 0.0)
 
 
 def relative_error(z: Complex, o: Observation, signal: str) -> tuple[Complex, Real]:

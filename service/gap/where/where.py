@@ -101,7 +101,7 @@ def locate(
     bent = bent or any(CATALOGUE[name].nonlinear for name in effects)
     depends = dependence(blamed, other, distorted or bent)
     if "thermal_drift" in effects:  # the sweeps differ in time too
-        depends = Dependence(distorted or bent or None, None)
+        depends = Dependence(distorted or bent or None)
     o, f = found[-1].ground.observations[0], found[-1].ground.observations[0].fundamental
     for source in sources:
         amplitude = max(source.parameters[name] for name in source.parameters if name.startswith("amplitude"))

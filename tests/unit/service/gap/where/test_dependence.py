@@ -11,8 +11,9 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.condition import conditions_of, same_condition
 from service.gap.measured.observation import Observation, observe
+from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import ranked
-from service.gap.where.dependence import changes, dependence, relative_error
+from service.gap.where.dependence import change_between, dependence, relative_error
 from service.gap.where.where import locate
 from service.gap.which.search import Explained, plain_twin
 from sim.twin import with_effects
@@ -42,6 +43,8 @@ def test_only_what_is_not_in_proportion_depends_on_the_amplitude(effect: str, de
     found = dependence(e, other, distorted=False)
     assert found.amplitude is depends
     assert found.speed is None, "both sweeps are at standstill"
+    assert found.significance is not None
+    assert (found.significance > SIGNIFICANT) is depends
 
 
 def test_where_only_the_speed_differs_the_amplitude_is_not_blamed() -> None:
@@ -59,7 +62,7 @@ def test_two_sweeps_of_one_condition_test_nothing_and_that_is_said() -> None:
     assert conditions_of(e.ground.observations[0], again) == (False, False)
     assert "same amplitude and speed" in (same_condition(e.ground.observations[0], again) or "")
     found = dependence(e, again, distorted=False)
-    assert (found.amplitude, found.speed) == (None, None)
+    assert (found.amplitude, found.speed, found.significance) == (None, None, None)
     assert dependence(e, again, distorted=True).amplitude is True, "harmonics prove it at one amplitude"
 
 
@@ -100,4 +103,4 @@ def test_a_log_so_coarse_that_it_shows_nothing_is_compared_without_a_division_by
     assert np.isfinite(error).all()
     assert np.isfinite(variance).all()
     assert np.all(variance[::2] > 1e20)
-    assert not changes(e, replace(other, sd_y=sd_y))
+    assert change_between(e, replace(other, sd_y=sd_y)) < SIGNIFICANT
