@@ -54,8 +54,8 @@ def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
 
 def excess_of(e: Explained) -> float:
     """Chi-square and penalty that the plain twin leaves of a part beyond the best explanation."""
-    best = min(r.candidate.fit.chi_square + r.candidate.fit.penalty for r in e.order)
-    return max(e.null.candidate.fit.chi_square + e.null.candidate.fit.penalty - best, 0.0)
+    best = min(r.candidate.fit.cost for r in e.order)
+    return max(e.null.candidate.fit.cost - best, 0.0)
 
 
 def _combined(

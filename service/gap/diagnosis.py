@@ -65,5 +65,5 @@ class Diagnosis:
 
     @property
     def chosen(self) -> Candidate:
-        """The explanation that the verdict names, else the best one."""
+        """The explanation that the verdict names, else the plain twin."""
         return next((r.candidate for r in self.order if r.candidate.effects == self.verdict.effects), self.null)

@@ -25,6 +25,15 @@ def _discover() -> dict[str, Effect]:
 CATALOGUE: dict[str, Effect] = _discover()
 
 
+def aliases(one: str, other: str) -> bool:
+    """Whether the catalogue knows that one effect may look like another.
+
+    >>> aliases("sensor_lag", "eddy_currents"), aliases("sensor_lag", "runout")
+    (True, False)
+    """
+    return other in CATALOGUE[one].aliases or one in CATALOGUE[other].aliases
+
+
 def effect(name: str) -> Effect:
     """The effect of that id.
 

@@ -17,14 +17,13 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE
 from service.gap.measured.observation import Observation
+from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import CLEAR, noise_levels
 from service.gap.which.search import Explained, gap_significance
 from sim import control_law
 
 Complex = NDArray[np.complex128]
 
-SIGNIFICANT = 5.0
-"""Significance from which a part has a gap."""
 CURED = 0.1
 """Share of the plant's excess that may be left once the signal is worked out."""
 DISPLACEMENT = "the logged displacement is not the one that the controller used"
@@ -80,7 +79,9 @@ def faint_log_fault(fitter: Fitter, before: Sequence[Explained], plant: Explaine
         return None
     worked_out, as_uncertain = _worked_out(plant.ground)
     told = Task(as_uncertain, best.effects, (best.fit.values,), best.fit.theta, (MIDDLE, EXACT))
-    cured, plain, explained = fitter.run([_plain(worked_out), _plain(as_uncertain), told])
+    cured, plain, explained = fitter.each([_plain(worked_out), _plain(as_uncertain), told])
+    if cured is None or plain is None or explained is None:
+        return None
     noise = noise_levels(plain, [cured, explained])
     left, gap = (_excess(c.fit, noise) for c in (cured, plain))
     return DISPLACEMENT if gap > CLEAR and left < CURED * gap else None
@@ -112,7 +113,8 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
 
 def _plain_excess(fitter: Fitter, ground: Ground) -> float:
     """What the plain twin, refitted, leaves of the plant on another ground."""
-    return _excess(fitter.run([_plain(ground)])[0].fit)
+    (plain,) = fitter.each([_plain(ground)])
+    return np.inf if plain is None else _excess(plain.fit)
 
 
 def _plain(ground: Ground) -> Task:

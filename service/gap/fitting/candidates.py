@@ -1,4 +1,4 @@
-"""Which effect: candidates of the catalogue fitted beside the datasheet's uncertain values."""
+"""Explanations fitted beside the datasheet's uncertain values: each from its starts, all of them side by side."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _fitted(task: Task) -> Candidate:
             fit = problem.run(x, task.stages[-1])
         except (AmbError, np.linalg.LinAlgError):
             continue
-        if best is None or fit.chi_square + fit.penalty < best.chi_square + best.penalty:
+        if best is None or fit.cost < best.cost:
             best = fit
     if best is None:
         raise AmbError(f"no start of {' + '.join(task.effects) or 'the plain twin'} leads to a rig")
@@ -110,7 +110,7 @@ def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real
     for x in begun:
         with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to a rig that cannot be; another may not
             fit = problem.run(x, stage)
-            led.append((fit.chi_square + fit.penalty, problem.vector(fit)))
+            led.append((fit.cost, problem.vector(fit)))
     return [x for _, x in sorted(led, key=lambda one: one[0])[:GOES_ON]]
 
 
@@ -173,6 +173,10 @@ class Fitter:
 
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
         """Fit all; a candidate that no start leads to a rig for is left out, and named in `lost`."""
+        return [c for c in self.each(tasks) if c is not None]
+
+    def each(self, tasks: Iterable[Task]) -> list[Candidate | None]:
+        """The same with a None in the place of what is lost."""
         tasks = list(tasks)
         # the longest first, so that none is waited for alone
         order = sorted(range(len(tasks)), key=lambda k: -_labour(tasks[k]))
@@ -182,7 +186,7 @@ class Fitter:
             found[k] = next(mapped)
             self._fitted()
         self.lost |= {t.effects for k, t in enumerate(tasks) if found[k] is None}
-        return [c for k in range(len(tasks)) if (c := found[k]) is not None]
+        return [found[k] for k in range(len(tasks))]
 
     def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:
         # Only the plant is worth a way to another process, which at first still loads its libraries.

@@ -45,6 +45,11 @@ class Fit:
         return sum(chi for chi, _ in self.groups)
 
     @property
+    def cost(self) -> float:
+        """What was minimised: chi-square and the price of the datasheet's values."""
+        return self.chi_square + self.penalty
+
+    @property
     def n_residuals(self) -> int:
         """Number of weighted residuals, real and imaginary parts apart."""
         return sum(n for _, n in self.groups)

@@ -15,7 +15,7 @@ import numpy as np
 from service.gap.trial.unlisted_laws import UNLISTED, Drawn, Tampering
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.effect import Effect, Parameter
-from sim.effects import CATALOGUE
+from sim.effects import CATALOGUE, aliases
 from sim.errors import AmbError, EffectError, LevitationError
 from sim.reference import reference_rig
 from sim.rig import FlexibleMode, Noise, Rig
@@ -128,7 +128,7 @@ def _choose(count: int, rig: Rig, g: Generator) -> list[Effect]:
         if count < 2:
             return chosen
         a, b = chosen
-        alike = b.id in a.aliases or a.id in b.aliases
+        alike = aliases(a.id, b.id)
         if not alike and (a.path != b.path or g.uniform() < 0.3):
             return sorted(chosen, key=lambda e: e.id)
 

@@ -12,7 +12,7 @@ from service.gap.fitting.candidates import LAW_ERROR, Candidate
 from service.gap.fitting.evidence import TEMPERATURE, log_evidence, probabilities
 from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import SIGNIFICANT
-from sim.effects import CATALOGUE
+from sim.effects import CATALOGUE, aliases
 
 DETECTED = 5.0
 """Log evidence by which an effect must beat the plain twin, some 25 candidates being tried: in 134 parts of rigs of an
@@ -161,8 +161,8 @@ def renormalised(order: Sequence[Ranked]) -> list[Ranked]:
 
 def unexplained(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> float:
     """Share of the plain twin's excess that an explanation leaves, the datasheet's values at their own price."""
-    before = max(null.fit.chi_square + null.fit.penalty - sum(noise), 1e-9)
-    return float((candidate.fit.chi_square + candidate.fit.penalty - sum(noise)) / before)
+    before = max(null.fit.cost - sum(noise), 1e-9)
+    return float((candidate.fit.cost - sum(noise)) / before)
 
 
 def shares(groups: Groups, null: Groups, noise: Sequence[float]) -> tuple[float, ...]:
@@ -183,15 +183,14 @@ def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = (
     """
     name = best.candidate.effects[0]
     null = next(r.candidate.fit for r in order if not r.candidate.effects)
-    cost = best.candidate.fit.chi_square + best.candidate.fit.penalty
-    as_well = max(2 * ALIKE, LAW_ERROR**2 * (null.chi_square + null.penalty - cost))
+    cost = best.candidate.fit.cost
+    as_well = max(2 * ALIKE, LAW_ERROR**2 * (null.cost - cost))
 
     def close(r: Ranked) -> bool:
         other = r.candidate.effects[0]
         if r.log_evidence > best.log_evidence - ALIKE:
             return True
-        known = other in CATALOGUE[name].aliases or name in CATALOGUE[other].aliases
-        return known and r.candidate.fit.chi_square + r.candidate.fit.penalty < cost + as_well
+        return aliases(name, other) and r.candidate.fit.cost < cost + as_well
 
     near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
     near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE]
@@ -214,7 +213,7 @@ def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str
             if len(r.candidate.effects) != len(effects) or len(other) != 1 or not rest <= set(r.candidate.effects):
                 continue
             alias = next(iter(other))
-            if alias in CATALOGUE[name].aliases or name in CATALOGUE[alias].aliases:
+            if aliases(name, alias):
                 group.append(alias)
                 added += r.probability
         if len(group) > 1:

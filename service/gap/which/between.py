@@ -17,7 +17,7 @@ from service.gap.weighing.verdict import ALIKE, DETECTED, Ranked, noise_levels, 
 from service.gap.which.begun import residuals
 from service.gap.which.refined import WITHIN
 from service.gap.which.search import Explained
-from sim.effects import CATALOGUE
+from sim.effects import aliases
 
 Through = Callable[[Candidate], Ground]
 """The plant's ground behind an explanation of the amplifiers."""
@@ -82,11 +82,6 @@ def _exchanges(fitter: Fitter, amplifiers: Explained, plant: Explained, through:
                 for c in fitter.run(tasks):
                     own = log_evidence(c.fit, c.occam, noise) - DETECTED * len(c.effects)
                     yield Exchange(r, frozenset(c.effects), own)
-
-
-def aliases(a: str, b: str) -> bool:
-    """Whether the catalogue knows that one effect may look like another."""
-    return a in CATALOGUE[b].aliases or b in CATALOGUE[a].aliases
 
 
 def _without(name: str, c: Candidate, ground: Ground) -> Task:

@@ -16,7 +16,7 @@ from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import ALIKE, CLEAR, MIXED, Ranked, ranked, renormalised
 from service.gap.which.begun import beside, residuals, rough_beside
 from service.gap.which.refined import LOST, best_of_each, contained, cost, refined, to_the_end
-from sim.effects import CATALOGUE
+from sim.effects import CATALOGUE, aliases
 
 Real = NDArray[np.float64]
 
@@ -168,7 +168,7 @@ def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     if mixture.log_evidence < max(r.log_evidence for r in smaller):
         return False
     effects = mixture.candidate.effects
-    alias = any(b in CATALOGUE[a].aliases for a in effects for b in effects)
+    alias = any(aliases(a, b) for a, b in combinations(effects, 2))
     left = np.array(mixture.apart)
     # Others explain by what the datasheet does not allow.
     allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]

@@ -11,7 +11,7 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.weighing.verdict import ranked
-from sim.effects import CATALOGUE
+from sim.effects import CATALOGUE, aliases
 
 REFINED = 6
 """Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
@@ -33,7 +33,7 @@ def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Ca
     probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
-    near += [r.candidate for r in order if r.candidate not in near and _aliases(r.candidate, near[0])][:ALIASES]
+    near += [r.candidate for r in order if r.candidate not in near and _alike(r.candidate, near[0])][:ALIASES]
     refined = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
     lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refined[: len(near)], refined))}
     kept = []
@@ -91,12 +91,12 @@ def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task
     return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
 
 
-def _aliases(a: Candidate, b: Candidate) -> bool:
+def _alike(a: Candidate, b: Candidate) -> bool:
     """Whether two explanations are the same but for one effect that looks like the other's."""
     one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
-    return len(one) == len(other) == 1 and bool(other & set(CATALOGUE[next(iter(one))].aliases))
+    return len(one) == len(other) == 1 and aliases(*one, *other)
 
 
 def cost(c: Candidate) -> float:
     """What the fit minimised: chi-square and the price of the datasheet's values."""
-    return c.fit.chi_square + c.fit.penalty
+    return c.fit.cost

@@ -12,7 +12,7 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground, Part
 from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
-from service.gap.measured.observation import Observation
+from service.gap.measured.observation import GapError, Observation
 from service.gap.weighing.significance import significance
 from service.gap.weighing.verdict import Ranked, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
@@ -78,11 +78,22 @@ def plain_twin(
     """The plain twin, the datasheet's values of the part refitted, and what it leaves, (P, H, n) per sweep.
 
     ``before`` is what was found on fewer sweeps.
+
+    Raises
+    ------
+    GapError
+        None can be fitted.
     """
     if before is None:
-        null = fitter.run([Task(ground, (), ((),), ground.theta, (*rough_stages(ground), EXACT))])[0]
+        task = Task(ground, (), ((),), ground.theta, (*rough_stages(ground), EXACT))
     else:
-        null = fitter.run([Task(ground, (), ((),), before.null.candidate.fit.theta, (EXACT,))])[0]
+        task = Task(ground, (), ((),), before.null.candidate.fit.theta, (EXACT,))
+    (null,) = fitter.each([task])
+    if null is None:
+        raise GapError(
+            f"no twin can be fitted to the {ground.part.path}: with no values within four of their tolerances is the "
+            "datasheet a rig that can be computed; check its values, those of the controller among them"
+        )
     return null, residuals(ground, null)
 
 
