@@ -24,10 +24,10 @@ from typing import Any
 from service.experiment import file
 from service.experiment.multisine_plan import MultisineProfile
 from service.gap.trial.scoring import Outcome, score
-from service.gap.trial.withheld import draw
 from service.trial import diagnose, measure, run_blind_trial
 from sim.errors import AmbError
 from sim.rig_file import parse
+from sim.withheld.case import draw
 
 PRACTICE = Path(__file__).resolve().parents[2] / "shared" / "practice"
 KNOWN = {

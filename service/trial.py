@@ -7,7 +7,6 @@ the scores. A trial that was stopped keeps what it has: measured.json beside an 
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import tempfile
@@ -25,13 +24,13 @@ from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
 from service.experiment.multisine_plan import MultisineProfile
 from service.gap.trial.blind_trial import Diagnose, checked, run_case, summary
-from service.gap.trial.seal import SealError
-from service.gap.trial.unlisted_laws import TamperedSimulation
-from service.gap.trial.withheld import Case, described, draw
+from service.gap.trial.scoring import told
 from service.pool import workers
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.rig_file import to_toml
+from sim.withheld.case import Case, draw
+from sim.withheld.seal import SealError
 
 Progress = Callable[[int, int, str], None]
 """(cases done, cases in all, what the last one was)."""
@@ -47,8 +46,6 @@ PROFILE = Profile(
     displacement_share=0.2,
 )
 """A compact campaign: four axes in some five minutes of rig time, at amplitudes where magnets are not quite linear."""
-CAMPAIGN_S = 300.0
-"""Rig time that it takes, about."""
 KEPT = "case.json"
 """A case that was run and opened, as it stands in trial.json."""
 MEASURED = "measured.json"
@@ -67,8 +64,7 @@ def measure(case: Case, out_dir: Path, profile: Profile | MultisineProfile | Non
     CampaignError
         The rig cannot be measured.
     """
-    law = copy.deepcopy(case.tampering)
-    device = RigDevice(case.rig, simulation=TamperedSimulation(case.rig, case.number, law, CAMPAIGN_S))
+    device = RigDevice(case.rig, simulation=case.simulation(case.number))
     controller = SimulatedController(device)
     try:
         return run_campaign(
@@ -200,19 +196,10 @@ def run_blind_trial(
     for number, document in _finished(cases, seed, out_dir, jobs, engine):
         done[number] = document
         if progress is not None:
-            progress(len(done), cases, _told(document))
+            progress(len(done), cases, told(checked(document)))
     result = summary([done[k] for k in range(cases)], seed)
     _write(out_dir / "trial.json", result)
     return result
-
-
-def _told(document: Mapping[str, Any]) -> str:
-    """One line on a case that was opened."""
-    o = checked(document)
-    found = " + ".join(o.named) or str(o.verdict["kind"])
-    truth = o.law or described(o.parameters)
-    mark = "right" if o.right else "wrong"
-    return f"{o.kind}: {truth}, detectability {o.detectability:.0f} -> {found} ({o.probability:.2f}): {mark}"
 
 
 def _finished(

@@ -12,12 +12,12 @@ import pytest
 import service.trial
 from service.experiment.data import Experiment
 from service.gap.trial.blind_trial import checked, summary
-from service.gap.trial.seal import SealError, opened
-from service.gap.trial.withheld import draw
 from service.trial import PROFILE, run_blind_trial, run_one
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.rig_file import read
+from sim.withheld.case import draw
+from sim.withheld.seal import SealError, opened
 
 pytestmark = pytest.mark.timeout(900)
 

@@ -20,15 +20,15 @@ import numpy as np
 
 from service.experiment.data import Experiment, Sweep
 from service.gap.trial.detectability import Replayed, detectability, duration_s, quiet, replay, settle_s
-from service.gap.trial.scoring import Outcome, score
-from service.gap.trial.seal import SealError, opened, seal
-from service.gap.trial.unlisted_laws import TamperedSimulation
-from service.gap.trial.withheld import Case
+from service.gap.trial.scoring import Outcome, outcome_of, score
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.errors import LevitationError
 from sim.rig import Rig
 from sim.stepping import Simulation
+from sim.withheld.case import Case
+from sim.withheld.seal import SealError, opened, seal
+from sim.withheld.unlisted_laws import TamperedSimulation
 
 FORMAT = "amb-gap-trial"
 
@@ -155,17 +155,7 @@ def checked(document: Mapping[str, Any]) -> Outcome:
     truth = opened(document["sealed"], document["commitment"])
     if fingerprint(document["report"]) != document["report_sha256"]:
         raise SealError(f"the report of case {truth.get('case')} is not the one that was published: it was changed")
-    return Outcome(
-        case=truth["case"],
-        kind=truth["kind"],
-        effects=tuple(truth["effects"]),
-        parameters=truth["parameters"],
-        law=truth["law"],
-        detectability=truth["detectability"],
-        report=document["report"],
-        seconds=document["seconds"],
-        each=truth.get("each", {}),
-    )
+    return outcome_of(truth, document["report"], document["seconds"])
 
 
 def summary(cases: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:

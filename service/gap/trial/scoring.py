@@ -111,6 +111,55 @@ class Outcome:
         return float(reached) / ideal if ideal > WORTH_CLOSING else None
 
 
+def outcome_of(truth: Mapping[str, Any], report: Mapping[str, Any], seconds: float = math.nan) -> Outcome:
+    """What a diagnosis made of an opened truth.
+
+    Parameters
+    ----------
+    truth
+        As `sim.withheld.case.Case.truth` has it, with how plainly it shows: "detectability", and "each" of a mixture.
+        Where that is not known, it is held to show plainly.
+    report
+        gap.json.
+    seconds
+        Time of the diagnosis, s.
+
+    Raises
+    ------
+    KeyError
+        The truth lacks a field.
+    """
+    return Outcome(
+        case=truth["case"],
+        kind=truth["kind"],
+        effects=tuple(truth["effects"]),
+        parameters=truth["parameters"],
+        law=truth["law"],
+        detectability=truth.get("detectability", math.inf),
+        report=report,
+        seconds=seconds,
+        each=truth.get("each", {}),
+    )
+
+
+def described(effects: Mapping[str, Mapping[str, float]]) -> str:
+    """Effects and their values in one line.
+
+    >>> described({"loop_delay": {"delay_s": 3.5e-05}})
+    'loop_delay (delay_s 3.5e-05)'
+    """
+    shown = (f"{name} ({', '.join(f'{k} {v:.3g}' for k, v in values.items())})" for name, values in effects.items())
+    return " + ".join(shown) or "nothing"
+
+
+def told(o: Outcome) -> str:
+    """One case in one line: what was withheld, how plainly it shows, what was found, and whether that is right."""
+    found = " + ".join(o.named) or str(o.verdict["kind"])
+    shows = f", detectability {o.detectability:.0f}" if math.isfinite(o.detectability) else ""
+    mark = "right" if o.right else "wrong"
+    return f"{o.kind}: {o.law or described(o.parameters)}{shows} -> {found} ({o.probability:.2f}): {mark}"
+
+
 def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Every score of a trial, as plain values; a share without cases is None."""
     by_kind = {k: [o for o in outcomes if o.kind == k] for k in ("single", "mixture", "clean", "unlisted")}

@@ -1,4 +1,4 @@
-"""Laws that the catalogue does not hold, for blind trials only: the diagnosis must say "none of these".
+"""Laws that the catalogue does not hold, only ever withheld: the diagnosis must say "none of these".
 
 Some change the rig (`Rig` to `Rig`), the others stand between the rig and whoever measures it: what they do to the
 excitation before it reaches the loop, and to the records before they are logged.
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.signal import lfilter
 
+from sim.errors import EffectError
 from sim.rig import Array, FlexibleMode, Rig
 from sim.stepping import Record, Simulation
 
@@ -219,6 +220,8 @@ def _curved_probe(rig: Rig, g: Generator) -> Drawn:
 
 def _unequal_planes(rig: Rig, g: Generator) -> Drawn:
     """A shaft that is stiffer in one plane than in the other, far beyond what machining leaves."""
+    if not any(rig.rotor.modes[1:]):
+        raise EffectError(f"rig {rig.name} has no modes in a second plane that could be stiffer")
     e = _size(g, 0.015, 0.06) * _sign(g)
 
     def stiffer(m: FlexibleMode) -> FlexibleMode:

@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.trial.unlisted_laws import (
+from sim.reference import reference_rig
+from sim.rig import Noise
+from sim.stepping import Record, Simulation
+from sim.withheld.unlisted_laws import (
     ClippedLog,
     CoarseLog,
     CurvedProbe,
@@ -17,9 +20,6 @@ from service.gap.trial.unlisted_laws import (
     Tampering,
     WrongInjection,
 )
-from sim.reference import reference_rig
-from sim.rig import Noise
-from sim.stepping import Record, Simulation
 
 RIG = reference_rig(noise=Noise())
 FS = 1 / RIG.controller.sample_time_s

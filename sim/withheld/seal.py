@@ -6,7 +6,7 @@
 >>> opened(s.document() | {"truth": '{"effects": []}'}, s.commitment)
 Traceback (most recent call last):
     ...
-service.gap.trial.seal.SealError: the sealed truth is not the one of commitment ...: it was changed
+sim.withheld.seal.SealError: the sealed truth is not the one of commitment ...: it was changed
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def opened(document: Mapping[str, Any], commitment: str) -> dict[str, Any]:
         nonce, text = str(document["nonce"]), str(document["truth"])
     except (KeyError, TypeError) as error:
         raise SealError(f"the sealed document has no {error}; keep the file as it was written") from error
-    if not hmac.compare_digest(commitment_to(nonce, text), commitment):
+    if not hmac.compare_digest(commitment_to(nonce, text).encode(), commitment.strip().lower().encode()):
         raise SealError(f"the sealed truth is not the one of commitment {commitment[:12]}...: it was changed")
     try:
         truth = json.loads(text)

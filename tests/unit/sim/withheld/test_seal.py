@@ -5,9 +5,7 @@ from hashlib import sha256
 
 import pytest
 
-from drivers.device.withheld import Withheld
-from drivers.device.withheld import opened as opened_by_the_device
-from service.gap.trial.seal import SealError, opened, seal
+from sim.withheld.seal import SealError, opened, seal
 
 TRUTH = {"effects": ["loop_delay"], "parameters": {"loop_delay": {"delay_s": 3.5e-5}}}
 
@@ -53,15 +51,14 @@ def test_a_document_with_parts_missing_is_refused(broken: dict[str, str]) -> Non
 
 @pytest.mark.parametrize(("text", "message"), [("[1]", "no JSON object"), ("{", "cannot be read")])
 def test_a_truth_that_is_no_object_is_refused(text: str, message: str) -> None:
-    from service.gap.trial.seal import commitment_to
+    from sim.withheld.seal import commitment_to
 
     with pytest.raises(SealError, match=message):
         opened({"nonce": "ab", "truth": text}, commitment_to("ab", text))
 
 
-def test_the_device_opens_the_same_seals(tmp_path) -> None:
-    """`ambit rig serve --withheld` and the trial seal alike, so one tool checks both."""
-    sealed = seal({"effect": "loop_delay", "values": {"delay_s": 2e-5}})
-    path = tmp_path / "withheld.json"
-    path.write_text(json.dumps(sealed.document()))
-    assert opened_by_the_device(path, sealed.commitment) == Withheld("loop_delay", (("delay_s", 2e-5),))
+def test_a_commitment_is_read_as_it_was_copied() -> None:
+    sealed = seal(TRUTH)
+    assert opened(sealed.document(), f" {sealed.commitment.upper()}\n") == TRUTH
+    with pytest.raises(SealError, match="was changed"):
+        opened(sealed.document(), "é")

@@ -1,0 +1,72 @@
+"""How strong a withheld effect is: from barely to plainly visible, within what the catalogue allows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.datasheet import AXES
+from sim.effect import Effect, Parameter
+from sim.rig import Rig
+
+Generator = np.random.Generator
+
+WEAKEST, STRONGEST = 0.1, 1.6
+"""Strengths as shares of the catalogue's typical, plainly visible ones."""
+
+
+def strength(effect: Effect, rig: Rig, g: Generator) -> dict[str, float]:
+    """Values of an effect's parameters, from barely to plainly visible.
+
+    Strengths are shares of the typical values, of either sign where the range allows it; of an effect with one
+    parameter per axis, one or two axes have it.
+    """
+    share = float(WEAKEST * (STRONGEST / WEAKEST) ** g.uniform())
+    special = _special(effect.id, share, g)
+    per_axis = [p.name for p in effect.parameters if any(f"_{axis}" in p.name for axis in rig.axes)]
+    on = set(g.choice(per_axis, int(g.integers(1, 3)), replace=False)) if len(per_axis) > 2 else set(per_axis)
+    sign = float(g.choice([-1.0, 1.0]))
+    values = {}
+    for p in effect.parameters:
+        if p.name in special:
+            values[p.name] = special[p.name]
+        elif p.name in per_axis and p.name not in on:
+            values[p.name] = p.null
+        elif p.strength:
+            signed = sign if p.low < 0 < p.high and -p.typical >= p.low else 1.0
+            values[p.name] = _inside(p, p.null + signed * (p.typical - p.null) * share * float(g.uniform(0.6, 1.0)))
+        else:
+            values[p.name] = _inside(p, p.typical * 2.0 ** float(g.uniform(-1, 1)))
+    return values
+
+
+def _special(name: str, share: float, g: Generator) -> dict[str, float]:
+    """Where a share of the typical value would make no sense: whole samples, mains, what the tones can reach."""
+    if name == "logging_offset":
+        return {"samples": float(g.choice([1.0, 2.0, -1.0]))}
+    if name == "mains_interference":
+        on_current = g.uniform() < 0.5
+        hz = float(g.choice([50.0, 60.0]))
+        return {"frequency_hz": hz, ("amplitude_m" if on_current else "amplitude_a"): 0.0}
+    if name == "touchdown_contact":
+        clearance, side = float(g.uniform(2e-6, 7e-6)), float(g.choice([0.0, 0.0, 1.0, -1.0]))
+        return {"side": side, **{f"clearance_{axis}_m": clearance for axis in AXES}}
+    if name == "support_resonance":
+        pedestals, ratio = float(g.choice([0.0, 0.0, 1.0])), float(g.uniform(0.9, 1.1))
+        return {"frequency_hz": 15.0 * 50.0 ** float(g.uniform()), "pedestals": pedestals, "frequency_ratio": ratio}
+    if name == "extra_flexible_mode":
+        at_b = 0.06 * share * g.uniform(0.4, 1.0, 2) * g.choice([-1.0, 1.0], 2)
+        at_s = at_b * g.uniform(0.7, 1.3, 2)
+        return {
+            "frequency_hz": 60.0 * 20.0 ** float(g.uniform()),
+            "bearing_A_per_sqrt_kg": float(at_b[0]),
+            "bearing_B_per_sqrt_kg": float(at_b[1]),
+            "sensor_A_per_sqrt_kg": float(at_s[0]),
+            "sensor_B_per_sqrt_kg": float(at_s[1]),
+        }
+    if name == "eddy_currents":
+        return {"corner_rad_s": float(g.choice([1.0, 10.0, 300.0]))}
+    return {}
+
+
+def _inside(p: Parameter, value: float) -> float:
+    return float(np.clip(value, min(p.low, p.null), max(p.high, p.null)))

@@ -1,0 +1,21 @@
+"""How strong what is withheld is: within an effect's range, at many strengths."""
+
+import numpy as np
+import pytest
+
+from sim.effects import CATALOGUE
+from sim.reference import reference_rig
+from sim.withheld.strength import strength
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_every_effect_is_drawn_within_its_range_and_at_many_strengths(name: str) -> None:
+    effect, rig, g = CATALOGUE[name], reference_rig(), np.random.default_rng(0)
+    drawn = [strength(effect, rig, g) for _ in range(200)]
+    for values in drawn:
+        effect.on(rig, **values)  # raises when a value is out of range
+        assert any(values[p.name] != p.null for p in effect.parameters if p.strength)
+        for p in effect.parameters:  # what no fit can reach would be taken for something else
+            assert values[p.name] == p.null or p.low <= values[p.name] <= p.high
+    distinct = {tuple(sorted(v.items())) for v in drawn}
+    assert len(distinct) >= (3 if name == "logging_offset" else 200)
