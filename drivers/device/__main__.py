@@ -22,6 +22,7 @@ from drivers.device.serve import (
     serve_modbus_tls,
 )
 from sim.errors import AmbError
+from sim.withheld import CAMPAIGN_S
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -45,8 +46,9 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--node", type=int, default=5)
     p.add_argument("--bitrate", type=int, default=1_000_000)
     p.add_argument("--throttle", action="store_true", help="hold the hub's frames back to the bit rate")
-    p.add_argument("--withheld", type=int, help="seed of an effect that only the sealed file tells")
+    p.add_argument("--withheld", type=int, help="seed of a case that only the sealed file tells")
     p.add_argument("--sealed", type=Path, default=Path("withheld.json"))
+    p.add_argument("--campaign-s", type=float, default=CAMPAIGN_S, help="rig time that a campaign on it will take")
     p.add_argument("--faults", default="", help="drop=0.01,corrupt=0.01 or all=0.001, per frame")
     p.add_argument("--fault-seed", type=int, default=0)
     return p
@@ -68,9 +70,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve until a signal; prints the URL when ready."""
     a = _parser().parse_args(arguments)
     try:
-        built = build_rig(RigOptions(a.rig, a.seed, tuple(a.effect), a.withheld, a.sealed))
+        built = build_rig(RigOptions(a.rig, a.seed, tuple(a.effect), a.withheld, a.sealed, a.campaign_s))
         log = EventLog(a.events) if a.events else None
-        device = RigDevice(built.rig, a.seed, real_time=a.real_time, watchdog_s=a.watchdog_s, on_event=log)
+        device = RigDevice(
+            built.rig, real_time=a.real_time, watchdog_s=a.watchdog_s, on_event=log, simulation=built.simulation
+        )
         served = _serve(device, a)
     except AmbError as error:
         print(error, file=sys.stderr)
@@ -80,6 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(served.url, flush=True)
         if built.commitment:
             print(f"commitment {built.commitment}", flush=True)
+            print(f"datasheet {built.datasheet}", flush=True)
 
     run(served, announce)
     return 0

@@ -1,16 +1,19 @@
-"""Which rig a device simulates: a datasheet or the reference rig, with effects, noise and a seed."""
+"""Which rig a device simulates: a datasheet or the reference rig, effects, noise and a seed; or a withheld case."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.device.withheld import draw, seal
-from sim import rig_file, twin
+from drivers.device.withheld import datasheet_beside, sealed_in
+from sim import rig_file
 from sim.effects import effect
-from sim.errors import EffectError
+from sim.errors import AmbError, EffectError
 from sim.reference import reference_rig
 from sim.rig import Noise, Rig
+from sim.stepping import Simulation
+from sim.withheld import CAMPAIGN_S
+from sim.withheld.given import Given
 
 
 @dataclass(frozen=True)
@@ -18,13 +21,16 @@ class RigOptions:
     """What is simulated."""
 
     rig: Path | None = None
-    """Datasheet; None for the reference rig."""
+    """Datasheet; None for the reference rig, or for one that is drawn with what is withheld."""
     seed: int = 0
+    """Of the noise."""
     effects: tuple[str, ...] = ()
     """Each ``id``, ``id=value`` of its first parameter, or ``id:name=value,name=value``."""
     withheld: int | None = None
-    """Seed of an effect that is drawn and told to no one but the sealed file."""
+    """Seed of a case of the blind trial, drawn and told to no one but the sealed file."""
     sealed: Path = Path("withheld.json")
+    campaign_s: float = CAMPAIGN_S
+    """Rig time that a campaign on the withheld case will take, for a law that sets in on the way."""
     noise: bool = True
     gravity_m_per_s2: float | None = None
     speed_rad_s: float | None = None
@@ -32,11 +38,14 @@ class RigOptions:
 
 @dataclass(frozen=True)
 class BuiltRig:
-    """A rig, and the commitment to what was withheld in it."""
+    """A rig, its simulation, and what may be known of what was withheld in it."""
 
     rig: Rig
+    simulation: Simulation
     commitment: str = ""
-    """SHA-256 of the sealed file's content; empty when nothing is withheld."""
+    """SHA-256 of nonce and truth, as `sim.withheld.seal` has it; empty when nothing is withheld."""
+    datasheet: Path | None = None
+    """What to know before the experiment; None when nothing is withheld."""
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:
@@ -68,24 +77,45 @@ def parse_effect(text: str) -> tuple[str, dict[str, float]]:
 
 
 def build_rig(options: RigOptions) -> BuiltRig:
-    """The rig of these options; writes the sealed file when an effect is withheld.
+    """The rig of these options; writes the sealed file, and the datasheet of a drawn rig, when a case is withheld.
 
     Raises
     ------
-    DatasheetError, EffectError
+    DatasheetError, EffectError, LevitationError
         As their messages say.
+    AmbError
+        Options that a withheld case has no use for, or a file that cannot be written.
     """
-    noise = reference_rig().noise if options.noise else Noise()
-    rig = reference_rig() if options.rig is None else twin.rig_from_datasheet(rig_file.read(options.rig))
-    rig = replace(rig, noise=noise)
-    if options.gravity_m_per_s2 is not None:
-        rig = replace(rig, gravity_m_per_s2=options.gravity_m_per_s2)
-    if options.speed_rad_s is not None:
-        rig = replace(rig, speed_rad_s=options.speed_rad_s)
+    given = _given(options)
+    if options.withheld is not None:
+        return _withheld(options, options.withheld, given)
+    if given is not None:
+        rig = given.rig()
+    else:
+        noise = None if options.noise else Noise()
+        rig = reference_rig(options.speed_rad_s or 0.0, options.gravity_m_per_s2 or 0.0, noise)
     for text in options.effects:
         name, values = parse_effect(text)
         rig = effect(name).on(rig, **values)
-    if options.withheld is None:
-        return BuiltRig(rig)
-    drawn = draw(rig, options.withheld)
-    return BuiltRig(drawn.on(rig), seal(drawn, options.sealed))
+    return BuiltRig(rig, Simulation(rig, options.seed))
+
+
+def _given(options: RigOptions) -> Given | None:
+    if options.rig is None:
+        return None
+    sheet, gravity, speed = rig_file.read(options.rig), options.gravity_m_per_s2, options.speed_rad_s
+    return Given(sheet, options.noise, gravity or 0.0, speed or 0.0)
+
+
+def _withheld(options: RigOptions, seed: int, given: Given | None) -> BuiltRig:
+    """The case of that number in the trial of that seed: kinds come in the trial's shares as seeds go on."""
+    from sim.withheld.case import draw  # it takes half a second that no other rig needs
+
+    if options.effects:
+        raise AmbError("an effect beside a withheld case would be taken for one: write it into the datasheet of --rig")
+    if given is None and (not options.noise or (options.gravity_m_per_s2, options.speed_rad_s) != (None, None)):
+        raise AmbError("a withheld case draws noise, gravity and speed with its rig: give --rig, too, to choose them")
+    case = draw(seed, seed, given)
+    commitment = sealed_in(options.sealed, case)
+    datasheet = options.rig or datasheet_beside(options.sealed, case)
+    return BuiltRig(case.rig, case.simulation(options.seed, options.campaign_s), commitment, datasheet)

@@ -1,99 +1,49 @@
-"""An effect that the simulated rig has and no one is told: drawn from the catalogue, kept in a sealed file.
-
-The device prints a commitment, the SHA-256 of nonce and truth. Who diagnoses cannot learn the truth from it, and
-who sealed it cannot change it afterwards.
-"""
+"""The files of a rig with something withheld: the sealed truth, and the datasheet of who has to find out."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-import secrets
-from dataclasses import dataclass
+import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+from sim.errors import AmbError
+from sim.rig_file import to_toml
+from sim.withheld.seal import seal
 
-from sim.effect import Parameter
-from sim.effects import CATALOGUE
-from sim.errors import AmbError, EffectError, LevitationError
-from sim.rig import Rig
-from sim.stepping import Simulation
-
-FORMAT = "amb-withheld-effect"
-ATTEMPTS = 100
+if TYPE_CHECKING:
+    from sim.withheld.case import Case
 
 
-@dataclass(frozen=True)
-class Withheld:
-    """An effect and its parameters' values."""
-
-    effect: str
-    values: tuple[tuple[str, float], ...]
-
-    def on(self, rig: Rig) -> Rig:
-        """Rig with the effect."""
-        return CATALOGUE[self.effect].on(rig, **dict(self.values))
-
-
-def draw(rig: Rig, seed: int) -> Withheld:
-    """An effect that this rig can have and still levitates with, its strength half to one and a half of typical.
-
-    Raises
-    ------
-    EffectError
-        No effect of the catalogue fits.
-    """
-    generator = np.random.default_rng(seed)
-    fitting = [e for e in CATALOGUE.values() if e.needs_axes <= rig.n_axes and (rig.speed_rad_s or not e.needs_speed)]
-    for _ in range(ATTEMPTS if fitting else 0):
-        chosen = fitting[generator.integers(len(fitting))]
-        drawn = Withheld(chosen.id, tuple((p.name, _value(p, generator)) for p in chosen.parameters))
-        try:
-            Simulation(drawn.on(rig), 0)
-        except (EffectError, LevitationError):
-            continue
-        return drawn
-    raise EffectError(f"no effect of the catalogue fits rig {rig.name}")
-
-
-def _value(parameter: Parameter, generator: np.random.Generator) -> float:
-    value = parameter.typical * generator.uniform(0.5, 1.5)
-    return float(np.clip(value, min(parameter.low, parameter.high), max(parameter.low, parameter.high)))
-
-
-def seal(withheld: Withheld, path: Path) -> str:
-    """Commitment to the effect, which is written to ``path`` and nowhere else; only its owner can read it."""
-    truth = json.dumps({"effect": withheld.effect, "values": dict(withheld.values)}, sort_keys=True)
-    nonce = secrets.token_hex(16)
-    commitment = _commitment(nonce, truth)
-    content = {"format": FORMAT, "version": 1, "commitment": commitment, "nonce": nonce, "truth": truth}
-    try:
-        path.touch(mode=0o600, exist_ok=True)
-        path.write_text(json.dumps(content) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise AmbError(f"cannot write the sealed file {path}: {error}") from error
-    return commitment
-
-
-def opened(path: Path, commitment: str) -> Withheld:
-    """The effect in a sealed file.
+def sealed_in(path: Path, case: Case) -> str:
+    """Commitment to a case's truth, which is written to ``path`` and nowhere else; only its owner can read it.
 
     Raises
     ------
     AmbError
-        The file is not what the commitment was made to.
+        The file cannot be written.
     """
+    kept = seal(case.truth())
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        nonce, truth = content["nonce"], content["truth"]
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
-        raise AmbError(f"cannot read the sealed file {path}: {error}") from error
-    if _commitment(nonce, truth) != commitment:
-        raise AmbError(f"the sealed file {path} is not the one of commitment {commitment[:12]}...: it was changed")
-    told = json.loads(truth)
-    return Withheld(told["effect"], tuple(sorted(told["values"].items())))
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as stream:
+            os.fchmod(stream.fileno(), 0o600)  # a file that was there may have been anyone's to read
+            stream.write(json.dumps(kept.document()) + "\n")
+    except OSError as error:
+        raise AmbError(f"cannot write the sealed file {path}: {error}; give another one") from error
+    return kept.commitment
 
 
-def _commitment(nonce: str, truth: str) -> str:
-    return hashlib.sha256(f"{nonce}\n{truth}".encode()).hexdigest()
+def datasheet_beside(path: Path, case: Case) -> Path:
+    """Where the datasheet of a case was written: beside its sealed file, ``withheld.rig.toml`` for ``withheld.json``.
+
+    Raises
+    ------
+    AmbError
+        The file cannot be written.
+    """
+    written = path.with_suffix(".rig.toml")
+    try:
+        written.write_text(to_toml(case.datasheet), encoding="utf-8")
+    except OSError as error:
+        raise AmbError(f"cannot write the datasheet {written}: {error}; give another sealed file") from error
+    return written

@@ -12,8 +12,10 @@ import typer
 
 from drivers.device.lease import WATCHDOG_S
 from service.cli.console import print_json, say
+from sim.withheld import CAMPAIGN_S
 
 if TYPE_CHECKING:
+    from drivers.device.rigs import BuiltRig
     from drivers.device.serve import Served
 
 app = typer.Typer(no_args_is_help=True, help="A simulated rig as a device process, and its datasheet.")
@@ -53,9 +55,24 @@ def serve(
         list[str] | None, typer.Option(help="Effect: id, id=value or id:name=value,name=value; may be repeated.")
     ] = None,
     withheld: Annotated[
-        int | None, typer.Option(help="Draw an effect with this seed and tell no one but the sealed file.")
+        int | None,
+        typer.Option(
+            min=0,
+            help="Draw a case of the blind trial with this seed: one effect, two, none or a law of no catalogue, on "
+            "the rig of --rig, or on one that is drawn, too. No one is told but the sealed file.",
+        ),
     ] = None,
-    sealed: Annotated[Path, typer.Option(help="Sealed file of the withheld effect.")] = Path("withheld.json"),
+    sealed: Annotated[
+        Path, typer.Option(help="Sealed file of what is withheld; the datasheet of a drawn rig is written beside it.")
+    ] = Path("withheld.json"),
+    campaign_s: Annotated[
+        float,
+        typer.Option(
+            help="Rig time that the campaign on a withheld case will take, for a law that sets in on the way: some "
+            "400 s with --quick, 1500 s without.",
+            min=1.0,
+        ),
+    ] = CAMPAIGN_S,
     noise: Annotated[bool, typer.Option(help="Noise of sensors and currents.")] = True,
     gravity_m_per_s2: Annotated[float | None, typer.Option(help="Gravity on the rotor.")] = None,
     speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.")] = None,
@@ -86,17 +103,21 @@ def serve(
     until_stdin_closes: Annotated[
         bool, typer.Option("--until-stdin-closes", help="End with stdin: for a program that starts the rig.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print URL and commitment as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print URL, commitment and datasheet as JSON.")] = False,
 ) -> None:
     """Serve a simulated rig until Ctrl-C; prints the URL to connect to when it is ready."""
     from drivers.device import serve as devices
     from drivers.device.machine import RigDevice
     from drivers.device.rigs import RigOptions, build_rig
 
-    options = RigOptions(rig, seed, tuple(effect or ()), withheld, sealed, noise, gravity_m_per_s2, speed_rad_s)
+    options = RigOptions(
+        rig, seed, tuple(effect or ()), withheld, sealed, campaign_s, noise, gravity_m_per_s2, speed_rad_s
+    )
     built = build_rig(options)
     log = devices.EventLog(events) if events else None
-    machine = RigDevice(built.rig, seed, real_time=real_time, watchdog_s=watchdog_s, on_event=log)
+    machine = RigDevice(
+        built.rig, real_time=real_time, watchdog_s=watchdog_s, on_event=log, simulation=built.simulation
+    )
     served: Served
     match protocol:
         case Protocol.modbus_rtu:
@@ -111,20 +132,21 @@ def serve(
             served = (devices.serve_modbus_tls if secure else devices.serve_modbus)(machine, tcp)
     devices.run(
         served,
-        ready=lambda: _announce(served, built.commitment, as_json),
+        ready=lambda: _announce(served, built, as_json),
         draw=_status() if sys.stderr.isatty() else None,
         until_stdin_closes=until_stdin_closes,
     )
 
 
-def _announce(served: Served, commitment: str, as_json: bool) -> None:
+def _announce(served: Served, built: BuiltRig, as_json: bool) -> None:
     """The URL, and what was withheld as a hash; the reader may be a program that waits for it."""
     if as_json:
-        print_json({"url": served.url, "commitment": commitment or None})
+        datasheet = None if built.datasheet is None else str(built.datasheet)
+        print_json({"url": served.url, "commitment": built.commitment or None, "datasheet": datasheet})
     else:
         print(served.url)
-        if commitment:
-            print(f"withheld: {commitment}")
+        if built.commitment:
+            print(f"withheld: {built.commitment}\ndatasheet: {built.datasheet}")
     sys.stdout.flush()
     if sys.stderr.isatty():
         say("serving; Ctrl-C ends it")

@@ -54,8 +54,8 @@ def test_a_fault_that_does_not_exist():
     assert "there is no fault 'gremlins'; known are drop, delay" in refusal("rig", "serve", "--faults", "gremlins=0.1")
 
 
-def test_a_withheld_effect_is_told_by_its_hash_alone(tmp_path):
-    device = Running("rig", "serve", "--port", 0, "--withheld", 7, "--sealed", tmp_path / "sealed.json", "--json")
+def test_what_is_withheld_is_told_by_its_hash_alone(tmp_path):
+    device = Running("rig", "serve", "--port", 0, "--withheld", 1, "--sealed", tmp_path / "sealed.json", "--json")
     try:
         assert device.process.stdout is not None
         text = ""
@@ -63,10 +63,18 @@ def test_a_withheld_effect_is_told_by_its_hash_alone(tmp_path):
             text += device.process.stdout.readline()
         told = json.loads(text)
         assert len(told["commitment"]) == 64
-        assert json.loads((tmp_path / "sealed.json").read_text())["commitment"] == told["commitment"]
-        assert json.loads(json.loads((tmp_path / "sealed.json").read_text())["truth"])["effect"] not in text
+        sealed = json.loads((tmp_path / "sealed.json").read_text())
+        assert sealed["commitment"] == told["commitment"]
+        (hidden,) = json.loads(sealed["truth"])["effects"]
+        assert told["datasheet"] == str(tmp_path / "sealed.rig.toml")
+        assert hidden not in text + (tmp_path / "sealed.rig.toml").read_text()
     finally:
         device.end()
+
+
+def test_a_known_effect_beside_what_is_withheld(tmp_path):
+    words = ("--withheld", 1, "--sealed", tmp_path / "sealed.json", "--effect", "loop_delay")
+    assert "--rig" in refusal("rig", "serve", *words)
 
 
 def test_a_port_that_is_taken():
