@@ -95,6 +95,35 @@ def blind_trial(
     console.print(f"trial: {out / 'trial.json'}", soft_wrap=True)
 
 
+@app.command("open")
+def open_sealed(
+    sealed: Annotated[Path, typer.Argument(help="Sealed file of ambit rig serve --withheld, or of a blind trial.")],
+    commitment: Annotated[str, typer.Option(help="As it was shown when the rig was served.")],
+    gap: Annotated[Path, typer.Option(help="gap.json of the diagnosis.")],
+    experiment: Annotated[
+        Path | None,
+        typer.Option(
+            help="Experiment that was diagnosed: tells how plainly the truth shows in it. Without it, not to find "
+            "what is hardly there counts as wrong."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print truth and score as JSON on stdout.")] = False,
+) -> None:
+    """Open what was withheld and score its diagnosis; fails when the sealed file is not what was committed to."""
+    from service.experiment import file
+    from service.gap.trial.opening import opened_document
+    from service.output import read_document
+    from sim.withheld.seal import FORMAT
+
+    report = read_document(gap, "amb-gap-report")
+    measured = None if experiment is None else file.read(experiment)
+    document = opened_document(read_document(sealed, FORMAT), commitment, report, measured)
+    if as_json:
+        print_json(document)
+        return
+    print(document["sentence"])
+
+
 def _scores(scores: dict[str, Any]) -> Table:
     """The figures that a trial is judged by; a dash where no case tells."""
     from rich import box
