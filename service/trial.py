@@ -23,7 +23,7 @@ from service.experiment.campaign import EXPERIMENT, run_campaign
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
 from service.experiment.multisine_plan import MultisineProfile
-from service.gap.trial.blind_trial import Diagnose, checked, run_case, summary
+from service.gap.trial.blind_trial import Diagnose, Published, checked, fingerprint, run_case, summary
 from service.gap.trial.scoring import told
 from service.pool import workers
 from sim.datasheet import Datasheet
@@ -115,18 +115,30 @@ def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) 
 
 
 def _kept(number: int, seed: int, out_dir: Path) -> dict[str, Any] | None:
-    """Case ``number`` as an earlier run of the same trial left it, whole and with its seal unbroken."""
-    path = _folder(number, out_dir) / KEPT
+    """Case ``number`` as an earlier run of the same trial left it, whole, and the one whose files were published."""
+    folder = _folder(number, out_dir)
+    path = folder / KEPT
     if not path.exists():
         return None
     try:
         document = dict(json.loads(path.read_text(encoding="utf-8")))
-        same = document["seed"] == seed and checked(document).case == number
+        same = document["seed"] == seed and checked(document, _published(folder)).case == number
+    except SealError as error:
+        raise SealError(f"{folder}: {error}; remove {KEPT} there, and its case is sealed and run again") from error
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise AmbError(f"{path} cannot be read: {error}; remove the file and its case is run again") from error
     if not same:
         raise AmbError(f"{path} is of another trial than seed {seed}; give another folder")
     return document
+
+
+def _published(folder: Path) -> Published:
+    """What a case's folder showed before its seal was opened."""
+
+    def document(name: str) -> dict[str, Any]:
+        return dict(json.loads((folder / name).read_text(encoding="utf-8")))
+
+    return Published(document("commitment.json")["sha256"], fingerprint(document("gap.json")))
 
 
 def _folder(number: int, out_dir: Path) -> Path:

@@ -11,13 +11,13 @@ import pytest
 
 import service.trial
 from service.experiment.data import Experiment
-from service.gap.trial.blind_trial import checked, summary
+from service.gap.trial.blind_trial import checked, fingerprint, summary
 from service.trial import PROFILE, run_blind_trial, run_one
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.rig_file import read
 from sim.withheld.case import draw
-from sim.withheld.seal import SealError, opened
+from sim.withheld.seal import SealError, opened, seal
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -119,6 +119,62 @@ def test_a_trial_that_was_stopped_goes_on_with_what_it_has(trial: tuple[Path, di
     assert len(asked) == 1
     assert again["cases"][:CLEAN] == result["cases"][:CLEAN]
     assert again["cases"][CLEAN]["report"]["verdict"]["probability"] == 0.9
+
+
+def _no_engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
+    raise AssertionError("a kept case is not diagnosed again")
+
+
+def _flattered(document: dict[str, Any]) -> dict[str, Any]:
+    """A kept case with a truth that its verdict is right about, sealed anew: it agrees with itself."""
+    truth = json.loads(document["sealed"]["truth"])
+    kept = seal({**truth, "kind": "single", "effects": document["report"]["verdict"]["effects"]})
+    return {**document, "commitment": kept.commitment, "sealed": kept.document()}
+
+
+def _reported_otherwise(document: dict[str, Any]) -> dict[str, Any]:
+    """A kept case with another verdict, which has its hash."""
+    report = {**document["report"], "verdict": {**document["report"]["verdict"], "kind": "none_of_these"}}
+    return {**document, "report": report, "report_sha256": fingerprint(report)}
+
+
+@pytest.mark.parametrize(
+    ("forged", "message"),
+    [(_flattered, "not the one of commitment"), (_reported_otherwise, "that was published")],
+)
+def test_a_kept_case_that_was_forged_as_a_whole_is_caught_by_what_was_published(
+    trial: tuple[Path, dict[str, Any]], tmp_path: Path, forged: Any, message: str
+) -> None:
+    shutil.copytree(trial[0], tmp_path, dirs_exist_ok=True)
+    kept = tmp_path / "case-0001" / "case.json"
+    document = forged(json.loads(kept.read_text()))
+    checked(document)  # it holds within itself
+    kept.write_text(json.dumps(document))
+    with pytest.raises(SealError, match=f"case-0001: .*{message}.*remove case.json"):
+        run_blind_trial(CASES, SEED, tmp_path, jobs=1, engine=_no_engine)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [("commitment.json", {"sha256": "0" * 64}), ("gap.json", {"where": {"path": "amplifier"}})],
+)
+def test_published_files_that_were_changed_are_caught_when_a_trial_goes_on(
+    trial: tuple[Path, dict[str, Any]], tmp_path: Path, name: str, change: dict[str, Any]
+) -> None:
+    shutil.copytree(trial[0], tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "case-0002" / name
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(SealError, match="case-0002"):
+        run_blind_trial(CASES, SEED, tmp_path, jobs=1, engine=_no_engine)
+
+
+def test_a_kept_case_whose_published_files_are_gone_is_not_counted(
+    trial: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    shutil.copytree(trial[0], tmp_path, dirs_exist_ok=True)
+    (tmp_path / "case-0002" / "commitment.json").unlink()
+    with pytest.raises(AmbError, match=r"commitment\.json"):
+        run_blind_trial(CASES, SEED, tmp_path, jobs=1, engine=_no_engine)
 
 
 def test_a_folder_of_another_trial_is_refused(trial: tuple[Path, dict[str, Any]]) -> None:

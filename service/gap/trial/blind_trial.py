@@ -144,16 +144,34 @@ def _shortened(rig: Rig, experiment: Experiment, replay_s: float) -> Rig:
     return replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replay_s / took))
 
 
-def checked(document: Mapping[str, Any]) -> Outcome:
-    """Outcome of one case of a trial, its seal and its report checked against what was published before.
+@dataclass(frozen=True)
+class Published:
+    """What became known of a case before its seal was opened."""
+
+    commitment: str
+    report_sha256: str
+    """`fingerprint` of the report."""
+
+
+def checked(document: Mapping[str, Any], published: Published | None = None) -> Outcome:
+    """Outcome of one case of a trial, its seal and its report checked.
+
+    Parameters
+    ----------
+    document
+        As `Trial.document` gave it.
+    published
+        What is known from elsewhere. Without it the case is held against what it says of itself: that finds a truth
+        or a report that was changed alone, and no case that was forged as a whole.
 
     Raises
     ------
     SealError
         The sealed truth or the report is not the one that was committed to.
     """
-    truth = opened(document["sealed"], document["commitment"])
-    if fingerprint(document["report"]) != document["report_sha256"]:
+    known = published or Published(document["commitment"], document["report_sha256"])
+    truth = opened(document["sealed"], known.commitment)
+    if fingerprint(document["report"]) != known.report_sha256:
         raise SealError(f"the report of case {truth.get('case')} is not the one that was published: it was changed")
     return outcome_of(truth, document["report"], document["seconds"])
 
