@@ -98,9 +98,14 @@ class Outcome:
 
     @property
     def closure_share(self) -> float | None:
-        """Closure of the verdict's explanation over that of the true effects refitted; None where it says nothing."""
-        if not self.effects or not self.named:
+        """Closure of the verdict's explanation over that of the true effects refitted; None where it says nothing.
+
+        0 where effects that could be seen were not named: nothing was closed.
+        """
+        if not self.effects:
             return None
+        if not self.named:
+            return 0.0 if self.detectable else None
         truth, reached = self.candidate(self.effects), self.report["shrinkage"]["closure"]
         if truth is None:
             # It is not among the listed ones. Refitted it would close all at most: the least that the share can be.
@@ -319,6 +324,9 @@ def _by_detectability(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
                 "to": high if math.isfinite(high) else None,
                 "cases": len(here),
                 "found": _share(all(o.answers(e) for e in o.effects) for o in here),
+                "single": _share(any(o.answers(e, o.named[:1]) for e in o.effects) for o in here if o.kind == "single"),
+                "mixture": _share(all(o.answers(e) for e in o.effects) for o in here if o.kind == "mixture"),
+                "unlisted": _share(o.verdict["kind"] == "none_of_these" for o in everything if o.kind == "unlisted"),
                 "no_gap": _share(o.verdict["kind"] == "no_gap" for o in here),
                 "closure_of_true_effect_median": _median(shares),
                 "brier": told["brier"],

@@ -269,3 +269,20 @@ def test_a_trial_without_cases_has_scores_without_values() -> None:
     assert found["single"]["top1"] is None
     assert found["calibration"]["ece"] is None
     assert found["seconds"]["median"] is None
+
+
+def test_what_could_be_seen_and_was_not_named_closes_nothing() -> None:
+    missed = [outcome(*SINGLE, said="no_gap", detectability=d) for d in (50.0, 1.0)]
+    closure = score(missed)["closure"]
+    assert (closure["cases"], closure["of_true_effect_median"]) == (1, 0.0)
+
+
+def test_mixtures_and_unlisted_laws_are_scored_by_detectability_too() -> None:
+    both = ("loop_delay", "sensor_lag")
+    cases = [
+        outcome("mixture", both, said="effects", named=both, detectability=50.0),
+        outcome("mixture", both, said="effect", named=both[:1], detectability=50.0),
+        outcome("unlisted", (), said="none_of_these", detectability=50.0),
+    ]
+    rows = {row["from"]: row for row in score(cases)["by_detectability"]}
+    assert (rows[30.0]["single"], rows[30.0]["mixture"], rows[30.0]["unlisted"]) == (None, 0.5, 1.0)
