@@ -143,10 +143,12 @@ def _told_by_phase(
 
 
 def _amplitude(sweep: Sweep, rig: Rig, signal: str, frequency_hz: float) -> tuple[float, float, float]:
-    """Amplitude of a signal's own hum, its standard deviation, and its share of the hum there is."""
+    """Amplitude of a signal's own hum, its standard deviation, and its share of the hum there is; 0 if not told."""
     model = linear_model(rig, np.array([frequency_hz]))
     G, X = (model.i_per_u[0], sweep.I) if signal == "i" and sweep.I is not None else (model.y_per_u[0], sweep.Y)
     own, whole = (hum_power(sweep, Z, frequency_hz) for Z in (X - sweep.U @ G.T, X))
+    if not own.size:
+        return 0.0, 0.0, 0.0
     power = max(float(own.mean()), 0.0)
     amplitude = float(np.sqrt(power))
     spread = float(own.mean(axis=1).std() / np.sqrt(len(own)) / (2 * amplitude)) if power else 0.0

@@ -22,6 +22,8 @@ Mask = NDArray[np.bool_]
 
 MAIN_LOBE, LOBES = 1.0, 3.0
 """Distance in resolutions of a block, 1/T, up to which a hum leaks most, and up to which its size is taken from."""
+LARGE = (0.5, 0.75, 0.95)
+"""Shares of the main lobe within which leakage is large: of the first one where there are points."""
 PATTERNS = 3
 """What is told apart in the blocks of a point: a response, and the hum turning either way."""
 TURNS = 1.0
@@ -75,10 +77,11 @@ def coherence(sweep: Sweep, signal: Complex, frequency_hz: float, by: Estimate |
 def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
     """Squared amplitude of a hum where its leakage is large, (K, n), leakage and noise allowed for; it may be negative.
 
-    The same K points for every signal of a sweep, each with a phase of its own.
+    The same K points for every signal of a sweep, each with a phase of its own; none where no line comes near it.
     """
     blocks = signal.shape[1]
-    near = _near(sweep, frequency_hz, MAIN_LOBE / 2)
+    reaches = (_near(sweep, frequency_hz, share * MAIN_LOBE) for share in LARGE)
+    near = next((cells for cells in reaches if cells.any()), np.zeros((len(sweep.axis), len(sweep.harmonics)), bool))
     apart = (sweep.frequency_hz[:, None] * np.array(sweep.harmonics) - frequency_hz) * _block_s(sweep)[:, None]
     pattern = _pattern(sweep, frequency_hz)
     found, inverse = _coefficients(pattern, signal), _inverse(pattern)

@@ -52,6 +52,19 @@ def test_a_hum_is_heard_where_it_is_and_as_loud_as_it_is(hum_hz: float) -> None:
     assert heard == pytest.approx(5e-9, rel=0.15)
 
 
+def test_a_hum_between_the_lines_is_as_loud_as_it_is_too() -> None:
+    """No line comes within half a resolution of it, as where a rotor's speed lies between them."""
+    loud, _ = played(5e-9, 50.0, seed=1)
+    distance = np.abs(loud.frequency_hz[:, None] * np.array(HARMONICS[1:]) - 50.0).min(axis=1)
+    away = distance * loud.block_samples / RATE_HZ > 0.55
+    apart = loud.select(away)
+    heard = hum_power(apart, apart.Y, 50.0)
+    assert len(heard)
+    assert np.sqrt(np.mean(heard)) == pytest.approx(5e-9, rel=0.25)
+    far = loud.select(distance > 40.0)
+    assert len(hum_power(far, far.Y, 50.0)) == 0
+
+
 def test_noise_alone_is_no_hum() -> None:
     deviates = [
         coherence(quiet, quiet.Y, f)[1] for seed in range(8) for _, quiet in [played(0.0, 50.0, seed)]
