@@ -15,7 +15,7 @@ from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
-ELSEWHERE = ("amplifier", "coarse")
+ELSEWHERE = ("amplifier", "preliminary")
 """Comments of sweeps that are not of the plant, or not exact enough."""
 
 

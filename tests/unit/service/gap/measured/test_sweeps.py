@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.experiment.points import SWEEPS
 from service.gap.measured.observation import observe
 from service.gap.measured.sweeps import best_check, halves, sweeps_for
 from tests.support.synthetic import experiment, known_datasheet, true_rig
@@ -13,10 +14,14 @@ MEASURED = experiment(RIG)
 MAIN, LOUDER = MEASURED.sweeps
 
 
-def test_sweeps_of_the_amplifiers_and_the_record_at_rest_are_left_out() -> None:
-    still, amplifiers = replace(MAIN, kind="noise"), replace(MAIN, comment="amplifier")
-    named = sweeps_for(replace(MEASURED, sweeps=(still, amplifiers, MAIN, LOUDER)))
-    assert [name for name, _ in named] == ["sweeps/2", "sweeps/3"]
+def test_sweeps_that_are_not_of_the_plant_or_not_exact_enough_are_left_out() -> None:
+    """All that a campaign writes: what is left are the sweep to fit and the one to check on."""
+    of_campaign = [
+        replace(MAIN, comment=comment, kind="noise" if comment == "noise" else MAIN.kind) for comment in SWEEPS
+    ]
+    named = sweeps_for(replace(MEASURED, sweeps=tuple(of_campaign)))
+    assert [sweep.comment for _, sweep in named] == ["main", "validation"]
+    assert [name for name, _ in named] == [f"sweeps/{SWEEPS.index(c)}" for c in ("main", "validation")]
 
 
 def test_of_several_sweeps_the_first_at_another_condition_is_the_one_to_check_on() -> None:
