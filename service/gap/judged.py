@@ -18,7 +18,7 @@ from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import other_rig
 from service.gap.weighing.significance import significance
-from service.gap.weighing.verdict import UNEXPLAINED, HeldOut, Verdict, decide
+from service.gap.weighing.verdict import SURE_OF_ANOTHER_RIG, SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
@@ -56,7 +56,7 @@ def judged(
     verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
     verdict = heard_too(verdict, sources, found)
     if fault is not None:
-        verdict = Verdict("none_of_these", (), (), 0.9, (fault,))
+        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
     if verdict.kind != "no_gap" and (why := not_settled(o, gap)):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict
@@ -74,11 +74,11 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (
             reason := other_rig(e.ground, e.chosen.fit)
         ):
-            own[e.part.path] = Verdict("none_of_these", (), (), 0.95, (reason,), another_rig=True)
+            own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_ANOTHER_RIG, (reason,), another_rig=True)
         elif explained and (reason := lag_missing(e)):
-            own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,))
+            own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
         elif (explained or own[e.part.path].kind == "no_gap") and (reason := _bent(e, explained, (seen, z), unseen)):
-            own[e.part.path] = Verdict("none_of_these", (), (), 0.9, (reason,), bent=True)
+            own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), bent=True)
     by_size = sorted(found, key=lambda e: -excess_of(e))
     total = sum(excess_of(e) for e in found)
     unknown = [

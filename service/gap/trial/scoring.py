@@ -172,6 +172,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     seen = [o for o in by_kind["single"] if o.detectable]
     mixed = [o for o in by_kind["mixture"] if o.detectable]
     both = [o for o in mixed if len(o.visible) == len(o.effects)]
+    by_verdict = {o.verdict["kind"]: [p for p in outcomes if p.verdict["kind"] == o.verdict["kind"]] for o in outcomes}
     return {
         "cases": {k: len(v) for k, v in by_kind.items()},
         "detectable": {k: sum(o.detectable for o in v) for k, v in by_kind.items()},
@@ -192,6 +193,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "clean": {"false_alarms": _share(o.verdict["kind"] != "no_gap" for o in by_kind["clean"])},
         "missed": _share(o.verdict["kind"] == "no_gap" for o in known if o.detectable),
         "calibration": calibration([(o.probability, o.right) for o in outcomes]),
+        "calibration_by_verdict": {k: stated_and_came_true(v) for k, v in sorted(by_verdict.items())},
         "closure": _closure(outcomes),
         "parameters": parameters([o for o in known if o.right]),
         "by_detectability": _by_detectability(outcomes),
@@ -253,6 +255,15 @@ def _closure(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "of_true_effect_tenth": float(np.quantile(shares, 0.1)) if shares else None,
         "cases": len(shares),
         "median_where_right": _median(reached),
+    }
+
+
+def stated_and_came_true(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """How sure verdicts of one kind were in the mean, and how many of them were right."""
+    return {
+        "cases": len(outcomes),
+        "stated": float(np.mean([o.probability for o in outcomes])),
+        "came_true": _share(o.right for o in outcomes),
     }
 
 

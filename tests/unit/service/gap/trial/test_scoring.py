@@ -286,3 +286,14 @@ def test_mixtures_and_unlisted_laws_are_scored_by_detectability_too() -> None:
     ]
     rows = {row["from"]: row for row in score(cases)["by_detectability"]}
     assert (rows[30.0]["single"], rows[30.0]["mixture"], rows[30.0]["unlisted"]) == (None, 0.5, 1.0)
+
+
+def test_every_kind_of_verdict_has_its_own_calibration() -> None:
+    cases = [
+        outcome("unlisted", (), said="none_of_these", probability=0.9),
+        outcome(*SINGLE, said="none_of_these", probability=0.7),
+        outcome("clean", (), said="no_gap", probability=0.95),
+    ]
+    told = score(cases)["calibration_by_verdict"]
+    assert told["none_of_these"] == {"cases": 2, "stated": pytest.approx(0.8), "came_true": 0.5}
+    assert told["no_gap"] == {"cases": 1, "stated": pytest.approx(0.95), "came_true": 1.0}
