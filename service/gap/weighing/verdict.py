@@ -35,8 +35,8 @@ LARGEST_CLASS = 3
 LEAVES, LEAVES_ALL = 6.0, 8.0
 """Normal deviates of what an effect leaves, and of a gap without any, from which it may be none of these."""
 SURE_OF_NONE, SURE_OF_ANOTHER_RIG = 0.9, 0.95
-"""Probability that is stated where a test of its own says "none of these", or that the datasheet is of another rig. Such
-tests have no rivals to be weighed against; `benchmarks/gap.py` prints how often they come true."""
+"""Probability that is stated where a test of its own says "none of these", or that the datasheet is of another rig.
+Such tests have no rivals to be weighed against; `benchmarks/gap.py` prints how often they come true."""
 SURE = 1e-12
 """Probability that rivals keep however certain an explanation was: unseen data can still speak for them."""
 CLEAR = 30.0
@@ -270,9 +270,8 @@ def decide(
     best = order[0]
     if not best.candidate.effects:
         if rejected(best, min(remaining, significant)):
-            return Verdict(
-                "none_of_these", (), (), SURE_OF_NONE, ("no effect of the catalogue explains any of the gap",)
-            )
+            reason = "no effect of the catalogue explains any of the gap"
+            return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
         return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
     words = " + ".join(effects)
