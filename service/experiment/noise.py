@@ -7,6 +7,7 @@ period is subtracted, so that noise that only excitation brings is seen too.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,14 @@ class NoiseSpectra:
     raw: dict[str, Real] | None = None
     """The same densities before smoothing, lines and all, when ``frequency_hz`` is evenly spaced."""
 
+    @cached_property
+    def _log_hz(self) -> Real:
+        """A plan asks some ten times for every tone."""
+        return np.asarray(np.log(self.frequency_hz))
+
     def at(self, frequency_hz: float) -> dict[str, Real]:
         """Densities at a frequency, (n_axes,) each, log-log interpolated and held beyond the ends."""
-        x = np.log(self.frequency_hz)
+        x = self._log_hz
         k = int(np.clip(np.searchsorted(x, np.log(frequency_hz)), 1, len(x) - 1))
         w = float(np.clip((np.log(frequency_hz) - x[k - 1]) / (x[k] - x[k - 1]), 0.0, 1.0))
         return {s: np.exp((1 - w) * np.log(d[k - 1]) + w * np.log(d[k])) for s, d in self.density.items()}
