@@ -17,6 +17,7 @@ from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import next_experiment
 from service.gap.observed import observed
 from service.gap.passes import FITTED, found_in
+from service.gap.proposal.case import Grounds
 from service.gap.telling import ProgressCallback, Telling
 from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
 from service.gap.where.discrepancy import discrepancy
@@ -69,7 +70,7 @@ def diagnose(
         told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
         notes.append(f"not told apart either: {told}")
     pair = left_together(whole.order, verdict)
-    proposal = next_experiment(nu, pair, o, experiment.rig)
+    proposal = next_experiment(nu, pair, Grounds.of(data, datasheet), experiment.rig) if pair else None
     if verdict.kind != "none_of_these" and (far := nu.far_off(chosen.fit.theta)):
         notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}")
     if pair and proposal is None:

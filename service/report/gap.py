@@ -299,8 +299,11 @@ def _next(document: dict[str, Any]) -> list[Part]:
     ]
     if others:
         parts.append(table(["alternatives", "distance, standard deviations", "rig time, s"], others))
-    tones = [[t["axis"], number(t["frequency_hz"], 5), number(t["amplitude_a"], 3)] for t in found["tones"]]
-    submit = table(["axis", "Hz", "r, A"], tones)
+    tones = [
+        [t.get("sweep", "main"), t["axis"], number(t["frequency_hz"], 5), number(t["amplitude_a"], 3)]
+        for t in found["tones"]
+    ]
+    submit = table(["sweep", "axis", "Hz", "r, A"], tones)
     parts.append(f"<details><summary>{count(len(tones), 'tone')}</summary>{submit}</details>")
     return parts
 

@@ -9,19 +9,25 @@ import pytest
 
 from service.api.options import checked_options
 from service.cli.client import Kind, _options
+from service.experiment.aims import Profile
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.measured.observation import observe
-from service.gap.next_experiment import Option, next_experiment, options, rig_seconds, submission
+from service.gap.next_experiment import next_experiment, submission
+from service.gap.proposal.case import Grounds, limits_of
+from service.gap.proposal.options import Option, options
+from service.gap.proposal.sensor_noise import SensorNoise
 from service.gap.weighing.verdict import Ranked, Verdict
 from service.gap.which.rivals import left_together
+from service.jobs.campaigns import profile_of
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
 DATASHEET, TRUTH = known_datasheet(seed=1)
 NU, TWIN = nuisance(DATASHEET), true_rig(TRUTH)
-SEEN = observe(sweep(TWIN, np.geomspace(10.0, 950.0, 24), 0.1, seed=3), TWIN)
+SWEEP = sweep(TWIN, np.geomspace(10.0, 950.0, 24), 0.1, seed=3)
+SEEN = Grounds((observe(SWEEP, TWIN),), SensorNoise.of(SWEEP, TWIN), True, limits_of(DATASHEET))
 
 
 def explanation(evidence: float, **values: dict[str, float]) -> Ranked:
@@ -70,17 +76,31 @@ def test_what_nothing_affordable_separates_gets_no_proposal() -> None:
     assert next_experiment(NU, None, SEEN, "rig 1") is None
 
 
-@pytest.mark.parametrize("option", options(SEEN, TWIN), ids=lambda o: o.name)
+def test_a_sure_experiment_is_proposed_with_its_own_tones_and_time() -> None:
+    """Nothing by hand where that is not needed, and of such the one that takes the least time."""
+    a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
+    b = explanation(-1.0, eddy_currents={"time_constant_s": 3e-6})
+    proposal = next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1")
+    assert proposal is not None
+    assert proposal["odds_of_telling_apart"] > 0.95
+    assert proposal["by_hand"] == []
+    rivals = [o for o in proposal["alternatives"] if o["experiment"] in ("wide_band", "larger_amplitude")]
+    assert all(o["rig_seconds"] >= proposal["rig_seconds"] for o in rivals if o["odds_of_telling_apart"] > 0.95)
+    plan = profile_of(proposal["job"]["options"])
+    assert isinstance(plan, Profile)
+    tones = {sweep: [t for t in proposal["tones"] if t["sweep"] == sweep] for sweep in ("main", "validation")}
+    assert len(tones["main"]) >= plan.points * 4
+    assert len(tones["validation"]) == plan.validation_points * 4
+    for hz in ([t["frequency_hz"] for t in of] for of in tones.values()):
+        assert hz == sorted(hz)
+
+
+@pytest.mark.parametrize("option", options(SEEN.sweeps, TWIN, SEEN.limits), ids=lambda o: o.name)
 def test_the_service_takes_what_is_proposed(option: Option) -> None:
     asked = submission(option, "rig 1")
     job = asked["job"]
     assert checked_options(job["kind"], job["options"]) == job["options"]
     words = shlex.split(asked["command"])
     assert words[:5] == ["ambit", "submit", "experiment", "--rig", "rig 1"]
-    assert _options([words[-1]], False, None, Kind.experiment) == job["options"]
+    assert _options([words[-3], words[-1]], False, None, Kind.experiment) == job["options"]
     assert json.loads(json.dumps(job)) == job
-
-
-def test_lines_below_ten_hertz_take_their_periods() -> None:
-    slow = Option("slow", "", np.array([1.0, 2.0]))
-    assert rig_seconds(slow, 4) == pytest.approx(4 * 2 * 6 * 1.5)

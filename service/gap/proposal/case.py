@@ -1,0 +1,190 @@
+"""An option as it would be measured: its campaign, rehearsed, and what a diagnosis would get of that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.aims import Limits, Profile
+from service.experiment.data import Sweep
+from service.experiment.points import Point
+from service.gap.measured.condition import ANOTHER_AMPLITUDE, ANOTHER_SPEED
+from service.gap.measured.observation import Observation, observe
+from service.gap.measured.thin import thinned
+from service.gap.observed import Observed
+from service.gap.proposal.options import LOUD, Option
+from service.gap.proposal.rehearsal import HARMONICS, MOST_SAMPLES, Rehearsal, rehearsed
+from service.gap.proposal.sensor_noise import SensorNoise, fed_back
+from sim.datasheet import Datasheet
+from sim.harmonic_balance import STATIC_HZ, Responder, respond_to_excitation, time_points
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FINEST, COARSEST = 1e-4, 0.3
+"""Accuracies that are asked for to reach an amplitude."""
+MOSTLY = 0.5
+"""Share of a campaign's points that have been measured already from which it is no other experiment."""
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What there is: the sweeps measured, the noise that they show, and what the rig allows."""
+
+    sweeps: tuple[Observation, ...]
+    noise: SensorNoise
+    logged: bool
+    """whether the coil current was"""
+    limits: Limits
+
+    @staticmethod
+    def of(data: Observed, datasheet: Datasheet) -> Grounds:
+        """Of an experiment that is diagnosed; both of its sweeps have been measured."""
+        noise = SensorNoise.of(data.main, data.nuisance.rig)
+        return Grounds((data.o, data.unseen), noise, data.main.I is not None, limits_of(datasheet))
+
+
+def limits_of(datasheet: Datasheet) -> Limits:
+    """What a datasheet allows; no controller is at hand whose own limits may be tighter."""
+    d = datasheet
+    return Limits.of(
+        d, d.sample_rate_hz, np.inf, MOST_SAMPLES, d.current_limit_a, d.displacement_limit_m, d.current_limit_a
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """What an option's campaign would be on a twin."""
+
+    option: Option
+    """as it is submitted"""
+    points: Mapping[str, Sequence[Point]]
+    """by sweep"""
+    rig_seconds: float
+    main: Observation
+    """what a diagnosis would fit"""
+
+
+def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
+    """The option on a rig, or None where most of it has been measured already, or its amplitude cannot be reached.
+
+    Parameters
+    ----------
+    twin
+        Any reasonable one, as `service.gap.measured.observation.observe` takes it.
+
+    Raises
+    ------
+    AmbError
+        The rig cannot be brought to that condition, or not be measured there.
+    """
+    there = option.rig(rig)
+    option, campaign = _at_amplitude(option, there, grounds)
+    excited = _excited(campaign)
+    if not excited or np.mean([measured_already(option, p, grounds.sweeps) for p in excited]) > MOSTLY:
+        return None
+    if option.amplitude is not None:
+        reached = _ratio(excited, option.amplitude > 1, grounds)
+        if max(reached, 1 / reached) < ANOTHER_AMPLITUDE or (reached > 1) != (option.amplitude > 1):
+            return None
+    sweep = predicted(excited, there, grounds)
+    return Case(option, campaign.points, campaign.rig_seconds, observe(thinned(sweep), twin))
+
+
+def _at_amplitude(option: Option, rig: Rig, grounds: Grounds) -> tuple[Option, Rehearsal]:
+    """The option with the accuracy for which the planner takes the wanted amplitude, and its campaign."""
+    if (times := option.amplitude) is not None:
+        if times > 1:
+            option = replace(option, profile={**option.profile, **LOUD})
+        tried = _excited(rehearsed(rig, grounds.limits, option.plan(), grounds.noise, main_only=True))
+        wanted = Profile().accuracy * _ratio(tried, times > 1, grounds) / times
+        accuracy = float(f"{np.clip(wanted, FINEST, COARSEST):.3g}")
+        option = replace(option, profile={**option.profile, "accuracy": accuracy})
+    return option, rehearsed(rig, grounds.limits, option.plan(), grounds.noise)
+
+
+def _excited(campaign: Rehearsal) -> list[Point]:
+    return [p for p in campaign.points.get("main", ()) if p.excited]
+
+
+def _ratio(points: Sequence[Point], largest: bool, grounds: Grounds) -> float:
+    """Amplitude over that of the loudest sweep so far, or of the faintest, in the median of the points."""
+    ratios = [1.0]
+    for p in points:
+        of = [amplitude_there(o, p.request.axis, p.frequency_hz) for o in grounds.sweeps]
+        if so_far := [a for a in of if a is not None]:
+            ratios.append(p.request.amplitude_a / (max(so_far) if largest else min(so_far)))
+    return float(np.median(ratios[1:] or ratios))
+
+
+def amplitude_there(o: Observation, axis: int, frequency_hz: float) -> float | None:
+    """Amplitude of a sweep's excitation of an axis, A: log-log between its lines, held beyond them; None for none."""
+    points = np.flatnonzero(o.axis == axis)
+    if not len(points):
+        return None
+    points = points[np.argsort(o.points_hz[points], kind="stable")]
+    own = np.maximum(np.abs(o.R[points, o.fundamental, axis]), 1e-300)
+    return float(np.exp(np.interp(np.log(frequency_hz), np.log(o.points_hz[points]), np.log(own))))
+
+
+def measured_already(option: Option, point: Point, sweeps: Sequence[Observation]) -> bool:
+    """Whether a sweep has been at a point's condition: speed, set-point, band and amplitude."""
+    f, axis = point.frequency_hz, point.request.axis
+    for o in sweeps:
+        fastest = max(abs(option.speed_rad_s), abs(o.speed_rad_s))
+        alike = not option.offset and abs(option.speed_rad_s - o.speed_rad_s) <= ANOTHER_SPEED * fastest
+        there = amplitude_there(o, axis, f) if o.frequency_hz[0] <= f <= o.frequency_hz[-1] else None
+        if alike and there and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / there < ANOTHER_AMPLITUDE:
+            return True
+    return False
+
+
+def predicted(points: Sequence[Point], rig: Rig, grounds: Grounds) -> Sweep:
+    """The sweep that points of a campaign would give: the rig's whole answer, all harmonics, and the sensors' noise."""
+    ordered = sorted(points, key=lambda p: (p.frequency_hz, p.request.axis))
+    frequency, line = time_points(np.array([p.frequency_hz for p in ordered]))
+    axis, n = np.array([p.request.axis for p in ordered]), rig.n_axes
+    amplitude = np.array([p.request.amplitude_a for p in ordered])
+    samples, blocks = np.array([p.request.samples for p in ordered]), ordered[0].request.blocks
+    R = np.zeros((len(line), len(HARMONICS), n), dtype=complex)
+    R[np.arange(len(line)), HARMONICS.index(1), axis] = amplitude
+    responder = Responder(rig, frequency, line, HARMONICS, np.linspace(0, 1, len(line)))
+    U, answer = respond_to_excitation(responder, R)
+    signals = [np.repeat(x[:, None], blocks, axis=1) for x in (R, U, answer.I, answer.Y)]
+    draws = np.random.default_rng(0)  # a proposal asked for again is the same
+
+    def white(power: Real) -> Complex:
+        shape = (len(line), blocks, n)
+        sd = np.sqrt(0.5 * power[line] / (samples / grounds.limits.sample_rate_hz)[:, None])[:, None]
+        return np.asarray(sd * (draws.standard_normal(shape) + 1j * draws.standard_normal(shape)))
+
+    for k, h in enumerate(HARMONICS):
+        at = np.maximum(h * frequency, STATIC_HZ)
+        of_i, of_y = grounds.noise.at(at)
+        noise = white(of_y)
+        for x, per_noise in zip(signals[1:], fed_back(linear_model(rig, at)), strict=True):
+            e = np.einsum("pij,pbj->pbi", per_noise[line], noise)
+            x[:, :, k] += e.real if h == 0 else e
+        own = white(of_i)
+        signals[2][:, :, k] += own.real if h == 0 else own
+    return Sweep(
+        "stepped-sine",
+        frequency[line],
+        axis,
+        amplitude,
+        HARMONICS,
+        signals[0],
+        signals[1],
+        signals[2] if grounds.logged else None,
+        signals[3],
+        rig.speed_rad_s,
+        grounds.limits.sample_rate_hz,
+        "main",
+        block_samples=samples,
+        time_s=np.array([p.time_s for p in ordered]),
+    )

@@ -1,0 +1,111 @@
+"""What a commissioning engineer can measure without opening the machine, as profiles that the service takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.experiment.aims import Limits, Profile
+from service.gap.measured.observation import Observation
+from sim.rig import Rig
+
+SHORT: Mapping[str, float] = {
+    "validation_points": 12,
+    "amplifier_points": 0,
+    "coarse_points": 8,
+    "peak_points": 3,
+    "rig_seconds": 300.0,
+}
+"""Of every option: some minutes of four axes, a second sweep that no fit sees, and nothing that no diagnosis uses."""
+LINES, FEW_LINES = 24, 12
+"""Main lines of a sweep, and of a slow one, where each takes its periods."""
+LOUD: Mapping[str, float] = {"displacement_share": 0.35, "current_share": 0.5, "nonlinearity": 10.0}
+"""How far an option that asks for more amplitude may go: shares of the range, and magnets that are not quite linear."""
+BEYOND = 1.05
+"""Ratio of the first new line to the last one measured."""
+NARROWEST = 1.5
+"""Ratio of a band's ends from which it is worth a sweep."""
+LOWEST_HZ, HIGHEST_HZ, OF_NYQUIST = 1.0, 3000.0, 0.7
+"""Ends of what is asked for, and the share of half the sample rate up to which a sampled loop tells much."""
+TAKEN_HZ = (10_000.0, 20_000.0)
+"""Highest first and last line of a sweep that the service takes."""
+SPEED = 2 * np.pi * 50
+"""To which the rotor is brought, rad/s."""
+OFFSET = 0.1
+"""Share of the air gap by which set-points are moved."""
+
+LARGER = "the same band at twice the largest amplitude so far, or what the rig allows"
+SMALLER = "the same band at a third of the smallest amplitude so far"
+MOVE = "move the set-point of every axis by a tenth of the air gap at the controller"
+TELL = "tell the diagnosis of it: the datasheet needs the effect off_centre_rotor with that offset"
+
+
+@dataclass(frozen=True)
+class Option:
+    """An experiment that could be run next."""
+
+    name: str
+    description: str
+    profile: Mapping[str, float]
+    """figures of the plan, as they are submitted: of `service.experiment.aims.Profile`"""
+    speed_rad_s: float = 0.0
+    offset: float = 0.0
+    """share of the air gap by which set-points are moved"""
+    amplitude: float | None = None
+    """wanted ratio to the largest amplitude measured so far, or to the smallest where it is below 1"""
+    by_hand: tuple[str, ...] = ()
+    """what no controller does"""
+
+    def plan(self) -> Profile:
+        """The profile that the service makes of it."""
+        whole = {k: int(v) if k.endswith("points") else v for k, v in self.profile.items()}
+        return Profile(**whole)  # type: ignore[arg-type]
+
+    def rig(self, rig: Rig) -> Rig:
+        """A rig brought to the conditions of the option."""
+        magnets = replace(rig.magnets, offset_m=rig.magnets.offset_m + self.offset * rig.magnets.gap_m)
+        return replace(rig, speed_rad_s=self.speed_rad_s, magnets=magnets)
+
+
+def options(seen: Sequence[Observation], rig: Rig, limits: Limits) -> list[Option]:
+    """What could be run, empty bands left out; ``seen`` are the sweeps that there are."""
+    low, high = min(float(o.frequency_hz[0]) for o in seen), max(float(o.frequency_hz[-1]) for o in seen)
+    highest = min(HIGHEST_HZ, OF_NYQUIST * limits.sample_rate_hz / 2, limits.max_frequency_hz)
+    top = min(high, limits.max_frequency_hz, TAKEN_HZ[1])
+    same, wide, slow = (low, top), (BEYOND * high, highest), (LOWEST_HZ, min(low / BEYOND, top))
+    speed = seen[0].speed_rad_s
+    as_now = (f"hold the rotor at {_revolutions(speed)}",) if speed else ()
+
+    def option(name: str, description: str, band: tuple[float, float], points: int = LINES) -> Option:
+        profile = {**SHORT, "points": points, "from_hz": round(band[0], 3), "to_hz": round(band[1], 3)}
+        return Option(name, description, profile, speed, by_hand=as_now)
+
+    def turned(name: str, where: str, there: float, step: str) -> Option:
+        return replace(option(name, f"the same band {where}", same), speed_rad_s=there, by_hand=(step,))
+
+    shifted = option("set_point", "the same band with every set-point moved by a tenth of the gap", same)
+    found = [
+        replace(option("larger_amplitude", LARGER, same), amplitude=2.0),
+        replace(option("smaller_amplitude", SMALLER, same), amplitude=1 / 3),
+        option("wide_band", f"each axis from {_hz(wide[0])} up to {_hz(wide[1])}", wide),
+        option("low_frequency", f"a slow sweep from {_hz(slow[0])} up to {_hz(slow[1])}", slow, FEW_LINES),
+        replace(shifted, offset=OFFSET, by_hand=(*as_now, MOVE, TELL)),
+    ]
+    if rig.n_axes == 4 and (rig.rotor.polar_inertia_kgm2 > 0 or any(rig.rotor.modes)):
+        there = _revolutions(SPEED)
+        found.append(turned("speed", f"at {there}", SPEED, f"bring the rotor to {there} and hold it"))
+        if speed:
+            found.append(turned("standstill", "at rest", 0.0, "bring the rotor to rest"))
+    bands = [(o, o.profile["from_hz"], o.profile["to_hz"]) for o in found]
+    return [o for o, begin, end in bands if 0 < begin <= TAKEN_HZ[0] and end >= NARROWEST * begin]
+
+
+def _revolutions(speed_rad_s: float) -> str:
+    per_second = speed_rad_s / (2 * np.pi)
+    return f"{per_second:.3g} rev/s ({60 * per_second:.4g} rev/min)"
+
+
+def _hz(frequency: float) -> str:
+    return f"{frequency / 1000:.3g} kHz" if frequency >= 1000 else f"{frequency:.3g} Hz"

@@ -1,0 +1,144 @@
+"""The service's own campaign rehearsed on a twin: which tones it will play, how large, and how long that takes.
+
+The planner that moves a real rotor asks its questions, and the twin's linear model answers: with the noise of the rig's
+sensors, and with the transient of each start, so that settling is waited for as it would be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.aims import Limits, Profile
+from service.experiment.knowledge import Knowledge
+from service.experiment.multisine_plan import PeriodicRequest
+from service.experiment.noise import SIGNALS, NoiseSpectra
+from service.experiment.noise_phases import NOISE_S, PERIODIC_S
+from service.experiment.phases import Phases
+from service.experiment.plan import Request
+from service.experiment.points import Point
+from service.experiment.progress import Meter
+from service.experiment.recorder import Recorder
+from service.gap.proposal.sensor_noise import SensorNoise
+from sim.harmonic_balance import STATIC_HZ
+from sim.loop import Loop
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+HARMONICS = (0, 1, 2, 3)
+RAMP_PERIODS, SHORTEST_RAMP_S, LONGEST_RAMP_S = 2, 0.02, 0.25
+"""Of the ramps at either end of a tone."""
+SLOW_S = 1e-3
+"""Time constant from which a pole's transient may outlast a ramp."""
+GONE = 1e-6
+"""Size of a pole of the sampled loop, per sample, that is nothing but a delay."""
+MOST_SAMPLES = 2_000_000
+"""Samples of a tone that a controller is taken to hold."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What a campaign would play."""
+
+    points: Mapping[str, list[Point]]
+    """by sweep, as a campaign's; their signals are those of the linear model at the fundamental"""
+    rig_seconds: float
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What a rig gives for a tone: `service.experiment.recorder.Answer`."""
+
+    R: Complex
+    U: Complex
+    I: Complex
+    Y: Complex
+    rig_seconds: float
+    peak_displacement_m: float = 0.0
+    peak_current_a: float = 0.0
+    records: None = None
+
+
+class _OnPaper:
+    """A rig that answers tones from its linear model."""
+
+    def __init__(self, rig: Rig, rate: float, noise: NoiseSpectra) -> None:
+        self._rig, self._rate, self._noise = rig, rate, noise
+        self._draws = np.random.default_rng(0)  # a proposal asked for again is the same
+        self._known: dict[float, Complex] = {}
+        z = np.linalg.eigvals(Loop(rig, 1).closed_loop())
+        poles = np.log(z[np.abs(z) > GONE].astype(complex)) * rate
+        poles = poles[(poles.imag >= 0) & (poles.real > -1 / SLOW_S) & (poles.real < 0)]
+        self._poles = poles[np.argsort(poles.imag)]
+        self._at_poles = _per_ampere(rig, np.maximum(self._poles.imag / (2 * np.pi), STATIC_HZ))
+
+    def __call__(self, request: Request | PeriodicRequest) -> _Answer:
+        assert isinstance(request, Request)
+        f, axis, k = request.frequency_hz(self._rate), request.axis, HARMONICS.index(1)
+        ramp_s = float(np.clip(RAMP_PERIODS / f, SHORTEST_RAMP_S, LONGEST_RAMP_S)) if request.amplitude_a else 0.0
+        if f not in self._known:
+            self._known[f] = _per_ampere(self._rig, np.array([f]))[:, 0]
+        answer = self._known[f][:, None, :, axis] + self._transient(f, request, ramp_s)
+        variance = self._noise.block_variance(f, request.samples / self._rate)
+        noise = np.sqrt([variance[signal] for signal in SIGNALS])[:, None]
+        signals = np.zeros((4, request.blocks, len(HARMONICS), self._rig.n_axes), dtype=complex)
+        signals[0, :, k, axis] = request.amplitude_a
+        signals[1:, :, k] = request.amplitude_a * answer + noise * self._white(answer.shape)
+        R, U, I, Y = signals
+        return _Answer(R, U, I, Y, request.seconds(self._rate) + 2 * ramp_s)
+
+    def _transient(self, f: float, request: Request, ramp_s: float) -> Complex:
+        """What the start leaves of the loop's poles in each block, per ampere, (3, B, n).
+
+        A pole p answers as r / (s - p), with r = -Re p G(Im p), near enough where it is slow; a ramp of a raised cosine
+        wakes it by (k^2 / 2) (1 + exp(a T)) / (k^2 + a^2), a = p - j w and k = pi / T, of what a step would.
+        """
+        if not ramp_s:
+            return np.zeros((3, request.blocks, self._rig.n_axes), dtype=complex)
+        seconds = request.samples / self._rate
+        begins = (request.settle_samples + np.arange(request.blocks) * request.samples) / self._rate
+        a, k = self._poles - 2j * np.pi * f, np.pi / ramp_s
+        woken = 0.5 * k**2 * (1 + np.exp(a * ramp_s)) / (k**2 + a**2)
+        left = np.exp(np.outer(begins, a)) * np.expm1(a * seconds) / (a * seconds)
+        own = self._at_poles[..., request.axis] * (-self._poles.real / a * woken)[:, None]
+        return np.asarray(np.einsum("bp,spi->sbi", left, own))
+
+    def _white(self, shape: tuple[int, ...]) -> Complex:
+        parts = self._draws.standard_normal((2, *shape)) / np.sqrt(2)
+        return np.asarray(parts[0] + 1j * parts[1])
+
+
+def _per_ampere(rig: Rig, frequency_hz: Real) -> Complex:
+    """u, i and y per ampere of excitation in closed loop, (3, F, n, n)."""
+    model = linear_model(rig, frequency_hz)
+    return np.stack([model.sensitivity, model.i_per_u @ model.sensitivity, model.y_per_u @ model.sensitivity])
+
+
+def rehearsed(rig: Rig, limits: Limits, profile: Profile, noise: SensorNoise, main_only: bool = False) -> Rehearsal:
+    """The campaign of a profile on a rig as it is; ``main_only`` up to the end of its main sweep.
+
+    Raises
+    ------
+    LevitationError
+        Its controller does not hold that rig.
+    CampaignError
+        The planner cannot go on.
+    """
+    rate = limits.sample_rate_hz
+    spectra = noise.spectra(rig, rate / 2)
+    recorder = Recorder(_OnPaper(rig, rate, spectra), [], lambda _: None, rate, HARMONICS)
+    done: dict[str, list[Point]] = {}
+    phases = Phases(recorder, limits, profile, Meter(None), done)
+    phases.knowledge = Knowledge(spectra, rig.n_axes)
+    phases.preliminary_sweep()
+    phases.main_sweep()
+    if not main_only:
+        phases.validation_sweep()
+        phases.amplifier_sweep()
+    return Rehearsal(done, recorder.rig_seconds + NOISE_S + PERIODIC_S * rig.n_axes)

@@ -1,0 +1,82 @@
+"""Noise of the rig's sensors by frequency, from the scatter of an experiment's blocks, and what a loop makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+from service.experiment.noise import NoiseSpectra
+from service.gap.measured.scatter import mean_scatter
+from sim.rig import Rig
+from sim.twin import LinearModel, linear_model
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+BLOCK_S = 0.1
+"""Length of a block, s, where the file does not tell it; a period where that is longer."""
+SMALLEST = 1e-60
+"""Variance for one second in place of none, A^2 s or m^2 s: its logarithm is needed."""
+LOWEST_HZ, RESOLUTION_HZ = 0.5, 4.0
+"""Of a loop's spectra, as a campaign has them: its noise may rise narrowly, which costs amplitude there."""
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Variance E|e|^2 of a complex amplitude that is measured for one second; it falls as the inverse of the time.
+
+    No share of a signal is in it, neither of a twin's own error nor of a harmonic: those follow the amplitude.
+    """
+
+    frequency_hz: Real
+    """(F,) rising"""
+    of_i: Real
+    """(F, n) A^2 s"""
+    of_y: Real
+    """(F, n) m^2 s"""
+
+    @staticmethod
+    def of(sweep: Sweep, rig: Rig) -> SensorNoise:
+        """Of a sweep; ``rig`` is any reasonable twin, to take the feedback out of the scatter."""
+        f, blocks = sweep.harmonics.index(1), sweep.Y.shape[1]
+        block_s = np.maximum(BLOCK_S, 1 / sweep.frequency_hz)
+        if sweep.block_samples is not None:
+            block_s = sweep.block_samples / sweep.sample_rate_hz
+        _, of_i, of_y = (v[:, f] * (blocks * block_s)[:, None] for v in mean_scatter(sweep, rig))
+        frequency, line = np.unique(sweep.frequency_hz, return_inverse=True)
+
+        def by_line(v: Real) -> Real:
+            return np.maximum([np.median(v[line == k], axis=0) for k in range(len(frequency))], SMALLEST)
+
+        return SensorNoise(frequency, by_line(of_i), by_line(of_y))
+
+    def at(self, frequency_hz: Real) -> tuple[Real, Real]:
+        """Of i and y at frequencies (F',), (F', n) each: log-log between, held beyond the ends."""
+        x, at = np.log(self.frequency_hz), np.log(frequency_hz)
+        i, y = (
+            np.exp(np.stack([np.interp(at, x, np.log(column)) for column in v.T], axis=-1))
+            for v in (self.of_i, self.of_y)
+        )
+        return i, y
+
+    def spectra(self, rig: Rig, highest_hz: float) -> NoiseSpectra:
+        """Densities of u, i and y in a rig's loop, as a record without excitation would show them."""
+        fine = np.arange(RESOLUTION_HZ, highest_hz, RESOLUTION_HZ)
+        grid = np.concatenate([np.geomspace(LOWEST_HZ, RESOLUTION_HZ, 4)[:-1], fine])
+        model, (of_i, of_y) = linear_model(rig, grid), self.at(grid)
+        u, i, y = (np.abs(x) ** 2 for x in fed_back(model))
+        own = {"u": of_y, "i": of_y, "y": of_y}
+        density = {s: 0.5 * np.einsum("fij,fj->fi", p, own[s]) for s, p in (("u", u), ("i", i), ("y", y))}
+        density["i"] = density["i"] + 0.5 * of_i
+        return NoiseSpectra(grid, density)
+
+
+def fed_back(model: LinearModel) -> tuple[Complex, Complex, Complex]:
+    """u, i and y per noise of the displacement sensors in closed loop, (F, n, n) each."""
+    n, C = model.y_per_u.shape[-1], model.controller[:, None, None]
+    y = np.linalg.inv(np.eye(n) + model.y_per_u * C).astype(np.complex128)
+    u: Complex = -C * y
+    return u, np.asarray(model.i_per_u @ u), y
