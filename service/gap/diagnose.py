@@ -15,8 +15,8 @@ from service.gap.interference import measured_by
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import next_experiment
-from service.gap.observed import observed
-from service.gap.passes import FITTED, found_in
+from service.gap.observed import Observed, observed
+from service.gap.passes import FITTED, Found, found_in
 from service.gap.proposal.case import Grounds
 from service.gap.telling import ProgressCallback, Telling
 from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
@@ -47,7 +47,12 @@ def diagnose(
     data, telling = observed(experiment, datasheet), Telling(progress)
     with Fitter(jobs, telling.fitted) as fitter:
         found = found_in(data, fitter, telling)
-    telling.judging(FITTED)
+        telling.judging(FITTED)
+        return _told(experiment.rig, datasheet, data, found, fitter)
+
+
+def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter) -> Diagnosis:
+    """What was found, judged and measured on data that no fit has seen."""
     nu, o, unseen = data.nuisance, data.o, found.unseen
     notes = [*data.notes, *found.notes, *not_weighed(fitter.lost, found.parts)]
     whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
@@ -70,14 +75,14 @@ def diagnose(
         told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
         notes.append(f"not told apart either: {told}")
     pair = left_together(whole.order, verdict)
-    proposal = next_experiment(nu, pair, Grounds.of(data, datasheet), experiment.rig) if pair else None
+    proposal = next_experiment(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
     if verdict.kind != "none_of_these" and (far := nu.far_off(chosen.fit.theta)):
         notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}")
     if pair and proposal is None:
         one, other_one = (" + ".join(c.effects).replace("_", " ") for c in pair)
         notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")
     return Diagnosis(
-        experiment.rig,
+        rig,
         where,
         whole.order,
         verdict,

@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from service.distributions import normal_tail
-from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.nuisance import Nuisance
 from service.gap.proposal.case import Case, Grounds, case
 from service.gap.proposal.options import Option, options
@@ -58,8 +59,17 @@ class _Told:
         }
 
 
+def _told(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, option: Option) -> _Told | None:
+    """What an option would tell of two explanations; None where it has been measured or cannot be."""
+    try:
+        one = case(option, a.fit.rig, nuisance.rig, grounds)
+        return None if one is None else _Told(one, separations(nuisance, a, b, one.main, one.option))
+    except (AmbError, ValueError, np.linalg.LinAlgError):
+        return None  # this rig cannot be brought to that condition
+
+
 def next_experiment(
-    nuisance: Nuisance, pair: tuple[Candidate, Candidate] | None, grounds: Grounds, name: str
+    nuisance: Nuisance, pair: tuple[Candidate, Candidate] | None, grounds: Grounds, name: str, fitter: Fitter
 ) -> dict[str, Any] | None:
     """The option that tells two explanations apart, or None where there are none or nothing affordable does.
 
@@ -70,20 +80,11 @@ def next_experiment(
     if pair is None:
         return None
     a, b = pair
-    ranking: list[_Told] = []
-    for option in options(grounds.sweeps, a.fit.rig, grounds.limits):
-        try:
-            one = case(option, a.fit.rig, nuisance.rig, grounds)
-            if one is None:
-                continue
-            told = _Told(one, separations(nuisance, a, b, one.main, one.option))
-        except (AmbError, ValueError, np.linalg.LinAlgError):
-            continue  # this rig cannot be brought to that condition
-        if told.odds >= WORTH:
-            ranking.append(told)
+    what_it_tells = partial(_told, nuisance, a, b, grounds)
+    everything = fitter.over(what_it_tells, options(grounds.sweeps, a.fit.rig, grounds.limits))
+    ranking = sorted((t for t in everything if t is not None and t.odds >= WORTH), key=_Told.order)
     if not ranking:
         return None
-    ranking.sort(key=_Told.order)
     best = ranking[0]
     option = best.case.option
     return {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
 Real = NDArray[np.float64]
+One = TypeVar("One")
+Other = TypeVar("Other")
 
 
 GOES_ON = 2
@@ -187,6 +190,10 @@ class Fitter:
             self._fitted()
         self.lost |= {t.effects for k, t in enumerate(tasks) if found[k] is None}
         return [found[k] for k in range(len(tasks))]
+
+    def over(self, function: Callable[[One], Other], ones: Iterable[One]) -> list[Other]:
+        """A pure function of each, on the same processes."""
+        return list(self._pool.map(function, ones) if self._pool else map(function, ones))
 
     def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:
         # Only the plant is worth a way to another process, which at first still loads its libraries.

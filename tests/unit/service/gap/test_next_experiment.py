@@ -10,7 +10,7 @@ import pytest
 from service.api.options import checked_options
 from service.cli.client import Kind, _options
 from service.experiment.aims import Profile
-from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.measured.observation import observe
@@ -25,6 +25,7 @@ from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
 DATASHEET, TRUTH = known_datasheet(seed=1)
+FITTER = Fitter()
 NU, TWIN = nuisance(DATASHEET), true_rig(TRUTH)
 SWEEP = sweep(TWIN, np.geomspace(10.0, 950.0, 24), 0.1, seed=3)
 SEEN = Grounds((observe(SWEEP, TWIN),), SensorNoise.of(SWEEP, TWIN), True, limits_of(DATASHEET))
@@ -47,7 +48,7 @@ def test_an_exact_alias_is_constructed_and_only_speed_tells_it_apart() -> None:
     pair = left_together([DAMPED, more], ALIASES)
     assert pair is not None
     assert pair[1].effects == ("internal_damping",)
-    proposal = next_experiment(NU, pair, SEEN, "rig 1")
+    proposal = next_experiment(NU, pair, SEEN, "rig 1", FITTER)
     assert proposal is not None
     assert proposal["separates"] == ["modal_damping", "internal_damping"]
     assert proposal["experiment"] == "speed"
@@ -72,15 +73,15 @@ def test_what_contains_the_chosen_explanation_is_no_rival_and_what_does_not_is()
 def test_what_nothing_affordable_separates_gets_no_proposal() -> None:
     a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
     b = explanation(-1.0, sensor_lag={"time_constant_s": 2e-5 + 1e-12, "delay_s": 0.0})
-    assert next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1") is None
-    assert next_experiment(NU, None, SEEN, "rig 1") is None
+    assert next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1", FITTER) is None
+    assert next_experiment(NU, None, SEEN, "rig 1", FITTER) is None
 
 
 def test_a_sure_experiment_is_proposed_with_its_own_tones_and_time() -> None:
     """Nothing by hand where that is not needed, and of such the one that takes the least time."""
     a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
     b = explanation(-1.0, eddy_currents={"time_constant_s": 3e-6})
-    proposal = next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1")
+    proposal = next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1", FITTER)
     assert proposal is not None
     assert proposal["odds_of_telling_apart"] > 0.95
     assert proposal["by_hand"] == []
