@@ -6,12 +6,15 @@ the rival's own effects, may move to follow what the other explanation brings ab
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.candidates import LAW_ERROR, Candidate
+from service.gap.fitting.fit import TOLERANCE_BOUND
 from service.gap.fitting.jacobian import answer_jacobian
 from service.gap.fitting.nuisance import Nuisance
 from service.gap.fitting.predict import answer, centred, control, weights
@@ -25,6 +28,8 @@ from sim.rig import Rig
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+INSIDE = 1e-9
+"""Tolerances that a value at its end has still to move."""
 STEP = 1e-3
 """Of an effect's parameter, relative, for its derivative."""
 
@@ -32,13 +37,34 @@ STEP = 1e-3
 def separations(nuisance: Nuisance, a: Candidate, b: Candidate, o: Observation, option: Option) -> tuple[float, float]:
     """Distances in standard deviations of an option's outcome: what b leaves where a is true, and a where b is.
 
-    They differ where one has more ways to follow the other.
+    They differ where one has more ways to follow the other. What another law of the true effect would leave as well, as
+    `service.gap.weighing.verdict.alike` has it, tells nothing: a diagnosis would leave the two together again.
     """
-    one, other = (_Predicted(nuisance, c, o, option) for c in (a, b))
-    return _left_over(one, other), _left_over(other, one)
+    one, other = (Predicted(nuisance, c, o, option) for c in (a, b))
+    return _told(one, other), _told(other, one)
 
 
-class _Predicted:
+def _told(truth: Predicted, rival: Predicted) -> float:
+    """What a rival leaves of the truth beyond the error of the true effect's own law."""
+    shared = set(truth.candidate.effects) & set(rival.candidate.effects)
+    plain = Predicted(truth.nuisance, _with_only(shared, truth), truth.o, truth.option)
+    of_law = LAW_ERROR * left_over(truth, plain)
+    return max(left_over(truth, rival) - of_law, 0.0)
+
+
+def _with_only(effects: Collection[str], p: Predicted) -> Candidate:
+    """The twin of an explanation with some of its effects alone."""
+    kept = [k for k, name in enumerate(p.candidate.effects) if name in effects]
+    names = tuple(p.candidate.effects[k] for k in kept)
+    values = tuple(p.values[k] for k in kept)
+    rig = p.nuisance.at(p.candidate.fit.theta)
+    for name, own in zip(names, values, strict=True):
+        rig = CATALOGUE[name].on(rig, **own)
+    fit = replace(p.candidate.fit, effects=names, values=tuple(dict(v) for v in values), rig=rig)
+    return replace(p.candidate, effects=names, fit=fit)
+
+
+class Predicted:
     """What an explanation predicts of an option's outcome, [u, i, y] of all harmonics, (P, H, 3 n)."""
 
     def __init__(self, nuisance: Nuisance, c: Candidate, o: Observation, option: Option) -> None:
@@ -58,7 +84,7 @@ class _Predicted:
         return self._of(self.option.rig(rig))
 
 
-def _left_over(truth: _Predicted, rival: _Predicted) -> float:
+def left_over(truth: Predicted, rival: Predicted) -> float:
     """Norm of what a rival leaves of the truth, in units of its noise, once it has followed it.
 
     It starts from the true values of the datasheet: to follow them by derivatives takes the fundamental only.
@@ -79,12 +105,18 @@ def _left_over(truth: _Predicted, rival: _Predicted) -> float:
     rows = np.concatenate([rows.real, rows.imag])
     target = np.concatenate([z.real.ravel(), z.imag.ravel()])
     known = np.diag(np.concatenate([np.ones(k), 12 / np.maximum(widths, 1e-12) ** 2]))  # of a uniform one, its variance
-    taken = rows.T @ target
-    explained = float(taken @ np.linalg.solve(known + rows.T @ rows, taken))
-    return float(np.sqrt(max(float(target @ target) - explained, 0.0)))
+    root = np.linalg.cholesky(known + rows.T @ rows)
+    taken = np.linalg.solve(root, rows.T @ target)
+    # No fit takes the datasheet's values farther than this; an effect's parameters have ends of their own.
+    free = np.full(len(widths), np.inf)
+    low = np.concatenate([np.minimum(-TOLERANCE_BOUND - theta, -INSIDE), -free])
+    high = np.concatenate([np.maximum(TOLERANCE_BOUND - theta, INSIDE), free])
+    moved = lsq_linear(root.T, taken, (low, high), method="bvls").x
+    left = float(target @ target) - float(taken @ taken) + float(np.sum((root.T @ moved - taken) ** 2))
+    return float(np.sqrt(max(left, 0.0)))
 
 
-def _effect_columns(c: _Predicted, theta: Real, here: Complex, w: Real) -> tuple[Complex, Real]:
+def _effect_columns(c: Predicted, theta: Real, here: Complex, w: Real) -> tuple[Complex, Real]:
     """Weighted derivatives to the parameters of an explanation's effects, (P, H, 3 n, e), and widths of their ranges.
 
     Each in units of itself where it ranges over decades, else of its range.

@@ -15,7 +15,7 @@ from service.gap.measured.observation import observe
 from service.gap.proposal.case import Grounds, case, limits_of
 from service.gap.proposal.options import options
 from service.gap.proposal.sensor_noise import SensorNoise
-from service.gap.proposal.separation import separations
+from service.gap.proposal.separation import Predicted, left_over, separations
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
@@ -54,7 +54,7 @@ def named(name: str, there: Grounds):
 def test_the_true_one_explains_the_outcome_better_as_often_as_predicted() -> None:
     """Twenty noisy outcomes of the proposed experiment, both explanations fitted to each."""
     planned = named("larger_amplitude", grounds())
-    d = separations(NU, A, B, planned.main, planned.option)[0]
+    d = left_over(*(Predicted(NU, c, planned.main, planned.option) for c in (A, B)))
     points = sorted((p for p in planned.points["main"] if p.excited), key=lambda p: (p.frequency_hz, p.request.axis))
     hz, draws = np.unique([p.frequency_hz for p in points]), 20
     amplitude = np.array([p.request.amplitude_a for p in points])
@@ -84,6 +84,17 @@ def test_a_rival_follows_with_its_own_parameters() -> None:
     lag = explanation({"sensor_lag": {"time_constant_s": 5e-7, "delay_s": 0.0}})
     same = explanation({"eddy_currents": {"time_constant_s": 6.8e-7, "corner_rad_s": 3e5}})
     assert max(separations(NU, lag, same, planned.main, planned.option)) < 1.0
+
+
+def test_what_another_law_of_the_true_effect_leaves_tells_nothing() -> None:
+    """A long delay and a slower amplifier differ by less than two programs' delays do, unless the band is wide."""
+    late = explanation({"loop_delay": {"delay_s": 3.5e-5}})
+    slow = explanation({"amplifier_bandwidth": {"frequency_change": 0.082, "damping_change": -0.031, "lag_s": 4.86e-5}})
+    again, wide = (named(name, grounds()) for name in ("larger_amplitude", "wide_band"))
+    seen = left_over(*(Predicted(NU, c, again.main, again.option) for c in (late, slow)))
+    assert seen > 10, "noise would not keep them together"
+    assert min(separations(NU, late, slow, again.main, again.option)) < 0.1 * seen
+    assert min(separations(NU, late, slow, wide.main, wide.option)) > 100
 
 
 def test_more_noise_separates_less_and_more_amplitude_more() -> None:
