@@ -92,7 +92,7 @@ def amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim: Aim, se
     if not knowledge.knows(axis):
         density = knowledge.noise.block_variance(frequency_hz, seconds)
         first = math.sqrt(float(density["i"][axis] + density["u"][axis])) / aim.accuracy
-        return min(first, aim.current_a / 20, limits.max_amplitude_a)
+        return max(min(first, aim.current_a / 20, limits.max_amplitude_a), SMALLEST_A)
     wanted = needed_amplitude(knowledge, axis, frequency_hz, aim, seconds)
     return max(min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits)), SMALLEST_A)
 

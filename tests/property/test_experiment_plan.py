@@ -9,7 +9,7 @@ from service.experiment.aims import Limits, Profile, aims
 from service.experiment.frequencies import clear_grid, mains_harmonics, whole_periods
 from service.experiment.knowledge import Knowledge
 from service.experiment.noise import NoiseSpectra
-from service.experiment.plan import Request, longest_settling, other_amplitude, tones
+from service.experiment.plan import SMALLEST_A, Request, longest_settling, other_amplitude, tones
 
 RATE = 10_000.0
 positive = st.floats(1e-3, 1e3)
@@ -185,3 +185,12 @@ def test_caution_after_a_trip_lowers_the_next_tone_and_goes_away_again():
     for _ in range(10):
         known.held(0)
     assert tones(known, 100.0, aim, profile, what)[0].amplitude_a == pytest.approx(before)
+
+
+@given(frequency=st.floats(2.0, 4400.0), sweep=st.sampled_from(["coarse", "main", "amplifier"]))
+def test_a_rig_without_noise_is_excited_all_the_same(frequency, sweep):
+    """A converter coarser than the noise reads none at rest; an amplitude below the controller's step excites nothing."""
+    spectra = NoiseSpectra(np.array([1.0, 5000.0]), {s: np.full((2, 2), np.finfo(float).tiny) for s in "uiy"})
+    for known in (Knowledge(spectra, 2), knowledge(noise=1e-250)):
+        planned = tones(known, frequency, aims(Profile(), limits())[sweep], Profile(), limits())
+        assert min(t.amplitude_a for t in planned) >= SMALLEST_A
