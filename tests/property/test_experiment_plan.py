@@ -189,7 +189,7 @@ def test_caution_after_a_trip_lowers_the_next_tone_and_goes_away_again():
 
 @given(frequency=st.floats(2.0, 4400.0), sweep=st.sampled_from(["coarse", "main", "amplifier"]))
 def test_a_rig_without_noise_is_excited_all_the_same(frequency, sweep):
-    """A converter coarser than the noise reads none at rest; an amplitude below the controller's step excites nothing."""
+    """A converter coarser than the noise reads none at rest; below the controller's step no amplitude excites."""
     spectra = NoiseSpectra(np.array([1.0, 5000.0]), {s: np.full((2, 2), np.finfo(float).tiny) for s in "uiy"})
     for known in (Knowledge(spectra, 2), knowledge(noise=1e-250)):
         planned = tones(known, frequency, aims(Profile(), limits())[sweep], Profile(), limits())
