@@ -21,6 +21,7 @@ from service.gap.fitting.nuisance import Nuisance
 from service.gap.proposal.case import Case, Grounds, case
 from service.gap.proposal.options import Option, options
 from service.gap.proposal.separation import separations
+from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
 WORTH, SURE = 0.75, 0.95
@@ -68,21 +69,34 @@ def _told(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, opti
         return None  # this rig cannot be brought to that condition
 
 
+def only_fainter(option: Option, a: Candidate, b: Candidate) -> bool:
+    """Whether an option has less amplitude for two explanations that answer in proportion to it."""
+    apart = set(a.effects) ^ set(b.effects)
+    return option.amplitude is not None and option.amplitude < 1 and not any(CATALOGUE[e].nonlinear for e in apart)
+
+
 def next_experiment(
     nuisance: Nuisance, pair: tuple[Candidate, Candidate] | None, grounds: Grounds, name: str, fitter: Fitter
 ) -> dict[str, Any] | None:
     """The option that tells two explanations apart, or None where there are none or nothing affordable does.
 
     Of those that are nearly sure to, one without work by hand before one with, and then the one that needs the least
-    time of the rig; else the one that is most likely to.
-    The answer has the tones, and the command and the job that ask the service for them. ``name`` is the rig's.
+    time of the rig; else the one that is most likely to. What takes work by hand is rehearsed only where nothing else
+    is nearly sure. The answer has the tones, and the command and the job that ask the service for them. ``name`` is the
+    rig's.
     """
     if pair is None:
         return None
     a, b = pair
+    there_are = [o for o in options(grounds.sweeps, a.fit.rig, grounds.limits) if not only_fainter(o, a, b)]
     what_it_tells = partial(_told, nuisance, a, b, grounds)
-    everything = fitter.over(what_it_tells, options(grounds.sweeps, a.fit.rig, grounds.limits))
-    ranking = sorted((t for t in everything if t is not None and t.odds >= WORTH), key=_Told.order)
+    ranking: list[_Told] = []
+    for by_hand in (False, True):  # work by hand is not looked at where something else is nearly sure to do
+        told = fitter.over(what_it_tells, [o for o in there_are if bool(o.by_hand) is by_hand])
+        ranking += [t for t in told if t is not None and t.odds >= WORTH]
+        if any(t.odds >= SURE for t in ranking):
+            break
+    ranking.sort(key=_Told.order)
     if not ranking:
         return None
     best = ranking[0]

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from service.gap.fitting.candidates import LAW_ERROR, Candidate
 from service.gap.fitting.fit import TOLERANCE_BOUND
@@ -89,6 +88,8 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
 
     It starts from the true values of the datasheet: to follow them by derivatives takes the fundamental only.
     """
+    from scipy.optimize import lsq_linear  # takes a while, and only what is left together needs it
+
     o, theta = truth.o, truth.candidate.fit.theta
     here = rival.at(theta, rival.values)
     w = weights(o)

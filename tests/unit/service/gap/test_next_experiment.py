@@ -14,7 +14,7 @@ from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.measured.observation import observe
-from service.gap.next_experiment import next_experiment, submission
+from service.gap.next_experiment import next_experiment, only_fainter, submission
 from service.gap.proposal.case import Grounds, limits_of
 from service.gap.proposal.options import Option, options
 from service.gap.proposal.sensor_noise import SensorNoise
@@ -105,3 +105,13 @@ def test_the_service_takes_what_is_proposed(option: Option) -> None:
     assert words[:5] == ["ambit", "submit", "experiment", "--rig", "rig 1"]
     assert _options([words[-3], words[-1]], False, None, Kind.experiment) == job["options"]
     assert json.loads(json.dumps(job)) == job
+
+
+def test_less_amplitude_is_asked_for_only_where_something_does_not_answer_in_proportion() -> None:
+    fainter = next(o for o in options(SEEN.sweeps, NU.rig, SEEN.limits) if o.amplitude is not None and o.amplitude < 1)
+    lag = explanation(0.0, sensor_lag={"time_constant_s": 1e-5}).candidate
+    delay = explanation(0.0, loop_delay={"delay_s": 1e-5}).candidate
+    bent = explanation(0.0, magnetic_saturation={"saturation_inverse_per_a": 0.1}).candidate
+    assert only_fainter(fainter, lag, delay)
+    assert not only_fainter(fainter, lag, bent)
+    assert not only_fainter(replace(fainter, amplitude=2.0), lag, delay)
