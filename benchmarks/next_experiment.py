@@ -9,6 +9,7 @@ odds, and the time of the rig beside the predicted one.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivers.simulated.driver import SimulatedController
 from service.experiment.campaign import run_campaign

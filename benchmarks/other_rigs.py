@@ -8,6 +8,7 @@ The rigs are those of tests/support/whole_rigs.py, simulated; what is printed is
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -15,6 +16,8 @@ from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivers.simulated.driver import SimulatedController
 from service.experiment.aims import Profile

@@ -135,11 +135,11 @@ def write_datasheet(folder: Path, datasheet: Datasheet) -> Path:
     AmbError
         The folder cannot be written.
     """
-    from sim.errors import DatasheetError
+    from sim.errors import AmbError
     from sim.rig_file import read, to_toml
 
     path = folder / DATASHEET
-    with suppress(DatasheetError):
+    with suppress(AmbError):  # what cannot be read is replaced
         if path.exists() and read(path) == datasheet:
             return path
     return write_text(path, to_toml(datasheet))

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from service.experiment import file
+from sim import rig_file
 from tests.support.browser import BROWSER, opened
 from tests.support.command import ambit
 
@@ -79,6 +80,8 @@ def test_identify_gives_the_same_from_the_file(demo, tmp_path):
     done = ambit("identify", out / "experiment.h5", "--rig", out / "rig.toml", "--out", tmp_path / "again")
     assert done.returncode == 0, done.stderr
     again = json.loads((tmp_path / "again" / "result.json").read_text())
+    sheet, kept = (rig_file.read(folder / "rig.toml") for folder in (tmp_path / "again", out))
+    assert sheet == kept, "a result without its datasheet is no baseline"
     for plane in "xy":
         for name, estimate in again["planes"][plane]["stiffness"].items():
             assert estimate["value"] == pytest.approx(document["planes"][plane]["stiffness"][name]["value"], rel=1e-6)

@@ -36,19 +36,19 @@ STEP = 1e-3
 def separations(nuisance: Nuisance, a: Candidate, b: Candidate, o: Observation, option: Option) -> tuple[float, float]:
     """Distances in standard deviations of an option's outcome: what b leaves where a is true, and a where b is.
 
-    They differ where one has more ways to follow the other. What another law of the true effect would leave as well, as
-    `service.gap.weighing.verdict.alike` has it, tells nothing: a diagnosis would leave the two together again.
+    They differ where one has more ways to follow the other. What another law of the true effect may leave as well is
+    uncertain like noise: `service.gap.weighing.verdict.alike` leaves two together that differ by no more.
     """
     one, other = (Predicted(nuisance, c, o, option) for c in (a, b))
     return _told(one, other), _told(other, one)
 
 
 def _told(truth: Predicted, rival: Predicted) -> float:
-    """What a rival leaves of the truth beyond the error of the true effect's own law."""
+    """What a rival leaves of the truth, in units of noise and of the error of the true effect's own law together."""
     shared = set(truth.candidate.effects) & set(rival.candidate.effects)
     plain = Predicted(truth.nuisance, _with_only(shared, truth), truth.o, truth.option)
     of_law = LAW_ERROR * left_over(truth, plain)
-    return max(left_over(truth, rival) - of_law, 0.0)
+    return left_over(truth, rival) / float(np.hypot(1.0, of_law))
 
 
 def _with_only(effects: Collection[str], p: Predicted) -> Candidate:

@@ -12,6 +12,7 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import EXACT
 from service.gap.measured.observation import observe
+from service.gap.next_experiment import SURE, WORTH
 from service.gap.proposal.case import Grounds, case, limits_of
 from service.gap.proposal.options import options
 from service.gap.proposal.sensor_noise import SensorNoise
@@ -93,8 +94,8 @@ def test_what_another_law_of_the_true_effect_leaves_tells_nothing() -> None:
     again, wide = (named(name, grounds()) for name in ("larger_amplitude", "wide_band"))
     seen = left_over(*(Predicted(NU, c, again.main, again.option) for c in (late, slow)))
     assert seen > 10, "noise would not keep them together"
-    assert min(separations(NU, late, slow, again.main, again.option)) < 0.1 * seen
-    assert min(separations(NU, late, slow, wide.main, wide.option)) > 100
+    odds = [1 - normal_tail(min(separations(NU, late, slow, c.main, c.option)) / 2) for c in (again, wide)]
+    assert odds[0] < WORTH < SURE < odds[1]
 
 
 def test_more_noise_separates_less_and_more_amplitude_more() -> None:
