@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import actuator, amplifier, control_law, rotor, sensor
+from sim.actuator import OperatingPoint
 from sim.actuator import force_rotation as force_rotation
 from sim.datasheet import Datasheet
 from sim.remember import remembered
@@ -112,6 +113,7 @@ class LinearModel:
     """Small-signal responses of a rig at F frequencies; matrices are (F, output, input)."""
 
     rig: Rig
+    point: OperatingPoint
     omega_rad_s: Array
     y_per_u: Complex
     """Sampled sensor signal per held control signal, m/A."""
@@ -217,6 +219,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
     return LinearModel(
         rig,
+        point,
         omega,
         _mixed(y_per_u, cross) * logged_early,
         y_per_magnet * per_current[0, :, None, :],
@@ -239,7 +242,10 @@ def _held(amplifiers: Amplifiers, sample_time_s: float, delay_s: Array, omega_ra
 
 def _mixed(matrices: Complex, by: Array) -> Complex:
     """``matrices`` (F, a, n) times one matrix (n, n) that is mostly the identity."""
-    return matrices if _is_identity(by) else np.asarray(matrices @ by)
+    if _is_identity(by):
+        return matrices
+    # as one product: numpy would make one of every matrix, six times as slow
+    return np.asarray((matrices.reshape(-1, matrices.shape[-1]) @ by).reshape(matrices.shape))
 
 
 def _mixed_from(by: Array, matrices: Complex) -> Complex:

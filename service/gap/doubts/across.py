@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.jacobian import answer_jacobian
+from service.gap.fitting.jacobian import displacement_jacobian
 from service.gap.fitting.predict import at_speed_of, weight
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import UNEXPLAINED
@@ -51,12 +51,12 @@ def across_alike(e: Explained) -> list[Across]:
     if e.part.path != "plant" or e.ground.nuisance.rig.n_axes > 2 or e.significance <= SIGNIFICANT:
         return []
     o, fit = e.ground.observations[0], e.null.candidate.fit
-    f, n = o.fundamental, e.ground.nuisance.rig.n_axes
+    f = o.fundamental
     w = weight(o, "y")[:, f]
     z = _real(e.plain[0][:, f])
     rig = at_speed_of(fit.rig, o)
-    J = answer_jacobian(e.ground.nuisance, rig, o)
-    J = np.stack([_real(w * J[:, n:, k]) for k in fit.active], axis=1)
+    J = displacement_jacobian(e.ground.nuisance, rig, o)
+    J = np.stack([_real(w * J[:, :, k]) for k in fit.active], axis=1)
     hessian = J.T @ J + np.eye(J.shape[1])
     before = float(z @ z)
     noise = min(float(z.size), *(r.candidate.fit.groups[0][0] for r in e.order))

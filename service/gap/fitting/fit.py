@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.fitted import Fit, Linearised
-from service.gap.fitting.jacobian import answer_jacobian, current_jacobian, stacked
+from service.gap.fitting.jacobian import current_jacobian, displacement_jacobian, stacked
 from service.gap.fitting.predict import (
     at_speed_of,
     centred,
@@ -121,11 +121,11 @@ class Problem(Unknowns):
             return current_jacobian(nuisance, rig, o)
         amplifiers = self.ground.part.from_control or self.ground.inherited is not None
         if not closed:
-            return answer_jacobian(nuisance, rig, o, amplifiers)[:, n:, self.active]
+            return displacement_jacobian(nuisance, rig, o, amplifiers)[:, :, self.active]
         model = linear_model(at_speed_of(rig, o), o.frequency_hz)
         U = o.U.copy()
         U[:, o.fundamental] = self._closed_control(o, model)
-        J = answer_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[:, n:, self.active]
+        J = displacement_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[:, :, self.active]
         C = (model.controller / model.log_phase)[:, None, None]
         return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 

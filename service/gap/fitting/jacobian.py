@@ -6,6 +6,7 @@ of any part is a generalised force on q or a change of the sensor map, so each c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,17 +47,17 @@ def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
     Columns are gains, frequencies and dampings, axis by axis; ``rig`` is the rig at the present deviations.
     """
     n, omega, axes = rig.n_axes, 2 * np.pi * o.frequency_hz, np.arange(rig.n_axes)
-    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    period, delay = rig.controller.sample_time_s, rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    early = np.exp(-1j * omega * period * rig.logging_offset_samples)[o.line, None]
     crossed = (o.U[:, o.fundamental] * early) @ rig.amplifiers.crosstalk.T
     columns = np.zeros((len(o.line), n, 3 * n), dtype=complex)
-    for k, (d_sampled, _) in enumerate(_amplifier_changes(rig, omega)):
-        columns[:, axes, k * n + axes] = d_sampled[o.line] * crossed
-    of_amplifiers = slice(2 * n, 5 * n)
-    return np.asarray(columns @ nuisance.per_unit[of_amplifiers, of_amplifiers])
+    for k, change in enumerate(_changes(rig.amplifiers, lambda a: amplifier.sampled(a, omega, period, delay))):
+        columns[:, axes, k * n + axes] = change[o.line] * crossed
+    return _per_unit(columns, nuisance.per_unit[_amplifiers(n), _amplifiers(n)])
 
 
-def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True) -> Complex:
-    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit of the vector.
+def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True) -> Complex:
+    """Derivative of the small-signal y at the fundamental, (P, n, k), per unit of the vector.
 
     ``rig`` is the rig at the present deviations, effects included; the columns of the amplifiers' values are left
     at zero where they are not asked for.
@@ -65,10 +66,9 @@ def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bo
     n, omega = rig.n_axes, 2 * np.pi * o.frequency_hz
     model = linear_model(rig, o.frequency_hz)
     U = o.U[:, o.fundamental]
-    displacement = (model.y_per_u[o.line] @ U[..., None])[..., 0]
-    columns = np.zeros((len(U), 2 * n, len(nuisance)), dtype=complex)
+    columns = np.zeros((len(U), n, len(nuisance)), dtype=complex)
 
-    m, point, rotation = rotor.mechanics(rig), actuator.operating_point(rig), force_rotation(rig)
+    m, point, rotation = rotor.mechanics(rig), model.point, force_rotation(rig)
     early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
     base = (model.baseband[o.line] @ U[..., None])[..., 0]
     eddy = actuator.eddy_factor(rig.magnets, omega)[o.line]
@@ -78,18 +78,38 @@ def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bo
 
     per_force = push @ m.force_map  # (P, n, n)
     per_magnet = per_force @ rotation
-    columns[:, n:, 0:n] = per_magnet * magnetic[:, None, :]
-    columns[:, n:, n : 2 * n] = per_magnet * (point.ks * at_bearing)[:, None, :]
+    columns[:, :, 0:n] = per_magnet * magnetic[:, None, :]
+    columns[:, :, n : 2 * n] = per_magnet * (point.ks * at_bearing)[:, None, :]
+    if amplifiers:
+        delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+        late = np.exp(-1j * omega[:, None] * delay) * amplifier.hold(omega, rig.controller.sample_time_s)[:, None]
+        per_base = point.ki * eddy * (U @ rig.amplifiers.crosstalk.T) * early
+        changes = _changes(rig.amplifiers, lambda a: amplifier.continuous(a, omega) * late)
+        columns[:, :, _amplifiers(n)] = np.concatenate(
+            [per_magnet * (per_base * change[o.line])[:, None, :] for change in changes], axis=2
+        )
     axes = np.arange(n)
-    crossed = U @ rig.amplifiers.crosstalk.T
-    for k, change in enumerate(_amplifier_changes(rig, omega) if amplifiers else ()):
-        d_sampled, d_base = (c[o.line] * crossed * early for c in change)
-        block = slice((2 + k) * n, (3 + k) * n)
-        columns[:, axes, (2 + k) * n + axes] = d_sampled
-        columns[:, n:, block] = per_magnet * (point.ki * eddy * d_base)[:, None, :]
-    columns[:, n + axes, 5 * n + axes] = displacement
+    columns[:, axes, 5 * n + axes] = (model.y_per_u[o.line] @ U[..., None])[..., 0]
     _mechanical_columns(nuisance, rig, motion, per_force, point.ks, rotation, columns)
-    return np.asarray(columns @ nuisance.per_unit)
+    return _per_unit(columns, nuisance.per_unit)
+
+
+def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
+    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit of the vector."""
+    n = rig.n_axes
+    of_current = np.zeros((len(o.line), n, len(nuisance)), dtype=complex)
+    of_current[:, :, _amplifiers(n)] = current_jacobian(nuisance, rig, o)
+    return np.concatenate([of_current, displacement_jacobian(nuisance, rig, o)], axis=1)
+
+
+def _amplifiers(n: int) -> slice:
+    """Where gain, frequency and damping of ``n`` amplifiers are in the vector: no error of theirs goes with another's."""
+    return slice(2 * n, 5 * n)
+
+
+def _per_unit(columns: Complex, per_unit: Real) -> Complex:
+    """Physical derivatives (P, n, k) per unit of the vector; as one product, which is faster than one of each point."""
+    return np.asarray((columns.reshape(-1, len(per_unit)) @ per_unit).reshape(columns.shape))
 
 
 def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> _Motion:
@@ -124,24 +144,15 @@ def residue_columns(rig: Rig, o: Observation) -> Complex:
     return np.asarray(np.einsum("piva,pvb->piab", per_displacement.reshape(planes), force))
 
 
-def _amplifier_changes(rig: Rig, omega: Real) -> list[tuple[Complex, Complex]]:
-    """Derivatives of the sampled and the baseband response by ln gain, ln frequency, ln damping, each (F, n)."""
-    amp, period = rig.amplifiers, rig.controller.sample_time_s
-    delay = amp.delay_s + rig.controller.computing_delay_s
-    late = np.exp(-1j * omega[:, None] * delay) * amplifier.hold(omega, period)[:, None]
+def _changes(amp: Amplifiers, response: Callable[[Amplifiers], Complex]) -> list[Complex]:
+    """Derivatives of a response of the amplifiers by ln gain, ln frequency and ln damping, each (F, n)."""
 
-    def both(a: Amplifiers) -> tuple[Complex, Complex]:
-        return amplifier.sampled(a, omega, period, delay), amplifier.continuous(a, omega) * late
-
-    def moved(name: str, factor: float) -> tuple[Complex, Complex]:
+    def moved(name: str, factor: float) -> Complex:
         value = getattr(amp, name)
-        return both(amp if value is None else replace(amp, **{name: value * factor}))
+        return response(amp if value is None else replace(amp, **{name: value * factor}))
 
-    changes = []
-    for name in ("gain", "natural_frequency_rad_s", "damping_ratio"):
-        up, down = moved(name, 1 + STEP), moved(name, 1 - STEP)
-        changes.append(((up[0] - down[0]) / (2 * STEP), (up[1] - down[1]) / (2 * STEP)))
-    return changes
+    names = ("gain", "natural_frequency_rad_s", "damping_ratio")
+    return [(moved(name, 1 + STEP) - moved(name, 1 - STEP)) / (2 * STEP) for name in names]
 
 
 def _mechanical_columns(
@@ -164,22 +175,22 @@ def _mechanical_columns(
     column = c + 4
     for plane, modes in enumerate(r.modes):
         q = motion.q
-        columns[:, n:, c] += pushed(start, -r.mass_kg * s2 * q[:, [start]])
-        columns[:, n:, c + 1] += pushed(start + 1, -r.transverse_inertia_kgm2 * s2 * q[:, [start + 1]])
+        columns[:, :, c] += pushed(start, -r.mass_kg * s2 * q[:, [start]])
+        columns[:, :, c + 1] += pushed(start + 1, -r.transverse_inertia_kgm2 * s2 * q[:, [start + 1]])
         for side, sign in enumerate((1.0, -1.0)):
             axis = 2 * plane + side
-            columns[:, n + axis, c + 2 + side] += sign * motion.sensor[:, axis] * q[:, start + 1]
+            columns[:, axis, c + 2 + side] += sign * motion.sensor[:, axis] * q[:, start + 1]
         for k, mode in enumerate(modes[: nuisance.n_modes]):
             at = start + 2 + k
             w, qk, s = mode.natural_frequency_rad_s, q[:, [at]], motion.s[:, None]
             damping = 2 * (mode.damping_ratio + r.internal_damping_ratio) * w * s
-            columns[:, n:, column] = pushed(at, -(2 * w**2 + damping) * qk)
-            columns[:, n:, column + 1] = pushed(at, -2 * mode.damping_ratio * w * s * qk)
+            columns[:, :, column] = pushed(at, -(2 * w**2 + damping) * qk)
+            columns[:, :, column + 1] = pushed(at, -2 * mode.damping_ratio * w * s * qk)
             for side in range(2):
                 axis = 2 * plane + side
                 extra = per_force @ rotation[:, axis] * (ks[axis] * qk)
-                columns[:, n:, column + 2 + side] = pushed(at, motion.force[:, [axis]]) + extra
-                columns[:, n + axis, column + 4 + side] = motion.sensor[:, axis] * qk[:, 0]
+                columns[:, :, column + 2 + side] = pushed(at, motion.force[:, [axis]]) + extra
+                columns[:, axis, column + 4 + side] = motion.sensor[:, axis] * qk[:, 0]
             column += 6
         start += 2 + len(modes)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.jacobian import answer_jacobian, residue_columns, stacked
+from service.gap.fitting.jacobian import displacement_jacobian, residue_columns, stacked
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import linear_answer, weight, whole_displacement
 from service.gap.measured.observation import Observation
@@ -107,7 +107,7 @@ def resonances(
     if rig.support is not None and not shaped:
         return []
     f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
-    J = answer_jacobian(ground.nuisance, rig, o, ground.part.from_control)[:, rig.n_axes :, ground.part.active]
+    J = displacement_jacobian(ground.nuisance, rig, o, ground.part.from_control)[:, :, ground.part.active]
     rows = stacked(J * w[..., None])
     basis = np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]  # the tolerances as data
     columns = residue_columns(rig, o) * w[..., None, None]
