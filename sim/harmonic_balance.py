@@ -15,7 +15,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import actuator, amplifier, magnetic_force, periodic, sensor
+from sim import amplifier, magnetic_force, periodic, sensor
 from sim.actuator import OperatingPoint
 from sim.rig import Array, Rig
 from sim.twin import LinearModel, linear_model

@@ -103,7 +103,7 @@ def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
 
 
 def _amplifiers(n: int) -> slice:
-    """Where gain, frequency and damping of ``n`` amplifiers are in the vector: no error of theirs goes with another's."""
+    """Where gain, frequency and damping of ``n`` amplifiers are in the vector; nothing else goes with them."""
     return slice(2 * n, 5 * n)
 
 
@@ -165,7 +165,7 @@ def _mechanical_columns(
     columns: Complex,
 ) -> None:
     """Columns of mass, inertia, sensor positions and modes, written in place."""
-    n, c, r = rig.n_axes, 6 * rig.n_axes, rig.rotor
+    c, r = 6 * rig.n_axes, rig.rotor
     s2 = motion.s[:, None] ** 2
 
     def pushed(coordinate: int, generalised_force: Complex) -> Complex:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -33,8 +34,18 @@ HOPEFUL = 0.75
 a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
 
 
-def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) -> Ranked | None:
-    """The explanation by ``size`` effects that one more is looked for beside; None where that has no prospect.
+@dataclass(frozen=True)
+class Extension:
+    """What one more effect is looked for beside, and which."""
+
+    base: Ranked
+    beside: tuple[str, ...]
+    pairs: bool
+    """whether two others may do in its place"""
+
+
+def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) -> Extension | None:
+    """How the explanation by ``size`` effects is extended by one more; None where that has no prospect.
 
     ``fewer`` is the explanation by fewer effects that these were looked for beside.
     """
@@ -45,20 +56,21 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
     base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
-    if not _leaves_something(ground, base) and not _another_explains_more(base, order):
-        return None
+    leaves = _leaves_something(ground, base)
+    more = ground.part.effects if leaves else _explaining_more(base, order)
     # Alone, an effect may explain much by values that the datasheet does not allow; beside another it need not.
     hopeful = [base] if size > 1 else [r for r in order if r.candidate.effects]
     gives_way = any(now < HOPEFUL * was for r in hopeful for now, was in zip(r.shares, fewer.shares, strict=True))
-    return base if gives_way else None
+    names = tuple(name for name in ground.part.effects if name in more and name not in base.candidate.effects)
+    return Extension(base, names, leaves and size == 1) if names and gives_way else None
 
 
 def with_one_more(
-    fitter: Fitter, ground: Ground, order: Sequence[Ranked], base: Ranked, found: Sequence[Candidate]
+    fitter: Fitter, ground: Ground, order: Sequence[Ranked], extension: Extension, found: Sequence[Candidate]
 ) -> list[Candidate]:
-    """What was found and the mixtures of one effect more than ``base``, the best fit of each."""
+    """What was found and the mixtures of one effect more than was extended, the best fit of each."""
     null = next(r.candidate for r in order if not r.candidate.effects)
-    larger = refined(fitter, ground, null, fitter.run(_larger(order, base, ground)))
+    larger = refined(fitter, ground, null, fitter.run(_larger(order, extension, ground)))
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
@@ -89,22 +101,24 @@ def _at_bound(r: Ranked) -> bool:
     return bool(at_bound(r.candidate.fit).any())
 
 
-def _another_explains_more(base: Ranked, order: Sequence[Ranked]) -> bool:
-    """Whether other effects leave less where ``base`` leaves too much: they know the shape that bands blur."""
+def _explaining_more(base: Ranked, order: Sequence[Ranked]) -> set[str]:
+    """Effects that leave less where ``base`` leaves too much, with their aliases: they know a shape that bands blur."""
     left = [(k, chi) for k, (chi, _) in enumerate(base.candidate.fit.groups) if base.shares[k] > MIXED]
-    others = [r.candidate.fit.groups for r in order if not set(r.candidate.effects) <= set(base.candidate.effects)]
-    return any(chi - groups[k][0] > CLEAR for k, chi in left for groups in others)
+    others = [r.candidate for r in order if not set(r.candidate.effects) <= set(base.candidate.effects)]
+    more = {
+        name for c in others if any(chi - c.fit.groups[k][0] > CLEAR for k, chi in left) for name in c.effects
+    } - set(base.candidate.effects)
+    return more | {alias for name in more for alias in CATALOGUE[name].aliases}
 
 
-def _larger(order: Sequence[Ranked], base: Ranked, ground: Ground) -> Iterable[Task]:
-    """Mixtures of one effect more: those of ``base`` with every other effect, and pairs of good singles."""
-    best, null = base.candidate, next(r.candidate for r in order if not r.candidate.effects)
+def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> Iterable[Task]:
+    """Mixtures of one effect more: those of the base with others, and pairs of good singles."""
+    best, null = extension.base.candidate, next(r.candidate for r in order if not r.candidate.effects)
     tried, rough, left = set(), rough_beside(best, ground), residuals(ground, best)
-    for name in ground.part.effects:
-        if name not in best.effects:
-            tried.add(frozenset((*best.effects, name)))
-            yield beside(name, best, null, left, ground, best.fit.theta, rough)
-    if len(best.effects) > 1:
+    for name in extension.beside:
+        tried.add(frozenset((*best.effects, name)))
+        yield beside(name, best, null, left, ground, best.fit.theta, rough)
+    if not extension.pairs:
         return
     singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]
     for a, b in combinations(singles, 2):

@@ -139,11 +139,11 @@ def explain(
     fewer = next(r for r in order if r.candidate is null)
     for size in range(1, most + 1):
         left = residuals(ground, order[0].candidate)
-        base = None if size == most else extended(ground, order, fewer, size)
-        if base is None:
+        extension = None if size == most else extended(ground, order, fewer, size)
+        if extension is None:
             break
-        fewer = base
-        found = with_one_more(fitter, ground, order, base, found)
+        fewer = extension.base
+        found = with_one_more(fitter, ground, order, extension, found)
         order = worthy(ranked(null, found))
     if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
         found = best_of_each([*found, *exchanged(fitter, ground, order[0].candidate, found)])
