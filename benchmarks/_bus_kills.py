@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from drivers.controller import State
@@ -71,7 +72,7 @@ def _after(events: Path, line: int, text: str) -> float:
     return 0.0
 
 
-def _wait(condition, seconds: float = 30.0) -> None:
+def _wait(condition: Callable[[], object], seconds: float = 30.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > deadline:

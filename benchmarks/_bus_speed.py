@@ -12,11 +12,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from drivers.controller import Tone
+from drivers.controller import Controller, Tone
 from drivers.device.front import DeviceFront
 from drivers.device.hub import CanHub
 from drivers.device.machine import RigDevice
 from drivers.link import Link
+from drivers.remote import RemoteController
 from drivers.url import connect
 from sim.reference import reference_rig
 
@@ -71,13 +72,18 @@ def _bare(repetitions: int) -> float:
     return statistics.median(rates)
 
 
+def _link(controller: Controller) -> Link:
+    assert isinstance(controller, RemoteController)
+    return controller._dialogue.link
+
+
 def _driver(repetitions: int) -> float:
     """Bytes per second of our driver on our device process, CRC checked."""
     with _process("-m", "drivers.device", "--protocol", "modbus") as url:
         controller = connect(url)
         with controller.lease("benchmark"):
             sequence = controller.measure(TONE).sequence
-        link: Link = controller._dialogue.link  # the transfer alone, without the tone
+        link = _link(controller)  # the transfer alone, without the tone
         rates = []
         for _ in range(repetitions):
             began = time.perf_counter()
@@ -113,7 +119,7 @@ def sdo_block(bitrate: int = 1_000_000) -> tuple[float, float, float]:
         controller = connect(url)
         with controller.lease("benchmark"):
             sequence = controller.measure(TONE).sequence
-        link: Link = controller._dialogue.link
+        link = _link(controller)
         rates = []
         for _ in range(3):
             began = time.perf_counter()

@@ -7,7 +7,9 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import _bus_faults
 import _bus_kills
@@ -83,7 +85,7 @@ def _compare(name: str, reference: Experiment, experiment: Experiment) -> None:
     y = i = 0.0
     points = 0
     for k, (sweep, other) in enumerate(zip(reference.sweeps, experiment.sweeps, strict=True)):
-        if sweep.Y is None or other.Y is None or sweep.Y.shape != other.Y.shape:
+        if sweep.I is None or other.I is None or sweep.Y.shape != other.Y.shape:
             print(f"agreement: {name}: sweep {k} differs in shape")
             continue
         points += len(sweep.frequency_hz)
@@ -159,7 +161,7 @@ class _Meter:
         self.points[tone.raw] += 1
         return point
 
-    def __getattr__(self, name: str):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._controller, name)
 
 
@@ -180,7 +182,7 @@ def bus_time() -> None:
         )
 
 
-def _ticker(total: int):
+def _ticker(total: int) -> Callable[[int], None]:
     began = time.monotonic()
 
     def tick(done: int) -> None:

@@ -67,7 +67,8 @@ def commanded(folder: Path, out: Path, jobs: int) -> tuple[dict[str, Any], float
 
 def alone(folders: list[Path], out: Path, jobs: int) -> None:
     """Print the wall time of one diagnosis at a time."""
-    took, right = [], 0
+    took: list[float] = []
+    right = 0
     for k, folder in enumerate(folders):
         report, seconds = commanded(folder, out / folder.name, jobs)
         o = outcome(k, json.loads((folder / "truth.json").read_text()), report, seconds)
@@ -148,7 +149,7 @@ def shown(title: str, scores: dict[str, Any]) -> None:
             for row in content:
                 print(f"   detectability {row['from']:g}..{row['to'] or 'inf'}: {row}")
         elif isinstance(content, dict):
-            flat = {k: round(v, 4) if isinstance(v, float) else v for k, v in content.items()}
+            flat: dict[str, Any] = {k: round(v, 4) if isinstance(v, float) else v for k, v in content.items()}
             for key in ("by_effect", "by_law"):
                 for name, row in flat.pop(key, {}).items():
                     print(f"     {name}: {row}")

@@ -19,6 +19,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -106,11 +107,10 @@ class Trial:
                 )
             return
         for name in ("ambit.db", "jobs.db"):
-            with sqlite3.connect(self.found.home / name, timeout=30, isolation_level=None) as connection:
-                connection.execute("BEGIN IMMEDIATE")
+            with closing(sqlite3.connect(self.found.home / name, timeout=30, isolation_level=None)) as file:
+                file.execute("BEGIN IMMEDIATE")
                 time.sleep(self.rng.uniform(0, LOCKED_S))
-                connection.execute("ROLLBACK")
-            connection.close()
+                file.execute("ROLLBACK")
 
 
 def patiently(call: Any) -> Any:

@@ -84,7 +84,7 @@ def bounds(experiment: Experiment) -> dict[str, float]:
     n = RIG.noise
     white = [n.current_a**2 + n.current_step_a**2 / 12, n.displacement_m**2 + n.displacement_step_m**2 / 12]
     noise = 4 / rate * np.repeat(white, 2)
-    out = {}
+    out: dict[str, float] = {}
     for p, plane in enumerate("xy"):
         model = plane_model_of(RIG, plane)
         information = line_information(model, controller, 2 * np.pi * hz, np.tile(noise, (len(hz), 1)), np.inf)

@@ -124,9 +124,9 @@ def detectability(plain: Truth, data: list[dict], without: list[dict], tolerance
     theta, damping = np.zeros(n), 1.0
     y = whitened(changes)
     best = float(y @ y)
-    normal, d = j.T @ j, np.diag(j.T @ j)
+    normal, own = j.T @ j, np.diag(j.T @ j)
     for _ in range(20):  # Levenberg and Marquardt with the Jacobian of the start: an upper bound is enough
-        trial = theta + np.linalg.solve(normal + np.eye(n) + damping * np.diag(d), j.T @ y - theta)
+        trial = theta + np.linalg.solve(normal + np.eye(n) + damping * np.diag(own), j.T @ y - theta)
         model = _linear(plain, parts, trial, data, c)
         left = whitened([e - (m - m0) for e, m, m0 in zip(changes, model, nominal, strict=True)])
         cost = float(left @ left + trial @ trial)

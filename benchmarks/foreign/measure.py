@@ -127,7 +127,7 @@ def measure(
     done, clock, out = 0, 0.0, []
     for tones in sweeps:
         p = 4 * len(tones.samples)
-        data = {name: np.empty((p, BLOCKS, HARMONICS, 4), dtype=np.complex64) for name in "RUIY"}
+        data: dict[str, np.ndarray] = {name: np.empty((p, BLOCKS, HARMONICS, 4), dtype=np.complex64) for name in "RUIY"}
         logged: dict[str, list[np.ndarray]] = {name: [] for name in "ruiy"}
         data["axis"] = np.repeat(np.arange(4), len(tones.samples)).astype(np.int8)
         data["frequency_hz"], data["amplitude_a"] = np.tile(tones.frequency, 4), np.tile(tones.amplitude, 4)

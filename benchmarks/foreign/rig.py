@@ -167,7 +167,7 @@ class Truth:
         }
 
 
-def _in_use(plant: np.void) -> np.ndarray:
+def _in_use(plant: np.ndarray | np.void) -> np.ndarray:
     """(N_STATES,) states that belong to something: the rest would show as eigenvalues at 1."""
     used = np.zeros(N_STATES, dtype=bool)
     used[:14] = used[14:28] = (plant["minv"] > 0).ravel()
