@@ -301,6 +301,7 @@ def test_a_device_that_left_its_bus_leaves_nothing_running(bench: Bench) -> None
     with bench.fresh(seed=5) as controller, controller.lease("contract"):
         controller.measure(TONE)
     _wait_until(lambda: set(threading.enumerate()) <= before)
+    assert set(threading.enumerate()) <= before
 
 
 def _stop_when_exciting(bench: Bench, controller: Controller) -> None:

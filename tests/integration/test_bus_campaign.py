@@ -1,4 +1,4 @@
-"""An experiment over a bus is the experiment in process: same rig, same seed, same points, same figures.
+"""An experiment over a bus is the experiment in process: same rig, assert_same seed, same points, same figures.
 
 What is identified from it is a function of these figures alone (`benchmarks/buses.py agreement` identifies them).
 """
@@ -35,7 +35,7 @@ def campaign(controller: Controller, folder: Path) -> Experiment:
     return run_campaign(controller, reference_datasheet(), folder, profile=SMALL)
 
 
-def same(one: Experiment, two: Experiment) -> None:
+def assert_same(one: Experiment, two: Experiment) -> None:
     assert len(one.main.frequency_hz) > 40
     for a, b in zip(one.sweeps, two.sweeps, strict=True):
         for name in ("frequency_hz", "axis", "amplitude_a", "R", "U", "I", "Y"):
@@ -61,7 +61,7 @@ def test_experiment_over_a_bus_equals_the_one_in_process(
     served = serve(RigDevice(reference_rig(), SEED))
     controller = connect(served.url)
     try:
-        same(campaign(controller, tmp_path), in_process)
+        assert_same(campaign(controller, tmp_path), in_process)
     finally:
         controller.close()
         served.close()
@@ -80,7 +80,7 @@ def test_experiment_over_canopen_equals_the_one_in_process(tmp_path: Path) -> No
     served = serve_canopen(Terse(reference_rig(), SEED), CanOptions())
     controller = connect(served.url)
     try:
-        same(campaign(controller, tmp_path / "canopen"), reference)
+        assert_same(campaign(controller, tmp_path / "canopen"), reference)
     finally:
         controller.close()
         served.close()
@@ -104,7 +104,7 @@ def test_experiment_whose_tones_were_cut_short_equals_one_without_a_break(
 ) -> None:
     """A tone that is asked for again meets the same noise: load on a machine leaves no trace in a result."""
     device = Inattentive(reference_rig(), SEED)
-    same(campaign(SimulatedController(device), tmp_path), in_process)
+    assert_same(campaign(SimulatedController(device), tmp_path), in_process)
     assert device.silences > 5
 
 

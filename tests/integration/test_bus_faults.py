@@ -99,7 +99,7 @@ def run_points(controller: Controller, tones: list[Tone]) -> tuple[list[PointRes
     return results, marks
 
 
-def check(device: Witness, tones: list[Tone], results: list[PointResult]) -> None:
+def assert_survived(device: Witness, tones: list[Tone], results: list[PointResult]) -> None:
     for tone, point in zip(tones, results, strict=True):
         truth = device.truth[point.sequence]
         assert point.tone == tone
@@ -148,7 +148,7 @@ def test_each_fault_is_survived(bus, rate: float, kind: str) -> None:
         finally:
             dice.on = False
             controller.close()
-    check(device, tones, results)
+    assert_survived(device, tones, results)
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_all_faults_together_let_no_wrong_value_through(bus, rate: float) -> Non
             dice.on = False
             controller.close()
         assert sum(dice.struck.values()) > 3
-    check(device, tones, results)
+    assert_survived(device, tones, results)
 
 
 # Five hundred frames on Modbus, nine thousand on CAN.
@@ -219,4 +219,4 @@ def test_faults_in_tls_are_survived(tmp_path: Path) -> None:
     finally:
         controller.close()
         served.close()
-    check(device, tones, results)
+    assert_survived(device, tones, results)

@@ -13,7 +13,7 @@ from drivers.errors import BusError, ControllerError
 from drivers.url import connect
 from sim.reference import reference_rig
 from tests.support.certificates import make_authority
-from tests.support.vendor import works_like_our_own
+from tests.support.vendor import assert_works_like_our_own
 
 TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
 VENDOR = """
@@ -56,7 +56,7 @@ def test_vendors_registers_work_like_our_own(vendor_map: Path) -> None:
     served = serve_modbus(RigDevice(reference_rig(), 3), ModbusOptions(port=0, map=vendor_map))
     controller = connect(f"{served.url}&map={vendor_map}")
     try:
-        works_like_our_own(controller, TONE, raw_samples=4500)
+        assert_works_like_our_own(controller, TONE, raw_samples=4500)
     finally:
         controller.close()
         served.close()

@@ -9,7 +9,7 @@ import pytest
 from service.experiment.file import read
 from sim.reference import reference_rig
 from sim.twin import linear_model
-from tests.support.campaigns import PEAKS, SHEET, SMALL, campaign, relative_error, same
+from tests.support.campaigns import PEAKS, SHEET, SMALL, assert_same, campaign, relative_error
 
 
 def test_all_sweeps_are_there_and_the_file_has_them(whole):
@@ -17,7 +17,7 @@ def test_all_sweeps_are_there_and_the_file_has_them(whole):
     assert [s.comment for s in experiment.sweeps] == ["main", "validation", "amplifier", "noise", "preliminary"]
     assert [s.kind for s in experiment.sweeps].count("noise") == 1
     assert {p.name for p in folder.iterdir()} == {"experiment.h5"}
-    same(read(folder / "experiment.h5"), experiment)
+    assert_same(read(folder / "experiment.h5"), experiment)
 
 
 def test_the_plant_is_measured_as_accurately_as_asked(whole):
@@ -67,7 +67,7 @@ def test_progress_counts_up_to_its_total(whole):
 
 
 def test_the_same_seed_gives_the_same_experiment(whole, tmp_path):
-    same(campaign(reference_rig(), tmp_path), whole[1])
+    assert_same(campaign(reference_rig(), tmp_path), whole[1])
 
 
 @pytest.mark.parametrize("frequencies_hz", [None, (430.0, 850.0)])

@@ -9,7 +9,7 @@ from drivers.errors import BusError, CancelledError
 from service.experiment.campaign import recover
 from service.experiment.file import read
 from sim.reference import reference_rig
-from tests.support.campaigns import Faulty, campaign, interrupted_at, plant, same
+from tests.support.campaigns import Faulty, assert_same, campaign, interrupted_at, plant
 
 
 @pytest.mark.parametrize("n", [1, 3, 40, 120])
@@ -22,7 +22,7 @@ def test_a_keyboard_interrupt_stops_the_rig_keeps_the_points_and_can_be_resumed(
     assert rig.status().lease_holder == ""
     kept = recover(tmp_path)
     if n >= 40:
-        same(read(tmp_path / "experiment.h5"), kept)
+        assert_same(read(tmp_path / "experiment.h5"), kept)
         assert kept.named("preliminary").n_points > 0
     resumed = Faulty(lambda k: None)
     # the same noise as in the uninterrupted run: play to the device what was already measured
@@ -118,7 +118,7 @@ def test_a_bus_that_fails_now_and_then_costs_nothing(tmp_path, whole):
         if k % 40 == 7:
             raise BusError("no answer within 0.3 s")
 
-    same(campaign(Faulty(fault), tmp_path), whole[1])
+    assert_same(campaign(Faulty(fault), tmp_path), whole[1])
 
 
 def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_path, monkeypatch):

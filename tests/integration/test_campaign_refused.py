@@ -12,10 +12,10 @@ from service.experiment.campaign import recover, run_campaign
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
 from sim.reference import reference_rig
-from tests.support.campaigns import SHEET, SMALL, Faulty, campaign, interrupted_at, same
+from tests.support.campaigns import SHEET, SMALL, Faulty, assert_same, campaign, interrupted_at
 
 
-def refused(error, match, controller, folder, sheet=SHEET, **options):
+def assert_refused(error, match, controller, folder, sheet=SHEET, **options):
     with pytest.raises(error, match=match) as caught:
         run_campaign(controller, sheet, folder, profile=SMALL, **options)
     assert "\n" not in str(caught.value)
@@ -24,20 +24,20 @@ def refused(error, match, controller, folder, sheet=SHEET, **options):
 
 def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    refused(OutputError, "nothing was started", Faulty(None), tmp_path / "file" / "out")
+    assert_refused(OutputError, "nothing was started", Faulty(None), tmp_path / "file" / "out")
 
 
 def test_a_datasheet_of_another_rig(tmp_path):
     other = replace(SHEET, axes=("xA", "xB"))
-    refused(CampaignError, "give the datasheet of this rig", Faulty(None), tmp_path, other)
-    refused(CampaignError, "sample_time_s", Faulty(None), tmp_path, replace(SHEET, sample_time_s=5e-5))
+    assert_refused(CampaignError, "give the datasheet of this rig", Faulty(None), tmp_path, other)
+    assert_refused(CampaignError, "sample_time_s", Faulty(None), tmp_path, replace(SHEET, sample_time_s=5e-5))
 
 
 def test_a_rig_that_another_host_holds(tmp_path):
     rig = Faulty(None)
     other = SimulatedController(rig.inner._device)
     with other.lease("another host"):
-        refused(LeaseError, "another host", rig, tmp_path)
+        assert_refused(LeaseError, "another host", rig, tmp_path)
 
 
 @pytest.mark.parametrize(("state", "said"), [(State.TRIPPED, "acknowledge it first"), (State.OFF, "switch it on")])
@@ -46,14 +46,14 @@ def test_a_rig_that_is_tripped_or_off(tmp_path, state, said):
         def status(self) -> Status:
             return replace(self.inner.status(), state=state, trip_message="displacement of axis xA")
 
-    refused(CampaignError, said, Down(None), tmp_path)
+    assert_refused(CampaignError, said, Down(None), tmp_path)
 
 
 def test_a_journal_of_another_rig_or_profile(tmp_path):
     with pytest.raises(CancelledError):
         campaign(Faulty(interrupted_at(20, KeyboardInterrupt())), tmp_path)
     before = (tmp_path / "experiment.journal").read_bytes()
-    refused(JournalError, "datasheet_sha256", Faulty(None), tmp_path, replace(SHEET, mass_kg=281.0))
+    assert_refused(JournalError, "datasheet_sha256", Faulty(None), tmp_path, replace(SHEET, mass_kg=281.0))
     assert (tmp_path / "experiment.journal").read_bytes() == before
     with pytest.raises(JournalError, match="its profile is"):
         campaign(Faulty(None), tmp_path, replace(SMALL, points=25))
@@ -72,7 +72,7 @@ def test_starting_anew_puts_the_old_journal_and_experiment_aside(tmp_path):
     before = read(tmp_path / "experiment.h5")
     campaign(SimulatedController(reference_rig(), seed=2), tmp_path, TINY, resume=False)
     assert names(tmp_path) == {"experiment.h5", "experiment.previous-1.h5", "experiment.previous-1.journal"}
-    same(read(tmp_path / "experiment.previous-1.h5"), before)
+    assert_same(read(tmp_path / "experiment.previous-1.h5"), before)
 
 
 def test_a_resumed_campaign_leaves_nothing_of_the_interruption(tmp_path):
@@ -89,7 +89,7 @@ def test_an_interrupted_campaign_does_not_cost_the_one_before(tmp_path):
     with pytest.raises(CancelledError):
         campaign(SimulatedWithInterrupt(), tmp_path, TINY)
     assert names(tmp_path) == {"experiment.h5", "experiment.previous-1.h5", "experiment.journal"}
-    same(read(tmp_path / "experiment.previous-1.h5"), whole)
+    assert_same(read(tmp_path / "experiment.previous-1.h5"), whole)
 
 
 class SimulatedWithInterrupt(Faulty):

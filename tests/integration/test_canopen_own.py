@@ -16,7 +16,7 @@ from drivers.device.serve import CanOptions, serve_canopen
 from drivers.errors import BusError, LimitError
 from drivers.url import connect
 from sim.reference import reference_rig
-from tests.support.vendor import works_like_our_own
+from tests.support.vendor import assert_works_like_our_own
 
 TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
 VENDOR = """
@@ -68,7 +68,7 @@ def test_vendors_objects_work_like_our_own(vendor_map: Path) -> None:
     served = serve_canopen(RigDevice(reference_rig(), 3), CanOptions(map=vendor_map))
     controller = connect(f"{served.url}&map={vendor_map}")
     try:
-        works_like_our_own(controller, TONE, raw_samples=500)
+        assert_works_like_our_own(controller, TONE, raw_samples=500)
         with controller.lease("host"), pytest.raises(LimitError):
             controller.measure(Tone(axis=0, amplitude_a=7.0, periods=1, samples=500))
     finally:

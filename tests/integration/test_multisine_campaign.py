@@ -18,7 +18,7 @@ from service.experiment.multisine_plan import MultisineProfile
 from service.identification.fit import identify
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import linear_model
-from tests.support.campaigns import Faulty, same
+from tests.support.campaigns import Faulty, assert_same
 
 RIG, SHEET = reference_rig(), reference_datasheet()
 SHORT = MultisineProfile(
@@ -103,7 +103,7 @@ def test_the_file_has_all_sweeps_in_the_contracts_form(whole):
     assert [s.kind for s in experiment.sweeps] == ["multisine"] * 3 + ["noise"]
     assert {p.name for p in folder.iterdir()} == {"experiment.h5"}
     stored = read(folder / "experiment.h5")
-    same(stored, experiment)
+    assert_same(stored, experiment)
     np.testing.assert_array_equal(stored.main.phase_rad, experiment.main.phase_rad)
     main = stored.main
     own = main.R[np.arange(main.n_points), :, 0, main.axis]
@@ -144,7 +144,7 @@ def test_distortion_is_told_apart_from_noise(whole):
 
 
 def test_equal_campaigns_are_equal(tmp_path, short):
-    same(campaign(tmp_path), short)
+    assert_same(campaign(tmp_path), short)
 
 
 # ---- safety

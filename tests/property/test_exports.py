@@ -66,14 +66,14 @@ def measured(draw):
     )
 
 
-def same_model(one: Linear, other: Linear, comment: bool = True) -> None:
+def assert_same_model(one: Linear, other: Linear, comment: bool = True) -> None:
     for name in "ABCD":
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     fields = ["name", "states", "inputs", "outputs", "input_units", "output_units"] + ["comment"] * comment
     assert [getattr(one, f) for f in fields] == [getattr(other, f) for f in fields]
 
 
-def same_responses(one: Responses, other: Responses) -> None:
+def assert_same_responses(one: Responses, other: Responses) -> None:
     np.testing.assert_array_equal(one.frequency_hz, other.frequency_hz)
     np.testing.assert_array_equal(one.value, other.value)
     assert (one.std is None) == (other.std is None)
@@ -88,19 +88,19 @@ def same_responses(one: Responses, other: Responses) -> None:
 @given(model=models())
 def test_models_come_back(ending, model, tmp_path):
     path = files.write_linear(tmp_path / f"model{ending}", model)
-    same_model(model, files.read_linear(path))
+    assert_same_model(model, files.read_linear(path))
 
 
 @QUICK
 @given(model=models())
 def test_models_come_back_from_python_control(model):
-    same_model(model, control_objects.from_control(control_objects.to_control(model)), comment=False)
+    assert_same_model(model, control_objects.from_control(control_objects.to_control(model)), comment=False)
 
 
 @QUICK
 @given(model=models())
 def test_models_come_back_from_their_document(model):
-    same_model(model, linear.from_document(linear.document(model)))
+    assert_same_model(model, linear.from_document(linear.document(model)))
 
 
 @pytest.mark.parametrize("ending", files.RESPONSE_ENDINGS)
@@ -111,4 +111,4 @@ def test_responses_come_back(ending, found, tmp_path):
     path.unlink(missing_ok=True)
     (written,) = files.write_responses(path, [found])
     (back,) = files.read_responses(written)
-    same_responses(found, back)
+    assert_same_responses(found, back)

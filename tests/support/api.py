@@ -30,7 +30,7 @@ def commissioned(service: Serving, rig: str) -> str:
     return row.id
 
 
-def is_problem(answer: httpx.Response, status: int, *words: str) -> None:
+def assert_problem(answer: httpx.Response, status: int, *words: str) -> None:
     """An RFC 9457 problem of that status, whose detail has the words."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"

@@ -32,7 +32,7 @@ def campaign(rig: Any, folder: Path, profile: Profile = SMALL, sheet: Any = SHEE
     return run_campaign(controller, sheet, folder, profile=profile, **options)
 
 
-def same(one: Experiment, other: Experiment) -> None:
+def assert_same(one: Experiment, other: Experiment) -> None:
     assert [s.comment for s in one.sweeps] == [s.comment for s in other.sweeps]
     for a, b in zip(one.sweeps, other.sweeps, strict=True):
         assert a.flags == b.flags

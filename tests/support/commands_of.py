@@ -7,7 +7,7 @@ import typer
 from service.cli import app
 
 
-def understood(arguments: list[str]) -> None:
+def assert_understood(arguments: list[str]) -> None:
     """Raise what the command would say of its usage."""
     command, context, rest = typer.main.get_command(app), None, list(arguments)
     while hasattr(command, "commands"):

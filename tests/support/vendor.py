@@ -7,7 +7,7 @@ import numpy as np
 from drivers.controller import Controller, State, Tone
 
 
-def works_like_our_own(controller: Controller, tone: Tone, raw_samples: int) -> None:
+def assert_works_like_our_own(controller: Controller, tone: Tone, raw_samples: int) -> None:
     """Capabilities in SI, a tone of 0.1 A on axis 1 as asked for, a raw record of this length, the state after it."""
     assert controller.capabilities().max_amplitude_a == 6.0
     with controller.lease("host"):

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from sqlalchemy import select
 
 from service.storage.tables import JobRow
-from tests.support.api import commissioned, is_problem
+from tests.support.api import assert_problem, commissioned
 from tests.support.uploads import good
 
 
@@ -20,7 +20,7 @@ def test_the_same_request_under_a_key_is_done_once(api, service, rig, experiment
     assert sum("idempotent-replayed" not in a.headers for a in answers) == 1
     with service.services.database.read() as session:
         assert len(list(session.scalars(select(JobRow).where(JobRow.rig_id == rig)))) == 1
-    is_problem(api.post("/jobs", json={**body, "priority": 1}, headers=headers), 422, "another request")
+    assert_problem(api.post("/jobs", json={**body, "priority": 1}, headers=headers), 422, "another request")
 
 
 def test_a_retry_that_is_sent_again_is_done_once(api, service, rig, experiment):
@@ -32,14 +32,14 @@ def test_a_retry_that_is_sent_again_is_done_once(api, service, rig, experiment):
     assert first.json() == second.json()
     assert "idempotent-replayed" in second.headers
     assert api.get(f"/jobs/{job}").json()["run"] == 2
-    is_problem(api.post(f"/jobs/{job}/retry"), 409, "only what failed")
+    assert_problem(api.post(f"/jobs/{job}/retry"), 409, "only what failed")
 
 
 def test_a_refused_request_may_be_sent_again_under_its_key(api, service, rig):
     """A refusal is not remembered: what stood in its way is removed, and the same request is done."""
     headers = {"Idempotency-Key": f"refused {rig}"}
     body = {"kind": "health", "rig": rig}
-    is_problem(api.post("/jobs", json=body, headers=headers), 404, "commission it first")
+    assert_problem(api.post("/jobs", json=body, headers=headers), 404, "commission it first")
     commissioned(service, rig)
     answer = api.post("/jobs", json=body, headers=headers)
     assert (answer.status_code, answer.json()["kind"]) == (202, "health"), answer.text
@@ -53,5 +53,5 @@ def test_an_upload_that_is_sent_again_is_kept_once(api, rig, tmp_path):
     assert first.status_code == second.status_code == 201, first.text
     assert first.json() == second.json()
     other = good(tmp_path / "f.h5", points=9).read_bytes()
-    is_problem(api.post(f"/rigs/{rig}/experiments", content=other, headers=headers), 422, "another request")
+    assert_problem(api.post(f"/rigs/{rig}/experiments", content=other, headers=headers), 422, "another request")
     assert len(api.get("/experiments", params={"rig": rig}).json()["items"]) == 1

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.api import is_problem
+from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 
 SHEET = reference_sheet()
@@ -24,7 +24,7 @@ SHEET = reference_sheet()
     ],
 )
 def test_a_job_that_cannot_be_done_is_refused_at_once(api, rig, body, status, word):
-    is_problem(api.post("/jobs", json={"rig": rig, **body}), status, word)
+    assert_problem(api.post("/jobs", json={"rig": rig, **body}), status, word)
 
 
 @pytest.mark.parametrize(
@@ -39,13 +39,13 @@ def test_a_job_that_cannot_be_done_is_refused_at_once(api, rig, body, status, wo
     ],
 )
 def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
-    is_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
+    assert_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
 
 
 def test_requests_that_are_no_requests(api):
-    is_problem(api.get("/nothing"), 404, "/openapi.json")
-    is_problem(api.patch("/jobs"), 405, "PATCH", "/openapi.json")
-    is_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422, "JSON")
-    is_problem(api.post("/rigs", content=b"x" * 2_000_000), 413, "1,000,000")
-    is_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
-    is_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")
+    assert_problem(api.get("/nothing"), 404, "/openapi.json")
+    assert_problem(api.patch("/jobs"), 405, "PATCH", "/openapi.json")
+    assert_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422, "JSON")
+    assert_problem(api.post("/rigs", content=b"x" * 2_000_000), 413, "1,000,000")
+    assert_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
+    assert_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")

@@ -1,7 +1,7 @@
 """Rigs: versions and ETags, the baseline, retirement, histories."""
 
 from service.storage import jobs as rows
-from tests.support.api import is_problem
+from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 
 SHEET = reference_sheet()
@@ -11,13 +11,13 @@ def test_only_who_has_read_the_newest_version_changes_a_rig(api, rig):
     read = api.get(f"/rigs/{rig}")
     assert api.get(f"/rigs/{rig}", headers={"If-None-Match": read.headers["etag"]}).status_code == 304
     body = {"datasheet": SHEET, "controller_url": "modbus://127.0.0.1:10", "note": "moved"}
-    is_problem(api.put(f"/rigs/{rig}", json=body), 428, read.headers["etag"])
+    assert_problem(api.put(f"/rigs/{rig}", json=body), 428, read.headers["etag"])
     changed = api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]})
     assert (changed.status_code, changed.json()["version"]) == (200, 2)
-    is_problem(api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]}), 412)
+    assert_problem(api.put(f"/rigs/{rig}", json=body, headers={"If-Match": read.headers["etag"]}), 412)
     assert [v["version"] for v in api.get(f"/rigs/{rig}/versions").json()["items"]] == [2, 1]
     assert api.get(f"/rigs/{rig}", params={"version": 1}).json()["controller_url"] == "modbus://127.0.0.1:9"
-    is_problem(api.get(f"/rigs/{rig}", params={"version": 7}), 404, "1 to 2")
+    assert_problem(api.get(f"/rigs/{rig}", params={"version": 7}), 404, "1 to 2")
 
 
 def test_a_job_keeps_the_version_that_it_was_submitted_for(api, rig):
@@ -30,19 +30,19 @@ def test_a_job_keeps_the_version_that_it_was_submitted_for(api, rig):
 def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
     model = rig.replace("rig_", "mod_")
     tag = {"If-Match": api.get(f"/rigs/{rig}").headers["etag"]}
-    is_problem(api.put(f"/rigs/{rig}/baseline", json={"model": model}), 428, tag["If-Match"])
+    assert_problem(api.put(f"/rigs/{rig}/baseline", json={"model": model}), 428, tag["If-Match"])
     assert api.put(f"/rigs/{rig}/baseline", json={"model": model}, headers=tag).json()["baseline_model"] == model
-    is_problem(api.put(f"/rigs/{rig}/baseline", json={"model": None}, headers=tag), 412)
+    assert_problem(api.put(f"/rigs/{rig}/baseline", json={"model": None}, headers=tag), 412)
     job = api.post("/jobs", json={"kind": "health", "rig": rig}).json()
     assert job["options"]["baseline"] == model
     other = api.post("/rigs", json={"datasheet": SHEET, "name": f"other {rig}"}).json()["id"]
     tag = {"If-Match": api.get(f"/rigs/{other}").headers["etag"]}
-    is_problem(api.put(f"/rigs/{other}/baseline", json={"model": model}, headers=tag), 409, "another rig")
+    assert_problem(api.put(f"/rigs/{other}/baseline", json={"model": model}, headers=tag), 409, "another rig")
 
 
 def test_a_retired_rig_takes_no_jobs_and_keeps_its_history(api, rig):
     assert api.delete(f"/rigs/{rig}").status_code == 204
-    is_problem(api.post("/jobs", json={"kind": "experiment", "rig": rig}), 409, "retired")
+    assert_problem(api.post("/jobs", json={"kind": "experiment", "rig": rig}), 409, "retired")
     assert api.get(f"/rigs/{rig}").json()["retired_at"] is not None
     assert rig not in [r["id"] for r in api.get("/rigs", params={"limit": 1000}).json()["items"]]
 
@@ -66,7 +66,7 @@ def test_what_is_under_way_on_a_rig_ends_when_it_is_retired_and_is_not_tried_aga
     assert {(line["subject"], line["detail"]["why"]) for line in cancelled} == {
         (job, "the rig was retired") for job in (waits, moves)
     }
-    is_problem(api.post(f"/jobs/{waits}/retry"), 409, "retired")
+    assert_problem(api.post(f"/jobs/{waits}/retry"), 409, "retired")
     assert api.get(f"/jobs/{waits}").json()["state"] == "cancelled"
 
 

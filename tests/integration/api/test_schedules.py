@@ -9,7 +9,7 @@ from service.jobs import timetable
 from service.storage import jobs as rows
 from service.storage.database import now
 from service.storage.tables import ModelRow, ScheduleRow, ScheduleRunRow, WebhookRow
-from tests.support.api import is_problem
+from tests.support.api import assert_problem
 
 
 def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, experiment):
@@ -33,11 +33,11 @@ def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, 
     assert timetable.keep(database, settings, first + timedelta(days=3, hours=1)) == 0  # too late to begin
     assert api.get(f"/schedules/{made['id']}/runs").json()["items"][0]["state"] == "missed"
     changed = {**body, "cron": "0 7 * * *"}
-    is_problem(api.put(f"/schedules/{made['id']}", json=changed), 428)
+    assert_problem(api.put(f"/schedules/{made['id']}", json=changed), 428)
     answer = api.put(f"/schedules/{made['id']}", json=changed, headers={"If-Match": read.headers["etag"]})
     assert (answer.status_code, answer.json()["webhook"]["secret"]) == (200, None)
     assert api.delete(f"/schedules/{made['id']}").status_code == 204
-    is_problem(api.get(f"/schedules/{made['id']}"), 404)
+    assert_problem(api.get(f"/schedules/{made['id']}"), 404)
 
 
 def test_messages_that_wait_for_a_webhook_end_with_it(api, service, rig):
@@ -139,5 +139,5 @@ def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
     ],
 )
 def test_a_schedule_that_cannot_be_kept_is_refused_and_not_kept(api, rig, wrong, word):
-    is_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422, word)
+    assert_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422, word)
     assert api.get("/schedules", params={"rig": rig}).json()["items"] == []

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from service.config import PREFIX, Settings, load
-from tests.support.commands_of import understood
+from tests.support.commands_of import assert_understood
 
 ROOT = Path(__file__).parents[3]
 DEPLOY = ROOT / "deploy"
@@ -62,7 +62,7 @@ def readme_commands() -> list[str]:
 def test_every_command_of_the_readme_is_understood(line):
     words = shlex.split(line)
     at = next(k for k, word in enumerate(words) if word == "ambit" or word.endswith("/ambit"))
-    understood(words[at + 1 :])
+    assert_understood(words[at + 1 :])
 
 
 def test_the_readme_shows_backup_restore_upgrade_and_keys():
@@ -79,7 +79,7 @@ def test_a_unit_runs_a_command_that_is_understood(unit):
     (line,) = re.findall(r"^ExecStart=(.+)$", unit.read_text(), re.MULTILINE)
     program, *arguments = shlex.split(line)
     assert program == "/opt/ambit/bin/ambit"
-    understood(arguments)
+    assert_understood(arguments)
 
 
 def installed(folder: Path) -> list[str]:
@@ -149,7 +149,7 @@ def test_containers_are_locked_down(compose):
 
 def test_commands_of_containers_are_understood(compose):
     for service in ours(compose).values():
-        understood(service["command"])
+        assert_understood(service["command"])
 
 
 def test_what_containers_wait_for_and_mount_is_there(compose):
@@ -223,7 +223,7 @@ def test_the_image_does_not_run_as_root_and_checks_its_health():
     assert int(final["USER"].split(":")[0]) > 0
     assert yaml.safe_load(final["HEALTHCHECK"].split(" CMD ")[1]) == ["python", "-m", "service.probe"]
     assert yaml.safe_load(final["ENTRYPOINT"]) == ["ambit"]
-    understood(yaml.safe_load(final["CMD"]))
+    assert_understood(yaml.safe_load(final["CMD"]))
 
 
 def test_what_is_copied_is_there_and_not_ignored():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands_of import understood
+from tests.support.commands_of import assert_understood
 
 ROOT = Path(__file__).parents[3]
 README = (ROOT / "README.md").read_text()
@@ -20,7 +20,7 @@ def commands() -> list[str]:
 
 @pytest.mark.parametrize("line", commands())
 def test_every_command_is_understood(line):
-    understood(shlex.split(line)[1:])
+    assert_understood(shlex.split(line)[1:])
 
 
 def test_every_command_of_make_and_every_benchmark_is_there():

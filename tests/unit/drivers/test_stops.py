@@ -80,8 +80,7 @@ def test_stop_in_a_tone_s_last_instant_ends_the_next_one(device: RigDevice, monk
 def test_own_stop_in_a_tone_s_last_instant_does_not(device: RigDevice, monkeypatch: pytest.MonkeyPatch) -> None:
     token = device.acquire("host", attached=True)
     _after_playing(device, monkeypatch, lambda: device.stop(token))
-    device.measure(TONE, token)
-    device.measure(TONE, token)
+    assert [device.measure(TONE, token).tone for _ in range(2)] == [TONE, TONE]
 
 
 def test_stop_after_a_lapsed_lease_is_told_to_the_host_that_comes_back(device: RigDevice, clock: _Clock) -> None:
@@ -155,7 +154,7 @@ def test_fault_of_the_device_is_a_trip_and_no_stop_of_a_stranger(device: RigDevi
     token = device.acquire("host", attached=True)
     device.fault("sensor supply lost")
     device.acknowledge(token)
-    device.measure(TONE, token)
+    assert device.measure(TONE, token).tone == TONE
 
 
 def test_own_stop_without_a_lease_is_not_a_stranger_s(device: RigDevice) -> None:
@@ -165,7 +164,7 @@ def test_own_stop_without_a_lease_is_not_a_stranger_s(device: RigDevice) -> None
     for _ in range(2):
         controller.stop()
         with controller.lease("job"):
-            controller.measure(TONE)
+            assert controller.measure(TONE).tone == TONE
         controller.stop()
 
 

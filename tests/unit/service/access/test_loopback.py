@@ -8,6 +8,15 @@ from service.access.loopback import bound_to, must_be_this_machine
 HERE = {"host": "127.0.0.1:8311"}
 
 
+def refusal(address, headers) -> str:
+    """What a caller is told; nothing where it is served."""
+    try:
+        must_be_this_machine(address, headers)
+    except UnauthorisedError as error:
+        return str(error)
+    return ""
+
+
 @pytest.mark.parametrize(
     ("address", "headers"),
     [
@@ -19,7 +28,7 @@ HERE = {"host": "127.0.0.1:8311"}
     ],
 )
 def test_this_machine_is_served(address, headers):
-    must_be_this_machine(address, headers)
+    assert refusal(address, headers) == ""
 
 
 @pytest.mark.parametrize(
@@ -36,8 +45,7 @@ def test_this_machine_is_served(address, headers):
     ],
 )
 def test_elsewhere_is_told_to_make_a_key(address, headers):
-    with pytest.raises(UnauthorisedError, match="ambit keys create"):
-        must_be_this_machine(address, headers)
+    assert "ambit keys create" in refusal(address, headers)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "rig-pc"])

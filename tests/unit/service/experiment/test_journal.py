@@ -27,7 +27,7 @@ def filled(path, n=3):
     journal.close()
 
 
-def same(found, n):
+def assert_same(found, n):
     assert [e["k"] for e in found] == list(range(n))
     for k, e in enumerate(found):
         np.testing.assert_array_equal(e["Y"], entry(k)["Y"])
@@ -37,10 +37,10 @@ def same(found, n):
 def test_entries_come_back_exactly(path):
     filled(path)
     journal = Journal(path, HEADER)
-    same(journal.found, 3)
+    assert_same(journal.found, 3)
     journal.append(entry(3))
     journal.close()
-    same(read(path)[1], 4)
+    assert_same(read(path)[1], 4)
 
 
 def test_a_file_cut_anywhere_keeps_every_whole_entry(path):
@@ -51,10 +51,10 @@ def test_a_file_cut_anywhere_keeps_every_whole_entry(path):
         path.write_bytes(whole[:cut])
         journal = Journal(path, HEADER)
         n = max(0, sum(e <= cut for e in ends) - 1)
-        same(journal.found, n)
+        assert_same(journal.found, n)
         journal.append(entry(n))
         journal.close()
-        same(read(path)[1], n + 1)
+        assert_same(read(path)[1], n + 1)
 
 
 def test_a_changed_byte_ends_what_is_believed(path):
@@ -63,7 +63,7 @@ def test_a_changed_byte_ends_what_is_believed(path):
     second = content.index(b"\n", content.index(b"\n") + 1) + 30
     content[second] ^= 1
     path.write_bytes(content)
-    same(read(path)[1], 1)
+    assert_same(read(path)[1], 1)
 
 
 def test_nothing_after_a_damaged_line_comes_back(path):
@@ -75,7 +75,7 @@ def test_nothing_after_a_damaged_line_comes_back(path):
     journal = Journal(path, HEADER)
     journal.append(entry(1))  # as long as the damaged one: what followed would fit on behind it
     journal.close()
-    same(read(path)[1], 2)
+    assert_same(read(path)[1], 2)
 
 
 def test_another_campaign_is_refused_and_left_alone(path):

@@ -17,7 +17,7 @@ def fields(demodulated):
     return OWN | demodulated
 
 
-def same(sweep, demodulated):
+def assert_same(sweep, demodulated):
     for name in ("frequency_hz", "axis", "amplitude_a", "U", "I", "Y"):
         np.testing.assert_allclose(getattr(sweep, name), demodulated[name], err_msg=name)
     assert (sweep.kind, sweep.speed_rad_s, sweep.comment) == ("stepped-sine", 5.0, "main")
@@ -44,7 +44,7 @@ def test_version_5(tmp_path, fields, demodulated, form):
     scipy.io.savemat(tmp_path / "e.mat", TOP | content)
     experiment = read(tmp_path / "e.mat")
     assert (experiment.rig, experiment.axes) == ("r", ("xA", "xB", "yA", "yB"))
-    same(experiment.main, demodulated)
+    assert_same(experiment.main, demodulated)
     assert len(experiment.sweeps) == (1 if form.startswith("one") else 2)
 
 
@@ -125,7 +125,7 @@ def test_version_73(tmp_path, fields, demodulated, form):
     write_matlab_73(tmp_path / "e.mat", TOP | content)
     experiment = read(tmp_path / "e.mat")
     assert (experiment.rig, experiment.axes) == ("r", ("xA", "xB", "yA", "yB"))
-    same(experiment.main, demodulated)
+    assert_same(experiment.main, demodulated)
     if form != "one sweep":
         assert experiment.sweeps[1].comment == ""
 
@@ -133,7 +133,7 @@ def test_version_73(tmp_path, fields, demodulated, form):
 def test_version_73_with_as_many_points_as_axes(tmp_path, fields, demodulated):
     four = {k: v if k == "harmonics" else np.concatenate([v, v[:1]]) for k, v in demodulated.items()}
     write_matlab_73(tmp_path / "e.mat", TOP | OWN | four)
-    same(read(tmp_path / "e.mat").main, four)
+    assert_same(read(tmp_path / "e.mat").main, four)
 
 
 def test_version_73_records(tmp_path, recorded):
@@ -188,4 +188,4 @@ def test_a_mat_file_in_the_layout_of_the_contract(tmp_path, demodulated, turned)
             group[k] = v.T if turned else v
     with (tmp_path / "e.mat").open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + b"\0" * 8 + b"\x00\x02IM")
-    same(read(tmp_path / "e.mat").main, demodulated)
+    assert_same(read(tmp_path / "e.mat").main, demodulated)

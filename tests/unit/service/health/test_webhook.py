@@ -32,6 +32,15 @@ DOCUMENT = {
 }
 
 
+def trusted(message: Message, secret: str, now: float) -> bool:
+    """Whether a receiver believes a message."""
+    try:
+        verify(message, secret, now)
+    except WebhookError:
+        return False
+    return True
+
+
 def test_the_example_of_the_standard_webhooks_specification():
     """Id, time, secret and signature as the specification's reference implementations test them."""
     body = b'{"test": 2432232314}'
@@ -44,7 +53,7 @@ def test_the_example_of_the_standard_webhooks_specification():
             "webhook-signature": expected,
         },
     )
-    verify(message, SECRET, 1614265330.0)
+    assert trusted(message, SECRET, 1614265330.0)
 
 
 def test_a_receiver_can_check_a_message_with_nothing_but_hmac():
@@ -52,7 +61,7 @@ def test_a_receiver_can_check_a_message_with_nothing_but_hmac():
     key = base64.b64decode(SECRET.removeprefix("whsec_"))
     want = hmac.new(key, b"msg_1.1000." + message.body, hashlib.sha256).digest()
     assert message.headers["webhook-signature"] == "v1," + base64.b64encode(want).decode()
-    verify(message, SECRET, 1010.0)
+    assert trusted(message, SECRET, 1010.0)
     sent = json.loads(message.body)
     assert sent["type"] == "health.alarm"
     assert sent["timestamp"] == "2026-03-01T06:00:00Z"
@@ -77,15 +86,14 @@ def test_whatever_was_changed_is_noticed(spoil):
             now = 1000.0 + 301.0
         case "missing":
             del headers["webhook-signature"]
-    with pytest.raises(WebhookError):
-        verify(Message(body, headers), secret, now)
+    assert not trusted(Message(body, headers), secret, now)
 
 
 def test_an_old_and_a_new_secret_may_sign_together():
     message = signed({"a": 1}, SECRET, "msg_1", 1000.0)
     other = signed({"a": 1}, new_secret(), "msg_1", 1000.0)
     both = f"{other.headers['webhook-signature']} {message.headers['webhook-signature']}"
-    verify(Message(message.body, {**message.headers, "webhook-signature": both}), SECRET, 1000.0)
+    assert trusted(Message(message.body, {**message.headers, "webhook-signature": both}), SECRET, 1000.0)
 
 
 def test_retries_come_ever_later_and_end():

@@ -26,7 +26,7 @@ def hasty() -> Sweep:
     return run(0.25)
 
 
-def check(plane) -> None:
+def assert_the_truth(plane) -> None:
     for mode, w, zeta in zip(plane.modes, TRUTH.natural_frequencies, TRUTH.damping_ratios, strict=True):
         assert mode.damping_ratio.value == pytest.approx(zeta, rel=0.02)
         assert abs(mode.damping_ratio.value - zeta) < 4 * mode.damping_ratio.std
@@ -49,7 +49,7 @@ def test_damping_is_right_though_the_tones_were_recorded_before_they_settled(has
     """
     sweep = {"file": hasty, "lines": replace(hasty, block_samples=None), "nothing": untold(hasty)}[by]
     plane = identify(synthetic_experiment(sweep, axes=AXES), sheet()).planes["x"]
-    check(plane)
+    assert_the_truth(plane)
     assert plane.adequate
     assert any("500.5 Hz mode of the closed loop still rang" in w for w in plane.warnings)
 
@@ -67,7 +67,7 @@ def test_what_dies_within_the_first_block_is_taken_out_too(monkeypatch: pytest.M
     found = identify(experiment, sheet()).planes["x"]
     monkeypatch.setattr("service.identification.transient.GONE", 0.3)
     left = identify(experiment, sheet()).planes["x"]
-    check(found)
+    assert_the_truth(found)
     now, before = (plane.modes[1].damping_ratio.std for plane in (found, left))
     assert now < 0.7 * before
     assert not any("Hz mode" in w and "500" not in w for w in found.warnings)  # nobody need do anything about it
@@ -76,7 +76,7 @@ def test_what_dies_within_the_first_block_is_taken_out_too(monkeypatch: pytest.M
 def test_what_lasts_is_not_taken_for_what_dies_within_the_first_block() -> None:
     """Where both are large: the suspension at 15 Hz dies in a twentieth of a second, mode 1 rings on for half one."""
     plane = identify(synthetic_experiment(run(0.05, seed=1), axes=AXES), sheet()).planes["x"]
-    check(plane)
+    assert_the_truth(plane)
     assert any("500.5 Hz mode of the closed loop still rang" in w for w in plane.warnings)
 
 
