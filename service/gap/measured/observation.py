@@ -45,8 +45,8 @@ decays obeys Y = G U only up to what the state changes from end to end (0.17 of 
 
 
 ENDS = 2.0
-"""What a drift over a point's k periods leaves of a law without a resonance, the controller's, times pi k (0.7 to 1.7
-times the drift on rigs of an independent program, at any harmonic)."""
+"""What a drift over a point's k periods leaves of a law without a resonance, the controller's or an amplifier's, times
+pi k (0.7 to 1.7 times the drift on rigs of an independent program, at any harmonic of the controller's)."""
 
 
 SMALLEST_SHARE = 1e-6
@@ -178,7 +178,11 @@ def observe(
     sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
     drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _drift(U[:, :, f], sd_u[:, f], blocks)
     sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
-    sd_u = np.hypot(sd_u, (drift_u * ENDS / (np.pi * periods(sweep) * blocks))[:, None, None])
+    sd_u = np.hypot(sd_u, _of_ends(sweep, drift_u)[:, None, None])
+    if sweep.I is not None:  # at the excited frequency an amplifier answers to a slow change as to a steady tone
+        elsewhere = np.arange(len(sweep.harmonics)) != f
+        drift_i = _drift(sweep.I[:, :, f], sd_i[:, f], blocks)
+        sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _of_ends(sweep, drift_i)[:, None, None])
     rings = _ringing(rig, sweep)
     sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
     rings[:, f] = False
@@ -271,6 +275,11 @@ def _ringing(rig: Rig, sweep: Sweep) -> NDArray[np.bool_]:
     modes = np.array([mode.natural_frequency_rad_s for plane in rig.rotor.modes for mode in plane]) / (2 * np.pi)
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     return np.asarray(np.any(np.abs(at[..., None] - modes) < RINGING * modes, axis=-1))
+
+
+def _of_ends(sweep: Sweep, drift: Real) -> Real:
+    """What a law without a resonance leaves of a signal that drifts so much over the blocks of a point, (P,)."""
+    return np.asarray(drift * ENDS / (np.pi * periods(sweep) * sweep.Y.shape[1]))
 
 
 def _drift(Y: Complex, sd: Real, blocks: int) -> Real:
