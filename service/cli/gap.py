@@ -59,10 +59,13 @@ def apply(
     out: Annotated[Path, typer.Option(help="Twin file to write: the datasheet with the effects that were found.")],
 ) -> None:
     """Write a twin that has the effects that a diagnosis found."""
+    from service.errors import OutputError
     from service.gap.apply import applied
     from service.output import read_document, ready_folder, write_text
     from sim.rig_file import read, to_toml
 
+    if out.exists() and out.samefile(rig):
+        raise OutputError(f"{out} is the datasheet itself, which later diagnoses begin from; give --out another name")
     ready_folder(out.parent)
     twin = applied(read(rig), read_document(report, "amb-gap-report"))
     write_text(out, to_toml(twin))

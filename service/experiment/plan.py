@@ -21,6 +21,9 @@ from service.experiment.knowledge import Knowledge
 
 SMALLEST_A = 1e-5
 """Smallest amplitude of a tone that is asked for: ten steps of the controllers' scale, which moves no rotor."""
+FOLLOWED_SHARE = 0.02
+"""Share of an aim's current that any supply lets an amplifier follow: a current that is distorted although it is so
+small is so for another reason, as where a loop that is hardly damped still rings."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,8 @@ def largest_amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim:
         caution * aim.displacement_m / max(response.y, 1e-300),
         caution * aim.current_a / max(response.i, 1e-300),
         caution * math.sqrt(aim.cubic * limits.bias_current_a * limits.gap_m / max(response.i_times_y, 1e-300)),
-        0.5 * knowledge.slew_a_per_s / (2 * math.pi * frequency_hz * max(response.i_excited, 1e-300)),
+        max(0.5 * knowledge.slew_a_per_s / (2 * math.pi * frequency_hz), FOLLOWED_SHARE * aim.current_a)
+        / max(response.i_excited, 1e-300),
         aim.current_a,
         limits.max_amplitude_a,
     )
@@ -77,7 +81,7 @@ def block_length_s(knowledge: Knowledge, frequency_hz: float, aim: Aim, profile:
     block = max(aim.block_s, 1.0 / frequency_hz)
     for axis in range(limits.n_axes):
         if knowledge.knows(axis):
-            cap = largest_amplitude(knowledge, axis, frequency_hz, aim, limits)
+            cap = max(largest_amplitude(knowledge, axis, frequency_hz, aim, limits), SMALLEST_A)
             wanted = needed_amplitude(knowledge, axis, frequency_hz, aim, 1.0) / aim.gain
             block = max(block, min((wanted / cap) ** 2 / profile.blocks, aim.longest_block_s))
     return block

@@ -25,6 +25,9 @@ from sim.effects import CATALOGUE
 
 NEGLIGIBLE = 0.02
 """Share of all parts' excess that the chi-square of a part which nothing explains has to exceed to be told."""
+TELLS_NOTHING = 0.05
+"""Relative change of most points from first block to last from which "no gap" would say nothing: a small one that low
+noise shows is no reason to withhold it."""
 UNDECIDED = 0.5
 """Probability of a verdict that says nothing either way."""
 
@@ -57,7 +60,7 @@ def judged(
     verdict = heard_too(verdict, sources, found)
     if fault is not None:
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
-    if verdict.kind != "no_gap" and (why := not_settled(o, gap)):
+    if (why := not_settled(o, gap)) and (verdict.kind != "no_gap" or drift_of(o) > TELLS_NOTHING):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict
 
@@ -148,12 +151,18 @@ def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:
     return verdict.with_classes((wider, *others))
 
 
+def drift_of(o: Observation) -> float:
+    """Relative change, root mean square, of the points that drift from their first block to their last."""
+    change = o.drift[o.drifting]
+    return float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
+
+
 def not_settled(o: Observation, gap: float) -> str | None:
     """Why nothing can be said of a gap: most points drift, by more than another law of an effect may leave."""
     if o.unsettled <= UNSETTLED:
         return None
     change = o.drift[o.drifting]
-    if np.sqrt(np.mean(change**2)) < UNEXPLAINED * gap:
+    if drift_of(o) < UNEXPLAINED * gap:
         return None
     return (  # where an answer is small its drift is large beside it: of such points the mean is
         f"the rig did not settle: {100 * o.unsettled:.0f} % of the points still drift from block to block, half of "

@@ -131,6 +131,7 @@ def block_noise(
         width = 4 * NEIGHBOURS
         smooth = _smooth(product.reshape(n, -1), order, width).reshape(n, channels, channels)
         scale = np.sqrt(np.einsum("pcc->pc", smooth).real)
+        scale[scale == 0] = 1.0  # neighbours that do not scatter at all: told below to hang together with nothing
         correlation = smooth / (scale[:, :, None] * scale[:, None, :])
         count = dof * min(n, 2 * width + 1)
         off = ~np.eye(channels, dtype=bool)

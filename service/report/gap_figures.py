@@ -124,6 +124,8 @@ def ratio_figure(c: Compared, path: str, axes: tuple[str, ...]) -> Figure:
     phases: list[list[Real]] = [[], []]
     for column in range(c.n):
         rows = np.flatnonzero(c.o.axis == column)
+        if not len(rows):  # an axis that was not excited has no answer of its own
+            continue
         rows = rows[np.argsort(c.o.points_hz[rows])]
         hz, channel = c.o.points_hz[rows], k * c.n + column
         was = c.before[rows, channel]

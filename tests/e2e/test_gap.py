@@ -62,6 +62,9 @@ def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
     again = ambit(*words, timeout_s=280, traced=False)
     assert json.loads(again.stdout)["verdict"]["kind"] == "no_gap", again.stderr
     assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")
+    before = twin.read_bytes()
+    assert "give --out another name" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", twin)
+    assert twin.read_bytes() == before
 
 
 @needs_practice

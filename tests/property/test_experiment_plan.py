@@ -194,3 +194,14 @@ def test_a_rig_without_noise_is_excited_all_the_same(frequency, sweep):
     for known in (Knowledge(spectra, 2), knowledge(noise=1e-250)):
         planned = tones(known, frequency, aims(Profile(), limits())[sweep], Profile(), limits())
         assert min(t.amplitude_a for t in planned) >= SMALLEST_A
+
+
+@given(slew=st.floats(0.0, 1e3), noise=positive)
+def test_a_current_that_is_distorted_however_small_leaves_tones_that_can_be_measured(slew, noise):
+    """Where a loop that is hardly damped still rings, every current seems to be beyond what the supply can follow."""
+    what, known, profile = limits(), knowledge(noise), Profile()
+    known.saturated(slew)
+    aim = aims(profile, what)["main"]
+    free = tones(knowledge(noise), 500.0, aim, profile, what)
+    for request, wanted in zip(tones(known, 500.0, aim, profile, what), free, strict=True):
+        assert 0.02 * aim.current_a <= request.amplitude_a or request.amplitude_a == wanted.amplitude_a

@@ -76,14 +76,16 @@ def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candida
     return [c for c in fitter.run(tasks) if cost(c) < costs.get(frozenset(c.effects), np.inf) - LOST]
 
 
-def best_of_each(found: Sequence[Candidate]) -> list[Candidate]:
-    """Of explanations by the same effects the one that leaves least."""
+def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
+    """Of explanations by the same effects the likeliest.
+
+    Where more than noise is left, that need not be the one that leaves least: what a fit still gains there by pulling
+    at the datasheet's values is the misfit of a law, and evidence holds their price against it in full.
+    """
     best: dict[frozenset[str], Candidate] = {}
-    for c in found:
-        these = frozenset(c.effects)
-        if these not in best or cost(c) < cost(best[these]):
-            best[these] = c
-    return list(best.values())
+    for r in ranked(null, found):
+        best.setdefault(frozenset(r.candidate.effects), r.candidate)
+    return [c for c in best.values() if c is not null]
 
 
 def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:

@@ -146,7 +146,7 @@ def explain(
         found = with_one_more(fitter, ground, order, extension, found)
         order = worthy(ranked(null, found))
     if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
-        found = best_of_each([*found, *exchanged(fitter, ground, order[0].candidate, found)])
+        found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
         order = worthy(ranked(null, found))
         left = residuals(ground, order[0].candidate)
     return Explained(ground, tuple(order), plain, left)

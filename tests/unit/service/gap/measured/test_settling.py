@@ -54,3 +54,21 @@ def test_a_rig_that_did_not_settle_is_said_to_be_one_and_nothing_is_named() -> N
     assert told is not None
     assert float(told[1]) == pytest.approx(10.0, rel=0.25)
     assert any("had not settled" in note for note in report["notes"])
+
+
+def test_no_gap_is_not_said_of_a_rig_that_did_not_settle() -> None:
+    """All signals still grow, in proportion, so that the twin fits their mean."""
+
+    def growing(s: Sweep) -> Sweep:
+        growth = 1 + 0.3 * np.linspace(-0.5, 0.5, BLOCKS)[:, None, None]
+        return replace(s, **{k: getattr(s, k) * growth for k in "RUIY"})
+
+    rig = true_rig(TRUTH)
+    sweeps = (sweep(rig, np.geomspace(10, 950, 14), 0.15, 4), sweep(rig, np.geomspace(13, 900, 10), 0.3, 5))
+    settled, restless = (
+        diagnose(*one_plane(Experiment(rig.name, rig.axes, each), DATASHEET)).verdict
+        for each in (sweeps, tuple(map(growing, sweeps)))
+    )
+    assert settled.kind == "no_gap"
+    assert restless.kind == "none_of_these"
+    assert "did not settle" in restless.reasons[0]

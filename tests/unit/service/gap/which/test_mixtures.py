@@ -1,5 +1,7 @@
 """Two effects of one part of the loop: both are named, whatever each of them explains alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.stage import EXACT
 from service.gap.weighing.verdict import ALIKE, MIXED, Ranked
 from service.gap.which.mixtures import from_the_other_side, worth_it
-from service.gap.which.refined import cost
+from service.gap.which.refined import best_of_each, cost
 from sim.reference import reference_rig
 from sim.twin import with_effects
 from tests.support.plant import plant_of
@@ -138,3 +140,18 @@ def test_an_effect_that_is_likely_but_explains_little_is_named_with_the_one_that
     assert set(d.verdict.effects) == set(both)
     assert d.shrinkage.closure is not None
     assert d.shrinkage.closure > 0.95
+
+
+def test_of_two_fits_with_the_same_effects_the_likelier_is_kept_where_a_law_leaves_much() -> None:
+    """One pulls at the datasheet's values as far as it can, which a misfit rewards with a little less of itself."""
+
+    def fit(effects: tuple[str, ...], chi_square: float, penalty: float) -> Candidate:
+        own = explanation(effects, 0.0, (0.0,), penalty).candidate
+        return replace(own, fit=replace(own.fit, groups=((chi_square, 2000), (4000.0, 6000))))
+
+    null, easy, strained = fit((), 9e6, 300.0), fit((CROSS, AWAY), 52_000.0, 50.0), fit((CROSS, AWAY), 51_900.0, 85.0)
+    assert strained.fit.cost < easy.fit.cost
+    assert best_of_each(null, [strained, easy]) == [easy]
+    # where nothing but noise is left, what leaves less is likelier
+    near, nearer = fit((CROSS, AWAY), 2100.0, 5.0), fit((AWAY, CROSS), 2050.0, 8.0)
+    assert best_of_each(null, [near, nearer]) == [nearer]
