@@ -114,6 +114,7 @@ class LinearModel:
 
     rig: Rig
     point: OperatingPoint
+    """Where the magnets work, and their factors there."""
     omega_rad_s: Array
     y_per_u: Complex
     """Sampled sensor signal per held control signal, m/A."""

@@ -64,10 +64,11 @@ def apply(
     from service.output import read_document, ready_folder, write_text
     from sim.rig_file import read, to_toml
 
+    datasheet = read(rig)
     if out.exists() and out.samefile(rig):
         raise OutputError(f"{out} is the datasheet itself, which later diagnoses begin from; give --out another name")
     ready_folder(out.parent)
-    twin = applied(read(rig), read_document(report, "amb-gap-report"))
+    twin = applied(datasheet, read_document(report, "amb-gap-report"))
     write_text(out, to_toml(twin))
     names = ", ".join(name for name, _ in twin.effects)
     print(f"{out}: {twin.name} with {names}")

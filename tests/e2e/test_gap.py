@@ -64,6 +64,8 @@ def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
     assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")
     before = twin.read_bytes()
     assert "give --out another name" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", twin)
+    absent = tmp_path / "absent.toml"
+    assert str(absent) in refusal("gap", "apply", out / "gap.json", "--rig", absent, "--out", twin)
     assert twin.read_bytes() == before
 
 

@@ -54,7 +54,7 @@ def _measured(
     return data, plant, staged_fit(start, data.plant, plant)
 
 
-def _assert_the_truth(found: Selected, truth: PlaneModel, rtol: float = 1e-3) -> None:
+def assert_the_truth(found: Selected, truth: PlaneModel, rtol: float = 1e-3) -> None:
     assert [e.name for e in found.evidence if e.chosen] == ["2 modes"]
     model = found.refined.model
     np.testing.assert_allclose(model.natural_frequencies, truth.natural_frequencies, rtol=rtol)
@@ -68,7 +68,7 @@ def test_modes_are_found_where_lines_tell_one_peak_and_the_feet_of_another(
     data, plant, staged = _coarse(datasheet, truth, controller, seed)
     start = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
     knowledge = split_knowledge(datasheet, Options())
-    _assert_the_truth(
+    assert_the_truth(
         choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge), truth["x"]
     )
 
@@ -81,7 +81,7 @@ def test_modes_are_found_on_a_dozen_lines_none_of_which_lies_on_a_peak(
     start = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
     knowledge = split_knowledge(datasheet, Options())
     found = choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
-    _assert_the_truth(found, truth["x"], rtol=3e-3)
+    assert_the_truth(found, truth["x"], rtol=3e-3)
 
 
 def test_modes_are_found_although_the_search_took_one_peak_for_three(
@@ -90,7 +90,7 @@ def test_modes_are_found_although_the_search_took_one_peak_for_three(
     data, plant, staged = _coarse(datasheet, truth, controller, 1)
     many = with_modes(staged.rigid_model, modes_from(_split_peak(staged.rational.peaks), staged.rigid_model.ki))
     knowledge = split_knowledge(datasheet, Options())
-    _assert_the_truth(
+    assert_the_truth(
         choose_modes(many, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge), truth["x"]
     )
 
@@ -118,7 +118,7 @@ def test_the_highest_line_alone_makes_no_mode_beyond_the_band(
     controller: tuple[np.ndarray, np.ndarray],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _assert_the_truth(_lines_with_one_off(datasheet, truth, controller, -5 - 5j), truth["x"])
+    assert_the_truth(_lines_with_one_off(datasheet, truth, controller, -5 - 5j), truth["x"])
     # that it would: with the highest line's word a third mode is taken
     monkeypatch.setattr(JointFits, "cost_before_the_end", lambda self, f: (self.cost(f), len(self.residual(f))))
     found = _lines_with_one_off(datasheet, truth, controller, -5 - 5j).refined.model
@@ -150,7 +150,7 @@ def test_chance_makes_no_mode_beyond_the_band(
         knowledge = replace(split_knowledge(known, Options()), end_rad_s=float(data.plant.omega.max()))
         return choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
 
-    _assert_the_truth(chosen(), truth["x"])
+    assert_the_truth(chosen(), truth["x"])
     # that it would: were fifteen enough
     monkeypatch.setattr("service.identification.counting.BEYOND_GAIN", 15.0)
     patched = chosen().refined.model
