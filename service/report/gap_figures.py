@@ -114,20 +114,20 @@ def gap_figure(c: Compared) -> Figure:
 def ratio_figure(c: Compared, path: str, axes: tuple[str, ...]) -> Figure:
     """The excited axis's own signal over the twin before: what the twin lacks, and what the effect supplies.
 
-    Rows are magnitude and phase of the quotient, columns the axes. A right twin lies on one and on nought.
+    Rows are magnitude and phase of the quotient, columns the axes that were excited. A right twin lies on one and on
+    nought.
     """
     k = SIGNAL_OF[path] if SIGNAL_OF[path] in _shown_signals(c.o) else 2
     signal = SIGNALS[k]
-    titles = [f"{signal}<sub>{a}</sub>" for a in axes]
-    fig = Figure("quotient", 2, c.n, 430, titles=titles, column_gap=0.05)
+    excited = np.unique(c.o.axis)
+    titles = [f"{signal}<sub>{axes[a]}</sub>" for a in excited]
+    fig = Figure("quotient", 2, len(excited), 430, titles=titles, column_gap=0.05)
     magnitudes: list[list[Real]] = [[], []]
     phases: list[list[Real]] = [[], []]
-    for column in range(c.n):
-        rows = np.flatnonzero(c.o.axis == column)
-        if not len(rows):  # an axis that was not excited has no answer of its own
-            continue
+    for column, axis in enumerate(excited):
+        rows = np.flatnonzero(c.o.axis == axis)
         rows = rows[np.argsort(c.o.points_hz[rows])]
-        hz, channel = c.o.points_hz[rows], k * c.n + column
+        hz, channel = c.o.points_hz[rows], k * c.n + axis
         was = c.before[rows, channel]
         seen, now = c.measured[rows, channel] / was, c.after[rows, channel] / was
         noise = c.sigma[rows, channel] / np.abs(was)
@@ -146,7 +146,7 @@ def ratio_figure(c: Compared, path: str, axes: tuple[str, ...]) -> Figure:
             fig.frequency(r, column, float(hz[0]), float(hz[-1]), title=r == 1)
         fig.share_x(column)
     reach, turned = _reach(magnitudes, 0.002), _reach(phases, 0.1)
-    for column in range(c.n):
+    for column in range(len(excited)):
         fig.y(0, column, range=[1 - reach, 1 + reach], nticks=6, showticklabels=column == 0)
         fig.y(1, column, range=[-turned, turned], nticks=6, showticklabels=column == 0)
     fig.y(0, 0, title="magnitude")
