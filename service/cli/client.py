@@ -126,9 +126,16 @@ def fetch(
     ca: Ca = None,
     as_json: Json = False,
 ) -> None:
-    """Fetch all files that a job made: experiment, datasheet, result, report, diagnosis."""
+    """Fetch all files that a job made: experiment, datasheet, result, report, diagnosis.
+
+    Exit status 1 where the job is not done, with the reason: its files are then what it made so far.
+    """
+    from service.client.jobs import must_be_done
+
     with client(url, key, ca) as ambit:
-        _files(ambit.save(ambit.jobs.get(job), out), as_json)
+        found = ambit.jobs.get(job)
+        _files(ambit.save(found, out), as_json)
+        must_be_done(found)  # a script must not take what is there for a result
 
 
 def client(url: str | None, key: str | None, ca: Path | None) -> Client:

@@ -6,6 +6,7 @@
     └── ClientError
         ├── UnreachableError     nothing answers there, or the answer broke off
         ├── JobEndedError        a job that was waited for failed or was cancelled; carries the job
+        ├── JobGoesOnError       a job that should be done waits or runs; carries the job
         └── ApiError             the service refuses; carries status, detail and fields as the problem says (RFC 9457)
             ├── KeyRefusedError     401, 403
             ├── MissingError        404
@@ -40,6 +41,20 @@ class JobEndedError(ClientError):
     ----------
     job
         As it ended.
+    """
+
+    def __init__(self, message: str, job: Job) -> None:
+        super().__init__(message)
+        self.job = job
+
+
+class JobGoesOnError(ClientError):
+    """A job has no whole result yet.
+
+    Attributes
+    ----------
+    job
+        As it was.
     """
 
     def __init__(self, message: str, job: Job) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import httpx
 
-from service.client.errors import ApiError, JobEndedError, UnreachableError
+from service.client.errors import ApiError, JobEndedError, JobGoesOnError, UnreachableError
 from service.client.shapes import Event, Job, Kind
 from service.client.transport import BUSY, LONGEST_PAUSE_S, PAUSE_S, Transport
 
@@ -133,9 +133,13 @@ def must_be_done(job: Job) -> Job:
     ------
     JobEndedError
         It failed or was cancelled.
+    JobGoesOnError
+        It waits or runs.
     """
     if job.state == "done":
         return job
+    if not job.ended:
+        raise JobGoesOnError(f"the job {job.id} is still {job.state}; wait for it with: ambit watch {job.id}", job)
     why = "" if job.error is None else f": {job.error.title}: {job.error.detail}".replace(": : ", ": ").rstrip(": ")
     raise JobEndedError(f"the job {job.id} {'was cancelled' if job.state == 'cancelled' else job.state}{why}", job)
 
