@@ -39,7 +39,8 @@ from service.storage import results, rigs
 from service.storage.database import now
 from service.storage.ids import new_id
 from service.storage.tables import ExperimentRow
-from service.uploads import Limits, Parsed, UploadError, parse
+from service.uploads import Limits, Parsed, UploadContentError, UploadError, parse
+from sim import rig_file
 
 router = APIRouter(prefix="/api/v1", tags=["experiments"])
 
@@ -173,8 +174,10 @@ def _keep(
 ) -> tuple[Answer, bool]:
     with api.database.read() as session:
         rigs.active(session, rig_id)
+        axes = _axes_of(session, rig_id)
     try:
         parsed = parse(received, name, received.with_name("understood.h5"), _limits(api))
+        _must_have(axes, parsed)
     except UploadError as error:
         with api.database.write() as session:
             audit(session, request, who, Action.upload_refused, rig_id, rig=rig_id, reason=str(error)[:500])
@@ -187,6 +190,20 @@ def _keep(
         return Answer(201, f"/api/v1/experiments/{row.id}", shape(row).model_dump(mode="json"))
 
     return once(api.database, who, request, key, f"{name}\n{sent}", make)
+
+
+def _axes_of(session: Session, rig_id: str) -> list[str]:
+    """Axes that the newest datasheet of a rig names."""
+    return list(rig_file.parse(rigs.version(session, rigs.get(session, rig_id)).datasheet).axes)
+
+
+def _must_have(axes: list[str], parsed: Parsed) -> None:
+    # every job on the file would fail for it, long after whoever sent it has gone
+    if parsed.summary["axes"] != axes:
+        raise UploadContentError(
+            f"the file has axes {', '.join(parsed.summary['axes'])} and the rig {', '.join(axes)}; "
+            "send it to the rig that was measured, or first give the rig a datasheet with these axes"
+        )
 
 
 def _limits(api: Services) -> Limits:

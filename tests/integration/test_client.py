@@ -7,6 +7,7 @@ import pytest
 from sqlalchemy import update
 
 from service.access.keys import Scope
+from service.cli import run
 from service.client import (
     Client,
     ConflictingError,
@@ -25,6 +26,7 @@ from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 from tests.support.service import rig_device
 from tests.support.serving import serving
+from tests.support.two_axes import sheet_of_one_plane
 from tests.support.uploads import HOSTILE, good, good_matlab
 
 SHEET = to_toml(reference_datasheet())
@@ -112,6 +114,16 @@ def test_a_hostile_upload_is_refused_over_http_too(service, ambit, rig, tmp_path
     assert ambit.rigs.get(rig.id)
 
 
+def test_a_file_of_other_axes_than_the_rig_s_is_refused_when_it_is_sent(ambit, rig, tmp_path):
+    """Two axes are a rig of its own, with a datasheet of two axes; every job on the file would fail."""
+    plane = good(tmp_path / "plane.h5", n_axes=2)
+    with pytest.raises(RefusedError, match=r"axes xA, xB and the rig xA, xB, yA, yB; .* datasheet") as refused:
+        ambit.experiments.upload(rig.id, plane)
+    assert refused.value.status == 422
+    of_a_plane = ambit.rigs.create(to_toml(sheet_of_one_plane(reference_datasheet())), name="plane")
+    assert ambit.experiments.upload(of_a_plane.id, plane).summary["axes"] == ["xA", "xB"]
+
+
 def test_a_file_larger_than_the_limit(tmp_path, rig):
     small = Settings(home=tmp_path / "small", port=0, max_upload_bytes=5000)
     with serving(small) as service, Client(service.url) as client:
@@ -153,6 +165,30 @@ def test_a_job_that_failed_says_why(service, ambit, rig, sent):
     assert ambit.jobs.retry(job.id).state == "queued"
     assert ambit.jobs.cancel(job.id).state == "cancelled"
     assert job.id in [j.id for j in ambit.jobs.list(state="cancelled", rig=rig.id)]
+
+
+@pytest.mark.parametrize(
+    ("ended", "said"),
+    [
+        ({"state": job_rows.FAILED, "error_title": "No rotor", "error_detail": "it is gone"}, "failed: No rotor: it"),
+        ({"state": job_rows.CANCELLED}, "was cancelled"),
+        ({}, "is still queued; wait for it with: ambit watch"),
+    ],
+)
+def test_fetching_from_a_job_that_is_not_done_gets_what_there_is_and_fails(
+    service, ambit, rig, sent, tmp_path, capsys, ended, said
+):
+    job = ambit.jobs.submit("identification", rig.id, sent.id)
+    change(service, job.id, **ended)
+    words = ["fetch", job.id, "--out", str(tmp_path), "--url", service.url, "--key", service.operator]
+    assert run(words) == 1
+    shown = capsys.readouterr()
+    (line,) = shown.err.splitlines()
+    assert line.startswith(f"ambit: the job {job.id} ")
+    assert said in line
+    assert {p.name for p in tmp_path.iterdir()} == {"rig.toml", "experiment.h5", "a b.h5"}
+    change(service, job.id, state=job_rows.DONE)
+    assert run(words) == 0
 
 
 def test_a_wait_that_is_too_long_ends(service, ambit, rig, sent):

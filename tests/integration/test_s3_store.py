@@ -189,7 +189,7 @@ def _api(settings):
 def _uploaded(api, rig, folder):
     return api.post(
         f"/rigs/{rig}/experiments",
-        content=good(folder / "experiment.h5", n_axes=2).read_bytes(),
+        content=good(folder / "experiment.h5").read_bytes(),
         params={"filename": "experiment.h5"},
         headers={"content-type": "application/x-hdf5"},
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import zlib
 from collections.abc import Callable
@@ -15,11 +16,14 @@ GIB = 1 << 30
 MIB = 1 << 20
 
 
-def good(path: Path, points: int = 8, n_axes: int = 2, **replaced: object) -> Path:
+AXES = ("xA", "xB", "yA", "yB")
+
+
+def good(path: Path, points: int = 8, n_axes: int = 4, **replaced: object) -> Path:
     """A demodulated experiment of one sweep; ``replaced`` replaces datasets."""
     rng = np.random.default_rng(1)
     with h5py.File(path, "w") as file:
-        file.attrs.update(format="amb-experiment", version=1, rig="bench 3", axes='["xA", "xB"]')
+        file.attrs.update(format="amb-experiment", version=1, rig="bench 3", axes=json.dumps(AXES[:n_axes]))
         sweep = file.create_group("sweeps/0")
         sweep.attrs.update(kind="stepped-sine", speed_rad_s=0.0, sample_rate_hz=10_000.0, comment="main")
         for name, value in (datasets(points, n_axes, rng) | replaced).items():
@@ -47,8 +51,9 @@ def datasets(points: int, n_axes: int, rng: np.random.Generator) -> dict[str, ob
 
 
 def good_matlab(path: Path, points: int = 8) -> Path:
-    fields = datasets(points, 2, np.random.default_rng(1)) | {"sample_rate_hz": 10_000.0, "kind": "stepped-sine"}
-    scipy.io.savemat(path, {"sweeps": fields, "axes": '["xA", "xB"]', "rig": "bench 3"}, do_compression=True)
+    fields = datasets(points, len(AXES), np.random.default_rng(1))
+    fields |= {"sample_rate_hz": 10_000.0, "kind": "stepped-sine"}
+    scipy.io.savemat(path, {"sweeps": fields, "axes": json.dumps(AXES), "rig": "bench 3"}, do_compression=True)
     return path
 
 
