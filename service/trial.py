@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.device.machine import RigDevice
+from drivers.errors import CancelledError
 from drivers.simulated.driver import SimulatedController
+from service.errors import StoppedError
 from service.experiment import file
 from service.experiment.aims import Profile
 from service.experiment.campaign import EXPERIMENT, run_campaign
@@ -197,6 +199,8 @@ def run_blind_trial(
         A case could not be run, or the folder cannot be written.
     SealError
         A seal was tampered with.
+    StoppedError
+        The user stopped it, by Ctrl-C.
     """
     if cases < 1:
         raise AmbError(f"a blind trial needs at least 1 case, not {cases}")
@@ -205,10 +209,16 @@ def run_blind_trial(
     except OSError as error:
         raise AmbError(f"cannot write the trial to {out_dir}: {error}; give another folder") from error
     done: dict[int, dict[str, Any]] = {}
-    for number, document in _finished(cases, seed, out_dir, jobs, engine):
-        done[number] = document
-        if progress is not None:
-            progress(len(done), cases, told(checked(document)))
+    try:
+        for number, document in _finished(cases, seed, out_dir, jobs, engine):
+            done[number] = document
+            if progress is not None:
+                progress(len(done), cases, told(checked(document)))
+    except (KeyboardInterrupt, CancelledError):  # the second one is a campaign's word for the first
+        kept = sum((_folder(number, out_dir) / KEPT).exists() for number in range(cases))
+        raise StoppedError(
+            f"stopped by the user: {kept} of {cases} cases are kept in {out_dir}, where the same command goes on"
+        ) from None
     result = summary([done[k] for k in range(cases)], seed)
     _write(out_dir / "trial.json", result)
     return result
@@ -225,9 +235,8 @@ def _finished(
         for number in missing:
             yield number, run_one(number, seed, out_dir, engine)
         return
-    pool = workers(jobs)
     failed: dict[int, AmbError] = {}
-    try:
+    with workers(jobs) as pool:
         waiting = {pool.submit(run_one, k, seed, out_dir, engine): k for k in missing}
         for future in as_completed(waiting):
             try:
@@ -238,8 +247,6 @@ def _finished(
                 failed[waiting[future]] = error
             else:
                 yield waiting[future], document
-    finally:
-        pool.shutdown(cancel_futures=True)
     if failed:
         told = "; ".join(f"case {k + 1}: {error}" for k, error in sorted(failed.items()))
         raise AmbError(f"{told}; the other cases are kept in {out_dir}, where the trial can go on")

@@ -82,14 +82,19 @@ def blind_trial(
     jobs: Annotated[int, typer.Option(help="Processes; 0 for one per core.", min=0)] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print trial.json's scores as JSON on stdout.")] = False,
 ) -> None:
-    """Withhold effects on simulated rigs, seal the truth, measure, diagnose, open the seal and score."""
+    """Withhold effects on simulated rigs, seal the truth, measure, diagnose, open the seal and score.
+
+    A trial that was stopped, by Ctrl-C or a kill, goes on when it is called again.
+    """
+    from service.cli.interrupt import kill_is_ctrl_c
     from service.output import ready_folder
     from service.trial import run_blind_trial
 
     ready_folder(out)
-    trial = run_blind_trial(
-        cases, seed, out, lambda k, n, text: say(f"{k} of {n}: {text}"), jobs or os.cpu_count() or 1
-    )
+    with kill_is_ctrl_c():
+        trial = run_blind_trial(
+            cases, seed, out, lambda k, n, text: say(f"{k} of {n}: {text}"), jobs or os.cpu_count() or 1
+        )
     scores = trial["scores"]
     if as_json:
         print_json({"format": trial["format"], "version": trial["version"], "seed": seed, "scores": scores})

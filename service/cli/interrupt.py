@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while a rig is excited: the first asks the job to stop in good order, the second insists."""
+"""Ctrl-C and SIGTERM: where a rig is excited, the first asks the job to stop in good order, the second insists."""
 
 from __future__ import annotations
 
@@ -31,3 +31,16 @@ def asked_to_stop(notice: str) -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def kill_is_ctrl_c() -> Iterator[None]:
+    """SIGTERM raises KeyboardInterrupt, too: what a command started ends with it, and it says what is kept.
+
+    Must be entered in the main thread.
+    """
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

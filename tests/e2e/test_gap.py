@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import signal
 import time
 from pathlib import Path
 
@@ -89,6 +90,20 @@ def test_ctrl_c_ends_all_workers_in_one_line(seconds, tmp_path):
         assert run.wait() == 1
         assert run.said == ["ambit: stopped by the user; files that were finished are kept\n"]
         assert not (out / "gap.json").exists()
+    finally:
+        run.end()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_blind_trial_told_to_stop_ends_at_once_and_says_what_it_keeps(number, tmp_path):
+    out = tmp_path / "trial"
+    run = Running("gap", "blind-trial", "--cases", 2, "--seed", 4, "--jobs", 2, "--out", out, traced=False)
+    try:
+        wait_until(lambda: (out / "case-0001").exists() and (out / "case-0002").exists(), "both cases")
+        run.process.send_signal(number)  # to the command alone, as a supervisor does
+        assert run.wait(15) == 1
+        kept = f"0 of 2 cases are kept in {out}, where the same command goes on"
+        assert run.said == [f"ambit: stopped by the user: {kept}\n"]
     finally:
         run.end()
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import service.trial
+from service.errors import StoppedError
 from service.experiment.data import Experiment
 from service.gap.trial.blind_trial import checked, fingerprint, summary
 from service.trial import PROFILE, run_blind_trial, run_one
@@ -119,6 +120,28 @@ def test_a_trial_that_was_stopped_goes_on_with_what_it_has(trial: tuple[Path, di
     assert len(asked) == 1
     assert again["cases"][:CLEAN] == result["cases"][:CLEAN]
     assert again["cases"][CLEAN]["report"]["verdict"]["probability"] == 0.9
+
+
+def test_ctrl_c_tells_how_many_cases_are_kept(trial: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    _measured(trial, tmp_path)  # the third case is measured, and nothing diagnosed
+
+    def engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    for number in (1, 2):
+        shutil.copytree(trial[0] / f"case-000{number}", tmp_path / f"case-000{number}")
+    with pytest.raises(StoppedError, match=r"stopped by the user: 2 of 3 cases are kept in .*goes on"):
+        run_blind_trial(CASES, SEED, tmp_path, jobs=1, engine=engine)
+    assert run_blind_trial(CASES, SEED, tmp_path, jobs=1, engine=lambda *_: _report())["scores"]["cases"]
+
+
+def test_ctrl_c_in_a_campaign_ends_the_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("service.experiment.campaign._run", interrupted)
+    with pytest.raises(StoppedError, match="0 of 1 cases are kept"):
+        run_blind_trial(1, SEED, tmp_path, jobs=1, engine=_no_engine)
 
 
 def _no_engine(experiment: Experiment, datasheet: Datasheet) -> dict[str, Any]:

@@ -1,11 +1,15 @@
-"""Ctrl-C while processes of a pool still load: they end, and none says a word."""
+"""Processes of a pool end with their command, whatever ends it and whatever they do, and none says a word."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import pytest
 
 LOADING = """
 import os, sys, time
@@ -29,31 +33,85 @@ if __name__ == "__main__":
 """
 
 
-def test_ctrl_c_while_processes_load_ends_them_all_without_a_traceback(tmp_path: Path) -> None:
-    (tmp_path / "sitecustomize.py").write_text(LOADING)
-    (tmp_path / "command.py").write_text(COMMAND)
-    loading = tmp_path / "loading"
-    loading.mkdir()
+BUSY = """
+import os, sys, time
+from pathlib import Path
+from service.pool import workers
+
+def work(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    try:
+        with workers(2) as pool:
+            for future in [pool.submit(work, sys.argv[1]) for _ in range(2)]:
+                future.result()
+    except KeyboardInterrupt:
+        sys.exit("interrupted")
+"""
+
+
+@contextmanager
+def started(
+    program: str, folder: Path, begun: Path, processes: int, *arguments: str
+) -> Iterator[subprocess.Popen[str]]:
+    """The program, once so many processes have left their number in a folder."""
+    (folder / "command.py").write_text(program)
+    begun.mkdir(parents=True)
     command = subprocess.Popen(
-        [sys.executable, str(tmp_path / "command.py")],
-        env=os.environ
-        | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)]), "LOADING": str(loading)},
+        [sys.executable, str(folder / "command.py"), *arguments],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)]), "LOADING": str(begun)},
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
     try:
         deadline = time.monotonic() + 60
-        while len(list(loading.iterdir())) < 3:
+        while len(list(begun.iterdir())) < processes:
             assert command.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.01)
+        yield command
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(command.pid, signal.SIGKILL)
+        command.communicate()
+
+
+def gone(process: str) -> bool:
+    """Whether it has ended; where nobody waits for it, a name is left."""
+    try:
+        return Path("/proc", process, "stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def test_ctrl_c_while_processes_load_ends_them_all_without_a_traceback(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(LOADING)
+    loading = tmp_path / "loading"
+    with started(COMMAND, tmp_path, loading, 3) as command:
         os.killpg(command.pid, signal.SIGINT)  # as a terminal does
         _, said = command.communicate(timeout=60)
-    finally:
-        if command.poll() is None:
-            os.killpg(command.pid, signal.SIGKILL)
     assert said == "interrupted\n"
     assert command.returncode == 1
-    for process in loading.iterdir():
-        assert not Path("/proc", process.name).exists()
+    assert all(map(gone, os.listdir(loading)))
+
+
+def test_an_interrupt_of_the_command_alone_does_not_wait_for_what_runs(tmp_path: Path) -> None:
+    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy")) as command:
+        command.send_signal(signal.SIGINT)
+        _, said = command.communicate(timeout=20)
+        assert said == "interrupted\n"
+        assert all(map(gone, os.listdir(tmp_path / "busy")))
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_processes_end_with_a_command_that_was_killed(number: signal.Signals, tmp_path: Path) -> None:
+    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy")) as command:
+        command.send_signal(number)
+        command.wait(20)
+        deadline = time.monotonic() + 20
+        while not all(map(gone, os.listdir(tmp_path / "busy"))):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
