@@ -35,6 +35,7 @@ def dated(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Compo
             values[at] = dict(effect.restated(values[at], {**values[at], "duration_s": stated_s}))
         drift = None if c.fit.rig.drift is None else replace(c.fit.rig.drift, duration_s=campaign_s)
         fit = replace(c.fit, values=tuple(values), rig=replace(c.fit.rig, drift=drift))
-        return replace(r, candidate=replace(c, fit=fit, standard_deviations=tuple(spread)))
+        given = c.given | {("thermal_drift", "duration_s")}
+        return replace(r, candidate=replace(c, fit=fit, standard_deviations=tuple(spread), given=given))
 
     return Composition(tuple(restated(r) for r in whole.order))

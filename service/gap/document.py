@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from service.gap.diagnosis import Diagnosis, listed, runner_up
+from service.gap.fitting.candidates import Candidate
 from service.gap.weighing.shrinkage import Closed
 from service.gap.weighing.verdict import ALIKE, Ranked
 from sim.effects import CATALOGUE
@@ -25,17 +26,25 @@ def _blamed(d: Diagnosis) -> str:
     return " and the ".join("signals" if path == "additive" else path for path in paths)
 
 
-def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
-    c = r.candidate
-    parameters: dict[str, Any] = {}
+def stated(c: Candidate) -> dict[str, dict[str, Any]]:
+    """Value and deviation of an explanation's parameters; "given" where it is none of the fit's results."""
+    out: dict[str, dict[str, Any]] = {}
     for effect, values, sds in zip(c.effects, c.fit.values, c.standard_deviations, strict=True):
         prefix = f"{effect}." if len(c.effects) > 1 else ""
-        parameters |= {prefix + name: {"value": v, "std": sds[name]} for name, v in values.items()}
+        for name, value in values.items():
+            # a deviation of 0 alone would pass for a fit that knows it exactly
+            given = {"given": True} if (effect, name) in c.given else {}
+            out[prefix + name] = {"value": value, "std": sds[name], **given}
+    return out
+
+
+def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
+    c = r.candidate
     return {
         "effect": "+".join(c.effects),
         "effects": list(c.effects),
         "probability": r.probability,
-        "parameters": parameters,
+        "parameters": stated(c),
         "gap_after": d.gaps_after.get(c.effects),
         "closure": d.closures.get(c.effects),
         "log_evidence": r.log_evidence,

@@ -42,6 +42,8 @@ class Candidate:
     occam: float
     """log of the share of the prior that the data leave"""
     standard_deviations: tuple[dict[str, float], ...]
+    given: frozenset[tuple[str, str]] = frozenset()
+    """(effect, parameter) that no fit has found: what the others are stated over"""
 
 
 @dataclass(frozen=True)
