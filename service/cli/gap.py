@@ -58,9 +58,9 @@ def apply(
     rig: Annotated[Path, typer.Option(help="Datasheet that was diagnosed.")],
     out: Annotated[Path, typer.Option(help="Twin file to write: the datasheet with the effects that were found.")],
 ) -> None:
-    """Write a twin that has the effects that a diagnosis found."""
+    """Write a twin that has the effects that a diagnosis found; says so where it does not levitate."""
     from service.errors import OutputError
-    from service.gap.apply import applied
+    from service.gap.apply import applied, cannot_run
     from service.output import read_document, ready_folder, write_text
     from sim.rig_file import read, to_toml
 
@@ -72,6 +72,11 @@ def apply(
     write_text(out, to_toml(twin))
     names = ", ".join(name for name, _ in twin.effects)
     print(f"{out}: {twin.name} with {names}")
+    if reason := cannot_run(twin):
+        say(
+            f"warning: this twin cannot be simulated or served as it stands, {reason}; identify the experiment with "
+            "it, ambit identify --rig, and give it the ki, ks and modes that come out"
+        )
 
 
 @app.command()

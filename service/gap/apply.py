@@ -11,6 +11,9 @@ from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 from service.gap.measured.observation import GapError
 from sim.datasheet import Datasheet
 from sim.effects import effect
+from sim.errors import EffectError, LevitationError
+from sim.stepping import Simulation
+from sim.twin import rig_from_datasheet
 
 
 class _Verdict(BaseModel):
@@ -69,6 +72,23 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
         raise GapError(f"the report lists no parameters of {' + '.join(names)}")
     added = tuple((name, _values(name, f"{name}." if len(names) > 1 else "", fitted)) for name in names)
     return replace(datasheet, effects=(*datasheet.effects, *added))
+
+
+def cannot_run(twin: Datasheet) -> str | None:
+    """Why a twin is no rig that levitates as it stands, in words; None where it is one.
+
+    An effect was fitted beside the datasheet's own values, of which the twin has the unfitted ones: together they may
+    be a rig that does not levitate, although the measured one does.
+    """
+    try:
+        # in time a log is off by whole samples only, and whether the rotor is held does not hang on it
+        Simulation(replace(rig_from_datasheet(twin), logging_offset_samples=0.0))
+    except LevitationError as error:
+        # its remedy is of a rig whose controller is at fault
+        return str(error).removeprefix(f"rig {twin.name}: ").partition("; ")[0]
+    except EffectError as error:
+        return str(error)
+    return None
 
 
 def _read(document: Mapping[str, Any]) -> _Report:

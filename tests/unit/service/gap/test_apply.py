@@ -1,12 +1,17 @@
 """A gap report that does not say what to add is refused in words; one that does is added as it was fitted."""
 
 import copy
+import json
+import re
+from dataclasses import replace
 
 import pytest
 
-from service.gap.apply import applied
+from service.cli import run
+from service.gap.apply import applied, cannot_run
 from service.gap.measured.observation import GapError
 from sim.reference import reference_datasheet
+from sim.rig_file import parse, to_toml
 
 SHEET = reference_datasheet()
 MIXTURE = {
@@ -66,3 +71,37 @@ def test_every_effect_of_a_mixture_is_added_at_the_mixtures_values():
 def test_a_report_that_does_not_say_what_to_add_is_refused(path, value, said):
     with pytest.raises(GapError, match=said):
         applied(SHEET, changed(path, value))
+
+
+SATURATED = (("saturation_inverse_per_a", 2.0), ("flux_share", 1.2), ("flux_power", 4.0))
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [
+        ((), None),
+        ((("logging_offset", (("samples", 0.98),)),), None),
+        ((("magnetic_saturation", SATURATED),), r"^its controller does not levitate the rotor, .* a sample$"),
+        ((("internal_damping", (("damping_ratio", 0.01),)),), "needs a flexible mode"),
+    ],
+)
+def test_a_twin_that_nothing_can_simulate_is_told(effects, said):
+    found = cannot_run(replace(SHEET, effects=effects))
+    assert found is None if said is None else re.search(said, found)
+
+
+def test_apply_warns_of_a_twin_that_does_not_levitate(tmp_path, capsys):
+    """It is written all the same: identification works on it, and gives what it lacks."""
+    values = {name: {"value": value, "std": 0.1} for name, value in SATURATED}
+    verdict = {"kind": "effect", "effects": ["magnetic_saturation"]}
+    candidates = [{"effect": "magnetic_saturation", "parameters": values}]
+    (tmp_path / "gap.json").write_text(json.dumps(MIXTURE | {"verdict": verdict, "candidates": candidates}))
+    (tmp_path / "rig.toml").write_text(to_toml(SHEET))
+    out = tmp_path / "twin.toml"
+    assert (
+        run(["gap", "apply", str(tmp_path / "gap.json"), "--rig", str(tmp_path / "rig.toml"), "--out", str(out)]) == 0
+    )
+    (warning,) = capsys.readouterr().err.splitlines()
+    assert warning.startswith("warning: this twin cannot be simulated or served as it stands, its controller does not")
+    assert "ambit identify" in warning
+    assert parse(out.read_text()).effects == (("magnetic_saturation", SATURATED),)
