@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.experiment.stated import stated_amplitudes
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
@@ -71,7 +72,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
             "give the datasheet of the rig that was measured, with the same axes"
         )
     (main_name, main), *others = sweeps_for(experiment)
-    notes = notes_on(main, bool(others), datasheet)
+    notes = [*stated_amplitudes(experiment), *notes_on(main, bool(others), datasheet)]
     if not datasheet.modes:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.experiment.stated import stated_amplitudes
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fits
 from service.identification.assemble import assemble
 from service.identification.block_length import block_samples
@@ -91,6 +92,7 @@ def identify(
             f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
             "give the datasheet of the rig that was measured"
         )
+    doubts = stated_amplitudes(experiment)
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
     excited = [s for s in experiment.sweeps if s.kind != "noise" and s.n_points and np.any(s.amplitude_a > 0)]
@@ -103,7 +105,7 @@ def identify(
     others = [s for s in slowest if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
     validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
 
-    warnings = [sentence for e in twin.effects for sentence in e.sentences()] + list(log.warnings)
+    warnings = [sentence for e in twin.effects for sentence in e.sentences()] + doubts + list(log.warnings)
     if main.speed_rad_s:
         remedy = "" if len(speeds) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(
