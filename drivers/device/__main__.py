@@ -73,7 +73,12 @@ def main(arguments: list[str] | None = None) -> int:
         built = build_rig(RigOptions(a.rig, a.seed, tuple(a.effect), a.withheld, a.sealed, a.campaign_s))
         log = EventLog(a.events) if a.events else None
         device = RigDevice(
-            built.rig, real_time=a.real_time, watchdog_s=a.watchdog_s, on_event=log, simulation=built.simulation
+            built.rig,
+            real_time=a.real_time,
+            watchdog_s=a.watchdog_s,
+            on_event=log,
+            simulation=built.simulation,
+            identity=built.identity,
         )
         served = _serve(device, a)
     except AmbError as error:

@@ -63,6 +63,8 @@ class RigDevice:
         Called with every event, from the thread where it happened.
     simulation
         Of the rig, in place of one that is made here.
+    identity
+        What it calls itself on the bus, where that is not the rig's name.
 
     Raises
     ------
@@ -80,9 +82,11 @@ class RigDevice:
         clock: Callable[[], float] = time.monotonic,
         on_event: Callable[[Event], None] | None = None,
         simulation: Simulation | None = None,
+        identity: str | None = None,
     ) -> None:
         self._simulation = Simulation(rig, seed) if simulation is None else simulation
         self._rig = rig
+        self._identity = identity or f"simulated rig {rig.name}"
         self._clock = clock
         self._born = clock()
         self._gauges = Gauges(State.LEVITATED, (0.0,) * rig.n_axes, (0.0,) * rig.n_axes)
@@ -129,7 +133,7 @@ class RigDevice:
         """What the controller is and allows."""
         rate = 1 / self._rig.controller.sample_time_s
         return Capabilities(
-            identity=f"simulated rig {self._rig.name}",
+            identity=self._identity,
             axes=self._rig.axes,
             sample_rate_hz=rate,
             max_amplitude_a=self._rig.current_limit_a,

@@ -14,6 +14,7 @@ from sim.rig import Noise, Rig
 from sim.stepping import Simulation
 from sim.withheld import CAMPAIGN_S
 from sim.withheld.given import Given
+from sim.withheld.seal import named_after
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,11 @@ class BuiltRig:
     """SHA-256 of nonce and truth, as `sim.withheld.seal` has it; empty when nothing is withheld."""
     datasheet: Path | None = None
     """What to know before the experiment; None when nothing is withheld."""
+
+    @property
+    def identity(self) -> str | None:
+        """What the device calls itself, so that an experiment tells which sealed truth it is of; None: as any rig."""
+        return f"{named_after(self.commitment)}, simulated rig {self.rig.name}" if self.commitment else None
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:

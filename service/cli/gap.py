@@ -123,7 +123,10 @@ def open_sealed(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print truth and score as JSON on stdout.")] = False,
 ) -> None:
-    """Open what was withheld and score its diagnosis; fails when the sealed file is not what was committed to."""
+    """Open what was withheld and score its diagnosis; fails when the sealed file is not what was committed to.
+
+    Fails, too, when the diagnosis is of another case.
+    """
     from service.experiment import file
     from service.gap.trial.opening import opened_document
     from service.output import read_document
@@ -136,6 +139,8 @@ def open_sealed(
         print_json(document)
         return
     print(document["sentence"])
+    for note in document["notes"]:
+        say(f"note: {note}")
 
 
 def _scores(scores: dict[str, Any]) -> Table:

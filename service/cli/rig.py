@@ -116,7 +116,12 @@ def serve(
     built = build_rig(options)
     log = devices.EventLog(events) if events else None
     machine = RigDevice(
-        built.rig, real_time=real_time, watchdog_s=watchdog_s, on_event=log, simulation=built.simulation
+        built.rig,
+        real_time=real_time,
+        watchdog_s=watchdog_s,
+        on_event=log,
+        simulation=built.simulation,
+        identity=built.identity,
     )
     served: Served
     match protocol:

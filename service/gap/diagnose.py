@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 from service.experiment.data import Experiment
 from service.gap.compose import composed
@@ -16,6 +17,7 @@ from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import next_experiment
 from service.gap.observed import Observed, observed
+from service.gap.origin import origin
 from service.gap.passes import FITTED, Found, found_in
 from service.gap.proposal.case import Grounds
 from service.gap.telling import ProgressCallback, Telling
@@ -48,7 +50,8 @@ def diagnose(
     with Fitter(jobs, telling.fitted) as fitter:
         found = found_in(data, fitter, telling)
         telling.judging(FITTED)
-        return _told(experiment.rig, datasheet, data, found, fitter)
+        told = _told(experiment.rig, datasheet, data, found, fitter)
+    return replace(told, of=origin(experiment, datasheet))
 
 
 def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter) -> Diagnosis:

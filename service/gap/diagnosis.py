@@ -57,6 +57,8 @@ class Diagnosis:
     notes: tuple[str, ...] = field(default=())
     discrepancy: dict[str, Any] | None = None
     """where nothing explains the gap, its shape over frequency, amplitude and channel"""
+    of: dict[str, str] = field(default_factory=dict)
+    """what it was made from: `origin.origin`"""
 
     @property
     def null(self) -> Candidate:

@@ -66,6 +66,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
         "format": "amb-gap-report",
         "version": 1,
         "rig": d.rig,
+        "of": d.of,
         "gap": {"before": d.gap_before, "noise_floor": d.noise_floor},
         "where": {
             "path": verdict_path(d),

@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import re
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,6 +27,28 @@ FORMAT = "amb-withheld-effect"
 
 class SealError(AmbError):
     """A sealed truth is not the one that was committed to, or cannot be read."""
+
+
+MARK = 12
+"""Digits of a commitment by which a device tells which sealed truth it runs."""
+
+
+def named_after(commitment: str) -> str:
+    """How a device that runs a sealed truth begins its name; the commitment is no secret.
+
+    >>> named_after("00ff" * 16)
+    'withheld 00ff00ff00ff'
+    """
+    return f"withheld {commitment.strip().lower()[:MARK]}"
+
+
+def names_a_seal(identity: str) -> bool:
+    """Whether a controller's name is that of a device that runs some sealed truth.
+
+    >>> names_a_seal("withheld 00ff00ff00ff, simulated rig mill"), names_a_seal("withheld rig")
+    (True, False)
+    """
+    return re.match(rf"withheld [0-9a-f]{{{MARK}}}\b", identity) is not None
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,17 @@ def test_what_was_withheld_is_opened_and_scored(diagnosed):
     assert document["verdict"]["kind"] == json.loads((out / "gap.json").read_text())["verdict"]["kind"]
 
 
+def test_a_diagnosis_of_another_served_case_is_refused(diagnosed, tmp_path):
+    out, _ = diagnosed
+    device = Running("rig", "serve", "--withheld", LAW + 1, "--sealed", tmp_path / "withheld.json", traced=False)
+    try:
+        _, commitment = (device.first_line().removeprefix(p) for p in ("", "withheld: "))
+    finally:
+        device.end()
+    (tmp_path / "gap.json").write_bytes((out / "gap.json").read_bytes())
+    assert "measured on another case" in refusal(*opening(tmp_path, commitment))
+
+
 def test_a_tampered_seal_is_caught(diagnosed, tmp_path):
     out, commitment = diagnosed
     sealed = json.loads((out / "withheld.json").read_text())

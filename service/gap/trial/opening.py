@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.experiment.data import Experiment
+from service.gap.origin import datasheet_digest, experiment_digest
 from service.gap.trial.blind_trial import detectability_of, plant_sweeps
 from service.gap.trial.scoring import Outcome, outcome_of, parameters, told
 from sim.errors import AmbError
 from sim.withheld.case import redrawn
 from sim.withheld.given import given_in
 from sim.withheld.rigs import NAME
-from sim.withheld.seal import opened
+from sim.withheld.seal import named_after, names_a_seal, opened
 
 FORMAT = "amb-gap-opened"
 
@@ -35,23 +36,58 @@ def opened_document(
         What was diagnosed: it tells how plainly the truth shows, and whether not to find it is right. Without it, and
         without the truth's own word, the truth is held to show plainly.
 
+    A report that does not say what it was made from, as other programs' may not, is scored, and its "notes" say that
+    nothing could be checked but the rig's name.
+
     Raises
     ------
     SealError
         The sealed file is not the one of the commitment.
     AmbError
-        The report is of another rig or no whole one, the truth is of another version, or the experiment is no stepped
-        sine.
+        The report is of another rig, of other data or no whole one, the truth is of another version, or the experiment
+        is no stepped sine.
     """
     truth = opened(sealed, commitment)
     try:
         rig = given_in(truth["given"]).datasheet.name if truth.get("given") else NAME
         if report["rig"] != rig:
             raise AmbError(f"the gap report is of rig {report['rig']!r}, and something was withheld in {rig!r}")
+        notes = _must_be_of(truth, commitment, report, experiment)
         shows = {} if experiment is None else _shows(truth, experiment)
-        return _document(truth, outcome_of(truth | shows, report))
+        return _document(truth, outcome_of(truth | shows, report), notes)
     except (KeyError, TypeError) as error:
         raise AmbError(f"the sealed truth or the gap report lacks {error}: this version of ambit wrote none") from error
+
+
+def _must_be_of(
+    truth: Mapping[str, Any], commitment: str, report: Mapping[str, Any], experiment: Experiment | None
+) -> list[str]:
+    """Refuse a report, or an experiment, of anything but the case that was served; what could not be checked.
+
+    Every drawn rig has the same name. A datasheet tells one of them from the other, a device's name tells cases apart
+    that were withheld in one given rig.
+    """
+    of = report["of"] if isinstance(report.get("of"), Mapping) else {}
+    measured_by = "" if experiment is None else experiment.attributes.get("controller", "")
+    sealed_devices = [d for d in (str(of.get("controller", "")), measured_by) if names_a_seal(d)]
+    for device in sealed_devices:
+        if not device.startswith(named_after(commitment)):
+            raise AmbError(
+                f"what was diagnosed was measured on another case, {device.partition(',')[0]}, and the sealed file is "
+                f"that of {named_after(commitment)}; give the report and the sealed file of one case"
+            )
+    if experiment is not None and of.get("experiment_sha256") not in (None, experiment_digest(experiment)):
+        raise AmbError("the gap report is of another experiment than the one given; give the one that was diagnosed")
+    if "datasheet_sha256" not in of:
+        return ["the gap report does not say what it was made from: that it is of this case is taken on trust"]
+    if of["datasheet_sha256"] != datasheet_digest(redrawn(truth).datasheet):
+        raise AmbError(
+            "the gap report is of another case: it was diagnosed with another datasheet than the one that was served; "
+            "give the report of a diagnosis with that one"
+        )
+    if truth["given"] is not None and not sealed_devices:
+        return ["the controller did not say which case it was: that it was not another one in this rig is not checked"]
+    return []
 
 
 def _shows(truth: Mapping[str, Any], experiment: Experiment) -> dict[str, Any]:
@@ -64,7 +100,7 @@ def _shows(truth: Mapping[str, Any], experiment: Experiment) -> dict[str, Any]:
     return detectability_of(case, experiment)
 
 
-def _document(truth: Mapping[str, Any], o: Outcome) -> dict[str, Any]:
+def _document(truth: Mapping[str, Any], o: Outcome, notes: list[str]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": 1,
@@ -75,4 +111,5 @@ def _document(truth: Mapping[str, Any], o: Outcome) -> dict[str, Any]:
         "each": dict(o.each),
         "verdict": {k: o.verdict[k] for k in ("kind", "effects", "indistinguishable", "probability")},
         "parameters": parameters([o] if o.right else []),
+        "notes": notes,
     }

@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.device.machine import RigDevice
 from drivers.device.rigs import RigOptions, build_rig
 from sim.errors import AmbError
 from sim.reference import reference_datasheet
 from sim.rig_file import read, to_toml
 from sim.withheld.case import draw
 from sim.withheld.given import Given
-from sim.withheld.seal import opened
+from sim.withheld.seal import names_a_seal, opened
 from sim.withheld.unlisted_laws import CoarseLog
 
-SINGLE, LAW = 0, 4
+SINGLE, CLEAN, LAW = 0, 2, 4
 
 
 @pytest.fixture
@@ -55,6 +56,16 @@ def test_only_its_owner_can_read_the_sealed_file(sealed: Path) -> None:
 def test_the_commitment_cannot_be_had_by_sealing_every_case(sealed: Path) -> None:
     one, other = (build_rig(RigOptions(withheld=SINGLE, sealed=sealed)).commitment for _ in range(2))
     assert one != other
+
+
+def test_a_device_of_a_sealed_truth_names_its_seal(sealed: Path, mill: Path) -> None:
+    """And on a bus the name, of 48 characters, still has it."""
+    built = build_rig(RigOptions(rig=mill, withheld=CLEAN, sealed=sealed))
+    name = RigDevice(built.rig, simulation=built.simulation, identity=built.identity).capabilities().identity
+    assert name == f"withheld {built.commitment[:12]}, simulated rig mill"
+    assert names_a_seal(name[:48])
+    plain = build_rig(RigOptions(rig=mill))
+    assert RigDevice(plain.rig, identity=plain.identity).capabilities().identity == "simulated rig mill"
 
 
 def test_a_law_between_rig_and_log_runs_in_the_device(sealed: Path) -> None:

@@ -13,6 +13,7 @@ from service.gap.document import gap_document
 from service.gap.fitting import candidates
 from service.gap.fitting.candidates import Candidate, Task, fit_task
 from service.gap.measured.observation import GapError
+from service.gap.origin import origin
 from sim.errors import EffectError
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
@@ -26,6 +27,7 @@ def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
     d = diagnose(measured, datasheet, progress=lambda percent, words: heard.append((percent, words)))
     assert d.verdict.kind == "no_gap"
     assert gap_document(d)["verdict"]["effects"] == []
+    assert gap_document(d)["of"] == origin(measured, datasheet)
     percents = [percent for percent, _ in heard]
     assert percents == sorted(percents)
     assert 0 <= percents[0] < 5
