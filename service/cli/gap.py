@@ -169,7 +169,7 @@ def _told(scores: dict[str, Any]) -> Iterator[tuple[str, str]]:
         ("false alarms on clean rigs", scores["clean"]["false_alarms"]),
         ("closure over that of the true effect, median", scores["closure"]["of_true_effect_median"]),
     ):
-        yield name, "–" if share is None else f"{100 * share:.0f} %"
+        yield name, "–" if share is None else f"{100 * share:z.0f} %"
     found = scores["parameters"]
     for name, share in (
         ("error of a strength, median", found["relative_error_median"]),
@@ -192,6 +192,6 @@ def _candidates(found: list[dict[str, Any]]) -> Table:
         table.add_column(head, justify="left" if head == "parameters" else "right")
     for c in found:
         values = ", ".join(f"{name} {e['value']:.4g}" for name, e in c["parameters"].items())
-        closure = "" if c["closure"] is None else f"{100 * c['closure']:.0f} %"
+        closure = "" if c["closure"] is None else f"{100 * c['closure']:z.0f} %"
         table.add_row(c["effect"], f"{100 * c['probability']:.1f} %", closure, values)
     return table

@@ -130,9 +130,9 @@ def trend(
     for head in ("last change, %", "slope, % a year", "in std. dev.", ""):
         table.add_column(head, justify="right")
     for name, s in found.items():
-        slope = "" if s.slope_percent_per_year is None else f"{s.slope_percent_per_year:+.3g} ± {s.slope_std:.2g}"
-        sigma = "" if s.significance is None else f"{s.significance:+.1f}"
-        table.add_row(name, f"{s.change_percent[-1]:+.3f}", slope, sigma, "steady" if s.drifting else "")
+        slope = "" if s.slope_percent_per_year is None else f"{s.slope_percent_per_year:+z.3g} ± {s.slope_std:.2g}"
+        sigma = "" if s.significance is None else f"{s.significance:+z.1f}"
+        table.add_row(name, f"{s.change_percent[-1]:+z.3f}", slope, sigma, "steady" if s.drifting else "")
     stdout().print(table)
 
 
@@ -170,6 +170,6 @@ def _table(document: dict[str, Any]) -> Table:
     for name, p in document["parameters"].items():
         was, _ = figures(p["baseline"]["value"], p["baseline"]["std"])
         now, _ = figures(p["now"]["value"], p["now"]["std"])
-        change = f"{p['change_percent']:+.3f} ± {p['change_std_percent']:.3f}"
-        table.add_row(name, was, now, change, f"{p['significance']:+.1f}", "drifted" if p["drifted"] else "")
+        change = f"{p['change_percent']:+z.3f} ± {p['change_std_percent']:.3f}"
+        table.add_row(name, was, now, change, f"{p['significance']:+z.1f}", "drifted" if p["drifted"] else "")
     return table

@@ -92,7 +92,7 @@ def table(found: list[Row], reference: str) -> Table:
             value,
             std,
             "" if r.reference is None else number(r.reference),
-            "" if r.error_percent is None else f"{r.error_percent:+.3f}",
+            "" if r.error_percent is None else f"{r.error_percent:+z.3f}",
         )
         last = r.plane
     return out

@@ -166,7 +166,7 @@ def sentence(d: Diagnosis) -> str:
     far = (
         "; the unseen sweep does not show this gap, so how much of it closes is not known"
         if s.closure is None
-        else f", which closes {100 * s.closure:.0f} % of the gap on unseen data"
+        else f", which closes {100 * s.closure:z.0f} % of the gap on unseen data"
     )
     behind = f"; far less likely, though about as good a fit: {unlikely}" if unlikely else ""
     return f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} ({sure}){far}{behind}."

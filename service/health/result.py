@@ -150,7 +150,7 @@ class HealthResult:
         state = f"sensitivity peak {self.peak:.2f}, zone {self.zone} of ISO 14839-3"
         by_id = {c.monitored.id: c for c in self.changes}
         told = [
-            f"{by_id[d].monitored.words} {by_id[d].change_percent:+.2g} % "
+            f"{by_id[d].monitored.words} {by_id[d].change_percent:+z.2g} % "
             f"({abs(by_id[d].significance):.0f} standard deviations)"
             if d in by_id
             else f"plane {d[0]} has a change that no parameter explains"

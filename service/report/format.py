@@ -13,14 +13,14 @@ def figures(value: float, std: float) -> tuple[str, str]:
 
     >>> figures(181.00188, 0.0337), figures(1.680028e6, 312.4), figures(0.0012161, 2.1e-6)
     (('181.002', '0.034'), ('1680030', '310'), ('0.0012161', '0.0000021'))
-    >>> figures(5.0, 0.0)
-    ('5', '–')
+    >>> figures(5.0, 0.0), figures(-0.01, 1.4)
+    (('5', '–'), ('0.0', '1.4'))
     """
     if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
         return number(value), MISSING
     exponent = math.floor(math.log10(std)) - 1
     if exponent <= 0:
-        return f"{value:.{-exponent}f}", f"{std:.{-exponent}f}"
+        return f"{value:z.{-exponent}f}", f"{std:.{-exponent}f}"
     step = 10**exponent
     return f"{round(value / step) * step}", f"{round(std / step) * step}"
 
@@ -62,21 +62,21 @@ def number(value: float | None, digits: int = 6) -> str:
 
 
 def signed(value: float | None, digits: int = 2) -> str:
-    """A value with its sign, fixed digits.
+    """A value with its sign, fixed digits; what rounds to nought is not told as below it.
 
     >>> signed(1.234), signed(-0.001), signed(None)
-    ('+1.23', '-0.00', '–')
+    ('+1.23', '+0.00', '–')
     """
-    return MISSING if value is None or not math.isfinite(value) else f"{value:+.{digits}f}"
+    return MISSING if value is None or not math.isfinite(value) else f"{value:+z.{digits}f}"
 
 
 def fixed(value: float | None, digits: int = 1) -> str:
     """A value with fixed digits; "–" for none.
 
-    >>> fixed(12.345), fixed(None)
-    ('12.3', '–')
+    >>> fixed(12.345), fixed(-0.01), fixed(None)
+    ('12.3', '0.0', '–')
     """
-    return MISSING if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+    return MISSING if value is None or not math.isfinite(value) else f"{value:z.{digits}f}"
 
 
 def decibel(ratio: float | None) -> float | None:

@@ -313,4 +313,4 @@ def _words(effect: str) -> str:
 
 
 def _percent(share: float | None, digits: int = 3) -> str:
-    return MISSING if share is None else f"{100 * share:.{digits}g} %"
+    return MISSING if share is None else f"{100 * share:z.{digits}g} %"

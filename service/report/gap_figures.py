@@ -287,7 +287,7 @@ def _in_lines(effects: list[str], widest: int = 34) -> str:
 def _said(percent: float) -> str:
     if not np.isfinite(percent):
         return "not computed"
-    return f"{percent:.0f} %" if percent > -0.5 else "none, it gets worse"
+    return f"{percent:z.0f} %" if percent > -0.5 else "none, it gets worse"
 
 
 def amplitude_figure(cases: list[tuple[str, Compared]], path: str) -> Figure:

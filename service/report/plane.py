@@ -224,7 +224,7 @@ def _blind(plane: PlaneResult) -> str:
     """What of the extended set the data tell: rank and conditioning of the information, and the blind combinations."""
     e = plane.extended
     rows = [
-        [", ".join(f"{size:+.2f} {name}" for name, size in found["combination"].items())]
+        [", ".join(f"{size:+z.2f} {name}" for name, size in found["combination"].items())]
         for found in e["blind_directions"]
     ]
     free, condition = ", ".join(e["extended_set"]), f"{e['condition_number']:.1e}"

@@ -59,9 +59,15 @@ export function figures(value, std) {
   const digits = 1 - Math.floor(Math.log10(std));
   if (digits <= 0) {
     const step = 10 ** -digits;
-    return (Math.round(value / step) * step).toFixed(0) + " ± " + (Math.round(std / step) * step).toFixed(0);
+    return fixed(Math.round(value / step) * step, 0) + " ± " + (Math.round(std / step) * step).toFixed(0);
   }
-  return value.toFixed(Math.min(digits, 12)) + " ± " + std.toFixed(Math.min(digits, 12));
+  return fixed(value, Math.min(digits, 12)) + " ± " + std.toFixed(Math.min(digits, 12));
+}
+
+// A value with fixed digits; what rounds to nought has no sign.
+export function fixed(value, digits) {
+  const shown = value.toFixed(digits);
+  return Number(shown) === 0 ? shown.replace("-", "") : shown;
 }
 
 export function number(value, digits = 5) {

@@ -1,7 +1,7 @@
 // One rig: what it does now, what it is, where its twin falls short, how it ages.
 
 import { documentLink, get, post } from "./api.js";
-import { figures, h, nothing, number, section, state, table, when } from "./dom.js";
+import { figures, fixed, h, nothing, number, section, state, table, when } from "./dom.js";
 import * as plots from "./plots.js";
 import * as tables from "./tables.js";
 
@@ -38,8 +38,8 @@ function live(found, context) {
       place.replaceChildren(h("p", { class: "note" }, "The controller does not answer: " + now.detail));
       return;
     }
-    const um = now.displacement_m.map((y) => (1e6 * y).toFixed(2)).join("  ");
-    const amps = now.current_a.map((i) => i.toFixed(3)).join("  ");
+    const um = now.displacement_m.map((y) => fixed(1e6 * y, 2)).join("  ");
+    const amps = now.current_a.map((i) => fixed(i, 3)).join("  ");
     place.replaceChildren(table(["state", "moved by", "excitation, A", "displacements, µm", "currents, A", "speed, rad/s"], [[
       state(now.state === "done" ? "levitated" : now.state), now.lease_holder || "nobody", number(now.excitation_a, 3), um, amps, number(now.speed_rad_s, 4),
     ]], [2, 3, 4, 5]), now.trip_message ? h("p", { class: "note" }, now.trip_message) : "");
@@ -123,7 +123,7 @@ async function gap(found, context) {
     h("p", { class: "about" }, "Diagnosed ", when(found.created_at), " · ", documentLink("/gaps/" + found.id + "/report.html", "report", "gap.html")),
     table(["gap before", "noise floor", "closed by what was found"], [[
       number(100 * found.summary.gap_before, 3) + " %", number(100 * found.summary.noise_floor, 3) + " %",
-      closure === null || closure === undefined ? "–" : (100 * closure).toFixed(0) + " %",
+      closure === null || closure === undefined ? "–" : fixed(100 * closure, 0) + " %",
     ]], [0, 1, 2]),
     (document.notes || []).map((note) => h("p", { class: "note" }, note)),
     document.candidates.length ? place : "",

@@ -38,7 +38,7 @@ def other_rig(ground: Ground, fit: Fit) -> str | None:
         return None
     away = ground.nuisance.off(fit.theta)
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
-    told = ", ".join(f"{names[j].replace('_', ' ')} by {away[j]:+.1f}" for j in worst)
+    told = ", ".join(f"{names[j].replace('_', ' ')} by {away[j]:+z.1f}" for j in worst)
     return (
         "the datasheet seems to be of another rig; its values would be off, or apart where they are alike in a rig, "
         f"by many tolerances ({told}): check it"

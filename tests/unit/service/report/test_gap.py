@@ -142,6 +142,16 @@ def test_the_runner_up_is_kept_whatever_adds_to_the_chosen_one(diagnosis):
     assert "runner-up, sensor lag" in gap_page(crowded)
 
 
+def test_what_closes_nothing_closes_no_less_than_nothing(diagnosis):
+    page = gap_page(replace(diagnosis, closures={("loop_delay",): 0.999, ("sensor_lag",): -0.0004}))
+    _, closure = figure(page, "candidates")["data"]
+    assert closure["text"] == ["100 %", "0 %"]
+    unclosed = replace(diagnosis.shrinkage, closure=-1e-9, closure_95=(-0.0, 0.1))
+    page = gap_page(replace(diagnosis, shrinkage=unclosed))
+    assert "closes 0 %" in lead(page)
+    assert "(95 %: 0 % to 10 %)" in page
+
+
 def test_every_figure_is_there(diagnosis):
     page = gap_page(diagnosis)
     names = set(re.findall(r'<div class="plot" id="([^"]+)"', page))
