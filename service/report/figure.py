@@ -220,9 +220,11 @@ def _axis(domain: list[float], anchor: str, ticklabels: bool) -> Axis:
 def log_frequency(low_hz: float, high_hz: float) -> Axis:
     """Axis options: logarithmic, ticks at 1, 2 and 5 of every decade, plain numbers."""
     decades = range(math.floor(math.log10(low_hz)), math.ceil(math.log10(high_hz)) + 1)
-    pad = 0.03 * math.log10(high_hz / low_hz)
+    pad = max(0.03 * math.log10(high_hz / low_hz), 0.01)  # one frequency alone is in the middle
     low, high = math.log10(low_hz) - pad, math.log10(high_hz) + pad
     ticks = [m * 10.0**d for d in decades for m in (1, 2, 5) if low <= math.log10(m * 10.0**d) <= high]
+    if not ticks:
+        return {"type": "log", "range": [low, high], "nticks": 5}
     return {
         "type": "log",
         "range": [low, high],
@@ -282,9 +284,19 @@ def points(x: Real, y: Real, name: str, colour: str = MEASURED, **options: Any) 
 
 
 def line(x: Real, y: Real, name: str, colour: str = MODEL, **options: Any) -> Trace:
-    """A curve."""
+    """A curve; a point without a neighbour, of which no line is drawn, gets a marker."""
     style = {"color": colour, "width": options.pop("width", 1.4), "dash": options.pop("dash", "solid")}
-    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": name, "line": style, **options}
+    trace = {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": name, "line": style, **options}
+    if not (alone := _alone(y)).any():
+        return trace
+    marker = {"color": colour, "size": np.where(alone, 6.0, 0.0), "opacity": 1, "line": {"width": 0}}
+    return trace | {"mode": "lines+markers", "marker": marker}
+
+
+def _alone(y: Real) -> NDArray[np.bool_]:
+    """Which values have none beside them."""
+    there = np.concatenate([[False], np.isfinite(np.asarray(y, dtype=float)), [False]])
+    return np.asarray(there[1:-1] & ~there[:-2] & ~there[2:])
 
 
 def band(x: Real, low: Real, high: Real, name: str, colour: str = REGION) -> Trace:

@@ -82,6 +82,26 @@ def test_what_is_not_finite_becomes_a_gap():
     assert figure.document()["data"][0]["y"] == [1.0, None, None]
 
 
+def shown_alone(*y: float) -> list[bool]:
+    """Which points of a curve have a marker."""
+    trace = line(np.arange(1.0, 1 + len(y)), np.array(y), "a")
+    assert ("markers" in trace["mode"]) == ("marker" in trace)
+    return (trace["marker"]["size"] > 0).tolist() if "marker" in trace else [False] * len(y)
+
+
+def test_a_curve_of_one_point_is_seen():
+    assert shown_alone(1.0) == [True]
+    assert shown_alone(1.0, 2.0) == [False, False]
+    assert shown_alone(1.0, np.nan, 2.0, 3.0, np.nan, 4.0) == [True, False, False, False, False, True]
+
+
+def test_one_frequency_alone_is_in_the_middle_of_its_axis():
+    axis = log_frequency(70.0, 70.0)
+    low, high = axis["range"]
+    assert low < np.log10(70.0) < high
+    assert "tickvals" not in axis, "none of 1, 2 and 5 is there: the drawing finds its own"
+
+
 def test_a_band_goes_forth_above_and_back_below():
     b = band(np.array([1.0, 2.0]), np.array([0.0, 0.1]), np.array([1.0, 1.1]), "region")
     assert b["x"].tolist() == [1.0, 2.0, 2.0, 1.0]
