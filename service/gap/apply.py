@@ -63,7 +63,7 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
         raise GapError(f"the report is of rig {report.rig!r}, the datasheet of {datasheet.name!r}")
     names = report.verdict.effects
     if not names:
-        raise GapError(f"the report's verdict is {report.verdict.kind}: there is no effect to add")
+        raise GapError(f"the report's verdict is {report.verdict.kind.replace('_', ' ')}: there is no effect to add")
     present = {name for name, _ in datasheet.effects}
     if present & set(names):
         raise GapError(f"the twin has {', '.join(sorted(present & set(names)))} already; apply to the first datasheet")

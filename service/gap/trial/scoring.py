@@ -151,18 +151,23 @@ def described(effects: Mapping[str, Mapping[str, float]]) -> str:
     """Effects and their values in one line.
 
     >>> described({"loop_delay": {"delay_s": 3.5e-05}})
-    'loop_delay (delay_s 3.5e-05)'
+    'loop delay (delay_s 3.5e-05)'
     """
-    shown = (f"{name} ({', '.join(f'{k} {v:.3g}' for k, v in values.items())})" for name, values in effects.items())
-    return " + ".join(shown) or "nothing"
+    told = {name: ", ".join(f"{k} {v:.3g}" for k, v in values.items()) for name, values in effects.items()}
+    return " and ".join(f"{_words(name)} ({values})" for name, values in told.items()) or "nothing"
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def told(o: Outcome) -> str:
     """One case in one line: what was withheld, how plainly it shows, what was found, and whether that is right."""
-    found = " + ".join(o.named) or str(o.verdict["kind"])
+    found = _words(" and ".join(o.named) or str(o.verdict["kind"]))
     shows = f", detectability {o.detectability:.0f}" if math.isfinite(o.detectability) else ""
     mark = "right" if o.right else "wrong"
-    return f"{o.kind}: {o.law or described(o.parameters)}{shows} -> {found} ({o.probability:.2f}): {mark}"
+    withheld = _words(o.law) if o.law else described(o.parameters)
+    return f"{o.kind}: {withheld}{shows} -> {found} ({o.probability:.2f}): {mark}"
 
 
 def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:

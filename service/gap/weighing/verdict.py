@@ -274,7 +274,7 @@ def decide(
             return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
         return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
-    words = " + ".join(effects)
+    words = " and ".join(effects).replace("_", " ")
     closed = 1 - best.unexplained if there.closure is None else there.closure
     if rejected(best, remaining) or (remaining > LEAVES and closed < CLOSES):
         share = min(max(best.unexplained, _of_one_sweep(best), 1 - closed), 1.0)

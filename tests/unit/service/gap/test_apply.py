@@ -59,6 +59,7 @@ def test_every_effect_of_a_mixture_is_added_at_the_mixtures_values():
         (["verdict"], None, 'no "verdict"; diagnose again'),
         (["verdict", "effects"], None, r'no "verdict\.effects"; diagnose again'),
         (["verdict", "effects"], [], "verdict is effects: there is no effect to add"),
+        (["verdict"], {"kind": "none_of_these", "effects": []}, "verdict is none of these: there is no effect to add"),
         (["verdict"], "loop_delay", 'wrong "verdict"'),
         (["candidates"], None, r"no parameters of loop_delay \+ sensor_lag"),
         (["candidates", 1, "parameters"], None, r'no "candidates\.1\.parameters"; diagnose again'),

@@ -56,7 +56,7 @@ def test_what_nothing_explains_near_a_hum_that_could_not_be_taken_off_is_laid_to
 def test_what_a_hum_cannot_do_stays_unexplained(verdict: Verdict, source: Interference, near: bool) -> None:
     told = heard_too(verdict, [source], [left(near)])
     assert (told.kind, told.effects, told.unexplained) == ("none_of_these", (), "plant")
-    assert told.reasons == (*verdict.reasons, "mains_interference at 50 Hz is heard beside it")
+    assert told.reasons == (*verdict.reasons, "mains interference at 50 Hz is heard beside it")
 
 
 def test_a_hum_is_named_beside_an_effect_and_alone_where_there_is_none() -> None:

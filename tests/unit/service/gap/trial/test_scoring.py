@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.cli.gap import _told
-from service.gap.trial.scoring import Outcome, calibration, score
+from service.gap.trial.scoring import Outcome, calibration, score, told
 
 
 def outcome(
@@ -192,13 +192,13 @@ def test_parameters_of_a_mixture_carry_the_effect_in_their_name() -> None:
 
 
 def test_a_drift_is_compared_over_the_same_time() -> None:
-    told = {"ki_change": (-0.02, 1e-3), "ks_change": (-0.01, 1e-3), "duration_s": (300.0, 0.0), "curvature": (0.0, 0.1)}
+    values = {"ki_change": (-0.02, 1e-3), "ks_change": (-0.01, 1e-3), "duration_s": (300.0, 0.0), "curvature": (0.0, 0.1)}
     o = outcome(
         "single",
         ("thermal_drift",),
         said="effect",
         named=("thermal_drift",),
-        candidates=(candidate("thermal_drift", **told),),
+        candidates=(candidate("thermal_drift", **values),),
         parameters={"thermal_drift": {"ki_change": -0.04, "ks_change": -0.02, "duration_s": 600.0, "curvature": 0.0}},
     )
     found = score([o])["parameters"]
@@ -259,6 +259,11 @@ def test_closure_counts_where_the_true_effect_is_not_among_the_listed_ones() -> 
     assert (closure["cases"], closure["of_true_effect_median"]) == (1, pytest.approx(0.5))
 
 
+def test_a_case_is_told_in_words() -> None:
+    assert told(outcome(*SINGLE, said="none_of_these")).endswith(" -> none of these (1.00): wrong")
+    assert "-> loop delay (" in told(outcome(*SINGLE, said="effect", named=("loop_delay",)))
+
+
 def test_what_a_trial_is_judged_by_is_printed() -> None:
     printed = dict(_told(score([outcome(*SINGLE, said="effect", named=("loop_delay",))])))
     assert {"error of a strength, median", "95 % intervals that hold the true value"} <= set(printed)
@@ -294,6 +299,6 @@ def test_every_kind_of_verdict_has_its_own_calibration() -> None:
         outcome(*SINGLE, said="none_of_these", probability=0.7),
         outcome("clean", (), said="no_gap", probability=0.95),
     ]
-    told = score(cases)["calibration_by_verdict"]
-    assert told["none_of_these"] == {"cases": 2, "stated": pytest.approx(0.8), "came_true": 0.5}
-    assert told["no_gap"] == {"cases": 1, "stated": pytest.approx(0.95), "came_true": 1.0}
+    by_verdict = score(cases)["calibration_by_verdict"]
+    assert by_verdict["none_of_these"] == {"cases": 2, "stated": pytest.approx(0.8), "came_true": 0.5}
+    assert by_verdict["no_gap"] == {"cases": 1, "stated": pytest.approx(0.95), "came_true": 1.0}

@@ -65,7 +65,13 @@ def test_an_explanation_that_does_not_close_what_unseen_data_clearly_show_is_non
     half = HeldOut(before=1.9, after=1.3, gap=26.0, left=12.0, closes=0.53, support=14.0)
     verdict = decide([NAMED, PLAIN], 3.7, half, significant=15.0)
     assert verdict.kind == "none_of_these"
-    assert "47 % of the gap on unseen data" in verdict.reasons[0]
+    assert verdict.reasons == ("the best explanation, sensor gain, leaves 47 % of the gap on unseen data",)
+
+
+def test_reasons_name_effects_in_words() -> None:
+    both = explanation(("support_resonance", "modal_damping"), 0.0, 0.4, (0.4, 0.0))
+    told = decide([both, PLAIN], 20.0, CLOSED, significant=50.0).reasons
+    assert told == ("the best explanation, support resonance and modal damping, leaves 40 % of the gap",)
 
 
 def test_a_small_gap_may_be_closed_in_part_only_by_chance() -> None:
