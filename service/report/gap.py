@@ -8,6 +8,7 @@ from typing import Any
 
 from service.gap.diagnosis import Diagnosis
 from service.gap.document import alike, gap_document
+from service.gap.weighing.significance import SIGNIFICANT
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, decibel, fixed, number, paragraph, quantity, signed, table
 from service.report.gap_discrepancy import discrepancy_figure
@@ -215,7 +216,9 @@ def _amplitude(
             Captioned(
                 harmonics,
                 "Harmonics beyond those of the twin's own magnets: in i they point to the amplifier, in y with a "
-                "clean i to magnet, contact or sensor. Bars end at 60.",
+                "clean i to magnet, contact or sensor. The dashed line is the threshold of "
+                f"{SIGNIFICANT:g} standard deviations, above which a harmonic counts; bars end at "
+                f"{draw.LONGEST_BAR:g}.",
             )
         )
     return parts

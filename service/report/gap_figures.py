@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from service.gap.diagnosis import Diagnosis
 from service.gap.fitting.predict import answer, control, measured, residual, weights
 from service.gap.measured.observation import Observation
+from service.gap.weighing.significance import SIGNIFICANT
 from service.report.figure import (
     BAD,
     FOURTH,
@@ -37,6 +38,8 @@ SIGNAL_OF = {"controller": 0, "amplifier": 1, "plant": 2, "additive": 2}
 HEAT = [[0.0, "#f4f7fa"], [0.25, "#cfe0ee"], [0.5, "#7fb2d6"], [0.75, "#e08a4f"], [1.0, "#a8261c"]]
 LARGEST_SIGMA = 1000.0
 """Where the colours of the heat maps end."""
+LONGEST_BAR = 60.0
+"""Standard deviations where the bars of harmonics end."""
 
 
 @dataclass(frozen=True)
@@ -321,8 +324,8 @@ def harmonic_figure(d: Diagnosis) -> Figure | None:
         return None
     fig = Figure("harmonics", 1, 1, 260, legend=False)
     names = [f"{signal}, harmonic {h}" for signal, h, _ in found]
-    values = np.array([min(s, 60.0) for _, _, s in found])
-    colours = [BAD if s > 5 else GOOD for s in values]
+    values = np.array([min(s, LONGEST_BAR) for _, _, s in found])
+    colours = [BAD if s > SIGNIFICANT else GOOD for s in values]
     fig.add(
         0,
         0,
@@ -338,7 +341,7 @@ def harmonic_figure(d: Diagnosis) -> Figure | None:
             "width": 0.5,
         },
     )
-    fig.line_at(0, 0, y=5.0, text="significant above", colour=BAD, left=True)
+    fig.line_at(0, 0, y=SIGNIFICANT, text=f"significant above {SIGNIFICANT:g}", colour=BAD, left=True)
     fig.y(0, 0, title="standard deviations", range=[0, max(8.0, 1.25 * float(values.max(initial=0.0)))])
     return fig
 

@@ -160,6 +160,14 @@ def test_every_figure_is_there(diagnosis):
     }  # fmt: skip
 
 
+def test_the_line_across_the_harmonics_says_what_it_is(diagnosis):
+    page = gap_page(diagnosis)
+    layout = figure(page, "harmonics")["layout"]
+    assert [s["y0"] for s in layout["shapes"]] == [5.0]
+    assert [a["text"] for a in layout["annotations"]] == ["significant above 5"]
+    assert "the threshold of 5 standard deviations" in page
+
+
 def test_parameters_carry_unit_and_uncertainty(diagnosis):
     page = gap_page(diagnosis)
     assert ">40.00 µs<" in page
