@@ -31,13 +31,14 @@ controller takes away almost all of, a peak is some 5e-4 wide."""
 NOTHING: Mapping[str, Sequence[Rig]] = {}
 
 
-def measured_responses(o: Observation) -> tuple[Complex, Complex, Complex, NDArray[np.int64]] | None:
-    """u/r, y/u and y/r at the lines where every axis was excited and had settled, (F, n, n) each, and those lines.
+def measured_responses(
+    o: Observation, usable: NDArray[np.bool_]
+) -> tuple[Complex, Complex, Complex, NDArray[np.int64]] | None:
+    """u/r, y/u and y/r at the lines where every axis has a usable point, (F, n, n) each, and those lines.
 
     None where they are fewer than three.
     """
     n, f = o.U.shape[2], o.fundamental
-    usable = ~(o.drifting & (o.drift > MATTERS))
     lines = [k for k in range(len(o.frequency_hz)) if set(o.axis[(o.line == k) & usable].tolist()) == set(range(n))]
     if len(lines) < 3:
         return None
@@ -47,6 +48,11 @@ def measured_responses(o: Observation) -> tuple[Complex, Complex, Complex, NDArr
             column = o.axis[point]
             R[row, :, column], U[row, :, column], Y[row, :, column] = o.R[point, f], o.U[point, f], o.Y[point, f]
     return _right_divided(U, R), _right_divided(Y, U), _right_divided(Y, R), np.array(lines)
+
+
+def settled(o: Observation) -> NDArray[np.bool_]:
+    """Which points, (P,), tell a peak: those that did not change by more than `MATTERS` while they were measured."""
+    return ~(o.drifting & (o.drift > MATTERS))
 
 
 def _right_divided(a: Complex, b: Complex) -> Complex:
@@ -81,7 +87,7 @@ def loop_figures(
         Twins "before" and "after" as they could be too, drawn from what the data leave of their values: the spread of
         the predicted figures.
     """
-    found = measured_responses(o)
+    found = measured_responses(o, settled(o))
     if found is None:
         return {}
     S, G, y_per_r, lines = found
@@ -101,11 +107,12 @@ def loop_figures(
         distance = chordal_distance(C * model.y_per_u, C * G)
         gaps[name] = distance.tolist()
         gaps[f"largest_{name}"] = float(distance.max())
+    whole = measured_responses(o, np.ones(len(o.axis), dtype=bool))
+    assert whole is not None  # it has all lines of those that had settled
+    restless = np.setdiff1d(whole[3], lines)
     return {
-        "sensitivity_peak": {
-            name: dict(zip(axes, of["sensitivity"].max(axis=0).tolist(), strict=True))
-            for name, of in {"measured": measured, **at_lines}.items()
-        },
+        "sensitivity_peak": _peaks(axes, {"measured": measured, **at_lines}),
+        "sensitivity_peak_with_not_settled": _with_not_settled(o, whole, twins, force) if len(restless) else None,
         "extremes": {
             quantity: {
                 axis: {
@@ -123,9 +130,25 @@ def loop_figures(
             }
             for quantity in QUANTITIES
         },
-        "not_settled_hz": np.setdiff1d(o.frequency_hz, frequency).tolist(),
+        "not_settled_hz": o.frequency_hz[restless].tolist(),
+        "not_settled_change": float(o.drift[np.isin(o.line, restless) & ~settled(o)].max(initial=0.0)),
+        "not_every_axis_hz": np.delete(o.frequency_hz, whole[3]).tolist(),
         "nu_gap": gaps,
     }
+
+
+def _peaks(axes: Sequence[str], found: Mapping[str, Mapping[str, Real]]) -> dict[str, dict[str, float]]:
+    return {name: dict(zip(axes, of["sensitivity"].max(axis=0).tolist(), strict=True)) for name, of in found.items()}
+
+
+def _with_not_settled(
+    o: Observation, whole: tuple[Complex, Complex, Complex, NDArray[np.int64]], twins: Mapping[str, Rig], force: Force
+) -> dict[str, dict[str, float]]:
+    """Sensitivity peaks at all lines, as `measured_responses` has them: |S| peaks where a mode rings longest."""
+    S, _, y_per_r, lines = whole
+    frequency = o.frequency_hz[lines]
+    at_lines = {name: _of_twin(rig, o, frequency, force) for name, rig in twins.items()}
+    return _peaks(force.rig.axes, {"measured": force.figures(S, y_per_r, frequency), **at_lines})
 
 
 @dataclass(frozen=True)

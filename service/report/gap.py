@@ -10,8 +10,9 @@ from service.gap.diagnosis import Diagnosis
 from service.gap.document import alike, gap_document
 from service.gap.weighing.significance import SIGNIFICANT
 from service.report import gap_figures as draw
-from service.report.format import MISSING, count, decibel, fixed, number, paragraph, quantity, signed, table
+from service.report.format import MISSING, count, fixed, number, paragraph, quantity, table
 from service.report.gap_discrepancy import discrepancy_figure
+from service.report.gap_loop import loop_parts
 from service.report.page import Captioned, Page, Section, Tone
 from sim.effects import CATALOGUE
 
@@ -37,7 +38,7 @@ def gap_page(diagnosis: Diagnosis) -> str:
         Section("Where", _where(document, fitted, path, axes)),
         Section("Which", _which(diagnosis, document)),
         Section("Amplitude and harmonics", _amplitude(diagnosis, document, fitted, unseen, path)),
-        Section("What it means for the loop", _loop(document)),
+        Section("What it means for the loop", loop_parts(document)),
         Section("Next experiment", _next(document)),
     ]
     about = (
@@ -222,54 +223,6 @@ def _amplitude(
             )
         )
     return parts
-
-
-def _loop(document: dict[str, Any]) -> list[Part]:
-    loop = document.get("loop") or {}
-    peaks = loop.get("sensitivity_peak")
-    if not peaks:
-        return [paragraph("Not every axis was excited at the same frequencies: the loop cannot be compared.")]
-    rows = []
-    for axis in peaks["measured"]:
-        seen, was, now = (decibel(peaks[k][axis]) or 0.0 for k in ("measured", "before", "after"))
-        rows.append([axis, fixed(seen, 2), fixed(was, 2), fixed(now, 2), signed(was - seen), signed(now - seen)])
-    head = ["peak |S| at the measured lines, dB", "measured", "before", "after", "error before", "error after"]
-    parts: list[Part] = [table(head, rows)]
-    parts += [_extremes(name, of) for name, of in loop["extremes"].items()]
-    if left_out := loop["not_settled_hz"]:
-        parts.append(paragraph(f"Left out, not settled or not every axis: {count(len(left_out), 'line')}.", "note"))
-    nu_gap = draw.nu_gap_figure(document)
-    if nu_gap is not None:
-        largest = loop["nu_gap"]
-        parts.append(
-            Captioned(
-                nu_gap,
-                "Pointwise ν-gap between the measured loop and the twin's: at most "
-                f"{number(largest['largest_before'], 3)} before, {number(largest['largest_after'], 3)} after; nought "
-                "is the same, one as far as can be.",
-            )
-        )
-    return parts
-
-
-EXTREMES = {
-    "sensitivity": ("largest |S|", 1.0, 2),
-    "complementary_sensitivity": ("closed loop: largest |T|", 1.0, 2),
-    "dynamic_stiffness": ("smallest dynamic stiffness, N/µm", 1e-6, 3),
-}
-"""What a quantity's extreme is called, its scale and its digits."""
-
-
-def _extremes(quantity: str, by_axis: dict[str, Any]) -> str:
-    """Extreme of a quantity: measured at the lines, predicted between them too, each with standard deviation."""
-    name, scale, digits = EXTREMES[quantity]
-
-    def told(e: dict[str, Any]) -> str:
-        spread = "" if e["std"] is None else f" ± {number(scale * e['std'], 2)}"
-        return f"{fixed(scale * e['value'], digits)}{spread} at {number(e['frequency_hz'], 4)} Hz"
-
-    rows = [[axis, *(told(of[k]) for k in ("measured", "before", "after"))] for axis, of in by_axis.items()]
-    return table([name, "measured, at its lines", "before, between them too", "after, between them too"], rows)
 
 
 def _next(document: dict[str, Any]) -> list[Part]:

@@ -60,6 +60,31 @@ def test_a_point_that_had_not_settled_makes_no_peak() -> None:
     ]
 
 
+def test_peaks_are_told_with_and_without_the_line_that_had_not_settled() -> None:
+    own = np.abs(
+        O.U[np.arange(len(O.axis)), O.fundamental, O.axis] / O.R[np.arange(len(O.axis)), O.fundamental, O.axis]
+    )
+    worst = O.line == O.line[np.argmax(own)]
+    found = loop_figures(TWIN, RIG, replace(O, drifting=worst, drift=np.where(worst, 0.3, 0.0)))
+    assert found["not_settled_hz"] == [O.frequency_hz[O.line[np.argmax(own)]]]
+    assert found["not_settled_change"] == 0.3
+    assert found["not_every_axis_hz"] == []
+    without, whole = found["sensitivity_peak"], found["sensitivity_peak_with_not_settled"]
+    quiet = loop_figures(TWIN, RIG, replace(O, drifting=np.zeros(len(O.axis), dtype=bool)))
+    assert whole == quiet["sensitivity_peak"]
+    assert quiet["sensitivity_peak_with_not_settled"] is None
+    assert any(without[of][axis] < whole[of][axis] for of in whole for axis in TWIN.axes)
+
+
+def test_a_line_without_one_axis_is_not_said_not_to_have_settled() -> None:
+    first = np.flatnonzero(O.line == 3)[0]
+    kept = np.arange(len(O.axis)) != first
+    arrays = {k: v[kept] for k, v in vars(O).items() if isinstance(v, np.ndarray) and len(v) == len(kept)}
+    found = loop_figures(TWIN, RIG, replace(O, **arrays))
+    assert found["not_every_axis_hz"] == [O.frequency_hz[3]]
+    assert found["not_settled_hz"] == FIGURES["not_settled_hz"]
+
+
 def test_twins_are_drawn_within_the_tolerances_however_loud_the_data() -> None:
     """Half of the directions are told to parts in ten million of the tolerances and less, the others not at all."""
     nu = nuisance(known_datasheet(seed=1)[0])

@@ -174,6 +174,32 @@ def test_parameters_carry_unit_and_uncertainty(diagnosis):
     assert ">0.40<" in page
 
 
+def loop_section(page: str) -> str:
+    return page.partition("What it means for the loop</h2>")[2].partition("<h2")[0]
+
+
+def test_at_the_table_of_the_loop_stands_which_lines_had_not_settled(diagnosis):
+    whole = loop_section(gap_page(diagnosis))
+    assert whole.index("<table") < whole.index(">xA<")
+    assert "settled" not in whole
+    o = diagnosis.held_out
+    peak = diagnosis.loop["extremes"]["sensitivity"]["xA"]["measured"]["frequency_hz"]
+    worst = o.points_hz == peak
+    restless = replace(o, drifting=worst, drift=np.where(worst, 0.07, 0.0))
+    loop = loop_figures(diagnosis.null.fit.rig, diagnosis.chosen.fit.rig, restless)
+    told = loop_section(gap_page(replace(diagnosis, loop=loop)))
+    before_table = told[: told.index("<table")]
+    assert f"1 line had not settled and was left out of what is measured here: at {peak:.4g} Hz" in before_table
+    assert "still changed by up to 7 %" in before_table
+    assert "|S| is largest there: with it its measured peak is up to" in before_table
+    seen = 20 * np.log10(
+        [diagnosis.loop["sensitivity_peak"]["measured"]["xA"], loop["sensitivity_peak"]["measured"]["xA"]]
+    )
+    assert f'<td>xA, with those that had not</td><td class="n">{seen[0]:.2f}</td>' in told
+    assert f'<td>xA, lines that had settled</td><td class="n">{seen[1]:.2f}</td>' in told
+    assert "1 line left out, as above" in told
+
+
 def test_the_alias_class_says_what_separates_it(diagnosis):
     page = gap_page(diagnosis)
     assert "cannot tell apart: loop delay, sensor lag" in page

@@ -192,7 +192,12 @@ def test_parameters_of_a_mixture_carry_the_effect_in_their_name() -> None:
 
 
 def test_a_drift_is_compared_over_the_same_time() -> None:
-    values = {"ki_change": (-0.02, 1e-3), "ks_change": (-0.01, 1e-3), "duration_s": (300.0, 0.0), "curvature": (0.0, 0.1)}
+    values = {
+        "ki_change": (-0.02, 1e-3),
+        "ks_change": (-0.01, 1e-3),
+        "duration_s": (300.0, 0.0),
+        "curvature": (0.0, 0.1),
+    }
     o = outcome(
         "single",
         ("thermal_drift",),
