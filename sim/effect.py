@@ -15,6 +15,10 @@ from sim.errors import EffectError
 from sim.rig import Rig
 
 Path = Literal["controller", "amplifier", "plant", "additive"]
+End = Literal["low", "high"]
+"""Of a range."""
+SUFFIXES = {"s": "_s", "m": "_m", "Hz": "_hz", "rad": "_rad", "N/m": "_n_per_m", "rad/s": "_rad_s", "kgm2": "_kgm2"}
+"""What a parameter's name ends with when it has that unit."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,16 @@ class Parameter:
     description: str = ""
     strength: bool = True
     """False for a parameter that shapes the effect without making it vanish (a resonance's frequency)."""
+
+    @property
+    def words(self) -> str:
+        """The name as a person says it, without its unit."""
+        return self.name.removesuffix(SUFFIXES.get(self.unit, "")).replace("_", " ")
+
+    def end(self, value: float) -> End | None:
+        """The end of the range where a value is; None inside."""
+        ends: tuple[tuple[End, float], ...] = (("low", self.low), ("high", self.high))
+        return next((name for name, at in ends if abs(value - at) <= 1e-9 * max(abs(at), self.high - self.low)), None)
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,7 @@ def apply(
     """Write a twin that has the effects that a diagnosis found; says so where it does not levitate."""
     from service.errors import OutputError
     from service.gap.apply import applied, cannot_run
+    from service.gap.document import ends_reached
     from service.output import read_document, ready_folder, write_text
     from sim.rig_file import read, to_toml
 
@@ -68,10 +69,13 @@ def apply(
     if out.exists() and out.samefile(rig):
         raise OutputError(f"{out} is the datasheet itself, which later diagnoses begin from; give --out another name")
     ready_folder(out.parent)
-    twin = applied(datasheet, read_document(report, "amb-gap-report"))
+    document = read_document(report, "amb-gap-report")
+    twin = applied(datasheet, document)
     write_text(out, to_toml(twin))
     names = ", ".join(name for name, _ in twin.effects)
     print(f"{out}: {twin.name} with {names}")
+    for note in ends_reached(document):
+        print(f"note: {note}")
     if reason := cannot_run(twin):
         say(
             f"warning: this twin cannot be simulated or served as it stands, {reason}; identify the experiment with "
@@ -182,6 +186,10 @@ def _told(scores: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield name, "–" if error is None else f"{error:.3f}"
 
 
+def _end(parameter: dict[str, Any]) -> str:
+    return f" ({parameter['at_bound']} end of its range)" if parameter.get("at_bound") else ""
+
+
 def _candidates(found: list[dict[str, Any]]) -> Table:
     from rich import box
     from rich.table import Table
@@ -191,7 +199,7 @@ def _candidates(found: list[dict[str, Any]]) -> Table:
     for head in ("probability", "closure", "parameters"):
         table.add_column(head, justify="left" if head == "parameters" else "right")
     for c in found:
-        values = ", ".join(f"{name} {e['value']:.4g}" for name, e in c["parameters"].items())
+        values = ", ".join(f"{name} {e['value']:.4g}{_end(e)}" for name, e in c["parameters"].items())
         closure = "" if c["closure"] is None else f"{100 * c['closure']:z.0f} %"
         table.add_row(c["effect"], f"{100 * c['probability']:.1f} %", closure, values)
     return table

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from service.gap.diagnosis import Diagnosis, listed, runner_up
 from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.unknowns import IN_BAND
 from service.gap.weighing.shrinkage import Closed
 from service.gap.weighing.verdict import ALIKE, Ranked
+from sim.effect import End
 from sim.effects import CATALOGUE
 
 
@@ -26,15 +29,19 @@ def _blamed(d: Diagnosis) -> str:
     return " and the ".join("signals" if path == "additive" else path for path in paths)
 
 
-def stated(c: Candidate) -> dict[str, dict[str, Any]]:
-    """Value and deviation of an explanation's parameters; "given" where it is none of the fit's results."""
+def stated(c: Candidate, lowest_hz: float) -> dict[str, dict[str, Any]]:
+    """Value and deviation of an explanation's parameters; "given" where it is none of the fit's results.
+
+    ``lowest_hz`` is the lowest line that was fitted.
+    """
     out: dict[str, dict[str, Any]] = {}
     for effect, values, sds in zip(c.effects, c.fit.values, c.standard_deviations, strict=True):
         prefix = f"{effect}." if len(c.effects) > 1 else ""
+        ends = _at_bound(effect, values, sds, lowest_hz)
         for name, value in values.items():
             # a deviation of 0 alone would pass for a fit that knows it exactly
             given = {"given": True} if (effect, name) in c.given else {}
-            out[prefix + name] = {"value": value, "std": sds[name], **given}
+            out[prefix + name] = {"value": value, "std": sds[name], "at_bound": ends[name], **given}
     return out
 
 
@@ -44,13 +51,44 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
         "effect": "+".join(c.effects),
         "effects": list(c.effects),
         "probability": r.probability,
-        "parameters": stated(c),
+        "parameters": stated(c, float(d.observation.frequency_hz.min())),
         "gap_after": d.gaps_after.get(c.effects),
         "closure": d.closures.get(c.effects),
         "log_evidence": r.log_evidence,
         "unexplained": r.unexplained,
         "status": c.fit.status,
     }
+
+
+def _at_bound(
+    effect: str, values: Mapping[str, float], sds: Mapping[str, float], lowest_hz: float
+) -> dict[str, End | None]:
+    """The end of its range, "low" or "high", at which a fit left a parameter: its value is the range's there."""
+    found: dict[str, End | None] = {}
+    for p in CATALOGUE[effect].parameters:
+        value = values.get(p.name, p.typical)
+        found[p.name] = p.end(value) if sds.get(p.name) else None  # without a deviation none was fitted
+        if (effect, p.name) == IN_BAND and np.isclose(value, lowest_hz, rtol=1e-9):
+            found[p.name] = "low"
+    return found
+
+
+def ends_reached(document: Mapping[str, Any]) -> list[str]:
+    """What strength of the verdict's effects is at an end of its range, in words; ``document`` is a gap.json.
+
+    A shape may be at an end where its law is the plainest, and a strength of nought is none.
+    """
+    named = document["verdict"]["effects"]
+    listed_effects = ((c.get("effects") or c["effect"].split("+"), c["parameters"]) for c in document["candidates"])
+    told = []
+    for name, e in next((found for effects, found in listed_effects if effects == named), {}).items():
+        effect, _, parameter = name.rpartition(".")
+        effect = effect or named[0]
+        p = next(p for p in CATALOGUE[effect].parameters if p.name == parameter)
+        if e.get("at_bound") and p.strength and e["value"] != p.null:
+            where = f"{p.words} of {effect.replace('_', ' ')} is at the {e['at_bound']} end of its range"
+            told.append(f"{where}, where the fit had to stop: not measured")
+    return told
 
 
 def _closed(c: Closed) -> dict[str, Any]:
@@ -62,7 +100,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
     w, s, v, axes = d.where, d.shrinkage, d.verdict, d.null.fit.rig.axes
     rival = runner_up(d.order, v.effects)
     second = None if rival is None else rival.candidate.effects
-    document = {
+    document: dict[str, Any] = {
         "format": "amb-gap-report",
         "version": 1,
         "rig": d.rig,
@@ -110,6 +148,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
         "next_experiment": d.next_experiment,
         "notes": list(d.notes),
     }
+    document["notes"] += ends_reached(document)
     return dict(_finite(document))
 
 

@@ -18,8 +18,6 @@ from sim.effects import CATALOGUE
 
 SHOWN = 3
 """Explanations whose parameters are open; the others are folded away."""
-SUFFIXES = {"s": "_s", "m": "_m", "Hz": "_hz", "rad": "_rad", "N/m": "_n_per_m", "rad/s": "_rad_s", "kgm2": "_kgm2"}
-"""What a parameter's name ends with when it has that unit."""
 Part = str | Captioned
 TONES: dict[str, Tone] = {"no_gap": "good", "effect": "warn", "effects": "warn", "none_of_these": "bad"}
 
@@ -189,15 +187,16 @@ def _parameters(candidates: list[dict[str, Any]]) -> str:
         head, tail = _words(c["effect"]), [_percent(c["gap_after"], 3), number(c["log_evidence"], 6)]
         for name, e in c["parameters"].items():
             effect, _, parameter = name.rpartition(".")
-            unit = _unit(effect or c["effects"][0], parameter)
-            value, std = quantity(e["value"], e["std"] or float("inf"), unit)
-            rows.append([head, _words(name.removesuffix(SUFFIXES.get(unit, ""))).replace(".", ": "), value, std, *tail])
+            p = next(p for p in CATALOGUE[effect or c["effects"][0]].parameters if p.name == parameter)
+            value, std = quantity(e["value"], e["std"] or float("inf"), p.unit)
+            if e["at_bound"]:
+                std = f"{e['at_bound']} end of range"
+            rows.append([head, f"{_words(effect)}: {p.words}" if effect else p.words, value, std, *tail])
             head, tail = "", ["", ""]
-    return table(["explanation", "parameter", "value", "std. dev.", "gap after", "log evidence"], rows, left=2)
-
-
-def _unit(effect: str, parameter: str) -> str:
-    return next((p.unit for p in CATALOGUE[effect].parameters if p.name == parameter), "")
+    found = table(["explanation", "parameter", "value", "std. dev.", "gap after", "log evidence"], rows, left=2)
+    if any(e["at_bound"] for c in candidates for e in c["parameters"].values()):
+        found += paragraph("At an end of its range a value is where the fit had to stop, and not measured.", "small")
+    return found
 
 
 def _amplitude(

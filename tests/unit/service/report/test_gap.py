@@ -160,6 +160,30 @@ def test_every_figure_is_there(diagnosis):
     }  # fmt: skip
 
 
+def test_a_value_at_the_end_of_its_range_is_told_as_that_and_no_other(diagnosis):
+    assert "end of range" not in gap_page(diagnosis)
+    chosen, rival, plain = diagnosis.order
+    longest = next(p.high for p in CATALOGUE["loop_delay"].parameters if p.name == "delay_s")
+    stopped = candidate(chosen.candidate.fit.rig, "loop_delay", values=({"delay_s": longest},))
+    at_end = replace(diagnosis, order=(replace(chosen, candidate=stopped), rival, plain))
+    document = gap_document(at_end)
+    assert [c["parameters"]["delay_s"]["at_bound"] for c in document["candidates"]] == ["high", None]
+    note = "delay of loop delay is at the high end of its range, where the fit had to stop: not measured"
+    assert document["notes"] == ["two sweeps only", note]
+    page = gap_page(at_end)
+    assert note in page
+    assert '<td class="n">high end of range</td>' in page
+
+
+def test_an_extra_mode_below_which_no_fit_looks_is_at_the_end_of_its_range(diagnosis):
+    chosen, _, plain = diagnosis.order
+    values = {p.name: p.typical for p in CATALOGUE["extra_flexible_mode"].parameters}
+    values["frequency_hz"] = float(diagnosis.observation.frequency_hz[0])
+    lowest = Ranked(candidate(chosen.candidate.fit.rig, "extra_flexible_mode", values=(values,)), -12.0, 0.1, 0.0)
+    found = gap_document(replace(diagnosis, order=(chosen, lowest, plain)))["candidates"][1]["parameters"]
+    assert [name for name, e in found.items() if e["at_bound"]] == ["frequency_hz"]
+
+
 def test_the_line_across_the_harmonics_says_what_it_is(diagnosis):
     page = gap_page(diagnosis)
     layout = figure(page, "harmonics")["layout"]
