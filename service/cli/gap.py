@@ -200,6 +200,8 @@ def _candidates(found: list[dict[str, Any]]) -> Table:
         table.add_column(head, justify="left" if head == "parameters" else "right")
     for c in found:
         values = ", ".join(f"{name} {e['value']:.4g}{_end(e)}" for name, e in c["parameters"].items())
-        closure = "" if c["closure"] is None else f"{100 * c['closure']:z.0f} %"
+        closure = (
+            ("not shown" if c.get("open_strength") else "") if c["closure"] is None else f"{100 * c['closure']:z.0f} %"
+        )
         table.add_row(c["effect"], f"{100 * c['probability']:.1f} %", closure, values)
     return table

@@ -48,7 +48,8 @@ def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
         left = sum(r.unexplained * excess_of(e) for r, e in zip(pick, found, strict=True)) / before
         evidence = sum(r.log_evidence for r in pick)
         probability = float(np.prod([r.probability for r in pick]))
-        whole.setdefault(combined.effects, Ranked(combined, evidence, probability, left))
+        open_strength = tuple(name for r in pick for name in r.open_strength)
+        whole.setdefault(combined.effects, Ranked(combined, evidence, probability, left, open_strength=open_strength))
     return Composition(tuple(sorted(whole.values(), key=lambda r: -r.log_evidence)))
 
 

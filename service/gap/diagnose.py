@@ -8,7 +8,7 @@ from dataclasses import replace
 from service.experiment.data import Experiment
 from service.gap.compose import composed
 from service.gap.dated import dated
-from service.gap.diagnosis import Diagnosis, listed
+from service.gap.diagnosis import Diagnosis, closures_of, listed
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.predict import at_speed_of
 from service.gap.heard import scatter_shrinkage, with_interference
@@ -90,7 +90,7 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
         whole.order,
         verdict,
         closed,
-        {effects: of.closure for effects, of in shrunk.items()},
+        closures_of(whole.order, shrunk, verdict.effects),
         relative_gap(null.fit.rig, unseen),
         relative_noise(unseen, nu.rig.n_axes),
         {r.candidate.effects: relative_gap(r.candidate.fit.rig, unseen) for r in listed(whole.order, verdict.effects)},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +28,18 @@ def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = SHOWN) 
     more = [r for r in effects if set(chosen) < set(r.candidate.effects)]
     rivals = [r for r in effects if r not in named and r not in more]
     return [*named, *rivals, *more][:most]
+
+
+def closures_of(
+    order: Sequence[Ranked], shrunk: Mapping[tuple[str, ...], Shrinkage], chosen: tuple[str, ...]
+) -> dict[tuple[str, ...], float | None]:
+    """Share of the gap that each explanation closes; None with an effect whose strength the fitted data leave open.
+
+    They show nothing of it, and it is as strong as they let it be: amplifiers that nothing drove to their limit have
+    one anywhere above, and on a louder sweep the lowest of them is far off.
+    """
+    told = {r.candidate.effects for r in order if not r.open_strength or r.candidate.effects == chosen}
+    return {effects: of.closure if effects in told else None for effects, of in shrunk.items()}
 
 
 def runner_up(order: Sequence[Ranked], chosen: tuple[str, ...]) -> Ranked | None:

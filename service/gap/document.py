@@ -56,6 +56,7 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
         "closure": d.closures.get(c.effects),
         "log_evidence": r.log_evidence,
         "unexplained": r.unexplained,
+        "open_strength": list(r.open_strength),
         "status": c.fit.status,
     }
 

@@ -167,7 +167,8 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
     parts.append(
         Captioned(
             bars,
-            "The best explanations: probability among those of the catalogue, and share of the gap that each closes.",
+            "The best explanations: probability among those of the catalogue, and share of the gap that each closes. "
+            "Of one that grows with amplitude, and that the fitted data do not show, nothing tells what it closes.",
         )
     )
     parts.append(_parameters(document["candidates"][:SHOWN]))
@@ -180,11 +181,17 @@ def _separated(group: list[str]) -> str:
     return "; ".join(f"{_words(g)} by {CATALOGUE[g].separated_by}" for g in group if g in CATALOGUE) + "."
 
 
+def _gap_after(candidate: dict[str, Any]) -> float | None:
+    """The gap that an explanation leaves of the unseen sweep; None where its strength there is anybody's guess."""
+    told = not candidate["open_strength"] or candidate["closure"] is not None
+    return candidate["gap_after"] if told else None
+
+
 def _parameters(candidates: list[dict[str, Any]]) -> str:
     """Fitted parameters, one row each; the first row of a candidate names it."""
     rows = []
     for c in candidates:
-        head, tail = _words(c["effect"]), [_percent(c["gap_after"], 3), number(c["log_evidence"], 6)]
+        head, tail = _words(c["effect"]), [_percent(_gap_after(c), 3), number(c["log_evidence"], 6)]
         for name, e in c["parameters"].items():
             effect, _, parameter = name.rpartition(".")
             p = next(p for p in CATALOGUE[effect or c["effects"][0]].parameters if p.name == parameter)

@@ -264,7 +264,9 @@ def candidate_figure(d: Diagnosis, document: dict[str, object], most: int = 8) -
                 "x": np.nan_to_num(values),
                 "y": list(range(len(best))),
                 "marker": {"color": [MODEL if set(c["effects"]) == blamed else "#b8c1ca" for c in best]},
-                "text": [_said(float(v)) for v in said],
+                "text": [
+                    _said(float(v), column == 1 and bool(c["open_strength"])) for v, c in zip(said, best, strict=True)
+                ],
                 "textposition": "outside",
                 "cliponaxis": False,
                 "hoverinfo": "skip",
@@ -287,7 +289,9 @@ def _in_lines(effects: list[str], widest: int = 34) -> str:
     return "<br>".join(lines)
 
 
-def _said(percent: float) -> str:
+def _said(percent: float, open_strength: bool) -> str:
+    if not np.isfinite(percent) and open_strength:
+        return "not shown by the fitted data"
     if not np.isfinite(percent):
         return "not computed"
     return f"{percent:z.0f} %" if percent > -0.5 else "none, it gets worse"

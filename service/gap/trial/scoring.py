@@ -107,12 +107,11 @@ class Outcome:
         if not self.named:
             return 0.0 if self.detectable else None
         truth, reached = self.candidate(self.effects), self.report["shrinkage"]["closure"]
-        if truth is None:
-            # It is not among the listed ones. Refitted it would close all at most: the least that the share can be.
+        ideal = None if truth is None else truth.get("closure")
+        if ideal is None or reached is None:
+            # Not among the listed ones, or the fitted data do not show it. Refitted to what shows it, it would close
+            # all at most: the least that the share can be.
             return None if reached is None else float(reached)
-        if truth.get("closure") is None or reached is None:
-            return None
-        ideal = float(truth["closure"])
         return float(reached) / ideal if ideal > WORTH_CLOSING else None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +61,9 @@ class Ranked:
     """the same for the fundamental and for the harmonics of each sweep in turn; 0 where there was no gap"""
     across: tuple[float, ...] = ()
     """the same for the fundamental in the plane that was not excited, sweep by sweep"""
+    open_strength: tuple[str, ...] = ()
+    """effects that grow with amplitude, and without which the fitted data are as likely: nothing tells how strong they
+    are on louder ones"""
 
     @property
     def apart(self) -> tuple[float, ...]:
@@ -150,10 +153,28 @@ def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
             unexplained(c, null, noise),
             shares(c.fit.groups, null.fit.groups, noise),
             shares(there, across[0], quiet),
+            _open_strength(c, log, everything, logs),
         )
         for c, log, q, there in zip(everything, logs, p, across, strict=True)
     ]
     return sorted(out, key=lambda r: -r.log_evidence)
+
+
+def _open_strength(
+    candidate: Candidate, log: float, everything: Sequence[Candidate], logs: Iterable[float]
+) -> tuple[str, ...]:
+    """Effects of an explanation that grow with amplitude, and without which one of fewer effects is as likely.
+
+    What answers in proportion is as small on any sweep as on the fitted ones.
+    """
+    likely = [(set(c.effects), other) for c, other in zip(everything, logs, strict=True)]
+
+    def without(effect: str) -> float:
+        rest = set(candidate.effects) - {effect}
+        return max(other for effects, other in likely if effects <= rest)
+
+    grow = (effect for effect in candidate.effects if CATALOGUE[effect].nonlinear)
+    return tuple(effect for effect in grow if without(effect) >= log)
 
 
 def renormalised(order: Sequence[Ranked]) -> list[Ranked]:

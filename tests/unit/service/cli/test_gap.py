@@ -35,6 +35,11 @@ def test_what_closes_nothing_closes_no_less_than_nothing() -> None:
     assert "-0 %" not in told(explanation(closure=-0.002))
 
 
+def test_an_effect_that_the_data_do_not_show_has_no_closure() -> None:
+    assert "not shown" in told(explanation(closure=None, open_strength=["loop_delay"]))
+    assert "not shown" not in told(explanation(closure=None, open_strength=[]))
+
+
 def test_a_twin_with_a_value_that_was_not_measured_is_written_with_a_note(tmp_path: Path) -> None:
     sheet = reference_datasheet()
     stopped = {"delay_s": {"value": 3e-4, "std": 1e-6, "at_bound": "high"}}

@@ -24,7 +24,10 @@ def test_an_alternative_of_the_amplifiers_keeps_its_own_values() -> None:
         parts = found_in(data, fitter, Telling(None)).parts
     amplifiers, plant = (next(e for e in parts if e.part.path == path) for path in ("amplifier", "plant"))
     assert (amplifiers.chosen.effects, plant.chosen.effects) == ((), ("sensor_lag",))
-    whole = {frozenset(r.candidate.effects): r.candidate.fit for r in composed(data.nuisance, parts).order}
+    order = composed(data.nuisance, parts).order
+    whole = {frozenset(r.candidate.effects): r.candidate.fit for r in order}
+    left_open = {frozenset(r.candidate.effects): r.open_strength for r in order}
+    assert left_open[frozenset({"sensor_lag"})] == ()
     active = amplifiers.part.active
     np.testing.assert_array_equal(whole[frozenset({"sensor_lag"})].theta[active], plant.chosen.fit.theta[active])
     others = [r.candidate for r in amplifiers.order[:5] if r.candidate.effects]
@@ -32,3 +35,5 @@ def test_an_alternative_of_the_amplifiers_keeps_its_own_values() -> None:
     for c in others:
         fit = whole[frozenset({"sensor_lag", *c.effects})]
         np.testing.assert_array_equal(fit.theta[active], c.fit.theta[active], err_msg=" + ".join(c.effects))
+    limit = frozenset({"sensor_lag", "amplifier_voltage_limit"})
+    assert left_open[limit] == ("amplifier_voltage_limit",), "of amplifiers that lack nothing no limit is told"

@@ -65,6 +65,8 @@ def test_a_withheld_effect_is_named_measured_and_closed(
         assert found[name]["value"] == pytest.approx(value, rel=within)
         assert abs(found[name]["value"] - value) < 4 * found[name]["std"]
         assert found[name]["std"] < within * abs(value)
+    left_open = [c["closure"] for c in report["candidates"] if c["open_strength"]]
+    assert left_open == [None] * len(left_open) != []
 
 
 @pytest.mark.no_cover

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.diagnosis import Diagnosis
+from service.gap.diagnosis import Diagnosis, closures_of
 from service.gap.document import gap_document
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
@@ -140,6 +140,21 @@ def test_the_runner_up_is_kept_whatever_adds_to_the_chosen_one(diagnosis):
     assert shown[:2] == [["loop_delay"], ["sensor_lag"]]
     assert len(shown) == 10
     assert "runner-up, sensor lag" in gap_page(crowded)
+
+
+def test_no_closure_is_told_of_what_the_fitted_data_do_not_show(diagnosis):
+    chosen, lag, plain = diagnosis.order
+    left_open = replace(diagnosis, order=(chosen, replace(lag, open_strength=("sensor_lag",)), plain))
+    shrunk = {r.candidate.effects: replace(diagnosis.shrinkage, closure=-34.0) for r in left_open.order}
+    closures = closures_of(left_open.order, shrunk, ("loop_delay",))
+    assert closures == {("loop_delay",): -34.0, ("sensor_lag",): None, (): -34.0}
+    gaps_after = {("loop_delay",): 0.001, ("sensor_lag",): 7.77}
+    told = replace(left_open, closures=closures, gaps_after=gaps_after)
+    assert [c["open_strength"] for c in gap_document(told)["candidates"]] == [[], ["sensor_lag"]]
+    page = gap_page(told)
+    _, closure = figure(page, "candidates")["data"]
+    assert closure["text"][1] == "not shown by the fitted data"
+    assert "777 %" not in page
 
 
 def test_what_closes_nothing_closes_no_less_than_nothing(diagnosis):

@@ -262,6 +262,8 @@ def test_closure_counts_where_the_true_effect_is_not_among_the_listed_ones() -> 
     wrong = outcome(*SINGLE, said="effect", named=("sensor_lag",), closure=0.5, candidates=())
     closure = score([wrong])["closure"]
     assert (closure["cases"], closure["of_true_effect_median"]) == (1, pytest.approx(0.5))
+    left_open = candidate("loop_delay") | {"closure": None}
+    assert score([replace(wrong, report=wrong.report | {"candidates": [left_open]})])["closure"] == closure
 
 
 def test_a_case_is_told_in_words() -> None:

@@ -9,7 +9,7 @@ import pytest
 from service.gap.document import sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.weighing.verdict import ALIKE, HeldOut, Ranked, Verdict, decide
+from service.gap.weighing.verdict import ALIKE, HeldOut, Ranked, Verdict, decide, ranked
 from sim.reference import reference_rig
 
 RIG = reference_rig()
@@ -66,6 +66,29 @@ def test_an_explanation_that_does_not_close_what_unseen_data_clearly_show_is_non
     verdict = decide([NAMED, PLAIN], 3.7, half, significant=15.0)
     assert verdict.kind == "none_of_these"
     assert verdict.reasons == ("the best explanation, sensor gain, leaves 47 % of the gap on unseen data",)
+
+
+def test_how_strong_a_limit_is_without_which_the_data_are_as_likely_is_left_open() -> None:
+    """Amplifiers that nothing drives to their limit have one anywhere above; that is no reason to have one."""
+
+    def fitted(*effects: str, chi_square: float) -> Candidate:
+        fit = explanation(effects, 0.0, 0.0, ()).candidate.fit
+        return Candidate(effects, replace(fit, groups=((chi_square, 100),)), 0.0, tuple({} for _ in effects))
+
+    found = [
+        fitted("loop_delay", chi_square=100.0),
+        fitted("amplifier_voltage_limit", chi_square=4990.0),
+        fitted("loop_delay", "amplifier_voltage_limit", chi_square=99.0),
+        fitted("channel_crosstalk", chi_square=4990.0),  # answers in proportion: as little on any sweep
+    ]
+    told = {r.candidate.effects: r.open_strength for r in ranked(fitted(chi_square=5000.0), found)}
+    assert told == {
+        (): (),
+        ("loop_delay",): (),
+        ("amplifier_voltage_limit",): ("amplifier_voltage_limit",),
+        ("loop_delay", "amplifier_voltage_limit"): ("amplifier_voltage_limit",),
+        ("channel_crosstalk",): (),
+    }
 
 
 def test_reasons_name_effects_in_words() -> None:
