@@ -168,6 +168,11 @@ def test_the_overview_lists_rigs_and_jobs_and_reads_no_name_as_html(service, ids
         assert "too few points" in text
         assert page.run("document.querySelectorAll('img').length") == 0
         assert page.run("document.title") == "ambit"
+        script = (
+            "import('./web/dom.js').then((dom) => [dom.fixed(-0.002, 2), dom.fixed(-1.5, 2), dom.figures(-0.01, 1.4)])"
+        )
+        drawn = page.run(script)
+        assert drawn == ["0.00", "-1.50", "0.0 ± 1.4"], "what rounds to nought has no sign"
         assert page.complaints == []
 
 
