@@ -53,7 +53,7 @@ def _left_out(loop: dict[str, Any]) -> list[str]:
         if len(restless) > LISTED:
             where = f"{number(restless[0], 4)} to {number(restless[-1], 4)}"
         were, they = ("was", "it") if len(restless) == 1 else ("were", "them")
-        change = number(100 * loop["not_settled_change"], 2)
+        change = fixed(100 * loop["not_settled_change"], 0)
         told.append(
             f"{count(len(restless), 'line')} had not settled and {were} left out of what is measured here: at {where} "
             f"Hz an answer still changed by up to {change} %. {_effect(loop, they)}"
