@@ -16,9 +16,9 @@ from service.gap.heard import heard_too
 from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
-from service.gap.weighing.another_rig import other_rig
+from service.gap.weighing.another_rig import astray, far_off
 from service.gap.weighing.significance import significance
-from service.gap.weighing.verdict import SURE_OF_ANOTHER_RIG, SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
+from service.gap.weighing.verdict import SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
@@ -75,9 +75,9 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         explained = own[e.part.path].kind in ("effect", "effects")
         # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
         if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (
-            reason := other_rig(e.ground, e.chosen.fit)
+            away := far_off(e.ground, e.chosen.fit)
         ):
-            own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_ANOTHER_RIG, (reason,), another_rig=True)
+            own[e.part.path] = astray(own[e.part.path], away, e.relative_gap)
         elif explained and (reason := lag_missing(e)):
             own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
         elif (explained or own[e.part.path].kind == "no_gap") and (reason := _bent(e, explained, (seen, z), unseen)):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground, Part
+from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
 from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError, Observation
@@ -60,6 +61,16 @@ class Explained:
     def significance(self) -> float:
         """Of the gap that the plain twin leaves."""
         return gap_significance(self.plain, self.ground.observations)
+
+    @property
+    def relative_gap(self) -> float:
+        """||measured - plain twin|| / ||measured|| of the part's output, fundamental, the largest of the sweeps."""
+        shares = []
+        for z, o in zip(self.plain, self.ground.observations, strict=True):
+            w, f = weight(o, self.part.signal), o.fundamental
+            size = float(np.linalg.norm(measured_signal(o, self.part.signal)[:, f]))
+            shares.append(np.linalg.norm(z[:, f] / np.maximum(w[:, f], NOTHING_TOLD)) / max(size, NOTHING_SEEN))
+        return float(max(shares))
 
     @property
     def remaining(self) -> float:

@@ -1,0 +1,30 @@
+"""A datasheet that is far off is another rig's only where it leaves as much as another rig's does."""
+
+import pytest
+
+from service.gap.weighing.another_rig import astray
+from service.gap.weighing.verdict import Verdict
+
+AWAY = "its values would be off by many tolerances (mass by +4.0)"
+UNKNOWN = Verdict("none_of_these", (), (), 0.97, ("the best explanation leaves 73 % of the gap",))
+NAMED = Verdict("effect", ("eddy_currents",), (), 0.99, ())
+
+
+@pytest.mark.parametrize("found", [UNKNOWN, NAMED, Verdict("no_gap", (), (), 0.9, ())])
+def test_a_large_gap_is_another_rigs(found: Verdict) -> None:
+    verdict = astray(found, AWAY, relative_gap=0.1)
+    assert (verdict.kind, verdict.effects, verdict.another_rig) == ("none_of_these", (), True)
+    assert "of another rig" in verdict.reasons[0]
+    assert AWAY in verdict.reasons[0]
+
+
+def test_a_small_gap_that_nothing_explains_stays_one_of_this_rig() -> None:
+    """What nothing describes draws the datasheet's values away too: half a per cent of it is no other rotor."""
+    assert astray(UNKNOWN, AWAY, relative_gap=0.005) is UNKNOWN
+
+
+def test_a_small_gap_is_explained_by_no_effect_that_needs_another_datasheet() -> None:
+    verdict = astray(NAMED, AWAY, relative_gap=0.005)
+    assert (verdict.kind, verdict.effects, verdict.another_rig) == ("none_of_these", (), False)
+    assert "eddy currents" in verdict.reasons[0]
+    assert AWAY in verdict.reasons[0]
