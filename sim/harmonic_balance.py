@@ -306,6 +306,8 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
     for _ in range(rounds):
         lacking = R - controller * responder.displacement(U / late) - U
         U = U + _times(sensitivity, lacking)
+        if 0 in responder.harmonics and (mean := responder.harmonics.index(0)) in known:
+            U[:, known.index(mean)] = U[:, known.index(mean)].real  # a static signal has no phase
     logged = U / late
     return logged, responder.answer(logged)
 

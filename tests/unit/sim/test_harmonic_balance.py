@@ -59,6 +59,17 @@ def test_the_answer_to_an_excitation_is_what_the_loop_does_in_time(rig):
         assert np.all(np.abs(found - exact) < floor + 3e-3 * fundamental)
 
 
+def test_what_a_force_law_shifts_on_average_has_no_phase():
+    """The controller's integrator turns a mean by 90 degrees, and of a log with such means amplifiers seem at fault."""
+    frequency_hz, line = time_points(FREQUENCY_HZ)
+    R = np.zeros((3, 4, 4), dtype=complex)
+    R[:, 1, 1] = AMPLITUDE_A
+    U, answer = respond_to_excitation(Responder(effect("off_centre_rotor").on(QUIET), frequency_hz, line), R)
+    mean = [X[:, 0] for X in (U, answer.I, answer.Y)]
+    assert np.abs(mean[0]).max() > 1e-4
+    assert not any(np.imag(X).any() for X in mean)
+
+
 def test_at_small_amplitude_it_is_the_linear_model():
     model = linear_model(QUIET, FREQUENCY_HZ)
     U = np.zeros((3, 4, 4), dtype=complex)
