@@ -23,8 +23,8 @@ EFFECT = Effect(
         Parameter(
             f"offset_{axis}_m",
             "m",
-            -6e-5,
-            6e-5,
+            -1.2e-4,
+            1.2e-4,
             typical,
             0.0,
             description=f"magnetic against sensor centre in {axis}; not used on a rig without that axis",

@@ -24,6 +24,9 @@ LONGEST_LOG = 1.5
 IN_BAND = ("extra_flexible_mode", "frequency_hz")
 """An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
 any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
+OFF_CENTRE, ECCENTRIC = "off_centre_rotor", 0.45
+"""An effect, and the share of the smallest air gap that its offsets reach at most: at the pole there is no force law, and
+magnets do not levitate a rotor much farther off than 0.3."""
 CHANGING = ("thermal_drift",)
 """Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
 
@@ -42,9 +45,9 @@ class Unknowns:
         if other is not None:
             self.active = np.concatenate([self.active, other.active])
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
-        lowest = [self._lowest((*effects, *theirs)[k], p) for k, p in self.parameters]
-        self.low: Real = np.array(lowest, dtype=float) / self.scale
-        self.high: Real = np.array([self._inner(p, p.high) for _, p in self.parameters], dtype=float) / self.scale
+        ranges = [self._range((*effects, *theirs)[k], p) for k, p in self.parameters]
+        self.low: Real = np.array([low for low, _ in ranges], dtype=float) / self.scale
+        self.high: Real = np.array([high for _, high in ranges], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
         self.nonlinear = any(slow_to_compute(e.id) for e in effects)
         self._a, self._signal = len(self.active), ground.part.signal
@@ -55,12 +58,15 @@ class Unknowns:
         """Parameters of the part's own effects, each with the number of its effect."""
         return self.parameters[: self.n_own]
 
-    def _lowest(self, effect: Effect, p: Parameter) -> float:
-        """Lowest value that a fit gives a parameter, in the fit's own unit."""
-        low = p.low
+    def _range(self, effect: Effect, p: Parameter) -> tuple[float, float]:
+        """Lowest and highest value that a fit gives a parameter, in the fit's own unit."""
+        low, high = p.low, p.high
         if (effect.id, p.name) == IN_BAND:
             low = max(low, min(float(o.frequency_hz.min()) for o in self.observations))
-        return self._inner(p, low)
+        if effect.id == OFF_CENTRE:
+            most = ECCENTRIC * float(np.min(self.ground.nuisance.rig.magnets.gap_m))
+            low, high = max(low, -most), min(high, most)
+        return self._inner(p, low), self._inner(p, high)
 
     def _priors(self) -> tuple[Real, Real]:
         """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""

@@ -1,5 +1,7 @@
 """A fit ends in its valley wherever it begins, also where a parameter is best at its bound."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,17 @@ def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> No
     for bound in (unknowns.low, unknowns.high, 2 * unknowns.low, 2 * unknowns.high):
         (values,) = unknowns.values(bound)
         assert all(p.low <= values[p.name] <= p.high for p in effect.parameters)
+
+
+def test_a_rotor_is_not_fitted_against_the_pole(ground: Ground) -> None:
+    """Of a small gap the catalogue's range is more than there is; a third of a gap off is within anyone's."""
+    rig = ground.nuisance.rig
+    for gap_m in (1e-4, 3e-4):
+        ki = gap_m * rig.magnets.ks / rig.magnets.bias_current_a
+        small = replace(ground.nuisance, rig=replace(rig, magnets=replace(rig.magnets, ki=ki)))
+        unknowns = Unknowns(replace(ground, nuisance=small), [CATALOGUE["off_centre_rotor"]])
+        most = np.array([*unknowns.low, *unknowns.high]) * np.tile(unknowns.scale, 2)
+        assert np.all((0.3 * gap_m < np.abs(most)) & (np.abs(most) < 0.5 * gap_m))
 
 
 @pytest.mark.parametrize("seed", [4, 8])
