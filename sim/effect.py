@@ -51,6 +51,15 @@ class Parameter:
         ends: tuple[tuple[End, float], ...] = (("low", self.low), ("high", self.high))
         return next((name for name, at in ends if abs(value - at) <= 1e-9 * max(abs(at), self.high - self.low)), None)
 
+    def at_its_end(self, value: float) -> bool:
+        """Whether a value is as far off as the range lets it; where the effect vanishes is no end.
+
+        >>> share = Parameter("share", "1", 0.0, 1.0, 0.1, 0.0)
+        >>> share.at_its_end(0.0), share.at_its_end(0.9), share.at_its_end(1.0)
+        (False, False, True)
+        """
+        return value != self.null and self.end(value) is not None
+
 
 @dataclass(frozen=True)
 class Effect:

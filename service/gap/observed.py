@@ -13,7 +13,7 @@ from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.gap.measured.settling import DRIFTS
-from service.gap.measured.sweeps import best_check, halves, notes_on, span_s, sweeps_for, timed
+from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, span_s, sweeps_for, timed
 from service.gap.measured.thin import thinned
 from service.gap.measured.together import Together
 from service.gap.modes import with_identified_modes
@@ -73,6 +73,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         )
     (main_name, main), *others = sweeps_for(experiment)
     notes = [*stated_amplitudes(experiment), *notes_on(main, bool(others), datasheet)]
+    if told := other_rate(main, datasheet):
+        notes.append(told)
     if not datasheet.modes:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)

@@ -40,8 +40,8 @@ EFFECT = Effect(
     id="controller_mismatch",
     path="controller",
     parameters=(
-        Parameter("gain_change", "1", -0.3, 0.3, 0.05, 0.0, description="relative change of the whole C"),
-        Parameter("derivative_change", "1", -0.3, 0.3, 0.05, 0.0, description="relative change of the derivative part"),
+        Parameter("gain_change", "1", -0.5, 1.0, 0.05, 0.0, description="relative change of the whole C"),
+        Parameter("derivative_change", "1", -0.5, 1.0, 0.05, 0.0, description="relative change of the derivative part"),
         Parameter("lag_samples", "samples", -0.5, 0.5, 0.05, 0.0, description="share of the sample before"),
     ),
     apply=_apply,

@@ -25,8 +25,8 @@ IN_BAND = ("extra_flexible_mode", "frequency_hz")
 """An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
 any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
 OFF_CENTRE, ECCENTRIC = "off_centre_rotor", 0.45
-"""An effect, and the share of the smallest air gap that its offsets reach at most: at the pole there is no force law, and
-magnets do not levitate a rotor much farther off than 0.3."""
+"""An effect, and the share of the smallest air gap that its offsets reach at most: at the pole there is no force law,
+and magnets do not levitate a rotor much farther off than 0.3."""
 CHANGING = ("thermal_drift",)
 """Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
 

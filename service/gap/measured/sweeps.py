@@ -18,6 +18,9 @@ from sim.rig import Rig
 ELSEWHERE = ("amplifier", "preliminary")
 """Comments of sweeps that are not of the plant, or not exact enough."""
 
+SAME_RATE = 0.01
+"""Relative difference of two sample rates below which they are the same."""
+
 
 def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
     """The sweep to fit and those that may be the one that no fit sees, with their names: excited ones of the plant."""
@@ -97,3 +100,18 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
     if not datasheet.tolerance_stated:
         notes.append("the datasheet states no tolerances: this product's defaults are assumed")
     return notes
+
+
+def other_rate(sweep: Sweep, datasheet: Datasheet) -> str | None:
+    """That the log's sample rate is not the controller's of the datasheet, in words; None where they agree.
+
+    A log may be thinned out on purpose, so it is no error; but a datasheet with a wrong sample time has another
+    controller, and that is what a diagnosis would find.
+    """
+    logged, stated = sweep.sample_rate_hz, 1 / datasheet.sample_time_s
+    if abs(logged / stated - 1) < SAME_RATE:
+        return None
+    return (
+        f"the log has {logged:g} samples a second, the datasheet's controller {stated:g}; if the log is not thinned "
+        "out, one of sample_rate_hz and sample_time_s is wrong, and the controller would be blamed for it"
+    )

@@ -248,10 +248,9 @@ def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
     """Whether the strength of an effect would have to be one that such effects do not have."""
     return any(
-        p.strength and (values[p.name] <= p.low * 1.001 or values[p.name] >= p.high * 0.999)
+        p.strength and p.at_its_end(values[p.name])
         for effect, values in zip(candidate.effects, candidate.fit.values, strict=True)
         for p in CATALOGUE[effect].parameters
-        if p.scale == "log"
     )
 
 

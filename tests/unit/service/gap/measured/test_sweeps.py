@@ -6,7 +6,7 @@ import numpy as np
 
 from service.experiment.points import SWEEPS
 from service.gap.measured.observation import observe
-from service.gap.measured.sweeps import best_check, halves, sweeps_for
+from service.gap.measured.sweeps import best_check, halves, other_rate, sweeps_for
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 RIG = true_rig(known_datasheet()[1])
@@ -41,3 +41,12 @@ def test_no_line_of_the_half_that_no_fit_sees_is_fitted_however_few_there_are() 
     assert len(seen.frequency_hz) + len(unseen.frequency_hz) == 3
     assert name == "sweeps/1, every other line"
     assert halves(few.select(np.array([True, False, False])), "sweeps/1") is None
+
+
+def test_a_log_at_another_rate_than_the_datasheets_controller_is_told() -> None:
+    datasheet = known_datasheet()[0]
+    assert other_rate(MAIN, datasheet) is None
+    told = other_rate(replace(MAIN, sample_rate_hz=20e3), datasheet)
+    assert told is not None
+    assert "20000 samples a second" in told
+    assert "sample_time_s" in told

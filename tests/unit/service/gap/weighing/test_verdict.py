@@ -10,6 +10,7 @@ from service.gap.document import sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.weighing.verdict import ALIKE, HeldOut, Ranked, Verdict, decide, ranked
+from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 
 RIG = reference_rig()
@@ -17,7 +18,8 @@ RIG = reference_rig()
 
 def explanation(effects: tuple[str, ...], evidence: float, left: float, shares: tuple[float, ...]) -> Ranked:
     groups = ((1.0, 1), (1.0, 1))
-    fit = Fit(effects, np.zeros(1), tuple({} for _ in effects), RIG, groups, 0.0, np.arange(1), np.eye(1), "converged")
+    values = tuple({p.name: p.typical for p in CATALOGUE[name].parameters} for name in effects)
+    fit = Fit(effects, np.zeros(1), values, RIG, groups, 0.0, np.arange(1), np.eye(1), "converged")
     return Ranked(Candidate(effects, fit, 0.0, tuple({} for _ in effects)), evidence, 0.9, left, shares)
 
 
@@ -45,6 +47,19 @@ def test_an_explanation_of_one_sweep_only_is_none() -> None:
 
 def test_harmonics_of_another_law_of_the_same_effect_may_be_left() -> None:
     assert said(explanation(("rotor_inertia",), 0.0, 0.01, (0.01, 0.6, 0.01, 0.5)), remaining=12.0) == "effect"
+
+
+@pytest.mark.parametrize(
+    ("gain_change", "said_of_it"), [(-0.2, "effect"), (-0.5, "none_of_these"), (1.0, "none_of_these")]
+)
+def test_an_effect_as_strong_as_its_range_allows_must_leave_next_to_nothing(
+    gain_change: float, said_of_it: str
+) -> None:
+    """There it bends to what it is not: of a controller that runs at another rate a weaker one explains five sixths."""
+    found = explanation(("controller_mismatch",), 0.0, 0.17, (0.17, 0.0))
+    values = {**found.candidate.fit.values[0], "gain_change": gain_change}
+    fit = replace(found.candidate.fit, values=(values,))
+    assert said(replace(found, candidate=replace(found.candidate, fit=fit)), remaining=20.0) == said_of_it
 
 
 @pytest.mark.parametrize("remaining", [1.0, 5.0])
