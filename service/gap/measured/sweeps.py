@@ -21,6 +21,9 @@ ELSEWHERE = ("amplifier", "preliminary")
 SAME_RATE = 0.01
 """Relative difference of two sample rates below which they are the same."""
 
+ALIKE = 1e-9
+"""Share of a signal that its blocks differ by where they are copies of one another, rounding apart."""
+
 
 def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
     """The sweep to fit and those that may be the one that no fit sees, with their names: excited ones of the plant."""
@@ -86,6 +89,11 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
     if not checked:
         notes.append(
             "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
+        )
+    if np.abs(main.Y - main.Y.mean(axis=1, keepdims=True)).max() < ALIKE * np.abs(main.Y).max():
+        notes.append(
+            "the blocks of each point are alike: their noise is not known, and what is left of a gap may be noise that "
+            "all of them share; log the blocks that were measured, not copies of their mean"
         )
     if main.I is None:
         notes.append("the coil current was not logged: amplifier and plant cannot be told apart, alias classes grow")

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.experiment.points import SWEEPS
 from service.gap.measured.observation import observe
-from service.gap.measured.sweeps import best_check, halves, other_rate, sweeps_for
+from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, sweeps_for
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 RIG = true_rig(known_datasheet()[1])
@@ -50,3 +50,10 @@ def test_a_log_at_another_rate_than_the_datasheets_controller_is_told() -> None:
     assert told is not None
     assert "20000 samples a second" in told
     assert "sample_time_s" in told
+
+
+def test_blocks_that_are_copies_of_their_mean_are_told() -> None:
+    copied = replace(MAIN, Y=np.broadcast_to(MAIN.Y.mean(axis=1, keepdims=True), MAIN.Y.shape))
+    datasheet = known_datasheet()[0]
+    (told,) = set(notes_on(copied, True, datasheet)) - set(notes_on(MAIN, True, datasheet))
+    assert "noise is not known" in told
