@@ -135,7 +135,7 @@ def magnetic_hysteresis(t: Truth, rng: Rng, level: float) -> Change:
 def off_centre_rotor(t: Truth, rng: Rng, level: float) -> Change:
     x = np.zeros(4)
     for a in rng.choice(4, size=int(rng.choice([1, 2, 4], p=[0.5, 0.3, 0.2])), replace=False):
-        x[a] = size(level, 1e-6, 60e-6) * sign(rng) * float(rng.uniform(0.7, 1.0))
+        x[a] = size(level, 1e-6, 80e-6) * sign(rng) * float(rng.uniform(0.7, 1.0))
     t.plant["offset"] = x
     return {"x0": x.tolist()}
 
