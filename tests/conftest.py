@@ -1,19 +1,33 @@
 """What holds for every test."""
 
+import os
 import sys
+import threading
 from collections.abc import Generator
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("ambit", deadline=None)  # a machine may stall; timings are benchmarks
+settings.load_profile("ambit")
+
+CHILDREN = "COVERAGE_PROCESS_CONFIG"
+"""What has coverage measure the processes that a test starts."""
 
 
 def _untraced(item: pytest.Item) -> Generator[None]:
-    tracer = sys.gettrace()
-    if item.get_closest_marker("no_cover"):
-        sys.settrace(None)
+    if not item.get_closest_marker("no_cover"):
+        return (yield)
+    tracer, of_threads, of_children = sys.gettrace(), threading.gettrace(), os.environ.pop(CHILDREN, None)
+    sys.settrace(None)
+    threading.settrace(None)
     try:
         return (yield)
     finally:
         sys.settrace(tracer)
+        threading.settrace(of_threads)
+        if of_children is not None:
+            os.environ[CHILDREN] = of_children
 
 
 @pytest.hookimpl(wrapper=True, trylast=True)

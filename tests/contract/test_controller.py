@@ -147,7 +147,7 @@ def test_second_host_is_refused_with_holder_and_time_left(controller: Controller
 
 
 @pytest.mark.parametrize("axis_count", [4])
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     wrong=st.sampled_from(
         [

@@ -12,6 +12,8 @@ from drivers.url import connect
 from service.experiment import file
 from tests.support.command import Running, ambit, refusal, wait_until
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
+
 
 @pytest.fixture
 def rig(tmp_path):

@@ -6,7 +6,11 @@ import pytest
 
 from tests.support.command import Running, ambit, refusal
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [
+    pytest.mark.no_cover,
+    pytest.mark.slow,
+    pytest.mark.timeout(900),
+]  # other tests cover the lines; traced, its processes take half as long again
 LAW = 4
 """A seed that withholds a law of no catalogue, in the log."""
 

@@ -13,6 +13,8 @@ from service.experiment import journal
 from service.experiment.campaign import recover
 from service.experiment.file import read
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
+
 PROGRAM = """
 import sys
 from pathlib import Path

@@ -13,6 +13,8 @@ from sim.reference import reference_rig
 from sim.rig_file import to_toml
 from tests.support.commissioned import AXES, LAW, SHEET, plan, result
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
+
 
 @pytest.fixture
 def baseline(tmp_path):

@@ -20,6 +20,8 @@ from sim.reference import reference_datasheet, reference_rig
 from sim.twin import linear_model
 from tests.support.campaigns import Faulty, assert_same
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
+
 RIG, SHEET = reference_rig(), reference_datasheet()
 SHORT = MultisineProfile(
     lines=100, periods=2, realisations=2, validation_realisations=2, amplifier_realisations=2, amplifier_lines=24

@@ -11,6 +11,8 @@ from service.experiment.campaign import recover
 from tests.support.processes import wait_for
 from tests.support.service import QUICK, SLOW, Running, free_port, reference_sheet, rig_device, service
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
+
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
 on_sqlite = pytest.mark.parametrize("running", ["sqlite"], indirect=True)
 """For what no database can change."""

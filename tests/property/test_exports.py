@@ -16,7 +16,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64, min_value=-1
 NAME = st.text(string.ascii_letters + string.digits + "_", min_size=1, max_size=8)
 TEXT = st.text(string.ascii_letters + string.digits + ' ,;"-+.()/', min_size=1, max_size=30).map(str.strip).filter(bool)
 UNIT = st.sampled_from(["A", "m", "N/A", "1", "rad/s"])
-QUICK = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def names(n, of=NAME):

@@ -163,7 +163,6 @@ def rig_of(name: str, ki: tuple[float, float], ks: tuple[float, float]) -> tuple
 @pytest.mark.parametrize("name", sorted(ROTORS))
 @settings(
     max_examples=2,
-    deadline=None,
     derandomize=True,
     phases=(Phase.explicit, Phase.generate),  # shrinking would take longer than it tells
     suppress_health_check=[HealthCheck.too_slow],

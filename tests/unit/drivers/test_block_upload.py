@@ -59,7 +59,7 @@ def test_content_comes_whole(size: int) -> None:
     assert Line(content).run() == content
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), rate=st.sampled_from([0.002, 0.01, 0.05]))
 def test_spoilt_line_gives_the_content_or_an_error(seed: int, rate: float) -> None:
     generator = np.random.default_rng(seed)
