@@ -36,7 +36,7 @@ def _alive(pid: int) -> bool:
 def _interrupted(folder: Path, number: int) -> Path:
     """Journal of a demo that was ended after 20 more points, in its main sweep; all that it had started is gone."""
     before = _journalled(folder)
-    demo = Running("demo", "--quick", "--out", folder, traced=False)
+    demo = Running("demo", "--quick", "--out", folder)
     try:
         wait_until(lambda: any(line.startswith("main sweep") for line in demo.said), "the main sweep")
         wait_until(lambda: _journalled(folder) > before + 20, "more points")
@@ -74,7 +74,7 @@ def test_a_demo_that_was_ended_or_killed_goes_on_and_can_be_looked_at_in_the_ser
     known = journal.read_bytes()
     assert _interrupted(tmp_path, signal.SIGKILL) == journal
     assert journal.read_bytes().startswith(known)
-    demo = Running("demo", "--quick", "--out", tmp_path, "--keep-serving", traced=False)
+    demo = Running("demo", "--quick", "--out", tmp_path, "--keep-serving")
     try:
         wait_until(lambda: any(line.startswith("serving on") for line in demo.said), "the end of the job", 120)
         assert any(journal.parent.name in line and "was interrupted" in line for line in demo.said)

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its pr
 def rig(tmp_path):
     """A rig on Modbus in a process of its own: URL and datasheet."""
     ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
-    device = Running("rig", "serve", "--protocol", "modbus", "--port", 0, "--seed", 5, traced=False)
+    device = Running("rig", "serve", "--protocol", "modbus", "--port", 0, "--seed", 5)
     url = device.first_line()
     assert url.startswith("modbus://"), device.said
     yield url, tmp_path / "rig.toml"
@@ -39,7 +39,7 @@ def command(rig, out):
 
 def interrupted(command, out, number):
     """What a campaign had measured that was ended in its main sweep; it said so in one line."""
-    first = Running(*command, traced=False)
+    first = Running(*command)
     try:
         wait_until(lambda: any(line.startswith("main sweep") for line in first.said), "the main sweep")
         first.interrupt(number)
@@ -64,7 +64,7 @@ def test_a_campaign_terminated_and_then_ended_by_ctrl_c_is_kept_and_resumed(rig,
     assert not _excited(rig[0])
     assert first.named("main").n_points <= kept.named("main").n_points
 
-    again = ambit(*command, "--json", timeout_s=240, traced=False)
+    again = ambit(*command, "--json", timeout_s=240)
     assert again.returncode == 0, again.stderr
     whole = file.read(out / "experiment.h5")
     assert not (out / "experiment.journal").exists()
@@ -77,7 +77,7 @@ def test_a_campaign_terminated_and_then_ended_by_ctrl_c_is_kept_and_resumed(rig,
 
 def test_a_disk_that_is_full_ends_the_campaign_with_its_rig_at_rest(rig, command, out):
     """No file of the command may grow any more: to whoever writes, that is a full disk."""
-    run = Running(*command, traced=False)
+    run = Running(*command)
     try:
         journal = out / "experiment.journal"
         wait_until(lambda: journal.exists() and journal.read_bytes().count(b"\n") > 10, "the first points")
@@ -98,7 +98,7 @@ def test_without_resuming_an_old_campaign_is_put_aside(tmp_path):
     (out / "experiment.journal").write_text("not a journal\n")
     command = ("commission", "--controller", "simulated://?seed=1", "--rig", tmp_path / "rig.toml", "--out", out)
     assert "journal" in refusal(*command, "--quick")
-    run = Running(*command, "--quick", "--no-resume", traced=False)
+    run = Running(*command, "--quick", "--no-resume")
     wait_until(lambda: any(p.name.startswith("experiment.previous") for p in out.iterdir()), "the old journal aside")
     run.interrupt()
     assert run.wait() == 1

@@ -23,7 +23,7 @@ MODES = {"x": (3097.0, 5708.0), "y": (3091.0, 5701.0)}
 def demo(tmp_path_factory):
     """Folder and JSON of a demo with the coarse plan."""
     out = tmp_path_factory.mktemp("demo") / "new" / "folder"
-    done = ambit("demo", "--quick", "--seed", 3, "--out", out, "--json", traced=False)
+    done = ambit("demo", "--quick", "--seed", 3, "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     return out, json.loads(done.stdout), done.stderr
 

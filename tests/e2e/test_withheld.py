@@ -19,16 +19,16 @@ LAW = 4
 def diagnosed(tmp_path_factory):
     """Folder with withheld.json, experiment.h5 and gap.json, and the commitment."""
     out = tmp_path_factory.mktemp("withheld")
-    device = Running("rig", "serve", "--withheld", LAW, "--sealed", out / "withheld.json", traced=False)
+    device = Running("rig", "serve", "--withheld", LAW, "--sealed", out / "withheld.json")
     try:
         url, commitment, rig = (device.first_line().removeprefix(p) for p in ("", "withheld: ", "datasheet: "))
         words = ("commission", "--controller", url, "--rig", rig, "--out", out, "--quick")
-        done = ambit(*words, timeout_s=600, traced=False)
+        done = ambit(*words, timeout_s=600)
         assert done.returncode == 0, done.stderr
     finally:
         device.end()
     words = ("gap", "diagnose", out / "experiment.h5", "--rig", rig, "--out", out, "--jobs", 1)
-    done = ambit(*words, timeout_s=300, traced=False)
+    done = ambit(*words, timeout_s=300)
     assert done.returncode == 0, done.stderr
     return out, commitment
 

@@ -8,7 +8,7 @@ import threading
 import time
 from pathlib import Path
 
-from tests.support.processes import untraced
+from tests.support.processes import environment
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "COLUMNS": "100", "NO_COLOR": "1"}
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
@@ -21,7 +21,7 @@ def ambit(*arguments: object, timeout_s: float = 120.0, traced: bool = True) -> 
         [*AMBIT, *map(str, arguments)],
         capture_output=True,
         text=True,
-        env=ENVIRONMENT if traced else untraced(ENVIRONMENT),
+        env=environment(ENVIRONMENT, traced),
         timeout=timeout_s,
         check=False,
     )
@@ -49,7 +49,7 @@ class Running:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=ENVIRONMENT if traced else untraced(ENVIRONMENT),
+            env=environment(ENVIRONMENT, traced),
             start_new_session=True,
         )
         self.said: list[str] = []

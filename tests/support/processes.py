@@ -22,12 +22,17 @@ FOREIGN = untraced(ENVIRONMENT)
 """For programs that run no line of this repository, and where other tests measure those that they run."""
 
 
+def environment(base: dict[str, str], traced: bool = True) -> dict[str, str]:
+    """Of a process that a test starts: measured only where the test itself is, which the variable tells."""
+    return base if traced and "COVERAGE_PROCESS_CONFIG" in os.environ else untraced(base)
+
+
 class Process:
     """A Python process whose first line of output says that it is ready."""
 
     def __init__(self, *arguments: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, *arguments], stdout=subprocess.PIPE, env=ENVIRONMENT, cwd=ROOT, text=True
+            [sys.executable, *arguments], stdout=subprocess.PIPE, env=environment(ENVIRONMENT), cwd=ROOT, text=True
         )
         assert self._process.stdout is not None
         self.said = self._process.stdout.readline().strip()

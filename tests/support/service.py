@@ -15,7 +15,8 @@ from typing import Any
 
 import httpx
 
-from tests.support.processes import ENVIRONMENT, FOREIGN, ROOT, read_events
+from tests.support import processes
+from tests.support.processes import ENVIRONMENT, ROOT, read_events
 
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
 QUICK = {
@@ -45,8 +46,11 @@ class Running:
     ) -> None:
         self.arguments = [*AMBIT, *map(str, arguments)]
         self.log = log
-        base = ENVIRONMENT if traced else FOREIGN
-        self._environment = {**base, "AMBIT_LOG_FORMAT": "json", **(environment or {})}
+        self._environment = {
+            **processes.environment(ENVIRONMENT, traced),
+            "AMBIT_LOG_FORMAT": "json",
+            **(environment or {}),
+        }
         self.start()
 
     def start(self) -> None:
