@@ -25,7 +25,7 @@ EFFECT = Effect(
     id="amplifier_bandwidth",
     path="amplifier",
     parameters=(
-        Parameter("frequency_change", "1", -0.5, 0.5, -0.13, 0.0, description="relative change of wa, every axis"),
+        Parameter("frequency_change", "1", -0.7, 2.5, -0.13, 0.0, description="relative change of wa, every axis"),
         Parameter(
             "damping_change",
             "1",
