@@ -68,7 +68,8 @@ def _at_bound(
     found: dict[str, End | None] = {}
     for p in CATALOGUE[effect].parameters:
         value = values.get(p.name, p.typical)
-        found[p.name] = p.end(value) if sds.get(p.name) else None  # without a deviation none was fitted
+        # without a deviation none was fitted, and where the effect vanishes is no end
+        found[p.name] = p.end(value) if sds.get(p.name) and value != p.null else None
         if (effect, p.name) == IN_BAND and np.isclose(value, lowest_hz, rtol=1e-9):
             found[p.name] = "low"
     return found
