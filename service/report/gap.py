@@ -198,6 +198,8 @@ def _parameters(candidates: list[dict[str, Any]]) -> str:
             value, std = quantity(e["value"], e["std"] or float("inf"), p.unit)
             if e["at_bound"]:
                 std = f"{e['at_bound']} end of range"
+            if e.get("given"):
+                std = "given"
             rows.append([head, f"{_words(effect)}: {p.words}" if effect else p.words, value, std, *tail])
             head, tail = "", ["", ""]
     found = table(["explanation", "parameter", "value", "std. dev.", "gap after", "log evidence"], rows, left=2)

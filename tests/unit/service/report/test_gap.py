@@ -175,6 +175,14 @@ def test_every_figure_is_there(diagnosis):
     }  # fmt: skip
 
 
+def test_a_value_that_no_fit_found_has_no_deviation_but_is_told_as_given(diagnosis):
+    chosen, *others = diagnosis.order
+    given = replace(chosen.candidate, given=frozenset({("loop_delay", "delay_s")}))
+    page = gap_page(replace(diagnosis, order=(replace(chosen, candidate=given), *others)))
+    assert page.count('<td class="n">given</td>') == 1
+    assert '<td class="n">given</td>' not in gap_page(diagnosis)
+
+
 def test_a_value_at_the_end_of_its_range_is_told_as_that_and_no_other(diagnosis):
     assert "end of range" not in gap_page(diagnosis)
     chosen, rival, plain = diagnosis.order
