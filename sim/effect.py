@@ -40,6 +40,8 @@ class Parameter:
     description: str = ""
     strength: bool = True
     """False for a parameter that shapes the effect without making it vanish (a resonance's frequency)."""
+    optional: bool = False
+    """True where the law is a plainer one with it at ``null``: a fit leaves it there unless the data tell otherwise."""
 
     @property
     def words(self) -> str:

@@ -34,8 +34,11 @@ EFFECT = Effect(
             0.05,
             0.0,
             description="relative change of the damping ratio; nothing on a first-order amplifier",
+            optional=True,
         ),
-        Parameter("lag_s", "s", 0.0, 2e-4, 2e-6, 0.0, description="time constant of a further first-order lag"),
+        Parameter(
+            "lag_s", "s", 0.0, 2e-4, 2e-6, 0.0, description="time constant of a further first-order lag", optional=True
+        ),
     ),
     apply=_apply,
     law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T)",

@@ -54,6 +54,7 @@ EFFECT = Effect(
             "below it the lag is of first order: sheets thinner than the skin depth; solid iron has none; more than "
             "2.25/tau acts as that: all of the reluctance is iron",
             strength=False,
+            optional=True,
         ),
     ),
     apply=_apply,

@@ -41,6 +41,7 @@ EFFECT = Effect(
             0.0,
             description="half width of the narrowest play; 0 for a Rayleigh loop, which is plays of every width",
             strength=False,
+            optional=True,
         ),
         Parameter(
             "widest_inverse_per_a",
@@ -51,6 +52,7 @@ EFFECT = Effect(
             0.0,
             description="1 / half width of the widest play, 0 for no end; of one play that of the narrowest",
             strength=False,
+            optional=True,
         ),
     ),
     apply=_apply,

@@ -26,7 +26,14 @@ EFFECT = Effect(
     parameters=(
         Parameter("saturation_inverse_per_a", "1/A", 0.02, 4.0, 1 / 1.6, 0.0, "log", "1/i_s of i_s tanh(i/i_s)"),
         Parameter(
-            "flux_share", "1", 0.0, 1.2, 0.3, 0.0, description="B0/Bs, flux density at the bias over saturation's"
+            "flux_share",
+            "1",
+            0.0,
+            1.2,
+            0.3,
+            0.0,
+            description="B0/Bs, flux density at the bias over saturation's",
+            optional=True,
         ),
         Parameter(
             "flux_power", "1", 2.0, 8.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False

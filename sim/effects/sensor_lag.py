@@ -28,7 +28,9 @@ EFFECT = Effect(
             "log",
             "1/(2 pi f) of a pole at f, in series with the datasheet's",
         ),
-        Parameter("delay_s", "s", 0.0, 1e-4, 1e-6, 0.0, description="dead time of the sensor's electronics"),
+        Parameter(
+            "delay_s", "s", 0.0, 1e-4, 1e-6, 0.0, description="dead time of the sensor's electronics", optional=True
+        ),
     ),
     apply=_apply,
     law="y = x exp(-s tau)/(1 + s T)",

@@ -49,6 +49,7 @@ EFFECT = Effect(
             0.0,
             description="share of it in a pedestal under each bearing, of which either moves alone",
             strength=False,
+            optional=True,
         ),
         Parameter(
             "frequency_ratio",
@@ -60,6 +61,7 @@ EFFECT = Effect(
             "log",
             "of the pedestal at B over that at A",
             strength=False,
+            optional=True,
         ),
     ),
     apply=_apply,

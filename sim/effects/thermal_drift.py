@@ -34,8 +34,8 @@ EFFECT = Effect(
     id="thermal_drift",
     path="plant",
     parameters=(
-        Parameter("ki_change", "1", -0.2, 0.2, -0.05, 0.0, description="relative change of ki after duration_s"),
-        Parameter("ks_change", "1", -0.2, 0.2, -0.03, 0.0, description="relative change of ks after duration_s"),
+        Parameter("ki_change", "1", -0.3, 0.3, -0.05, 0.0, description="relative change of ki after duration_s"),
+        Parameter("ks_change", "1", -0.4, 0.4, -0.03, 0.0, description="relative change of ks after duration_s"),
         Parameter("duration_s", "s", 1.0, 36e3, 300.0, 300.0, "log", "time that the change takes", strength=False),
         Parameter(
             "curvature",
@@ -46,6 +46,7 @@ EFFECT = Effect(
             0.0,
             description="duration_s in time constants of an exponential approach; 0: in proportion to time",
             strength=False,
+            optional=True,
         ),
     ),
     apply=_apply,

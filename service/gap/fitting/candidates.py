@@ -62,6 +62,8 @@ class Task:
     them, and is costly to compute."""
     occam_alone: float = 0.0
     """Occam factor of the plain twin, which both parts of such a sum hold."""
+    plain: frozenset[tuple[str, str]] = frozenset()
+    """(effect, parameter) that stay where their law is the plainest."""
 
 
 def fit_task(task: Task) -> Candidate:
@@ -90,7 +92,7 @@ def fit_task(task: Task) -> Candidate:
 
 
 def _fitted(task: Task) -> Candidate:
-    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects])
+    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.plain)
     active, rough = problem.active, [s for s in task.stages if s.closed]
     begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]
     straight = _straight(problem, begun) if problem.nonlinear and rough and len(begun) > 1 else []

@@ -6,7 +6,7 @@ freely between their bounds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,9 @@ CHANGING = ("thermal_drift",)
 class Unknowns:
     """The vector (a + e,) of a fit: ``a`` deviations of the datasheet's values, then ``e`` parameters of effects."""
 
-    def __init__(self, ground: Ground, effects: Sequence[Effect] = ()) -> None:
-        self.ground, self.effects = ground, tuple(effects)
+    def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
+        """``held`` are parameters, by effect and name, that stay where their law is the plainest."""
+        self.ground, self.effects, self._held = ground, tuple(effects), held
         self.observations, self.active = ground.observations, ground.part.active
         other = ground.inherited
         theirs = [] if other is None else [CATALOGUE[name] for name, _ in other.effects]
@@ -60,6 +61,8 @@ class Unknowns:
 
     def _range(self, effect: Effect, p: Parameter) -> tuple[float, float]:
         """Lowest and highest value that a fit gives a parameter, in the fit's own unit."""
+        if (effect.id, p.name) in self._held:
+            return self._inner(p, p.null), self._inner(p, p.null)
         low, high = p.low, p.high
         if (effect.id, p.name) == IN_BAND:
             low = max(low, min(float(o.frequency_hz.min()) for o in self.observations))

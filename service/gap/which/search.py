@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from service.gap.weighing.significance import significance
 from service.gap.weighing.verdict import Ranked, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.mixtures import exchanged, extended, with_one_more, worthy
+from service.gap.which.plainer import plainer_law
 from service.gap.which.refined import best_of_each, contained, cost, refined
 from sim.effects import CATALOGUE
 
@@ -159,5 +160,6 @@ def explain(
     if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
         found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
         order = worthy(ranked(null, found))
-        left = residuals(ground, order[0].candidate)
+    order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
+    left = residuals(ground, order[0].candidate)
     return Explained(ground, tuple(order), plain, left)

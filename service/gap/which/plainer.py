@@ -1,0 +1,40 @@
+"""The plainest law of an explanation that the data do not speak against.
+
+A pole and a delay of a sensor, sheets and solid iron, two laws of saturation: near one another's alias, a fit with both
+ends anywhere along it, and neither value means anything. A law without the other says as much with fewer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from service.gap.fitting.candidates import Candidate, Fitter, Task
+from service.gap.fitting.part import Ground
+from service.gap.fitting.stage import EXACT
+from sim.effects import CATALOGUE
+
+WORTH = 6.0
+"""Chi-square that a parameter has to explain to be one of the law's, in units of what is left per residual: noise gives
+more once in seventy times. By evidence a parameter would be kept or not as its range is wide or narrow."""
+
+
+def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
+    """The explanation fitted without what its laws may do without, where that leaves about as little.
+
+    Without all of it, or else without one. What is not known of the others for that stays their deviation.
+    """
+    used = [
+        (name, p.name)
+        for name, values in zip(best.effects, best.fit.values, strict=True)
+        for p in CATALOGUE[name].parameters
+        if p.optional and values[p.name] != p.null
+    ]
+    without = {frozenset(used), *(frozenset([one]) for one in used)} - {frozenset()}
+    tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), plain=each) for each in without]
+    per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
+    plain = [
+        (len(task.plain), -c.fit.cost, replace(c, standard_deviations=best.standard_deviations))
+        for task, c in zip(tasks, fitter.each(tasks), strict=True)
+        if c is not None and c.fit.cost - best.fit.cost < WORTH * per_residual * len(task.plain)
+    ]
+    return max(plain, key=lambda one: one[:2])[2] if plain else best
