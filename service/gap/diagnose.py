@@ -9,6 +9,7 @@ from service.experiment.data import Experiment
 from service.gap.compose import composed
 from service.gap.dated import dated
 from service.gap.diagnosis import Diagnosis, closures_of, listed
+from service.gap.doubts.swings import swinging
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.predict import at_speed_of
 from service.gap.heard import scatter_shrinkage, with_interference
@@ -62,7 +63,9 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
     sources = [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
     null = whole.null.candidate
-    verdict = judged(found.parts, o, unseen, relative_gap(null.fit.rig, o), sources, found.fault, data.lines_only)
+    swings = swinging([data.main, data.other], nu.rig)
+    gap = relative_gap(null.fit.rig, o)
+    verdict = judged(found.parts, o, unseen, gap, sources, found.fault, swings, data.lines_only)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     shrunk = {

@@ -39,6 +39,7 @@ def judged(
     gap: float,
     sources: Sequence[Interference] = (),
     fault: str | None = None,
+    swings: str | None = None,
     lines_only: bool = False,
 ) -> Verdict:
     """The verdict.
@@ -49,6 +50,8 @@ def judged(
         Of the plain twin on the fitted sweep, relative.
     fault
         What is wrong with the log.
+    swings
+        What the blocks tell of an answer that swings, which their means do not.
     lines_only
         Whether the unseen points are other lines of the fitted sweep.
     """
@@ -60,6 +63,8 @@ def judged(
     verdict = heard_too(verdict, sources, found)
     if fault is not None:
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
+    elif swings and verdict.kind == "no_gap":
+        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (f"plant: {swings}",), unexplained="plant")
     if (why := not_settled(o, gap)) and (verdict.kind != "no_gap" or drift_of(o) > TELLS_NOTHING):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict

@@ -183,7 +183,7 @@ def observe(
         elsewhere = np.arange(len(sweep.harmonics)) != f
         drift_i = _drift(sweep.I[:, :, f], sd_i[:, f], blocks)
         sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _of_ends(sweep, drift_i)[:, None, None])
-    rings = _ringing(rig, sweep)
+    rings = ringing(rig, sweep)
     sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
     rings[:, f] = False
     sd_y[rings] = np.inf
@@ -270,7 +270,7 @@ def near_hum(sweep: Sweep, hums_hz: Sequence[float], width: float = HUMMED) -> N
     return np.asarray(np.any(np.abs(at - hums) < width * hums, axis=-1))
 
 
-def _ringing(rig: Rig, sweep: Sweep) -> NDArray[np.bool_]:
+def ringing(rig: Rig, sweep: Sweep) -> NDArray[np.bool_]:
     """Harmonics that fall on a flexible mode, (P, H)."""
     modes = np.array([mode.natural_frequency_rad_s for plane in rig.rotor.modes for mode in plane]) / (2 * np.pi)
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)

@@ -6,7 +6,6 @@ import pytest
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
-from service.gap.fitting.stage import EXACT
 from service.gap.measured.observation import observe
 from service.gap.which.plainer import plainer_law
 from sim.twin import with_effects
