@@ -77,7 +77,7 @@ def with_one_more(
         if _leaves_something(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
             everything += from_the_other_side(fitter, ground, null, best, everything)
             everything += exchanged(fitter, ground, best, everything)
-    return best_of_each(null, [*everything, *contained(fitter, ground, *everything)])
+    return best_of_each(null, [*everything, *contained(fitter, ground, null, *everything)])
 
 
 def _leaves_something(ground: Ground, best: Ranked) -> bool:

@@ -77,7 +77,7 @@ def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candida
 
 
 def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
-    """Of explanations by the same effects the likeliest.
+    """Of explanations by the same effects the likeliest; there is one plain twin, ``null``, which is not among them.
 
     Where more than noise is left, that need not be the one that leaves least: what a fit still gains there by pulling
     at the datasheet's values is the misfit of a law, and evidence holds their price against it in full.
@@ -85,7 +85,7 @@ def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]
     best: dict[frozenset[str], Candidate] = {}
     for r in ranked(null, found):
         best.setdefault(frozenset(r.candidate.effects), r.candidate)
-    return [c for c in best.values() if c is not null]
+    return [c for c in best.values() if c.effects]
 
 
 def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:

@@ -155,3 +155,5 @@ def test_of_two_fits_with_the_same_effects_the_likelier_is_kept_where_a_law_leav
     # where nothing but noise is left, what leaves less is likelier
     near, nearer = fit((CROSS, AWAY), 2100.0, 5.0), fit((AWAY, CROSS), 2050.0, 8.0)
     assert best_of_each(null, [near, nearer]) == [nearer]
+    # a second plain twin would halve the probability of the first
+    assert best_of_each(null, [near, replace(null, occam=null.occam + 1.0)]) == [near]
