@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.fit import TOLERANCE_BOUND
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
-from service.gap.weighing.verdict import SURE_OF_ANOTHER_RIG, SURE_OF_NONE, Verdict
+from service.gap.weighing.verdict import SURE_OF_NONE, Verdict
 
 IMPLAUSIBLE = 5.0
 """Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
@@ -55,7 +55,7 @@ def astray(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
     """
     if relative_gap >= STRANGE:
         reason = f"the datasheet seems to be of another rig; {away}: check it"
-        return Verdict("none_of_these", (), (), SURE_OF_ANOTHER_RIG, (reason,), another_rig=True)
+        return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), another_rig=True)
     if not verdict.effects:
         return verdict
     words = " and ".join(verdict.effects).replace("_", " ")
