@@ -25,6 +25,7 @@ from service.gap.telling import ProgressCallback, Telling
 from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
+from service.gap.which.beyond import OFF
 from service.gap.which.rivals import left_together
 from service.gap.which.search import Explained
 from sim.datasheet import Datasheet
@@ -87,7 +88,7 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     if pair and proposal is None:
         one, other_one = (" + ".join(c.effects).replace("_", " ") for c in pair)
         notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")
-    return Diagnosis(
+    found_out = Diagnosis(
         rig,
         where,
         whole.order,
@@ -106,6 +107,10 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
         tuple(notes),
         discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
     )
+    if not (verdict.effects and found_out.within_the_datasheet):
+        return found_out
+    without = f"without an effect the datasheet would be off: {', '.join(nu.far_off(null.fit.theta, 2 * OFF))}"
+    return replace(found_out, notes=(*found_out.notes, without))
 
 
 def not_weighed(lost: Collection[tuple[str, ...]], parts: Sequence[Explained]) -> list[str]:

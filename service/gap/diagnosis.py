@@ -11,6 +11,7 @@ from service.gap.measured.observation import Observation
 from service.gap.weighing.shrinkage import Shrinkage
 from service.gap.weighing.verdict import Ranked, Verdict
 from service.gap.where.where import Where
+from service.gap.which.beyond import STATED
 
 SHOWN = 10
 """Candidates in the report."""
@@ -71,6 +72,11 @@ class Diagnosis:
     """where nothing explains the gap, its shape over frequency, amplitude and channel"""
     of: dict[str, str] = field(default_factory=dict)
     """what it was made from: `origin.origin`"""
+
+    @property
+    def within_the_datasheet(self) -> bool:
+        """Whether the plain twin leaves noise, so that an effect is named for what its datasheet would be off by."""
+        return set(self.verdict.effects) <= set(STATED) and self.gap_before <= self.noise_floor
 
     @property
     def null(self) -> Candidate:

@@ -204,6 +204,11 @@ def sentence(d: Diagnosis) -> str:
     words = " and ".join(e.replace("_", " ") for e in v.effects)
     rivals, unlikely = (", ".join(e.replace("_", " ") for e in told) for told in alike(d))
     unsure = f", not told apart from {rivals}" if rivals else ""
+    if d.within_the_datasheet:
+        return (
+            f"The twin explains the rig to {gap}, which is noise, but only with its datasheet off by more than its "
+            f"tolerances let one believe: {words}{unsure} ({sure})."
+        )
     far = (
         "; the unseen sweep does not show this gap, so how much of it closes is not known"
         if s.closure is None

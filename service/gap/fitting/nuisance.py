@@ -120,10 +120,10 @@ class Nuisance:
             return float(theta @ theta)
         return float((ASSUMED_DOF + 1) * np.log1p(theta**2 / ASSUMED_DOF).sum())
 
-    def far_off(self, theta: Real) -> list[str]:
-        """Values that lie beyond `FAR_OFF` tolerances of the datasheet's, in words, the farthest first."""
+    def far_off(self, theta: Real, least: float = FAR_OFF) -> list[str]:
+        """Values that lie beyond ``least`` tolerances of the datasheet's, in words, the farthest first."""
         off = self.off(theta)
-        order = [int(k) for k in np.argsort(-np.abs(off)) if abs(off[k]) > FAR_OFF]
+        order = [int(k) for k in np.argsort(-np.abs(off)) if abs(off[k]) > least]
         return [f"{_words(self.names[k])} {_moved(self.names[k], float(off[k] * self.sigma[k]))}" for k in order]
 
     def _splits(self, n: int) -> Real:

@@ -17,6 +17,7 @@ from service.gap.measured.observation import GapError, Observation
 from service.gap.weighing.significance import significance
 from service.gap.weighing.verdict import Ranked, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
+from service.gap.which.beyond import beyond_tolerance
 from service.gap.which.mixtures import exchanged, extended, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
 from service.gap.which.refined import best_of_each, contained, cost, refined
@@ -160,6 +161,7 @@ def explain(
     if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
         found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
         order = worthy(ranked(null, found))
+    order = beyond_tolerance(fitter, ground, order)
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     left = residuals(ground, order[0].candidate)
     return Explained(ground, tuple(order), plain, left)

@@ -167,6 +167,14 @@ def test_what_closes_nothing_closes_no_less_than_nothing(diagnosis):
     assert "(95 %: 0 % to 10 %)" in page
 
 
+def test_an_effect_that_a_wrong_datasheet_would_explain_is_told_as_that(diagnosis):
+    verdict = replace(diagnosis.verdict, effects=("sensor_gain",), indistinguishable=())
+    told = lead(gap_page(replace(diagnosis, verdict=verdict, gap_before=1e-4, noise_floor=3e-4)))
+    assert "explains the rig to 0.01 %, which is noise, but only with its datasheet off" in told
+    assert "sensor gain" in told
+    assert "only with its datasheet off" not in lead(gap_page(replace(diagnosis, gap_before=1e-4, noise_floor=3e-4)))
+
+
 def test_every_figure_is_there(diagnosis):
     page = gap_page(diagnosis)
     names = set(re.findall(r'<div class="plot" id="([^"]+)"', page))

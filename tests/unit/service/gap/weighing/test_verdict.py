@@ -146,8 +146,8 @@ def test_what_fits_as_well_but_is_far_less_likely_is_told_as_that(behind: float,
         explanation(("amplifier_bandwidth",), -50.0 - behind, 0.0, (0.0,)),
     ]
     verdict = Verdict("effect", ("loop_delay",), (("loop_delay", "amplifier_bandwidth"),), 0.97, ())
-    shown = SimpleNamespace(verdict=verdict, order=order, gap_before=0.01, shrinkage=SimpleNamespace(closure=1.0))
-    words = sentence(shown)
+    shown = {"verdict": verdict, "order": order, "gap_before": 0.01, "shrinkage": SimpleNamespace(closure=1.0)}
+    words = sentence(SimpleNamespace(**shown, within_the_datasheet=False))
     assert told in words
     assert "amplifier bandwidth" in words
     assert ("not told apart" in words) == (behind < ALIKE)

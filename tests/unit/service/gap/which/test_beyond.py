@@ -1,0 +1,65 @@
+"""A value of the datasheet that is farther off than its tolerance lets one believe is an effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import observe
+from service.gap.weighing.verdict import Ranked, ranked
+from service.gap.which.beyond import beyond_tolerance
+from service.gap.which.search import plain_twin
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+TOLERANCE_M = 1e-3
+
+
+def weighed(effects: dict[str, dict[str, float]], stated: bool = True) -> list[Ranked]:
+    """The plain twin of such a rig, and what is said beside it."""
+    datasheet, truth = known_datasheet(seed=4)
+    tolerance = replace(datasheet.tolerance, sensor_position_m=TOLERANCE_M, sensor_gain=0.01)
+    nu = nuisance(replace(datasheet, tolerance=tolerance, tolerance_stated=stated))
+    o = observe(sweep(with_effects(true_rig(truth), effects), lines(30), 0.4, 3), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        null, _ = plain_twin(fitter, ground)
+        return beyond_tolerance(fitter, ground, ranked(null, []))
+
+
+def moved(tolerances: float) -> dict[str, dict[str, float]]:
+    return {"sensor_position": {"shift_A_m": tolerances * TOLERANCE_M, "shift_B_m": 0.0}}
+
+
+def test_a_sensor_that_is_nearly_four_tolerances_away_is_named() -> None:
+    best, *others = weighed(moved(3.8))
+    assert best.candidate.effects == ("sensor_position",)
+    assert best.probability > 0.5
+    assert [r.candidate.effects for r in others] == [()]
+    (values,), (deviations,) = best.candidate.fit.values, best.candidate.standard_deviations
+    assert values["shift_A_m"] == pytest.approx(3.8e-3, abs=3 * deviations["shift_A_m"])
+    assert values["shift_B_m"] == 0
+    assert deviations["shift_B_m"] == pytest.approx(TOLERANCE_M)
+
+
+@pytest.mark.parametrize("tolerances", [0.0, 2.5])
+def test_one_within_what_a_tolerance_allows_is_not(tolerances: float) -> None:
+    assert [r.candidate.effects for r in weighed(moved(tolerances))] == [()]
+
+
+def test_tolerances_that_are_only_assumed_prove_nothing() -> None:
+    assert [r.candidate.effects for r in weighed(moved(3.8), stated=False)] == [()]
+
+
+def test_of_two_sensors_in_a_plane_either_may_be_the_one() -> None:
+    """A gain of both is one of the magnets: what is told is their ratio."""
+    gains = {f"gain_change_{axis}": 0.07 if axis == "xA" else 0.0 for axis in ("xA", "xB", "yA", "yB")}
+    best = weighed({"sensor_gain": gains})[0]
+    assert best.candidate.effects == ("sensor_gain",)
+    (values,), (deviations,) = best.candidate.fit.values, best.candidate.standard_deviations
+    assert values["gain_change_xA"] - values["gain_change_xB"] == pytest.approx(0.07, abs=0.01)
+    assert abs(values["gain_change_xA"] - 0.07) < 2 * deviations["gain_change_xA"]
