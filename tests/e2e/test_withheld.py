@@ -41,7 +41,7 @@ def test_what_was_withheld_is_opened_and_scored(diagnosed):
     out, commitment = diagnosed
     done = ambit(*opening(out, commitment))
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("unlisted: coarse_log -> none_of_these")
+    assert done.stdout.startswith("unlisted: coarse log -> none of these")
     assert done.stdout.endswith(": right\n")
     done = ambit(*opening(out, commitment), "--experiment", out / "experiment.h5", "--json")
     document = json.loads(done.stdout)
