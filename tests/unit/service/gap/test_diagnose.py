@@ -55,7 +55,7 @@ def test_a_withheld_effect_is_named_measured_and_closed(
     effect: str, values: dict[str, float], path: str, within: float
 ) -> None:
     datasheet, truth = known_datasheet(seed=2)
-    d = diagnose(experiment(with_effects(true_rig(truth), {effect: values})), datasheet)
+    d = diagnose(*one_plane(experiment(with_effects(true_rig(truth), {effect: values})), datasheet))
     report = gap_document(d)
     assert report["verdict"]["effects"] == [effect]
     assert report["where"]["path"] == path
@@ -135,7 +135,7 @@ def test_one_sweep_is_cross_validated_and_says_so() -> None:
     datasheet, truth = known_datasheet(seed=6)
     rig = with_effects(true_rig(truth), {"loop_delay": {"delay_s": 3e-5}})
     one = replace(experiment(rig), sweeps=experiment(rig).sweeps[:1])
-    d = diagnose(one, datasheet)
+    d = diagnose(*one_plane(one, datasheet))
     assert d.verdict.effects == ("loop_delay",)
     assert any("weaker" in note for note in d.notes)
 
@@ -144,7 +144,7 @@ def test_one_sweep_is_cross_validated_and_says_so() -> None:
 def test_without_the_current_it_says_what_is_lost() -> None:
     datasheet, truth = known_datasheet(seed=7)
     full = experiment(with_effects(true_rig(truth), {"support_resonance": {"frequency_hz": 300.0}}))
-    d = diagnose(replace(full, sweeps=tuple(replace(s, I=None) for s in full.sweeps)), datasheet)
+    d = diagnose(*one_plane(replace(full, sweeps=tuple(replace(s, I=None) for s in full.sweeps)), datasheet))
     assert d.verdict.effects == ("support_resonance",)
     assert any("current was not logged" in note for note in d.notes)
 
