@@ -110,7 +110,7 @@ def test_a_rotor_that_hardly_moves_is_diagnosed_too() -> None:
     datasheet, truth = known_datasheet(seed=17)
     small = experiment(true_rig(truth), amplitude_a=0.004)
     assert max(np.abs(s.Y[:, :, 1]).max() for s in small.sweeps) < 1e-6
-    assert diagnose(small, datasheet).verdict.kind == "no_gap"
+    assert diagnose(*one_plane(small, datasheet)).verdict.kind == "no_gap"
 
 
 def test_a_lag_that_amplifiers_of_a_wide_datasheet_could_make_up_for_is_no_fault_of_the_log() -> None:
