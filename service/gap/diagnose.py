@@ -107,10 +107,11 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
         tuple(notes),
         discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
     )
-    if not (verdict.effects and found_out.within_the_datasheet):
-        return found_out
-    without = f"without an effect the datasheet would be off: {', '.join(nu.far_off(null.fit.theta, 2 * OFF))}"
-    return replace(found_out, notes=(*found_out.notes, without))
+    off = nu.far_off(null.fit.theta, OFF) if found_out.within_the_datasheet else []
+    without = (
+        [f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"] if off else []
+    )
+    return replace(found_out, notes=(*found_out.notes, *without))
 
 
 def not_weighed(lost: Collection[tuple[str, ...]], parts: Sequence[Explained]) -> list[str]:

@@ -76,7 +76,8 @@ class Diagnosis:
     @property
     def within_the_datasheet(self) -> bool:
         """Whether the plain twin leaves noise, so that an effect is named for what its datasheet would be off by."""
-        return set(self.verdict.effects) <= set(STATED) and self.gap_before <= self.noise_floor
+        named = set(self.verdict.effects)
+        return bool(named) and named <= set(STATED) and self.gap_before <= self.noise_floor
 
     @property
     def null(self) -> Candidate:

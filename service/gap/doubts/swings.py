@@ -15,6 +15,7 @@ from service.distributions import f_tail, normal_above
 from service.experiment.data import Sweep
 from service.gap.measured.observation import ringing
 from service.gap.measured.scatter import unexplained
+from service.gap.measured.settling import about_trend
 from sim.rig import Rig
 
 Real = NDArray[np.float64]
@@ -30,6 +31,8 @@ LARGEST = 4.0
 """Normal deviate that one channel counts with at most, so that no single line decides."""
 FEWEST = 5
 """Blocks of a point from which their scatter tells enough."""
+BEYOND_COMPARE = 100.0
+"""Ratio of two scatters that is told as it is up to here."""
 CHANNELS = 20
 """Channels times lines from which a sweep tells enough."""
 
@@ -42,29 +45,47 @@ def swinging(sweeps: Sequence[Sweep], rig: Rig) -> str | None:
     ratios = [ratio for _, _, ratio in told]
     if all(z > SWINGS and late > LATE for z, late, _ in told):
         return (
-            "displacements scatter more where their own plane is driven than where the other one is, up to "
-            f"{max(ratios):.1f} times: what the rotor answers swings from block to block, or had not settled"
+            "displacements scatter more where their own plane is driven than where the other one is "
+            f"({_times(max(ratios))}): what the rotor answers swings from block to block, or had not settled, or noise "
+            "alone is too small for the steps of the log"
         )
     if all(z < -SWINGS and late < -LATE for z, late, _ in told):
         return (
-            "displacements scatter less where their own plane is driven than where the other one is, down to "
-            f"{min(ratios):.2f} times: without a tone they rest in steps or in a gap that a tone bridges"
+            "displacements scatter less where their own plane is driven than where the other one is "
+            f"({_times(1 / min(ratios))}): without a tone they rest in steps or in a gap that a tone bridges"
         )
     return None
 
 
-def scatter_of_answer(sweep: Sweep, rig: Rig) -> tuple[float, float, float]:
-    """Normal deviates of the scatter in the driven plane against that in the other one, and their ratio, a mean.
+def _times(ratio: float) -> str:
+    """A ratio of two scatters in words: where a signal rests in a step of the log it has none.
 
-    Deviates of all blocks, a trend along them taken off, and of the last half of them. ``rig`` is any reasonable twin,
-    to take out what feedback carries round. Zeros where the sweep cannot tell: one plane, few blocks, few lines.
+    >>> _times(2.44), _times(1e140)
+    ('up to 2.4 times', 'more than 100 times')
+    """
+    return f"up to {ratio:.1f} times" if ratio < BEYOND_COMPARE else f"more than {BEYOND_COMPARE:.0f} times"
+
+
+def scatter_of_answer(sweep: Sweep, rig: Rig) -> tuple[float, float, float]:
+    """The scatter of y in the driven plane against that in the other one.
+
+    Parameters
+    ----------
+    rig
+        Any reasonable twin, to take out what feedback carries round.
+
+    Returns
+    -------
+    Normal deviate of all blocks, a trend along them taken off; that of the last half of them; ratio of the standard
+    deviations, a geometric mean. 0, 0 and 1 where the sweep cannot tell: one plane, few blocks, few lines.
     """
     blocks, n = sweep.Y.shape[1], sweep.Y.shape[2]
     if n != 4 or blocks < FEWEST:
         return 0.0, 0.0, 1.0
     h = sweep.harmonics.index(1)
     e = unexplained(sweep, rig)[2][:, :, h]
-    whole, late = _power(_without_trend(e)), _power(_about_mean(e[:, blocks - blocks // 2 :]))
+    last = e[:, blocks - blocks // 2 :]
+    whole, late = _power(about_trend(e)[0]), _power(last - last.mean(axis=1, keepdims=True))
     rings = ringing(rig, sweep)[:, h]
     lines = [np.flatnonzero(sweep.frequency_hz == f) for f in np.unique(sweep.frequency_hz)]
     told = [at for at in lines if len(at) == n and len(set(sweep.axis[at])) == n and not rings[at].any()]
@@ -89,16 +110,6 @@ def _against_the_other_plane(
     above = f_tail(ratio, 2 * freedom, 2 * freedom)
     z = np.clip(normal_above(np.clip(above, 1e-15, 1 - 1e-15)), -LARGEST, LARGEST)
     return float(z.sum() / np.sqrt(len(z))), ratio
-
-
-def _without_trend(e: Complex) -> Complex:
-    along = np.linspace(-1.0, 1.0, e.shape[1])
-    along /= np.linalg.norm(along)
-    return np.asarray(_about_mean(e) - along[:, None] * np.einsum("b,pbn->pn", along, e)[:, None])
-
-
-def _about_mean(e: Complex) -> Complex:
-    return np.asarray(e - e.mean(axis=1, keepdims=True))
 
 
 def _power(e: Complex) -> Real:

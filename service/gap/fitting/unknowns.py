@@ -93,6 +93,8 @@ class Unknowns:
         for (k, p), v in zip(self.parameters, inside, strict=True):
             # of a bound, scaling back leaves what is beyond it by its last digit
             out[k][p.name] = float(np.clip(np.exp(v) if p.scale == "log" else v, p.low, p.high))
+        for k, effect in enumerate(self.effects):
+            out[k] |= {p.name: p.null for p in effect.parameters if (effect.id, p.name) in self._held}
         return tuple(out)
 
     def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:

@@ -26,6 +26,14 @@ UNSETTLED = 0.5
 """Share from which nothing is named: where most points are wrong no fit holds, however robust (breakdown point)."""
 
 
+def about_trend(X: Complex) -> tuple[Complex, Complex, Real]:
+    """What blocks, (P, B, n), are off a trend along them; its slope, (P, n), per unit of the way; that way, (B,)."""
+    along = np.linspace(-1.0, 1.0, X.shape[1])
+    along /= np.linalg.norm(along)
+    slope = np.einsum("b,pbn->pn", along, X)
+    return X - X.mean(axis=1, keepdims=True) - along[:, None] * slope[:, None], slope, along
+
+
 def trend(X: Complex) -> tuple[Real, Real]:
     """Probability, (P, n), that the blocks of a settled point lie along such a trend, and the change along it.
 
@@ -38,10 +46,7 @@ def trend(X: Complex) -> tuple[Real, Real]:
     if blocks < ENOUGH_BLOCKS:
         nothing = np.zeros((X.shape[0], X.shape[2]))
         return nothing + 1.0, nothing
-    along = np.linspace(-1.0, 1.0, blocks)
-    along /= np.linalg.norm(along)
-    slope = np.einsum("b,pbn->pn", along, X)
-    about = X - X.mean(axis=1, keepdims=True) - along[:, None] * slope[:, None]
+    about, slope, along = about_trend(X)
     scatter = np.sum(np.abs(about) ** 2, axis=1) / (blocks - 2)
     # Records without noise, or a coarse converter's, may not scatter at all: rounding is no trend.
     least = (np.finfo(float).eps * np.abs(X).max(axis=(1, 2))[:, None]) ** 2

@@ -29,7 +29,7 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
         for p in CATALOGUE[name].parameters
         if p.optional and values[p.name] != p.null
     ]
-    without = {frozenset(used), *(frozenset([one]) for one in used)} - {frozenset()}
+    without = [frozenset([one]) for one in used] + ([frozenset(used)] if len(used) > 1 else [])
     tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), plain=each) for each in without]
     per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
     plain = [

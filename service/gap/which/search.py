@@ -162,6 +162,7 @@ def explain(
         found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
         order = worthy(ranked(null, found))
     order = beyond_tolerance(fitter, ground, order)
+    # it leaves so little more that its evidence and shares stand
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     left = residuals(ground, order[0].candidate)
     return Explained(ground, tuple(order), plain, left)

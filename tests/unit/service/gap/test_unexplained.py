@@ -79,3 +79,19 @@ def test_what_only_another_sweep_shows_is_told_of_its_part() -> None:
     assert locate(found.parts, data.unseen).path == "controller"
     where = locate(found.parts, data.unseen, unexplained="plant")
     assert where.path == where.blamed == "plant"
+
+
+def with_swings(s: Sweep) -> Sweep:
+    """The sweep of a rotor whose answer is some per cent more in one block, less in another, the same in the mean."""
+    swing = 0.02 * np.random.default_rng(3).standard_normal(s.Y.shape[:2])
+    return replace(s, Y=s.Y * (1 + swing - swing.mean(axis=1, keepdims=True))[:, :, None, None])
+
+
+def test_an_answer_that_swings_is_no_clean_rig_though_every_mean_is_right() -> None:
+    datasheet, truth = known_datasheet(seed=35)
+    measured = experiment(true_rig(truth))
+    found = gap_document(diagnose(replace(measured, sweeps=tuple(map(with_swings, measured.sweeps))), datasheet))
+    assert found["gap"]["before"] < 0.01
+    assert found["verdict"]["kind"] == "none_of_these"
+    assert found["where"]["path"] == "plant"
+    assert "swings from block to block" in found["verdict"]["sentence"]

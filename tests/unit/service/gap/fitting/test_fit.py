@@ -34,6 +34,14 @@ def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> No
         assert all(p.low <= values[p.name] <= p.high for p in effect.parameters)
 
 
+def test_what_is_held_where_a_law_is_plainest_is_there_to_the_last_digit(ground: Ground) -> None:
+    iron = CATALOGUE["eddy_currents"]
+    unknowns = Unknowns(ground, [iron], {("eddy_currents", "corner_rad_s")})
+    (values,) = unknowns.values(unknowns.scaled(({"time_constant_s": 1e-6, "corner_rad_s": 5e4},)))
+    assert values["corner_rad_s"] == next(p.null for p in iron.parameters if p.name == "corner_rad_s")
+    assert values["time_constant_s"] == pytest.approx(1e-6)
+
+
 def test_a_rotor_is_not_fitted_against_the_pole(ground: Ground) -> None:
     """Of a small gap the catalogue's range is more than there is; a third of a gap off is within anyone's."""
     rig = ground.nuisance.rig

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.gap.diagnose import diagnose
+from service.gap.document import gap_document
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
@@ -13,7 +15,8 @@ from service.gap.weighing.verdict import Ranked, ranked
 from service.gap.which.beyond import beyond_tolerance
 from service.gap.which.search import plain_twin
 from sim.twin import with_effects
-from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
+from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
 TOLERANCE_M = 1e-3
@@ -63,3 +66,14 @@ def test_of_two_sensors_in_a_plane_either_may_be_the_one() -> None:
     (values,), (deviations,) = best.candidate.fit.values, best.candidate.standard_deviations
     assert values["gain_change_xA"] - values["gain_change_xB"] == pytest.approx(0.07, abs=0.01)
     assert abs(values["gain_change_xA"] - 0.07) < 2 * deviations["gain_change_xA"]
+
+
+def test_the_diagnosis_says_that_it_is_the_datasheet_that_would_be_off() -> None:
+    datasheet, truth = known_datasheet(seed=4)
+    datasheet = replace(datasheet, tolerance=replace(datasheet.tolerance, sensor_position_m=TOLERANCE_M))
+    measured = experiment(with_effects(true_rig(truth), moved(3.8)), amplitude_a=0.4)
+    found = gap_document(diagnose(*one_plane(measured, datasheet)))
+    assert found["verdict"]["effects"] == ["sensor_position"]
+    assert "only with its datasheet off" in found["verdict"]["sentence"]
+    (told,) = [note for note in found["notes"] if "would be off by more than a tolerance" in note]
+    assert "sensor position A +3." in told
