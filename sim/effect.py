@@ -17,7 +17,20 @@ from sim.rig import Rig
 Path = Literal["controller", "amplifier", "plant", "additive"]
 End = Literal["low", "high"]
 """Of a range."""
-SUFFIXES = {"s": "_s", "m": "_m", "Hz": "_hz", "rad": "_rad", "N/m": "_n_per_m", "rad/s": "_rad_s", "kgm2": "_kgm2"}
+SUFFIXES = {
+    "s": "_s",
+    "m": "_m",
+    "A": "_a",
+    "Hz": "_hz",
+    "rad": "_rad",
+    "rad/s": "_rad_s",
+    "N/m": "_n_per_m",
+    "s/A": "_s_per_a",
+    "1/A": "_per_a",
+    "1/kg": "_per_kg",
+    "1/sqrt(kg)": "_per_sqrt_kg",
+    "kg m2": "_kgm2",
+}
 """What a parameter's name ends with when it has that unit."""
 
 
