@@ -78,7 +78,7 @@ def corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pla
         if law[7, a] < NONE:
             i = law[7, a] * math.tanh(i / law[7, a])
         force = _saturating_magnet(law, a, i, x) if law[11, a] > 0.0 else _magnet(law, a, i, x)
-        f[a] = scale[0] * force + (scale[1] - scale[0]) * law[5, a] * x
+        f[a] = scale[0, a] * force + (scale[1, a] - scale[0, a]) * law[5, a] * x
         if slews:
             rate = now[at + 2 * n + a]
             d[n + a] = min(max(rate, -slew[a]), slew[a]) - rate
@@ -150,6 +150,7 @@ def advance(  # type: ignore[no-untyped-def]
     general,
     slews,
     drift,
+    drift_time,
     started,
     logged,
 ):
@@ -158,14 +159,15 @@ def advance(  # type: ignore[no-untyped-def]
     substeps = later.shape[0] + 1
     first_u, first_d = n_z, n_z + history * n
     last_seen, z_at = n_seen * (substeps - 1), n_seen * substeps
-    scale, f, d = np.ones(2), np.zeros(n), np.zeros(later.shape[1])
+    scale, f, d = np.ones((2, n)), np.zeros(n), np.zeros(later.shape[1])
     delayed = np.max(lag) > 0.0
     for t in range(n_samples):
-        if drift[2] > 0.0:
-            elapsed = (started + t) / drift[2]
-            if drift[3] > 1e-6:
-                elapsed = math.expm1(-drift[3] * elapsed) / math.expm1(-drift[3])
-            scale[0], scale[1] = 1.0 + drift[0] * elapsed, 1.0 + drift[1] * elapsed
+        if drift_time[0] > 0.0:
+            elapsed = (started + t) / drift_time[0]
+            if drift_time[1] > 1e-6:
+                elapsed = math.expm1(-drift_time[1] * elapsed) / math.expm1(-drift_time[1])
+            for axis in range(n):
+                scale[0, axis], scale[1, axis] = 1.0 + drift[0, axis] * elapsed, 1.0 + drift[1, axis] * elapsed
         for k in range(first_d - 1, first_u + n - 1, -1):
             state[k] = state[k - n]
         exceeded = 0

@@ -61,9 +61,10 @@ class Loop:
         )
         self._seen = self._seen_rows()
         self._p = propagators(rig, self._ss, self._seen, substeps, self._slews)
-        self._drift = np.zeros(4)
+        self._drift, self._drift_time = np.zeros((2, rig.n_axes)), np.zeros(2)
         if d:
-            self._drift = np.array([d.ki_change, d.ks_change, d.duration_s / self._period_s, d.curvature])
+            self._drift = np.stack([d.ki_change, d.ks_change])
+            self._drift_time = np.array([d.duration_s / self._period_s, d.curvature])
         self.require_stability()
         self.levitate()
 
@@ -139,7 +140,7 @@ class Loop:
                 self._plays,
                 self._play_weights,
                 self._play_widths,
-                np.ones(2),
+                np.ones((2, self.n_axes)),
                 np.zeros(self.n_axes),
                 d,
             )
@@ -225,6 +226,7 @@ class Loop:
             self._general,
             self._slews,
             self._drift,
+            self._drift_time,
             started,
             logged,
         )

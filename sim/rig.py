@@ -179,9 +179,10 @@ class Disturbance:
 class Drift:
     """Change of the magnets while a campaign runs, as they warm up."""
 
-    ki_change: float
-    """Relative change of ki at ``duration_s``."""
-    ks_change: float
+    ki_change: Array
+    """Relative change of each axis's ki at ``duration_s``, (n,)."""
+    ks_change: Array
+    """The same of ks, (n,)."""
     duration_s: float
     curvature: float = 0.0
     """``duration_s`` in time constants of an exponential approach; 0 for a change in proportion to time"""

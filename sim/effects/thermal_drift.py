@@ -1,4 +1,4 @@
-"""Magnets whose factors drift while they warm up."""
+"""Magnets whose factors drift while they warm up, all alike or one bearing or plane more than another."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,23 +6,31 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
-from sim.rig import Drift, Rig
+from sim.rig import Array, Drift, Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    ki, ks, duration = p["ki_change"], p["ks_change"], p["duration_s"]
+    shares, duration = _shares(rig, p["end_imbalance"], p["plane_imbalance"]), p["duration_s"]
+    ki, ks = p["ki_change"] * shares, p["ks_change"] * shares
     if rig.drift is not None:
         ki += rig.drift.ki_change * duration / rig.drift.duration_s
         ks += rig.drift.ks_change * duration / rig.drift.duration_s
-    return replace(rig, drift=Drift(ki, ks, duration, p["curvature"]) if ki or ks else None)
+    return replace(rig, drift=Drift(ki, ks, duration, p["curvature"]) if np.any(ki) or np.any(ks) else None)
+
+
+def _shares(rig: Rig, end: float, plane: float) -> Array:
+    """What each axis changes over what all do in the mean, (n,); a plane that is alone has no other to differ from."""
+    of_end, of_plane = {"A": 1 + end, "B": 1 - end}, {"x": 1 + plane, "y": 1 - plane}
+    return np.array([of_end[axis[1]] * (of_plane[axis[0]] if rig.n_planes == 2 else 1.0) for axis in rig.axes])
 
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
     """The same drift, stated over another time: what has changed when that time has passed."""
     longer = like["duration_s"] / values["duration_s"]
-    drift = Drift(values["ki_change"], values["ks_change"], values["duration_s"], values["curvature"])
+    drift = Drift(np.zeros(0), np.zeros(0), values["duration_s"], values["curvature"])
     share = float(drift.progress(np.array(longer)))
     return {
+        **values,
         "ki_change": values["ki_change"] * share,
         "ks_change": values["ks_change"] * share,
         "duration_s": like["duration_s"],
@@ -34,8 +42,10 @@ EFFECT = Effect(
     id="thermal_drift",
     path="plant",
     parameters=(
-        Parameter("ki_change", "1", -0.3, 0.3, -0.05, 0.0, description="relative change of ki after duration_s"),
-        Parameter("ks_change", "1", -0.4, 0.4, -0.03, 0.0, description="relative change of ks after duration_s"),
+        Parameter(
+            "ki_change", "1", -0.3, 0.3, -0.05, 0.0, description="change of ki after duration_s, mean of all axes"
+        ),
+        Parameter("ks_change", "1", -0.4, 0.4, -0.03, 0.0, description="the same of ks"),
         Parameter("duration_s", "s", 1.0, 36e3, 300.0, 300.0, "log", "time that the change takes", strength=False),
         Parameter(
             "curvature",
@@ -48,10 +58,18 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        *(
+            Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=description, strength=False, optional=True)
+            for name, description in (
+                ("end_imbalance", "1: only the magnets at A drift, -1: only those at B"),
+                ("plane_imbalance", "1: only the magnets in x drift, -1: only those in y; not used on one plane"),
+            )
+        ),
     ),
     apply=_apply,
     restated=_restated,
-    law="ki (1 + dki g), ks (1 + dks g), g = (1 - exp(-c t/T)) / (1 - exp(-c)), t/T for c = 0",
+    law="ki (1 + dki a g), ks (1 + dks a g), g = (1 - exp(-c t/T)) / (1 - exp(-c)), t/T for c = 0; "
+    "a = (1 +- e)(1 +- p), + at A, + in x",
     signature="error of y/i grows with the time of the point, not with its frequency or amplitude",
     aliases=("off_centre_rotor",),
     separated_by="the first points repeated last",

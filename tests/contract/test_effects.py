@@ -317,7 +317,7 @@ def test_an_effect_restated_is_the_same_effect(one):
     if a is not None and b is not None:
         passed_s = np.array([10.0, 100.0, 1000.0])
         for change in ("ki_change", "ks_change"):
-            gone = [getattr(d, change) * d.progress(passed_s / d.duration_s) for d in (a, b)]
+            gone = [np.outer(d.progress(passed_s / d.duration_s), getattr(d, change)) for d in (a, b)]
             assert gone[0] == pytest.approx(gone[1], rel=1e-9)
 
 

@@ -6,6 +6,9 @@ whose force answers best to the residuals.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +32,10 @@ BESIDE = 17
 """... at so many frequencies from the one beside it to the other."""
 APART = 8
 """Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
+IMBALANCES = ("end_imbalance", "plane_imbalance")
+"""Of a drift: what makes one magnet drift more than another, the second on rigs of two planes."""
+SLIGHT = 1e-3
+"""Drift that is tried: small enough for its answer to be proportional."""
 SOFT = 0.02
 """Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
 
@@ -76,8 +83,10 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
         middles = (0.25 * flux, 0.6 * flux)
         return [base, *({**base, "narrowest_a": 0.5 * m, "widest_inverse_per_a": 1 / (1.5 * m)} for m in middles)]
-    if effect.id == "thermal_drift" and rig.drift is not None:  # stated over the same time
-        return [{**base, "duration_s": rig.drift.duration_s}]
+    if effect.id == "thermal_drift":
+        if rig.drift is not None:  # stated over the same time
+            base["duration_s"] = rig.drift.duration_s
+        return [drifts(effect, base, rig, z, o, ground)]
     if effect.id == "off_centre_rotor":
         return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]
     return [base]
@@ -106,10 +115,7 @@ def resonances(
     """
     if rig.support is not None and not shaped:
         return []
-    f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
-    J = displacement_jacobian(ground.nuisance, rig, o, ground.part.from_control)[:, :, ground.part.active]
-    rows = stacked(J * w[..., None])
-    basis = np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]  # the tolerances as data
+    f, w, basis = o.fundamental, weight(o, "y")[:, o.fundamental], _basis(rig, o, ground)
     columns = residue_columns(rig, o) * w[..., None, None]
     columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
     wanted, s = stacked(z[:, f, :, None]), 2j * np.pi * o.points_hz
@@ -136,6 +142,54 @@ def resonances(
         shape = _shape(score(own, damping)[1]) if shaped else {}
         found.append({"frequency_hz": float(own), "damping_ratio": float(damping), **shape})
     return found
+
+
+def _basis(rig: Rig, o: Observation, ground: Ground) -> NDArray[np.float64]:
+    """What the datasheet's values can do within their tolerances to a sweep's weighted fundamentals, (2 P n, a).
+
+    Columns are orthonormal together with the tolerances as data, so that what is projected on them is what is left of
+    it once the values have followed.
+    """
+    w = weight(o, "y")[:, o.fundamental]
+    J = displacement_jacobian(ground.nuisance, rig, o, ground.part.from_control)[:, :, ground.part.active]
+    rows = stacked(J * w[..., None])
+    return np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]
+
+
+def drifts(
+    effect: Effect, base: dict[str, float], rig: Rig, z: Complex, o: Observation, ground: Ground
+) -> dict[str, float]:
+    """The drift of magnets, and which of them drift most, that explains most that the datasheet's values cannot.
+
+    Of a small drift the answer is proportional to each axis's, so eight answers tell those of all.
+    """
+    f, w, basis = o.fundamental, weight(o, "y")[:, o.fundamental], _basis(rig, o, ground)
+    without, corners = whole_displacement(rig, o)[:, f], list(product((1.0, -1.0), repeat=rig.n_planes))
+
+    def answer(factor: str, corner: tuple[float, ...]) -> NDArray[np.float64]:
+        of = dict(zip(IMBALANCES, corner, strict=False))
+        small = {**base, "ki_change": 0.0, "ks_change": 0.0, **of, factor: SLIGHT}
+        change = (whole_displacement(effect.on(rig, **small), o)[:, f] - without) * w / SLIGHT
+        return stacked(change[..., None])[:, 0]
+
+    columns = np.stack([answer(factor, c) for factor in ("ki_change", "ks_change") for c in corners], axis=-1)
+    wanted = stacked(z[:, f, :, None])[:, 0]
+    known = basis.T @ columns
+    power = columns.T @ columns - known.T @ known
+    along = columns.T @ wanted - known.T @ (basis.T @ wanted)
+
+    def strengths(imbalances: Sequence[float]) -> tuple[float, dict[str, float]]:
+        """Chi-square that the best ki and ks with such imbalances take off, and these."""
+        share = np.array([np.prod([(1 + s * i) / 2 for s, i in zip(c, imbalances, strict=True)]) for c in corners])
+        split = np.kron(np.eye(2), share[:, None])
+        found = np.linalg.lstsq(split.T @ power @ split, split.T @ along)[0]
+        names = (*IMBALANCES[: len(corners[0])], "ki_change", "ks_change")
+        return float(found @ split.T @ along), dict(zip(names, (*imbalances, *found), strict=True))
+
+    grid = product(np.linspace(-1.0, 1.0, 9), repeat=rig.n_planes)
+    best = max((strengths(imbalances) for imbalances in grid), key=lambda one: one[0])[1]
+    known_by = {p.name: p for p in effect.parameters}
+    return {**base, **{name: float(np.clip(v, known_by[name].low, known_by[name].high)) for name, v in best.items()}}
 
 
 def _shape(residue: NDArray[np.float64]) -> dict[str, float]:

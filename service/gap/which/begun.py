@@ -19,7 +19,7 @@ from sim.effects import CATALOGUE
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-SHARP = ("touchdown_contact",)
+SHARP = ("touchdown_contact", "thermal_drift")
 """Effects whose start is good and whose valley is narrow: a rough fit would lose it."""
 LOOKED_FOR = ("support_resonance", "extra_flexible_mode")
 """Effects whose start the data give so well that a rough fit may lose it where it hardly sees the effect."""

@@ -51,7 +51,8 @@ def test_the_change_that_a_law_makes_is_the_time_simulations(name, values, toler
 
 
 def test_a_warming_magnet_has_gone_most_of_its_way_early() -> None:
-    slow, fast = Drift(-0.1, -0.1, 100.0), Drift(-0.1, -0.1, 100.0, curvature=3.0)
+    change = np.full(4, -0.1)
+    slow, fast = Drift(change, change, 100.0), Drift(change, change, 100.0, curvature=3.0)
     share = np.array([0.0, 0.3, 1.0])
     np.testing.assert_allclose(slow.progress(share), share)
     gone = fast.progress(share)

@@ -131,7 +131,21 @@ def test_drifts_add_their_rates():
     once = alone("thermal_drift", ki_change=-0.1, duration_s=100.0)
     twice = alone("thermal_drift", once, ks_change=0.04, duration_s=200.0)
     assert twice.drift is not None
-    assert (twice.drift.ki_change, twice.drift.ks_change, twice.drift.duration_s) == pytest.approx((-0.2, 0.04, 200.0))
+    assert twice.drift.duration_s == 200.0
+    assert twice.drift.ki_change == pytest.approx(np.full(4, -0.2))
+    assert twice.drift.ks_change == pytest.approx(np.full(4, 0.04))
+
+
+@pytest.mark.parametrize(
+    ("end", "plane", "of_axes"),
+    [(0.0, 0.0, (1, 1, 1, 1)), (1.0, 0.0, (2, 0, 2, 0)), (0.0, -1.0, (0, 0, 2, 2)), (-1.0, 1.0, (0, 4, 0, 0))],
+)
+def test_a_drift_may_be_of_one_end_or_plane_or_axis(end, plane, of_axes):
+    """What is stated is the mean of all axes: xA, xB, yA, yB."""
+    rig = alone("thermal_drift", ki_change=-0.01, ks_change=-0.02, end_imbalance=end, plane_imbalance=plane)
+    assert rig.drift is not None
+    assert rig.drift.ki_change == pytest.approx(-0.01 * np.array(of_axes))
+    assert rig.drift.ks_change == pytest.approx(-0.02 * np.array(of_axes))
 
 
 def test_a_drift_that_levels_off_is_restated_over_half_its_time():

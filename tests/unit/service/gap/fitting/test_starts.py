@@ -1,4 +1,4 @@
-"""Where a fit of a resonance begins."""
+"""Where a fit of a resonance, a voltage limit or a drift begins."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.predict import residual
 from service.gap.fitting.starts import starts
 from service.gap.measured.observation import observe
-from service.gap.which.search import explain
+from service.gap.which.search import explain, plain_twin
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
@@ -77,3 +77,17 @@ def test_without_the_current_a_voltage_limit_begins_at_what_the_amplifiers_make_
     ground = Ground(nu, parts(nu, (blind,))[1], (blind,), np.zeros(len(nu)))
     begun = starts(CATALOGUE["amplifier_voltage_limit"], nu.rig, np.zeros_like(o.Y), blind, ground)
     assert all(0.5 * steepest < 1 / s["slew_inverse_s_per_a"] < steepest for s in begun)
+
+
+@pytest.mark.parametrize(("end", "plane"), [(-0.9, 0.0), (0.0, 0.0), (1.0, 1.0)])
+def test_a_drift_begins_at_its_strength_and_at_the_magnets_that_drift(end: float, plane: float) -> None:
+    datasheet, truth = known_datasheet(seed=18)
+    nu = nuisance(datasheet)
+    values = {"ki_change": -0.02, "ks_change": -0.03, "duration_s": 300.0}
+    one = {**values, "end_imbalance": end, "plane_imbalance": plane}
+    o = observe(sweep(with_effects(true_rig(truth), {"thermal_drift": one}), lines(), 0.15, 1, during=(0, 1)), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    null, (left,) = plain_twin(Fitter(), ground)
+    (begun,) = starts(CATALOGUE["thermal_drift"], null.fit.rig, left, o, ground)
+    assert (begun["end_imbalance"], begun["plane_imbalance"]) == pytest.approx((end, plane), abs=0.26)
+    assert (begun["ki_change"], begun["ks_change"]) == pytest.approx((-0.02, -0.03), rel=0.3)
