@@ -144,7 +144,16 @@ def thermal_drift(t: Truth, rng: Rng, level: float) -> Change:
     e = size(level, 6e-4, 0.1)
     kind = str(rng.choice(["gap", "k"]))
     t.drift = (-e if kind == "k" else 0.0, e if kind == "gap" else 0.0, float(rng.choice([0.3, 1.0, 20.0])))
-    return {"kind": kind, "relative": e, "time_constant_of_campaign": t.drift[2]}
+    which = rng.choice(["all", "bearing", "axis"], p=[0.6, 0.25, 0.15])
+    if which != "all":
+        hot, end = int(rng.integers(4)), np.arange(4) % 2
+        t.drifting = 1.0 * (end == hot % 2 if which == "bearing" else np.arange(4) == hot)
+    return {
+        "kind": kind,
+        "relative": e,
+        "time_constant_of_campaign": t.drift[2],
+        "share_of_axes": t.drifting.tolist(),
+    }
 
 
 def magnetic_cross_coupling(t: Truth, rng: Rng, level: float) -> Change:

@@ -98,8 +98,8 @@ def magnet_force(p, a, i, x, drift_k, drift_gap, swing):
     """Force of axis a, N, with the static pull of an off-centre rotor taken off (it is held by a set point)."""
     if p.saturation == 1:
         i = p.sat_level[a] * np.tanh(i / p.sat_level[a])
-    s0 = p.gap[a] * drift_gap
-    k = p.k[a] * drift_k
+    s0 = p.gap[a] * drift_gap[a]
+    k = p.k[a] * drift_k[a]
     b0 = p.bias[a] / p.gap[a]
     law, level, n = p.saturation, p.sat_level[a], p.sat_power
     e = x + p.offset[a]

@@ -119,6 +119,8 @@ class Truth:
     """mass, hz, zeta; each: one housing per bearing."""
     drift: tuple = (0.0, 0.0, 1.0)
     """(k, gap) relative change at the end, and the time constant as a share of the campaign."""
+    drifting: np.ndarray = field(default_factory=lambda: np.ones(4))
+    """Share of that in each axis."""
     log: dict = field(default_factory=dict)
 
     def build(self) -> tuple[np.ndarray, Loop]:
@@ -215,7 +217,7 @@ def small_signal(plant: np.ndarray, loop: Loop) -> Closed:
 
     def slope(s: np.ndarray, u: np.ndarray) -> np.ndarray:
         ds = np.zeros(n)
-        _slope(plants, s, u, plays, 1.0, 1.0, ds)
+        _slope(plants, s, u, plays, np.ones(4), np.ones(4), ds)
         return ds
 
     a = np.array(

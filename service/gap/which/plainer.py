@@ -6,6 +6,7 @@ ends anywhere along it, and neither value means anything. A law without the othe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
@@ -21,7 +22,8 @@ more once in seventy times. By evidence a parameter would be kept or not as its 
 def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
     """The explanation fitted without what its laws may do without, where that leaves about as little.
 
-    Without all of it, or else without one. What is not known of the others for that stays their deviation.
+    Without all of it, or else without all that can be left out one by one, or else without one. What is not known of
+    the others for that stays their deviation.
     """
     used = [
         (name, p.name)
@@ -29,12 +31,20 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
         for p in CATALOGUE[name].parameters
         if p.optional and values[p.name] != p.null
     ]
-    without = [frozenset([one]) for one in used] + ([frozenset(used)] if len(used) > 1 else [])
-    tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), plain=each) for each in without]
     per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
-    plain = [
-        (len(task.plain), -c.fit.cost, replace(c, standard_deviations=best.standard_deviations))
-        for task, c in zip(tasks, fitter.each(tasks), strict=True)
-        if c is not None and c.fit.cost - best.fit.cost < WORTH * per_residual * len(task.plain)
-    ]
-    return max(plain, key=lambda one: one[:2])[2] if plain else best
+
+    def as_good(without: Sequence[frozenset[tuple[str, str]]]) -> dict[frozenset[tuple[str, str]], Candidate]:
+        """The fits without these that leave about as little."""
+        tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), plain=w) for w in without]
+        return {
+            task.plain: replace(c, standard_deviations=best.standard_deviations)
+            for task, c in zip(tasks, fitter.each(tasks), strict=True)
+            if c is not None and c.fit.cost - best.fit.cost < WORTH * per_residual * len(task.plain)
+        }
+
+    everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]
+    plain = as_good([*one_by_one, everything] if len(used) > 1 else one_by_one)
+    several = frozenset().union(*(one for one in one_by_one if one in plain))
+    if everything not in plain and len(several) > 1 and several != everything:
+        plain |= as_good([several])
+    return max(plain.items(), key=lambda one: (len(one[0]), -one[1].fit.cost))[1] if plain else best
