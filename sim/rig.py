@@ -193,6 +193,12 @@ class Drift:
             return share
         return np.asarray(np.expm1(-self.curvature * share) / np.expm1(-self.curvature))
 
+    def over(self, duration_s: float) -> Drift:
+        """The same drift, stated over another time: what has changed when that has passed."""
+        longer = duration_s / self.duration_s
+        gone = self.progress(np.array(longer))
+        return Drift(self.ki_change * gone, self.ks_change * gone, duration_s, self.curvature * longer)
+
 
 @dataclass(frozen=True)
 class Noise:

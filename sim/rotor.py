@@ -79,10 +79,13 @@ def mechanics(rig: Rig) -> Mechanics:
             mass[k, k], damping[k, k], stiffness[k, k] = of_housing
             bearing_map[2 * plane + ends, k] = sensor_map[2 * plane + ends, k] = -1.0
     if rig.seal_cross_stiffness_n_per_m and rig.n_planes == 2:
-        x, y = bearing_map[:2], bearing_map[2:]
-        # fx = -k y, fy = +k x on the right-hand side
-        stiffness += rig.seal_cross_stiffness_n_per_m * (x.T @ y - y.T @ x)
+        stiffness += bearing_map.T @ seal_stiffness(rig) @ bearing_map
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
+
+
+def seal_stiffness(rig: Rig) -> Array:
+    """Stiffness of seals at the bearings of two planes, (4, 4): fx = -k y, fy = +k x on the right-hand side."""
+    return rig.seal_cross_stiffness_n_per_m * np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2))
 
 
 def _housings(support: Support) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:

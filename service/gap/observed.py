@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +91,14 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         notes += [f"{n} is not used: a diagnosis fits one sweep and checks on one other, here {name}" for n in unused]
     sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)
+    if nu.rig.drift is not None:
+        if span is None:
+            notes.append(
+                "the file does not tell when its points were measured: the drift of the twin is taken to have come "
+                "about while they were"
+            )
+        else:  # points are dated by the share of the experiment that has passed
+            nu = replace(nu, rig=replace(nu.rig, drift=nu.rig.drift.over(span[1] - span[0])))
     # A file that does not date its points has them in their order, the other sweep after the main one.
     during, after = ((0.0, 1.0), (0.0, 1.0)) if lines_only else ((0.0, 0.8), (0.8, 1.0))
     o = observe(thinned(usable(main)), nu.rig, during, hums, span, of_both[0])

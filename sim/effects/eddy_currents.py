@@ -25,6 +25,8 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + math.sqrt(p["time_constant_s"])
     corner = min(p["corner_rad_s"], ALL_IRON**2 / p["time_constant_s"])
+    if np.any(rig.magnets.eddy_time_constant_s):  # more of the iron that is known
+        corner = rig.magnets.eddy_corner_rad_s
     magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner)
     return replace(rig, magnets=magnets)
 

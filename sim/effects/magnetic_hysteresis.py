@@ -3,18 +3,21 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     m = rig.magnets
-    magnets = replace(
-        m,
-        hysteresis_rad=m.hysteresis_rad + p["loss_angle_rad"] * m.hysteresis_reference_a / 0.5,
-        hysteresis_narrowest_a=p["narrowest_a"],
-        hysteresis_widest_inverse_per_a=p["widest_inverse_per_a"],
-    )
+    magnets = replace(m, hysteresis_rad=m.hysteresis_rad + p["loss_angle_rad"] * m.hysteresis_reference_a / 0.5)
+    if not np.any(m.hysteresis_rad):  # or else more of the plays that are known
+        magnets = replace(
+            magnets,
+            hysteresis_narrowest_a=p["narrowest_a"],
+            hysteresis_widest_inverse_per_a=p["widest_inverse_per_a"],
+        )
     return replace(rig, magnets=magnets)
 
 

@@ -16,7 +16,9 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         inverse = np.hypot(1 / magnets.saturation_current_a, p["saturation_inverse_per_a"])
         magnets = replace(magnets, saturation_current_a=1 / inverse)
     if p["flux_share"] > 0:
-        magnets = replace(magnets, flux_share=p["flux_share"], flux_power=p["flux_power"])
+        n = magnets.flux_power if magnets.flux_share else p["flux_power"]
+        share = (magnets.flux_share**n + p["flux_share"] ** n) ** (1 / n)  # (B/Bs)^n of both, as far as it is small
+        magnets = replace(magnets, flux_share=share, flux_power=n)
     return replace(rig, magnets=magnets)
 
 

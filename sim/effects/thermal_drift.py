@@ -12,9 +12,11 @@ from sim.rig import Array, Drift, Rig
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     shares, duration = _shares(rig, p["end_imbalance"], p["plane_imbalance"]), p["duration_s"]
     ki, ks = p["ki_change"] * shares, p["ks_change"] * shares
-    if rig.drift is not None:
-        ki += rig.drift.ki_change * duration / rig.drift.duration_s
-        ks += rig.drift.ks_change * duration / rig.drift.duration_s
+    if (known := rig.drift) is not None:  # goes as it goes, and further
+        whole = known.progress(np.array(duration / known.duration_s))
+        return replace(
+            rig, drift=replace(known, ki_change=known.ki_change + ki / whole, ks_change=known.ks_change + ks / whole)
+        )
     return replace(rig, drift=Drift(ki, ks, duration, p["curvature"]) if np.any(ki) or np.any(ks) else None)
 
 
@@ -26,15 +28,14 @@ def _shares(rig: Rig, end: float, plane: float) -> Array:
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
     """The same drift, stated over another time: what has changed when that time has passed."""
-    longer = like["duration_s"] / values["duration_s"]
-    drift = Drift(np.zeros(0), np.zeros(0), values["duration_s"], values["curvature"])
-    share = float(drift.progress(np.array(longer)))
+    change = np.array([values["ki_change"]]), np.array([values["ks_change"]])
+    again = Drift(*change, values["duration_s"], values["curvature"]).over(like["duration_s"])
     return {
         **values,
-        "ki_change": values["ki_change"] * share,
-        "ks_change": values["ks_change"] * share,
-        "duration_s": like["duration_s"],
-        "curvature": values["curvature"] * longer,
+        "ki_change": float(again.ki_change[0]),
+        "ks_change": float(again.ks_change[0]),
+        "duration_s": again.duration_s,
+        "curvature": again.curvature,
     }
 
 

@@ -286,6 +286,24 @@ def test_a_rig_that_has_it_already_gets_more_of_it_or_a_reason(one):
 
 
 @every_effect
+def test_nothing_of_it_added_to_a_rig_that_has_it_changes_nothing(one):
+    """Whatever the shape of what is not added: a twin that has the effect keeps the law that it has."""
+    rig = rig_for(one)
+
+    def shaped(p):
+        """Within the range, off what is typical."""
+        typical = one.null()[p.name] if p.scale == "log" else p.typical
+        return p.low**0.7 * p.high**0.3 if p.scale == "log" and p.low > 0 else 0.7 * typical + 0.3 * p.high
+
+    has = one.on(rig, **{p.name: shaped(p) for p in one.parameters if not p.strength})
+    again = one.on(has, **one.null())
+    lines = [linear_model(r, TONES_HZ).y_per_u for r in (again, has)]
+    np.testing.assert_allclose(*lines, rtol=1e-12, atol=0)
+    records = [Simulation(r, seed=3).advance(shaking(800), check_limits=False).y for r in (has, again)]
+    np.testing.assert_array_equal(*records)
+
+
+@every_effect
 def test_a_rotor_without_modes_gets_it_or_a_reason(one):
     rigid = rig_for(one)
     rigid = replace(rigid, rotor=replace(rigid.rotor, modes=((), ())))

@@ -78,8 +78,12 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
 
     per_force = push @ m.force_map  # (P, n, n)
     per_magnet = per_force @ rotation
-    columns[:, :, 0:n] = per_magnet * magnetic[:, None, :]
-    columns[:, :, n : 2 * n] = per_magnet * (point.ks * at_bearing)[:, None, :]
+    per_current = magnetic / point.ki
+    for k, (ki, ks) in enumerate(_moved_points(rig, point)):
+        columns[:, :, k * n : (k + 1) * n] = per_magnet * (ki * per_current + ks * at_bearing)[:, None, :]
+    if rig.gravity_m_per_s2:  # a heavier rotor hangs in other factors
+        ki, ks = _moved_point(lambda factor: _with_mass(rig, factor))
+        columns[:, :, 6 * n] = ((ki * per_current + ks * at_bearing)[:, None, :] * per_magnet).sum(axis=-1)
     if amplifiers:
         delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
         late = np.exp(-1j * omega[:, None] * delay) * amplifier.hold(omega, rig.controller.sample_time_s)[:, None]
@@ -90,7 +94,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
         )
     axes = np.arange(n)
     columns[:, axes, 5 * n + axes] = (model.y_per_u[o.line] @ U[..., None])[..., 0]
-    _mechanical_columns(nuisance, rig, motion, per_force, point.ks, rotation, columns)
+    _mechanical_columns(nuisance, rig, m, motion, rotation * point.ks, columns)
     return _per_unit(columns, nuisance.per_unit)
 
 
@@ -155,22 +159,51 @@ def _changes(amp: Amplifiers, response: Callable[[Amplifiers], Complex]) -> list
     return [(moved(name, 1 + STEP) - moved(name, 1 - STEP)) / (2 * STEP) for name in names]
 
 
+def _moved_points(rig: Rig, point: actuator.OperatingPoint) -> tuple[tuple[Real, Real], tuple[Real, Real]]:
+    """Changes of (ki, ks) where the magnets work, (n,) each, per ln of the magnets' own ki and then of their ks.
+
+    Of centred magnets without a load either moves itself alone. The gap that ki and ks state moves with them, and with
+    it what an offset or a load makes of both.
+    """
+    if not rig.gravity_m_per_s2 and not np.any(rig.magnets.offset_m):
+        nothing = np.zeros(rig.n_axes)
+        return (point.ki, nothing), (nothing, point.ks)
+
+    def of(name: str) -> Callable[[float], Rig]:
+        value = getattr(rig.magnets, name)
+        return lambda factor: replace(rig, magnets=replace(rig.magnets, **{name: value * factor}))
+
+    return _moved_point(of("ki")), _moved_point(of("ks"))
+
+
+def _moved_point(moved: Callable[[float], Rig]) -> tuple[Real, Real]:
+    """Changes of (ki, ks) where the magnets work per ln of what ``moved`` takes a factor of, (n,) each."""
+    ahead, behind = (actuator.operating_point(moved(1 + step)) for step in (STEP, -STEP))
+    return (ahead.ki - behind.ki) / (2 * STEP), (ahead.ks - behind.ks) / (2 * STEP)
+
+
+def _with_mass(rig: Rig, factor: float) -> Rig:
+    return replace(rig, rotor=replace(rig.rotor, mass_kg=rig.rotor.mass_kg * factor))
+
+
 def _mechanical_columns(
-    nuisance: Nuisance,
-    rig: Rig,
-    motion: _Motion,
-    per_force: Complex,
-    ks: Real,
-    rotation: Real,
-    columns: Complex,
+    nuisance: Nuisance, rig: Rig, m: rotor.Mechanics, motion: _Motion, magnets: Real, columns: Complex
 ) -> None:
-    """Columns of mass, inertia, sensor positions and modes, written in place."""
+    """Columns of mass, inertia, sensor positions and modes, written in place.
+
+    ``magnets`` is the force of the magnets at the bearings per displacement there, (n, n).
+    """
     c, r = 6 * rig.n_axes, rig.rotor
-    s2 = motion.s[:, None] ** 2
+    s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
+    per_displacement, force = magnets, motion.force
+    if rig.seal_cross_stiffness_n_per_m and rig.n_planes == 2:  # pushes at the bearings too
+        seal = rotor.seal_stiffness(rig)
+        per_displacement, force = magnets - seal, force - (motion.q @ m.bearing_map.T) @ seal.T
 
     def pushed(coordinate: int, generalised_force: Complex) -> Complex:
         return motion.y_per_push[:, :, coordinate] * generalised_force
 
+    turning = rig.n_planes == 2 and bool(rig.speed_rad_s * r.internal_damping_ratio)
     start = 0
     column = c + 4
     for plane, modes in enumerate(r.modes):
@@ -185,11 +218,16 @@ def _mechanical_columns(
             w, qk, s = mode.natural_frequency_rad_s, q[:, [at]], motion.s[:, None]
             damping = 2 * (mode.damping_ratio + r.internal_damping_ratio) * w * s
             columns[:, :, column] = pushed(at, -(2 * w**2 + damping) * qk)
+            if turning and k < len(r.modes[1 - plane]):  # its stiffness is of the mean frequency of both planes
+                other, sign = (plane + 1) % 2 * (2 + len(r.modes[0])) + 2 + k, 1.0 if plane == 0 else -1.0
+                circulatory = r.internal_damping_ratio * w * rig.speed_rad_s
+                columns[:, :, column] -= pushed(at, sign * circulatory * q[:, [other]])
+                columns[:, :, column] += pushed(other, sign * circulatory * qk)
             columns[:, :, column + 1] = pushed(at, -2 * mode.damping_ratio * w * s * qk)
             for side in range(2):
                 axis = 2 * plane + side
-                extra = per_force @ rotation[:, axis] * (ks[axis] * qk)
-                columns[:, :, column + 2 + side] = pushed(at, motion.force[:, [axis]]) + extra
+                extra = per_force @ per_displacement[:, axis] * qk
+                columns[:, :, column + 2 + side] = pushed(at, force[:, [axis]]) + extra
                 columns[:, axis, column + 4 + side] = motion.sensor[:, axis] * qk[:, 0]
             column += 6
         start += 2 + len(modes)

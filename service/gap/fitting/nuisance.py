@@ -52,6 +52,8 @@ class Nuisance:
     names: tuple[str, ...]
     stated: bool
     """whether the datasheet states the tolerances, or they are this product's defaults"""
+    n_modes: int
+    """modes of the datasheet, per plane; an effect of it may add others to the rig, after these"""
 
     def __len__(self) -> int:
         return len(self.sigma)
@@ -96,11 +98,6 @@ class Nuisance:
             modes=tuple(planes),
         )
         return replace(rig, magnets=magnets, amplifiers=amplifiers, sensors=sensors, rotor=rotor)
-
-    @property
-    def n_modes(self) -> int:
-        """Number of modes of the datasheet, per plane."""
-        return len(self.rig.rotor.modes[0])
 
     def off(self, theta: Real) -> Real:
         """Deviations from the datasheet in its tolerances, (k,)."""
@@ -155,7 +152,9 @@ def nuisance(datasheet: Datasheet) -> Nuisance:
             names += [f"mode{k + 1}_{label}_{plane}" for label in labels]
             sigma += [t.mode_frequency, t.mode_damping, *spread.tolist()]
     root = _root(_alike(len(sigma), n, len(datasheet.modes)))
-    return Nuisance(rig, np.array(sigma, dtype=float), root, tuple(names), datasheet.tolerance_stated)
+    return Nuisance(
+        rig, np.array(sigma, dtype=float), root, tuple(names), datasheet.tolerance_stated, len(datasheet.modes)
+    )
 
 
 def _alike(k: int, n: int, modes: int) -> Real:

@@ -85,7 +85,8 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         return [base, *({**base, "narrowest_a": 0.5 * m, "widest_inverse_per_a": 1 / (1.5 * m)} for m in middles)]
     if effect.id == "thermal_drift":
         if rig.drift is not None:  # stated over the same time
-            base["duration_s"] = rig.drift.duration_s
+            duration = next(p for p in effect.parameters if p.name == "duration_s")
+            base["duration_s"] = float(np.clip(rig.drift.duration_s, duration.low, duration.high))
         return [drifts(effect, base, rig, z, o, ground)]
     if effect.id == "off_centre_rotor":
         return [{k: sign * v for k, v in base.items()} for sign in (1.0, -1.0)]

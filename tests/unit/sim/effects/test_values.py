@@ -131,9 +131,18 @@ def test_drifts_add_their_rates():
     once = alone("thermal_drift", ki_change=-0.1, duration_s=100.0)
     twice = alone("thermal_drift", once, ks_change=0.04, duration_s=200.0)
     assert twice.drift is not None
-    assert twice.drift.duration_s == 200.0
-    assert twice.drift.ki_change == pytest.approx(np.full(4, -0.2))
-    assert twice.drift.ks_change == pytest.approx(np.full(4, 0.04))
+    gone = twice.drift.over(200.0)
+    assert gone.ki_change == pytest.approx(np.full(4, -0.2))
+    assert gone.ks_change == pytest.approx(np.full(4, 0.04))
+
+
+def test_a_drift_that_levels_off_levels_off_with_more_of_it_too():
+    once = alone("thermal_drift", ki_change=-0.1, ks_change=0.0, duration_s=100.0, curvature=3.0)
+    more = alone("thermal_drift", once, ki_change=-0.02, ks_change=0.0, duration_s=50.0)
+    assert once.drift is not None
+    assert more.drift is not None
+    assert more.drift.over(50.0).ki_change == pytest.approx(once.drift.over(50.0).ki_change - 0.02)
+    assert (more.drift.duration_s, more.drift.curvature) == (100.0, 3.0)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,15 @@
 """The exact derivatives of the twin's answer, against differences of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from service.gap.fitting.jacobian import answer_jacobian, residue_columns
-from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.fitting.predict import linear_answer
-from service.gap.measured.observation import observe
+from service.gap.measured.observation import Observation, observe
+from sim.rig import Rig
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
@@ -16,14 +19,33 @@ EFFECTS = [
     {"support_resonance": {"frequency_hz": 300.0}, "magnetic_cross_coupling": {"rotation_rad": 0.03}},
     {"eddy_currents": {"time_constant_s": 1e-5, "corner_rad_s": 1e4}, "logging_offset": {"samples": 1.0}},
 ]
+OF_ITS_OWN = [
+    {"extra_flexible_mode": {"frequency_hz": 310.0}},
+    {"off_centre_rotor": {f"offset_{axis}_m": 6e-5 for axis in ("xA", "xB", "yA", "yB")}},
+    {"cross_coupled_stiffness": {"stiffness_n_per_m": 3e5}},
+    {"internal_damping": {}},
+    {"magnetic_saturation": {"flux_share": 0.5}},
+]
+"""Effects by which the datasheet's values act in another way than without."""
 
 
-@pytest.mark.parametrize("effects", EFFECTS, ids=lambda e: "+".join(e) or "plain")
+@pytest.mark.parametrize("effects", EFFECTS + OF_ITS_OWN, ids=lambda e: "+".join(e) or "plain")
 def test_every_column_is_the_derivative_of_the_answer(effects: dict[str, dict[str, float]]) -> None:
     datasheet, truth = known_datasheet(seed=3)
     nu = nuisance(datasheet)
     o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), nu.rig)
-    base = with_effects(nu.rig, effects)
+    _holds(nu, with_effects(nu.rig, effects), o)
+
+
+def test_it_is_that_of_a_shaft_that_turns_and_damps_and_of_a_rotor_that_weighs() -> None:
+    datasheet, truth = known_datasheet(seed=3)
+    nu = nuisance(datasheet)
+    o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), nu.rig)
+    _holds(nu, with_effects(nu.rig, {"internal_damping": {}}), replace(o, speed_rad_s=300.0))
+    _holds(nu, replace(nu.rig, gravity_m_per_s2=2.0), o)
+
+
+def _holds(nu: Nuisance, base: Rig, o: Observation) -> None:
     theta = 0.3 * np.random.default_rng(5).standard_normal(len(nu))
     J = answer_jacobian(nu, nu.at(theta, base), o)
     step = 1e-4
