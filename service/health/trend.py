@@ -1,7 +1,8 @@
 """How figures went over many checks: series for a plot, and a slope with its significance.
 
-The baseline's error is the same in every check, so it moves a whole series up or down and leaves its slope alone: the
-slope is judged by the checks' own scatter, and finds a slow drift before any single check does.
+A baseline's error is the same in every check against it, so it moves them all up or down and leaves their slope alone:
+the slope is judged by the checks' own scatter, and finds a slow drift before any single check does. A rig that was
+commissioned anew has another such error since: each baseline's checks have a level of their own, and one slope.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.distributions import student_above
 from service.health.sequential import Policy
@@ -19,6 +21,7 @@ from service.identification.zoh import Real
 
 FEWEST = 5
 DAY_S = 86_400.0
+YEAR_S = 365 * DAY_S
 
 
 @dataclass(frozen=True)
@@ -68,14 +71,16 @@ class Series:
 def trend(history: Sequence[Checked], policy: Policy | None = None) -> dict[str, Series]:
     """Series of every figure that the history has, in the order of its first check.
 
-    A slope is tested with every check, so it has a check's share of the allowance of false alarms.
+    A slope is tested with every check, so its level is that of one. Its false alarms are counted by themselves, with an
+    allowance as large as that of the checks.
     """
     rule = policy or Policy()
     ordered = sorted(history, key=lambda c: c.at)
     names: dict[str, None] = {}
     for c in ordered:
         names.update(dict.fromkeys(c.document["parameters"]))
-    level = rule.level(min(len(ordered), 364), max(len(names), 1))
+    of_the_year = sum((ordered[-1].at - c.at).total_seconds() < YEAR_S for c in ordered[:-1])
+    level = rule.level(of_the_year, max(len(names), 1))
     return {name: _series(name, [c for c in ordered if name in c.document["parameters"]], level) for name in names}
 
 
@@ -89,8 +94,9 @@ def _series(name: str, checks: list[Checked], level: float) -> Series:
     slope = slope_std = significance = None
     drifting = False
     days = np.array([(c.at - checks[0].at).total_seconds() for c in checks]) / DAY_S
-    if len(checks) >= FEWEST and np.ptp(days) > 0:
-        slope, slope_std, freedom = _slope(days, change, std)
+    of = np.unique([(f["baseline"]["value"], f["baseline"]["std"]) for f in figures], axis=0, return_inverse=True)[1]
+    if len(checks) >= FEWEST and (found := _slope(days, change, std, of.ravel())):
+        slope, slope_std, freedom = found
         significance = slope / slope_std if slope_std > 0 else None
         limit = float(student_above(level / 2, freedom))
         drifting = significance is not None and abs(significance) > limit
@@ -109,13 +115,20 @@ def _series(name: str, checks: list[Checked], level: float) -> Series:
     )
 
 
-def _slope(days: Real, change: Real, std: Real) -> tuple[float, float, int]:
-    """Weighted slope per day, its standard deviation (widened where checks scatter more than they say), freedom."""
+def _slope(days: Real, change: Real, std: Real, baseline: NDArray[np.int64]) -> tuple[float, float, int] | None:
+    """Weighted slope per day, its standard deviation (widened where checks scatter more than they say), freedom.
+
+    ``baseline`` (N,) numbers the baseline of each check. None where no baseline has checks enough at different times.
+    """
     weight = 1 / np.maximum(std, 1e-12) ** 2
-    centre = np.average(days, weights=weight)
-    spread = float(np.sum(weight * (days - centre) ** 2))
-    slope = float(np.sum(weight * (days - centre) * change)) / spread
-    rest = change - np.average(change, weights=weight) - slope * (days - centre)
-    freedom = len(days) - 2
-    excess = float(np.sum(weight * rest**2)) / freedom
+    of_each = np.zeros(baseline.max() + 1)
+    mean_day, mean_change = of_each.copy(), of_each.copy()
+    for mean, x in ((of_each, np.ones(len(days))), (mean_day, days), (mean_change, change)):
+        np.add.at(mean, baseline, weight * x)
+    since, moved = days - (mean_day / of_each)[baseline], change - (mean_change / of_each)[baseline]
+    spread, freedom = float(np.sum(weight * since**2)), len(days) - len(of_each) - 1
+    if freedom < FEWEST - 2 or not np.any(np.abs(since) > 1e-9):
+        return None
+    slope = float(np.sum(weight * since * moved)) / spread
+    excess = float(np.sum(weight * (moved - slope * since) ** 2)) / freedom
     return slope, float(np.sqrt(max(excess, 1.0) / spread)), freedom

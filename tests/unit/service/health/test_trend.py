@@ -62,6 +62,25 @@ def test_an_error_of_the_baseline_is_no_slope():
     assert abs(series.significance) < 3
 
 
+def against(error_percent: float, checks: list[Checked]) -> list[Checked]:
+    """The checks against a baseline that is off by so much."""
+    for c in checks:
+        figure = c.document["parameters"]["x.kiA"]
+        figure["baseline"] = {**figure["baseline"], "value": 180.0 * (1 + error_percent / 100)}
+        figure["change_percent"] -= error_percent
+    return checks
+
+
+def test_a_rig_that_is_commissioned_anew_does_not_change_steadily_for_that():
+    """The new baseline has another error than the old one: a step, and no slope to either side of it."""
+    quiet = history(0.0, 40)
+    assert not trend([*against(0.1, quiet[:20]), *against(-0.1, quiet[20:])])["x.kiA"].drifting
+    drifts = history(0.01, 40)
+    series = trend([*against(-0.1, drifts[:20]), *against(0.1, drifts[20:])])["x.kiA"]
+    assert series.drifting
+    assert series.slope_percent_per_year == pytest.approx(0.01 * 365.25, abs=3 * series.slope_std)
+
+
 def test_slopes_of_rigs_that_do_not_drift_are_calibrated():
     found = [trend(history(0.0, 20, seed=k))["x.kiA"].significance for k in range(60)]
     assert 0.6 < np.std(found) < 1.25
