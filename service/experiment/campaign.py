@@ -93,12 +93,10 @@ def run_campaign(
             f"{capabilities.identity} plays tones only, no periodic waveforms; measure it by stepped sine"
         )
     ready_folder(out_dir)
-    if not resume:
-        put_aside(out_dir / JOURNAL)
     speed = float(controller.status().speed_rad_s)
     about = {"speed_rad_s": speed, "datasheet": to_toml(datasheet)}
     header = fingerprint(capabilities, datasheet, limits, profile) | {"about": about}
-    log = journal.Journal(out_dir / JOURNAL, header)
+    log: journal.Journal | None = None
     meter = Meter(progress)
     done: _Done = {}
     extra: _Extra = {}
@@ -117,6 +115,10 @@ def run_campaign(
 
     try:
         with controller.lease(holder or alone("ambit campaign")), stopped_by(controller, cancelled):
+            # whoever holds the rig writes here, and nobody else
+            if not resume:
+                put_aside(out_dir / JOURNAL)
+            log = journal.Journal(out_dir / JOURNAL, header)
             make_ready(controller)
             measure = Patient(controller, cancelled or (lambda: False))
             recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
@@ -125,11 +127,14 @@ def run_campaign(
         make_way(out_dir / EXPERIMENT, result)
         file.write(out_dir / EXPERIMENT, result)
     except BaseException as error:
+        if log is None and not isinstance(error, KeyboardInterrupt | CancelledError):
+            raise  # nothing was begun
         if not isinstance(error, LeaseError):  # what another host excites is not ours to stop
             with suppress(Exception):  # the first error is the one to tell
                 controller.stop()
         kept = _keep(out_dir / EXPERIMENT, assembled)
-        log.close()
+        if log is not None:
+            log.close()
         if isinstance(error, KeyboardInterrupt | CancelledError):
             raise CancelledError(
                 f"the campaign was stopped and the excitation is off; {kept} points are kept in {out_dir}: "

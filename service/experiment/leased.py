@@ -32,6 +32,9 @@ WATCH_S = 0.1
 BUS_TRIES = 6
 """With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
 FIRST_PAUSE_S = 0.1
+OF_THE_HOST = TripCause.HOST.name.lower()
+OF_THE_TONE = (TripCause.DISPLACEMENT.name.lower(), TripCause.CURRENT.name.lower())
+"""Causes of trips as `TripError` names them; any other is a fault of the rig."""
 
 
 def alone(name: str) -> str:
@@ -47,7 +50,13 @@ class Patient:
         self._cancelled = cancelled
 
     def __call__(self, request: Request | PeriodicRequest) -> PointResult | WaveformResult | Trip:
-        """One tone or waveform, or how it tripped; the trip is acknowledged."""
+        """One tone or waveform, or how it tripped: a trip that a smaller one may not cause again is acknowledged.
+
+        Raises
+        ------
+        CampaignError
+            The controller tripped of a fault of its own, which is left latched: no tone mends it.
+        """
         play = self._player(request)
         for attempt in range(BUS_TRIES):
             if self._cancelled():
@@ -55,8 +64,13 @@ class Patient:
             try:
                 return self._through(play)
             except TripError as trip:
+                if trip.cause not in (*OF_THE_TONE, OF_THE_HOST):
+                    raise CampaignError(
+                        f"the controller tripped ({trip}); find the cause and acknowledge it, then run this again to "
+                        "go on where it stopped"
+                    ) from trip
                 self._through(self._controller.acknowledge)
-                if trip.cause != "host":
+                if trip.cause != OF_THE_HOST:
                     return Trip(trip.cause, str(trip))
                 # a watchdog that tripped says something of the bus, not of the tone
                 if attempt == BUS_TRIES - 1:

@@ -75,6 +75,23 @@ def test_starting_anew_puts_the_old_journal_and_experiment_aside(tmp_path):
     assert_same(read(tmp_path / "experiment.previous-1.h5"), before)
 
 
+def test_the_journal_of_a_campaign_that_runs_stays_its_own(tmp_path):
+    """Another host that would start anew in its folder does not have the rig, and moves no file."""
+    during = []
+
+    def meanwhile(k):
+        if k == 40:
+            other = SimulatedController(rig.inner._device)
+            with pytest.raises(LeaseError):
+                campaign(other, tmp_path, TINY, resume=False)
+            during.extend(names(tmp_path))
+
+    rig = Faulty(meanwhile)
+    campaign(rig, tmp_path, TINY)
+    assert during == ["experiment.journal"]
+    assert names(tmp_path) == {"experiment.h5"}
+
+
 def test_a_resumed_campaign_leaves_nothing_of_the_interruption(tmp_path):
     for n in (60, 20):
         with pytest.raises(CancelledError):

@@ -71,6 +71,31 @@ def test_a_rig_that_does_not_come_to_rest_is_left_alone(tmp_path):
     assert sum("not measured" in f for s in experiment.sweeps for f in s.flags) == 1
 
 
+def test_a_fault_of_the_rig_is_left_latched_and_nothing_more_is_excited(tmp_path):
+    from drivers.errors import TripError
+
+    def fault(k):
+        if k > 30:
+            raise TripError("fault", "the rotor is not levitated any more; restart the rig")
+
+    class Counting(Faulty):
+        acknowledged = 0
+
+        def acknowledge(self):
+            self.acknowledged += 1
+            self.inner.acknowledge()
+
+    rig = Counting(fault)
+    with pytest.raises(CampaignError, match=r"not levitated any more.*find the cause and acknowledge it"):
+        campaign(rig, tmp_path)
+    assert rig.n == 31
+    assert rig.acknowledged == 0
+    assert recover(tmp_path).named("preliminary").n_points > 0
+    again = Faulty(lambda k: None)
+    assert campaign(again, tmp_path).main.n_points > 0
+    assert again.n > 100
+
+
 def test_an_amplifier_at_its_voltage_limit_is_repeated_lower_and_marked(tmp_path):
     rig = reference_rig()
     limited = replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=np.full(4, 500.0)))
