@@ -180,6 +180,7 @@ def advance(  # type: ignore[no-untyped-def]
                 y_past[axis, 0] = y
                 y = _delayed(y_past[axis], lag[axis])
             y += added_y[t, axis]
+            asked = abs(i)  # of the coil, which gives no more than its limit
             i = min(max(i, -law[8, axis]), law[8, axis]) + added_i[t, axis]
             if steps[0] > 0.0:
                 y = np.floor(y / steps[0] + 0.5) * steps[0]
@@ -190,7 +191,7 @@ def advance(  # type: ignore[no-untyped-def]
             logged[0, t, axis], logged[1, t, axis], logged[2, t, axis] = u, i, y
             if not abs(y) <= limits[0]:
                 exceeded = 1
-            elif not abs(i) <= limits[1] and exceeded == 0:
+            elif not max(abs(i), asked) <= limits[1] and exceeded == 0:
                 exceeded = 2
         for s in range(substeps):
             at = n_seen * (s - 1) if s > 0 else last_seen

@@ -87,7 +87,8 @@ def loop_figures(
         Twins "before" and "after" as they could be too, drawn from what the data leave of their values: the spread of
         the predicted figures.
     """
-    found = measured_responses(o, settled(o))
+    usable = settled(o)
+    found = measured_responses(o, usable)
     if found is None:
         return {}
     S, G, y_per_r, lines = found
@@ -95,7 +96,7 @@ def loop_figures(
     twins = {"before": before, "after": after}
     force = Force(at_speed_of(before, o))
     measured = force.figures(S, y_per_r, frequency)
-    noise = _noise(o, lines, measured)
+    noise = _noise(o, usable, lines, measured)
     at_lines = {name: _of_twin(rig, o, frequency, force) for name, rig in twins.items()}
     dense = _dense(frequency, [before, after])
     predicted = {name: _of_twin(rig, o, dense, force) for name, rig in twins.items()}
@@ -131,7 +132,7 @@ def loop_figures(
             for quantity in QUANTITIES
         },
         "not_settled_hz": o.frequency_hz[restless].tolist(),
-        "not_settled_change": float(o.drift[np.isin(o.line, restless) & ~settled(o)].max(initial=0.0)),
+        "not_settled_change": float(o.drift[np.isin(o.line, restless) & ~usable].max(initial=0.0)),
         "not_every_axis_hz": np.delete(o.frequency_hz, whole[3]).tolist(),
         "nu_gap": gaps,
     }
@@ -175,12 +176,14 @@ def _own(of: Complex) -> Complex:
     return np.asarray(np.diagonal(of, axis1=1, axis2=2))
 
 
-def _noise(o: Observation, lines: NDArray[np.int64], measured: dict[str, Real]) -> dict[str, Real]:
-    """Standard deviation of the measured figures, (F, n) each."""
+def _noise(
+    o: Observation, usable: NDArray[np.bool_], lines: NDArray[np.int64], measured: dict[str, Real]
+) -> dict[str, Real]:
+    """Standard deviation of the measured figures, (F, n) each, of the points that they are of."""
     f, n = o.fundamental, o.U.shape[2]
     of_u, of_y = np.zeros((len(lines), n)), np.zeros((len(lines), n))
     for row, k in enumerate(lines):
-        for point in np.flatnonzero(o.line == k):
+        for point in np.flatnonzero((o.line == k) & usable):
             a = o.axis[point]
             of_u[row, a] = o.sd_u[point, f, a] / abs(o.R[point, f, a])
             of_y[row, a] = o.sd_y[point, f, a] / max(abs(o.Y[point, f, a]), NOTHING_SEEN)

@@ -91,7 +91,10 @@ def _among(mode: ModeResult, named_rad_s: Sequence[float]) -> bool:
 
 
 def _mean(modes: Sequence[ModeResult]) -> Mode:
-    shapes = np.mean([_shape(m) for m in modes], axis=0)
+    """A mode as the mean of what the planes show of it."""
+    of_planes = [_shape(m) for m in modes]
+    # its sign is nobody's, and of ends that move alike noise decides which is the larger
+    shapes = np.mean([shape * np.sign(shape @ of_planes[0]) for shape in of_planes], axis=0)
     return Mode(
         float(np.mean([m.natural_frequency_rad_s.value for m in modes]) / (2 * np.pi)),
         float(np.mean([m.damping_ratio.value for m in modes])),
@@ -101,7 +104,7 @@ def _mean(modes: Sequence[ModeResult]) -> Mode:
 
 
 def _shape(mode: ModeResult) -> NDArray[np.float64]:
-    """(4,) at bearings and sensors, A and B each; of one sign for all planes."""
+    """(4,) at bearings and sensors, A and B each; positive where it is largest."""
     bearings, sensors = (np.array([e.value for e in at]) for at in (mode.shape_at_bearings, mode.shape_at_sensors))
     ratio = np.linalg.norm(bearings) / np.linalg.norm(sensors)
     moved = np.sqrt(np.clip(ratio, 1 / SPLIT, SPLIT) / ratio)

@@ -19,8 +19,9 @@ SIGNIFICANT = 5.0
 OUTLIER = 12.0
 """Largest squared residual (over its expectation) that one value adds to a cell."""
 
-FEW = 8
-"""Values of a cell below which its mean is far from normal: their exact tail is heavier."""
+FEW = 32
+"""Values of a cell below which its mean is far from normal: at five deviates of ten values the tail is 28 times as
+heavy, at 32 twice."""
 ALONE = 2 * OUTLIER
 """Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap."""
 BY_CHANCE = 1e-19

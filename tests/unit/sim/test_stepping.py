@@ -83,6 +83,10 @@ def test_a_limit_ends_the_record_at_the_sample_that_exceeded_it_and_the_rig_goes
     assert np.abs(after.y[-1]).max() < 1e-6, "still levitated"
     current = Simulation(replace(QUIET, current_limit_a=0.2)).advance(tone(2000, 12.0, 0.5))
     assert current.exceeded == "current"
+    # of a rig without noise the coil gives just its limit, and that it is asked for more is what trips
+    hard = Simulation(QUIET).advance(tone(2000, 900.0, 3 * QUIET.current_limit_a))
+    assert hard.exceeded == "current"
+    assert np.abs(hard.i).max() <= QUIET.current_limit_a
 
 
 def test_a_controller_that_cannot_hold_the_rotor_is_refused_with_frequency_and_remedy():

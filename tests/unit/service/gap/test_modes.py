@@ -68,6 +68,20 @@ def test_a_rotor_that_is_even_itself_may_have_such_a_mode() -> None:
     assert "as a support does" not in note
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_ends_that_move_against_each_other_are_no_less_so_in_two_planes(seed: int) -> None:
+    """Noise decides in each plane which of them is the larger, and so which is said to be positive."""
+    even = replace(TRUTH.modes[1], shape_at_bearings=(0.11, -0.11), shape_at_sensors=(0.1, -0.1))
+    rig = rig_from_datasheet(replace(TRUTH, modes=(even,)))
+    peaks = [905, 908, 911, 915, 920]
+    main = sweep(rig, np.unique(np.r_[np.geomspace(12, 1000, 30), peaks]), 0.1, seed=seed, noise=4.0)
+    data = replace(experiment(rig), sweeps=(replace(main, comment="main"),))
+    found, _ = with_identified_modes(data, replace(SHEET, modes=()))
+    (mode,) = [m for m in found.modes if abs(m.frequency_hz / even.frequency_hz - 1) < 0.01]
+    assert np.abs(mode.shape_at_bearings) == pytest.approx([0.11, 0.11], rel=0.3)
+    assert np.prod(mode.shape_at_bearings) < 0
+
+
 def test_a_support_that_the_twin_names_is_no_mode_of_the_rotor_as_well() -> None:
     named = on_a_support(TRUTH, frequency_hz=430.0)
     data, unknown = one_plane(experiment(rig_from_datasheet(named)), replace(SHEET, modes=()))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, norm
 
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, mean_power, overall, worst
 
@@ -22,6 +23,14 @@ def test_noise_alone_is_not_significant(points: int, bound: float) -> None:
     for _ in range(RUNS):
         alarms += worst(list(noise(rng, CELLS, points, CHANNELS)), bound) > SIGNIFICANT
     assert alarms <= 1
+
+
+@pytest.mark.parametrize("values", [4, 8, 12, 20, 31])
+def test_a_few_values_are_as_rarely_significant_as_is_said(values: int) -> None:
+    """Cells of one size that are all at the square that noise exceeds once in a thousand million."""
+    p = 1e-9
+    z = np.full((values, 1), np.sqrt(2 * chi2.isf(p, values) / values), dtype=complex)
+    assert norm.sf(worst([z])) == pytest.approx(p, rel=1e-3)
 
 
 def test_a_gap_of_a_few_values_is_significant() -> None:
