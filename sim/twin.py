@@ -36,10 +36,8 @@ from sim.rig import (
 Complex = NDArray[np.complex128]
 
 
-def rig_from_datasheet(datasheet: Datasheet, effects: Mapping[str, Mapping[str, float]] | None = None) -> Rig:
+def rig_from_datasheet(datasheet: Datasheet) -> Rig:
     """The rig that a datasheet describes: non-rotating, without noise, with the effects that it names.
-
-    ``effects`` (id -> parameter values) are added after the datasheet's own.
 
     Raises
     ------
@@ -90,7 +88,7 @@ def rig_from_datasheet(datasheet: Datasheet, effects: Mapping[str, Mapping[str, 
         current_limit_a=d.current_limit_a,
         linear_range_m=d.linear_range_m,
     )
-    return with_effects(rig, {**{k: dict(v) for k, v in d.effects}, **(effects or {})})
+    return with_effects(rig, {k: dict(v) for k, v in d.effects})
 
 
 def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:

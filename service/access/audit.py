@@ -37,11 +37,6 @@ class Action(StrEnum):
 
     restored = "service.restored"
 
-    @property
-    def moves_a_rotor(self) -> bool:
-        """Whether it made, or was meant to make, a rotor move."""
-        return self in (Action.rotor_excited, Action.rotor_released, Action.job_submitted, Action.job_retried)
-
 
 @dataclass(frozen=True)
 class AuditEvent:

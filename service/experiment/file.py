@@ -20,7 +20,6 @@ from service.experiment import contract, matlab
 from service.experiment.data import Experiment, Sweep
 from service.experiment.errors import ExperimentFileError
 
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
 MATLAB_73 = b"MATLAB 7.3 MAT-file"
 

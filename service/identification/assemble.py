@@ -106,8 +106,6 @@ def assemble(
             omega,
             model.response(omega),
             response_std(model, u, omega),
-            model.plant_response(omega),
-            model.amplifier_response(omega, base_band=False),
             at_lines,
             rigid_response(model, staged.rigid_model.ki, staged.rigid_model.ks, omega),
             staged.response(omega),
@@ -157,7 +155,6 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
 
 
 def _staged(fit: StagedFit, held_out: PlanePoints | None) -> Staged:
-    flexible = fit.flexible
     return Staged(
         fit.split_rad_s / (2 * np.pi),
         unseen_splits(fit, held_out),
@@ -166,8 +163,6 @@ def _staged(fit: StagedFit, held_out: PlanePoints | None) -> Staged:
         fit.rigid_fit_percent,
         fit.flexible_fit_percent,
         fit.complete_fit_percent,
-        np.empty(0) if flexible is None else flexible.nu_rad_s,
-        np.empty(0) if flexible is None else flexible.sigma_rad_s,
     )
 
 
@@ -178,7 +173,6 @@ def _displacement(points: PlanePoints, datasheet: Datasheet) -> Displacement:
         np.abs(points.y),
         datasheet.linear_range_m,
         np.abs(points.r[np.arange(len(points.axis)), points.axis]),
-        points.u,
     )
 
 

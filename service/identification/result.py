@@ -106,10 +106,6 @@ class Curves:
     model: Complex
     """u->y, (F, 2, 2); model_std its standard deviation."""
     model_std: Real
-    model_plant: Complex
-    """Coil current -> y."""
-    model_amplifier: Complex
-    """u->i as sampled, (F, 2)."""
     model_at_lines: Complex
     """u->y at the measured lines and amplitudes."""
     rigid_plant: Complex
@@ -130,7 +126,6 @@ class Displacement:
     """(P, 2) at the sensors."""
     linear_range_m: float
     r_a: Real
-    u_a: Complex
 
 
 @dataclass(frozen=True)
@@ -144,8 +139,6 @@ class Staged:
     rigid_fit_percent: Real
     flexible_fit_percent: Real | None
     complete_fit_percent: Real
-    flexible_nu_rad_s: Real
-    flexible_sigma_rad_s: Real
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,3 @@ def test_an_event_names_who_what_and_which_rig():
     assert (event.actor, event.actor_name, event.subject, event.rig) == ("key_1", "laptop", "job_1", "rig_1")
     assert event.detail == {"kind": "experiment"}
     assert event.at.utcoffset().total_seconds() == 0
-
-
-def test_actions_that_move_a_rotor_are_told_apart():
-    moving = {a for a in Action if a.moves_a_rotor}
-    assert Action.rotor_excited in moving
-    assert Action.key_created not in moving
