@@ -48,7 +48,8 @@ def across_alike(e: Explained) -> list[Across]:
 
     The datasheet's values are refitted beside each, to first order.
     """
-    if e.part.path != "plant" or e.ground.nuisance.rig.n_axes > 2 or e.significance <= SIGNIFICANT:
+    there = e.significance > SIGNIFICANT or bool(e.chosen.effects)  # an effect may tell what no band does by itself
+    if e.part.path != "plant" or e.ground.nuisance.rig.n_axes > 2 or not there:
         return []
     o, fit = e.ground.observations[0], e.null.candidate.fit
     f = o.fundamental
