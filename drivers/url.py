@@ -31,7 +31,7 @@ def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
 def _modbus(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.modbus.driver import tcp_links
 
-    return tcp_links(_host(url), _port(url, 502), _whole(query, "unit", 1), _map(query))
+    return tcp_links(_host(url), _port(url, 502), _whole(query, "unit", 1, 0, 255), _map(query))
 
 
 def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
@@ -43,7 +43,7 @@ def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
             context.load_cert_chain(query["cert"], query.get("key"))
     except (OSError, ssl.SSLError) as error:
         raise ControllerError(f"{url.geturl()}: cannot use the certificates: {error}") from error
-    return tls_links(_host(url), _port(url, 802), context, _whole(query, "unit", 1), _map(query))
+    return tls_links(_host(url), _port(url, 802), context, _whole(query, "unit", 1, 0, 255), _map(query))
 
 
 def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:
@@ -51,7 +51,7 @@ def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:
 
     if not url.path:
         raise ControllerError(f"{url.geturl()!r} names no serial port; write modbus+rtu:///dev/ttyUSB0?baud=115200")
-    return rtu_links(url.path, _whole(query, "baud", 115200), _whole(query, "unit", 1), _map(query))
+    return rtu_links(url.path, _whole(query, "baud", 115200, 1), _whole(query, "unit", 1, 0, 255), _map(query))
 
 
 def _canopen(url: SplitResult, query: Query) -> LinkFactory:
@@ -135,11 +135,15 @@ def _port(url: SplitResult, default: int) -> int:
         raise ControllerError(f"{url.geturl()!r}: {error}") from error
 
 
-def _whole(query: Query, name: str, default: int) -> int:
+def _whole(query: Query, name: str, default: int, least: int | None = None, most: int | None = None) -> int:
     try:
-        return int(query.get(name, default))
+        value = int(query.get(name, default))
     except ValueError as error:
         raise ControllerError(f"the option {name} is a whole number, not {query[name]!r}") from error
+    if (least is not None and value < least) or (most is not None and value > most):
+        bounds = f"{least} to {most}" if most is not None else f"at least {least}"
+        raise ControllerError(f"the option {name} is {bounds}, not {value}")
+    return value
 
 
 def _map(query: Query) -> RegisterMap:
