@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
-from urllib.parse import urlsplit
 
 from fastapi import APIRouter, Request, Response
 from pydantic import ConfigDict
@@ -21,13 +22,15 @@ from service.api.auditing import audit
 from service.api.controllers import IN_PROCESS
 from service.api.problems import UnavailableError, documented
 from service.api.shapes import Operator, RigId, Shape, Viewer
-from service.api.state import Api, Services
+from service.api.state import Api
 from service.errors import ConflictError
 from service.storage import jobs, rigs
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
+    from service.storage.tables import Rig
 
+log = logging.getLogger(__name__)
 T = TypeVar("T")
 router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
 
@@ -97,7 +100,7 @@ class _Line:
             if self.controller is None:
                 self.controller = bootstrap.connect(self.url)
             return question(self.controller)
-        except ControllerError:
+        except Exception:
             self.close()
             raise
 
@@ -128,21 +131,41 @@ class Lines:
             line.asked = time.monotonic()
             return line.answer
 
-    def stop(self, url: str) -> str:
-        """Ramp the excitation to zero, whoever holds the lease; the holder, who hears of it from the controller.
+    def stop(self, urls: Collection[str]) -> tuple[set[str], dict[str, str]]:
+        """Ramp the excitation to zero at all of these controllers at once, whoever holds the leases.
 
-        Nobody is waited for who asks a controller that does not answer.
+        Nobody is waited for who asks a controller that does not answer, and none keeps another one from its stop.
 
-        Raises
-        ------
-        ControllerError
-            The controller does not answer.
+        Returns
+        -------
+        holders
+            Who hears of it from a controller.
+        failures
+            Why a URL was not reached.
         """
+        holders: set[str] = set()
+        failures: dict[str, str] = {}
+
+        def stop(url: str) -> None:
+            try:
+                holders.add(self._stop(url))
+            except ControllerError as error:
+                failures[url] = str(error)
+            except Exception as error:  # a defect of one driver is no reason to let any rotor go on
+                log.exception("the stop of %s met a defect", url)
+                failures[url] = f"{type(error).__name__}: {error}"
+
+        if urls:
+            with ThreadPoolExecutor(len(urls)) as pool:
+                list(pool.map(stop, urls))
+        return holders, failures
+
+    def _stop(self, url: str) -> str:
         line = self._line(url)
         line.answer = None
         controller = line.controller
         if controller is not None:
-            with suppress(ControllerError):  # it has restarted, or somebody has just given the line up
+            with suppress(Exception):  # it has restarted, or somebody has just given the line up
                 controller.stop()
                 return controller.status().lease_holder
         controller = bootstrap.connect(url)
@@ -188,49 +211,55 @@ def _status(url: str, controller: Controller) -> LiveStatus:
     )
 
 
-def _url(api: Services, rig_id: str) -> str:
-    with api.database.read() as session:
-        rig = rigs.get(session, rig_id)
-        url = rigs.version(session, rig).controller_url
+def _seen_by_all(url: str) -> bool:
+    """Whether there is a controller that others than the job on it reach."""
+    return bool(url) and url.partition(":")[0].lower() not in IN_PROCESS
+
+
+def _must_be_seen(rig: Rig, url: str) -> None:
     if not url:
         raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one to see it live")
-    if urlsplit(url).scheme in IN_PROCESS:
+    if not _seen_by_all(url):
         raise ConflictError(
             f"the rig {rig.name!r} is simulated inside each job, so that nobody else sees or stops it: cancel its job, "
             "or serve a simulated rig to all with `ambit rig serve` and give the rig that URL"
         )
-    return url
 
 
 @router.get("/{rig_id}/status", response_model=LiveStatus, responses=documented(404, 409))
 def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Response:
     """The rig now: state, trip, excitation, displacements, and who holds the lease."""
     lines: Lines = request.app.state.lines
-    return etags.document(lines.status(_url(api, rig_id)))
+    with api.database.read() as session:
+        rig = rigs.get(session, rig_id)
+        url = rigs.version(session, rig).controller_url
+    _must_be_seen(rig, url)
+    return etags.document(lines.status(url))
 
 
 @router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))
 def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Response:
     """Ramp the rig's excitation to zero at once, and let no job that there is move its rotor again.
 
-    The job that holds the lease hears of it from the controller and fails, "stopped at the rig". Every other one that
-    moves the rotor or waits to do so is cancelled, that one too when the controller does not answer, which is told as a
-    problem all the same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched
-    off.
+    The rig's controller is stopped, and that of every job that moves the rotor or waits to do so, which may be the one
+    of an earlier version. The job that holds a lease hears of it from the controller and fails, "stopped at the rig".
+    Every other one is cancelled, that one too when its controller does not answer, which is told as a problem all the
+    same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched off.
     """
-    url = _url(api, rig_id)
     lines: Lines = request.app.state.lines
-    failure: ControllerError | None = None
-    holder = ""
-    try:
-        holder = lines.stop(url)
-    except ControllerError as error:
-        failure = error
+    with api.database.read() as session:
+        rig = rigs.get(session, rig_id)
+        current = rigs.version(session, rig).controller_url
+        urls = {url for url in (current, *jobs.controllers_moving(session, rig_id)) if _seen_by_all(url)}
+    holders, failures = lines.stop(urls)
     with api.database.write() as session:
-        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holder)]
-        how = "stopped by hand" if failure is None else "stop asked for by hand; the controller does not answer"
+        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holders)]
+        if not urls and not ended:
+            _must_be_seen(rig, current)
+        how = "stop asked for by hand; the controller does not answer" if failures else "stopped by hand"
         audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how=how, cancelled=" ".join(ended))
-    if failure is not None:
+    if failures:
+        told = "; ".join(f"{url}: {why}" for url, why in sorted(failures.items()))
         asked = f"; asked to end: {', '.join(ended)}" if ended else ""
-        raise UnavailableError(f"the stop did not reach the controller: {failure}{asked}") from failure
+        raise UnavailableError(f"the stop did not reach the controller {told}{asked}")
     return Response(status_code=204)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from sqlalchemy import ColumnElement, CursorResult, delete, func, select, update
@@ -12,7 +12,7 @@ from service.errors import ConflictError
 from service.storage.database import now
 from service.storage.ids import new_id
 from service.storage.listing import Page, page, row
-from service.storage.tables import JobRow, JournalPart
+from service.storage.tables import JobRow, JournalPart, RigVersion
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 STATES = (QUEUED, RUNNING, DONE, FAILED, CANCELLED)
@@ -143,10 +143,21 @@ def cancel_of_rig(session: Session, rig_id: str, why: str) -> list[JobRow]:
     )
 
 
-def cancel_moving(session: Session, rig_id: str, why: str, but: str = "") -> list[JobRow]:
-    """Cancel the jobs of a rig that would move its rotor, and ask those to end that do, except the one ``but``."""
-    moving = (JobRow.rig_id == rig_id) & JobRow.state.in_((QUEUED, RUNNING)) & JobRow.kind.in_(ON_RIG)
-    return _cancel_all(session, moving & (JobRow.id != but), why)
+def cancel_moving(session: Session, rig_id: str, why: str, but: Collection[str] = ()) -> list[JobRow]:
+    """Cancel the jobs of a rig that would move its rotor, and ask those to end that do, except the ones in ``but``."""
+    return _cancel_all(session, _moving(rig_id) & JobRow.id.not_in(but), why)
+
+
+def controllers_moving(session: Session, rig_id: str) -> list[str]:
+    """URLs by which the jobs of a rig that have not ended move its rotor: those of the versions that they are of."""
+    of_job = (RigVersion.rig_id == JobRow.rig_id) & (RigVersion.version == JobRow.rig_version)
+    return list(
+        session.scalars(select(RigVersion.controller_url).join(JobRow, of_job).where(_moving(rig_id)).distinct())
+    )
+
+
+def _moving(rig_id: str) -> ColumnElement[bool]:
+    return (JobRow.rig_id == rig_id) & JobRow.state.in_((QUEUED, RUNNING)) & JobRow.kind.in_(ON_RIG)
 
 
 def _cancel_all(session: Session, which: ColumnElement[bool], why: str) -> list[JobRow]:

@@ -1,8 +1,11 @@
 """A rig as it is now: its controller away, a stop by hand, a rig that nobody else sees."""
 
+import pytest
+
+from service import bootstrap
 from service.storage import jobs as rows
 from tests.support.api import assert_problem
-from tests.support.service import reference_sheet
+from tests.support.service import reference_sheet, rig_device
 
 SHEET = reference_sheet()
 
@@ -39,3 +42,56 @@ def test_a_rig_that_lives_inside_its_job_is_not_shown_as_another_one_and_no_stop
     assert_problem(api.post(f"/rigs/{rig}/stop"), 409, "cancel its job")
     lines = api.get("/audit", params={"rig": rig}).json()["items"]
     assert [line["action"] for line in lines] == ["rig.created"]
+
+
+def changed(api, rig: str, controller_url: str) -> None:
+    """Another controller from now on."""
+    tag = api.get(f"/rigs/{rig}").headers["etag"]
+    body = {"datasheet": SHEET, "controller_url": controller_url}
+    assert api.put(f"/rigs/{rig}", json=body, headers={"if-match": tag}).status_code == 200
+
+
+@pytest.fixture(scope="module")
+def device(tmp_path_factory):
+    device = rig_device(tmp_path_factory.mktemp("rig"))
+    yield device
+    device.device.end()
+
+
+@pytest.mark.parametrize("now", ["", "simulated://", "modbus+rtu:///nowhere?baud=0", "modbus://127.0.0.1:9"])
+def test_a_stop_reaches_the_controller_that_a_job_is_on_whatever_the_rig_names_by_now(service, api, rig, device, now):
+    changed(api, rig, device.url)
+    job = api.post("/jobs", json={"rig": rig, "kind": "experiment"}).json()["id"]
+    with service.services.database.write() as session:
+        rows.claim(session, job, 1, "w1")
+    changed(api, rig, now)
+    before = len(device.events())
+    answer = api.post(f"/rigs/{rig}/stop")
+    assert "stop" in [event["text"] for event in device.events()[before:]]
+    with service.services.database.read() as session:
+        assert rows.get(session, job).cancel_requested
+    if now.startswith("modbus"):
+        assert_problem(answer, 503, f"did not reach the controller {now}", job)
+        assert device.url not in answer.json()["detail"]
+    else:
+        assert answer.status_code == 204
+
+
+def test_a_stop_of_a_rig_that_lives_inside_its_job_cancels_that(service, api, request):
+    body = {"datasheet": SHEET, "controller_url": "simulated://", "name": request.node.name}
+    rig = api.post("/rigs", json=body).json()["id"]
+    job = api.post("/jobs", json={"rig": rig, "kind": "experiment"}).json()["id"]
+    with service.services.database.write() as session:
+        rows.claim(session, job, 1, "w1")
+    assert api.post(f"/rigs/{rig}/stop").status_code == 204
+    with service.services.database.read() as session:
+        assert rows.get(session, job).cancel_requested
+
+
+def test_a_driver_with_a_defect_does_not_keep_the_jobs_from_their_end(service, api, rig, monkeypatch):
+    """Nor is the stop said to have reached the rotor."""
+    job = api.post("/jobs", json={"rig": rig, "kind": "experiment"}).json()["id"]
+    monkeypatch.setattr(bootstrap, "connect", lambda url: 1 // 0)
+    assert_problem(api.post(f"/rigs/{rig}/stop"), 503, "ZeroDivisionError", job)
+    with service.services.database.read() as session:
+        assert rows.get(session, job).state == "cancelled"
