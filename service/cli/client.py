@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterable
 from enum import StrEnum
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -39,8 +40,11 @@ class Kind(StrEnum):
 
 def submit(
     kind: Annotated[Kind, typer.Argument(help="What shall be done; experiment and health move the rotor.")],
-    rig: Annotated[str, typer.Option(help="Name or id of the rig, or rig.toml: then it is made known or brought up.")],
+    rig: Annotated[str, typer.Option(help="Name or id of the rig, or rig.toml: then it is made known.")],
     controller: Annotated[str | None, typer.Option(help="Where the controller is; with rig.toml.")] = None,
+    change: Annotated[
+        bool, typer.Option("--change", help="Give a known rig this controller and datasheet in place of its own.")
+    ] = False,
     experiment: Annotated[
         str | None, typer.Option(help="Id of an experiment, or a file that is uploaded: identification, gap.")
     ] = None,
@@ -60,7 +64,7 @@ def submit(
     """Submit a job to the service; prints its id."""
     options = _options(option or [], quick, excitation, kind)
     with client(url, key, ca) as ambit:
-        known = _rig(ambit, rig, controller)
+        known = _rig(ambit, rig, controller, change)
         experiment_id = experiment
         if experiment is not None and not experiment.startswith("exp_"):
             experiment_id = ambit.experiments.upload(known.id, Path(experiment)).id
@@ -165,25 +169,54 @@ def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, k
     return options
 
 
-def _rig(ambit: Client, given: str, controller: str | None) -> Rig:
-    """The rig that is meant; a datasheet makes it known, or gives it a new version where something differs."""
+def _rig(ambit: Client, given: str, controller: str | None, change: bool) -> Rig:
+    """The rig that is meant; a datasheet makes it known, or with ``change`` gives it a new version.
+
+    Two rigs of one make have datasheets of one name: the controller of one is not the other's by mistake.
+
+    Raises
+    ------
+    ConflictError
+        The service knows the rig by another controller or datasheet, and ``change`` is not given.
+    """
     from service.client import MissingError
     from sim.rig_file import read
 
     path = Path(given)
     if path.suffix != ".toml":
-        if controller is not None:
-            raise typer.BadParameter("goes with --rig rig.toml", param_hint="--controller")
+        for hint, wanted in (("--controller", controller is not None), ("--change", change)):
+            if wanted:
+                raise typer.BadParameter("goes with --rig rig.toml", param_hint=hint)
         return ambit.rigs.named(given)
     name, text = read(path).name, path.read_text(encoding="utf-8")
     try:
         rig = ambit.rigs.named(name)
     except MissingError:
         return ambit.rigs.create(text, controller or "")
-    wanted = rig.controller_url if controller is None else controller
-    if (rig.datasheet, rig.controller_url) == (text, wanted):
+    url = rig.controller_url if controller is None else controller
+    if (rig.datasheet, rig.controller_url) == (text, url):
         return rig
-    return ambit.rigs.change(rig, text, wanted)
+    if not change:
+        _must_be_the_same(rig, given, text, url)
+    return ambit.rigs.change(rig, text, url)
+
+
+def _must_be_the_same(rig: Rig, given: str, text: str, url: str) -> None:
+    from service.errors import ConflictError
+
+    other = []
+    if rig.controller_url not in ("", url):
+        other.append(f"the controller {rig.controller_url!r}, not {url!r}")
+    for old, new in zip_longest(rig.datasheet.splitlines(), text.splitlines(), fillvalue=""):
+        if old != new:
+            other.append(f"a datasheet with {old.strip()!r}, not {new.strip()!r}")
+            break
+    if not other:
+        return
+    raise ConflictError(
+        f"the rig {rig.name!r} ({rig.id}) has {' and '.join(other)}; "
+        f"give --change to change it, or another name in {given}"
+    )
 
 
 def _finish(ambit: Client, job: Job, out: Path | None, as_json: bool) -> None:

@@ -122,7 +122,8 @@ def test_the_readme_s_calls_of_the_main_job_by_http(running, tmp_path):
 def test_a_rig_whose_controller_plays_waveforms_is_measured_by_multisines(ambit, running, sheet, tmp_path):
     few = {"lines": 40, "realisations": 2, "amplifier_lines": 16, "period_s": 0.25, "settle_s": 0.4}
     done = ambit(
-        *("submit", "experiment", "--rig", sheet, "--controller", "simulated://?seed=1", "--excitation", "multisine"),
+        *("submit", "experiment", "--rig", sheet, "--controller", "simulated://?seed=1", "--change"),
+        *("--excitation", "multisine"),
         *("--option", f"profile={json.dumps(few)}", "--option", "identify=false", "--out", tmp_path / "out"),
     )
     assert done.returncode == 0, done.stderr
@@ -132,7 +133,8 @@ def test_a_rig_whose_controller_plays_waveforms_is_measured_by_multisines(ambit,
 
     # one that plays tones only says so, and its rotor has not moved
     job = ambit(
-        *("submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--excitation", "multisine")
+        *("submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--change"),
+        *("--excitation", "multisine"),
     ).stdout.strip()
     assert "plays tones only" in ambit("watch", job).stderr.splitlines()[-1]
 
@@ -173,4 +175,4 @@ def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):
     assert "neither an HDF5 nor a MATLAB" in command.refusal(
         *("submit", "gap", "--rig", sheet, "--controller", running.rig.url, "--experiment", tmp_path / "x.h5")
     )
-    assert "controller_url" in command.refusal("submit", "health", "--rig", sheet, "--controller", "")
+    assert "controller_url" in command.refusal("submit", "health", "--rig", sheet, "--controller", "", "--change")

@@ -75,6 +75,42 @@ def test_rigs(ambit, rig):
         ambit.rigs.create(SHEET, name="bench")
 
 
+def test_a_known_rig_is_given_no_other_controller_or_datasheet_by_mistake(service, ambit, tmp_path, capsys):
+    """The controller of one rig is not that of another of its make, whose datasheet has the same name."""
+    sheet = tmp_path / "rig.toml"
+    sheet.write_text(SHEET.replace('"reference"', '"of a make"', 1))
+    rig = ambit.rigs.create(sheet.read_text())
+
+    def submit(*more: str) -> str:
+        """The error, or nothing; no job is left to move a rotor."""
+        words = ("submit", "experiment", "--rig", str(sheet), "--url", service.url, "--key", service.operator, *more)
+        status = run(list(words))
+        shown = capsys.readouterr()
+        assert (status == 0) == (not shown.err), shown
+        assert len(shown.err.splitlines()) <= 1
+        return shown.err
+
+    first, second = "simulated://?seed=1", "simulated://?seed=2"
+    assert not submit("--controller", first)  # it had none
+    assert not submit("--controller", first)
+    assert not submit()
+    told = submit("--controller", second)
+    assert all(part in told for part in (rig.id, f"'{first}'", f"'{second}'", "--change")), told
+    assert f"'{first}', not ''" in submit("--controller", "")
+    assert ambit.rigs.get(rig.id).version == 2
+    assert not submit("--controller", second, "--change")
+    assert ambit.rigs.get(rig.id).controller_url == second
+    old, new = 'name = "of a make"', 'name = "of a make" # as built'
+    sheet.write_text(sheet.read_text().replace(old, new))
+    told = submit()
+    assert all(part in told for part in (f"'{old}'", f"'{new}'", "--change")), told
+    both = submit("--controller", first)
+    assert f"'{first}' and a datasheet with '{old}', not '{new}'" in both
+    assert not submit("--change")
+    assert new in ambit.rigs.get(rig.id).datasheet
+    assert ambit.rigs.get(rig.id).controller_url == second
+
+
 def test_errors_say_what_to_do(ambit):
     with pytest.raises(MissingError) as missing:
         ambit.jobs.get("job_0")
