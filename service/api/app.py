@@ -73,7 +73,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.gate = access.Gate(database, Rate(settings.requests_per_s, settings.requests_burst))
     app.state.lines = live.Lines()
     app.state.metrics = operations.Metrics(services)
-    app.state.ready = Momentary(operations.FRESH_S)
+    app.state.ready = Momentary(operations.FRESH_S, operations.PATIENCE_S)
     app.state.watchers = events.Watchers()
     problems.install(app)
     for router in (*_routers(), operations.router, page.router):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Generic, TypeVar
 
 from fastapi.concurrency import run_in_threadpool
@@ -16,21 +18,51 @@ T = TypeVar("T")
 
 
 class Momentary(Generic[T]):
-    """What costs something to find out and may be a moment old; whoever asks meanwhile waits for the same answer."""
+    """What costs something to find out and may be a moment old; whoever asks meanwhile waits for the same answer.
 
-    def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
+    One thread of its own finds it out, so that what does not answer takes none from the requests.
+
+    Parameters
+    ----------
+    seconds
+        How old the answer may be.
+    patience_s
+        How long it may take to be found out.
+    """
+
+    def __init__(self, seconds: float, patience_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._seconds = seconds
+        self._patience_s = patience_s
         self._clock = clock
-        self._found: tuple[float, T] | None = None
+        self._began = 0.0
+        self._answer: Future[T] | None = None
         self._lock = threading.Lock()
 
-    def get(self, read: Callable[[], T]) -> T:
-        """The answer, at most so many seconds old."""
+    async def get(self, read: Callable[[], T]) -> T:
+        """The answer, at most so many seconds old.
+
+        Raises
+        ------
+        TimeoutError
+            There is none within the patience. One older than that is no answer: it may be what has changed.
+        """
         with self._lock:
             at = self._clock()
-            if self._found is None or at - self._found[0] >= self._seconds:
-                self._found = at, read()
-            return self._found[1]
+            answer = self._answer
+            if answer is None or (answer.done() and at - self._began >= self._seconds):
+                answer = self._answer = Future()
+                self._began = at
+                threading.Thread(target=_find_out, args=(answer, read), name="moment", daemon=True).start()
+            left = self._began + self._patience_s - at
+        # those who come later wait no longer than who asked first; the thread goes on without them
+        return await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(answer)), max(left, 0.0))
+
+
+def _find_out(answer: Future[T], read: Callable[[], T]) -> None:
+    try:
+        answer.set_result(read())
+    except Exception as error:
+        answer.set_exception(error)
 
 
 class Kept(Generic[T]):

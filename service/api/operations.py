@@ -21,6 +21,9 @@ router = APIRouter(tags=["operations"])
 
 FRESH_S = 1.0
 """Whoever asks again within this time gets the same answer: no key is asked for here."""
+PATIENCE_S = 2.0
+"""Whoever asks is answered within this time, whatever database and store do."""
+NO_ANSWER = "no answer yet"
 _LIMITED: Documented = {429: documented()[429]}
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 
@@ -37,12 +40,21 @@ class Metrics(Collector):
         self.seconds = Histogram(
             "ambit_request_seconds", "Time to answer", ["method", "route"], buckets=BUCKETS, registry=self.registry
         )
-        self._now: Momentary[list[GaugeMetricFamily]] = Momentary(FRESH_S)
+        self._now: Momentary[list[GaugeMetricFamily]] = Momentary(FRESH_S, PATIENCE_S)
+        self._read_last: list[GaugeMetricFamily] = []
         self.registry.register(self)
+
+    async def text(self) -> bytes:
+        """All metrics; those of jobs and workers are left out while the database does not answer."""
+        try:
+            self._read_last = await self._now.get(self._read)
+        except TimeoutError:  # what can be told is told
+            self._read_last = []
+        return generate_latest(self.registry)
 
     def collect(self) -> list[GaugeMetricFamily]:
         """Jobs by state, workers by age of their last sign of life; a second old at most."""
-        return self._now.get(self._read)
+        return self._read_last
 
     def _read(self) -> list[GaugeMetricFamily]:
         by_state = GaugeMetricFamily("ambit_jobs", "Jobs by state", labels=["state"])
@@ -93,9 +105,15 @@ async def alive() -> Alive:
 
 
 @router.get("/readyz", response_model=Ready, responses=_LIMITED | {503: {"model": Ready, "description": "Not ready"}})
-def ready(request: Request, api: Api) -> Response:
+async def ready(request: Request, api: Api) -> Response:
     """Whether database and store answer: send no requests while they do not. A second old at most."""
-    found: Ready = request.app.state.ready.get(lambda: readiness(api))
+    from service.bootstrap import product_version
+
+    moment: Momentary[Ready] = request.app.state.ready
+    try:
+        found = await moment.get(lambda: readiness(api))
+    except TimeoutError:
+        found = Ready(ready=False, database=NO_ANSWER, store=NO_ANSWER, workers="unknown", version=product_version())
     return JSONResponse(found.model_dump(), 200 if found.ready else 503)
 
 
@@ -128,7 +146,7 @@ def readiness(api: Services) -> Ready:
     response_class=Response,
     responses=_LIMITED | {200: {"description": "Prometheus text", "content": {"text/plain": {}}}},
 )
-def metrics(request: Request) -> Response:
+async def metrics(request: Request) -> Response:
     """Metrics for Prometheus; no key is needed, and nothing of a rig is told."""
     found: Metrics = request.app.state.metrics
-    return Response(generate_latest(found.registry), media_type=CONTENT_TYPE_LATEST)
+    return Response(await found.text(), media_type=CONTENT_TYPE_LATEST)

@@ -1,11 +1,14 @@
 """What needs no key is limited too: nobody keeps the service busy from outside, and watchers have an end."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import httpx
 import pytest
 
 from service.api import events, middleware
+from service.api.app import THREADS
 from service.config import Settings
 from service.storage import jobs
 from tests.support.processes import wait_for
@@ -48,6 +51,26 @@ def test_metrics_and_readiness_do_not_read_the_database_for_everyone(service, mo
             assert "ambit_jobs" in client.get("/metrics").text
             assert client.get("/readyz").json()["ready"]
     assert 1 <= len(asked) <= 10
+
+
+def test_a_store_that_hangs_is_told_in_time_and_keeps_no_request_waiting(service, monkeypatch):
+    """However many ask: as many as there are threads for requests, and more."""
+    asked_of, answered = threading.Event(), threading.Event()
+
+    def check() -> None:
+        asked_of.set()
+        answered.wait(30)
+
+    monkeypatch.setattr(service.services.blobs, "check", check)
+    with httpx.Client(base_url=service.url, timeout=10) as client, ThreadPoolExecutor(THREADS + 1) as probes:
+        asked = [probes.submit(client.get, "/readyz") for _ in range(THREADS + 1)]
+        assert asked_of.wait(10)
+        assert client.get("/api/v1/rigs").status_code == 200
+        for answer in (probe.result() for probe in asked):
+            assert answer.status_code == 503
+            assert answer.json()["store"] == "no answer yet"
+        answered.set()
+        wait_for(lambda: client.get("/readyz").json()["ready"], "an answer of the store", 20)
 
 
 def test_watchers_are_counted_and_leave_room_when_they_go(service, tmp_path, monkeypatch):

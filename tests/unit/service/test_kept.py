@@ -1,11 +1,12 @@
 """What is kept of the database is never older than the database."""
 
 import asyncio
+import threading
 
 import pytest
 from sqlalchemy import text
 
-from service.api.kept import Kept
+from service.api.kept import Kept, Momentary
 from service.storage.database import Database
 
 
@@ -75,3 +76,40 @@ def test_no_more_is_kept_than_was_said(database):
     for name in ("a", "b", "c", "c", "b", "a"):
         asyncio.run(kept.get(name, read))
     assert read.reads == 4  # c and b were still there
+
+
+def test_of_many_who_ask_one_finds_out_and_none_waits_longer_than_was_said():
+    found, asked = threading.Event(), []
+
+    def slowly() -> int:
+        asked.append(1)
+        found.wait(20)
+        return len(asked)
+
+    async def ask() -> None:
+        moment = Momentary(0.0, 0.1)
+        for _ in range(2):  # those who come later too
+            told = await asyncio.gather(*(moment.get(slowly) for _ in range(50)), return_exceptions=True)
+            assert {type(answer) for answer in told} == {TimeoutError}
+        assert asked == [1]
+        found.set()
+        while moment._answer is None or not moment._answer.done():
+            await asyncio.sleep(0.01)
+        assert await moment.get(slowly) == 2
+
+    asyncio.run(ask())
+
+
+def test_an_error_is_told_to_whoever_asks_and_is_a_moment_old_like_an_answer():
+    now = [0.0]
+    moment = Momentary(1.0, 5.0, clock=lambda: now[0])
+
+    async def ask() -> None:
+        with pytest.raises(ZeroDivisionError):
+            await moment.get(lambda: 1 // 0)
+        with pytest.raises(ZeroDivisionError):
+            await moment.get(lambda: 1)
+        now[0] = 1.0
+        assert await moment.get(lambda: 1) == 1
+
+    asyncio.run(ask())
