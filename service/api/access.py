@@ -11,8 +11,8 @@ from collections.abc import Callable, Coroutine
 from functools import cache, partial
 from typing import Annotated, Any
 
+from anyio import CapacityLimiter, to_thread
 from fastapi import Request, Security
-from fastapi.concurrency import run_in_threadpool
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -32,6 +32,8 @@ log = logging.getLogger(__name__)
 FAILURES = Rate(per_s=2.0, burst=20)
 """Wrong keys that one address may try."""
 NOTED_EVERY_S = 60.0
+THREADS = 4
+"""That look up keys: apart from those of the requests, so that who stops a rig is let in while all of these wait."""
 REFUSALS = Rate(per_s=1 / 60, burst=1)
 """Lines of the audit log about what one address was refused,"""
 ALL_REFUSALS = Rate(per_s=0.1, burst=100)
@@ -65,8 +67,9 @@ class Gate:
         self._refusals = Limiter(REFUSALS)
         self._all_refusals = Limiter(ALL_REFUSALS, callers=1)
         self._noted: dict[str, float] = {}
-        self._records: Kept[KeyRecord | None] = Kept(database)
-        self._any_key: Kept[bool] = Kept(database)
+        self._threads = CapacityLimiter(THREADS)
+        self._records: Kept[KeyRecord | None] = Kept(database, threads=self._threads)
+        self._any_key: Kept[bool] = Kept(database, threads=self._threads)
 
     async def identity(self, key: str | None, address: str | None, request: Request | None = None) -> Identity:
         """Whoever shows this key, or sits at a service without keys.
@@ -90,7 +93,8 @@ class Gate:
         """Note in the audit log that someone was not let in, as often as `REFUSALS` allows."""
         address = request.client.host if request.client else ""
         if not self._refusals.wait_s(address) and not self._all_refusals.wait_s(""):
-            await run_in_threadpool(self._note_refusal, request, who, key and keys.id_of(key), str(error))
+            key_id = key and keys.id_of(key)
+            await to_thread.run_sync(self._note_refusal, request, who, key_id, str(error), limiter=self._threads)
 
     def _note_refusal(self, request: Request, who: Identity, key_id: str | None, why: str) -> None:
         route = f"{request.method} {getattr(request.scope.get('route'), 'path', '')}"
@@ -115,7 +119,7 @@ class Gate:
         record = await self._records.get(key_id, partial(self._read_record, key_id)) if key_id else None
         who = keys.verify(key, record, now())
         if self._to_be_noted(who.key_id):
-            await run_in_threadpool(self._note, who.key_id, address)
+            await to_thread.run_sync(self._note, who.key_id, address, limiter=self._threads)
         return who
 
     def _read_record(self, key_id: str) -> KeyRecord | None:

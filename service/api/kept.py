@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Generic, TypeVar
 
-from fastapi.concurrency import run_in_threadpool
+from anyio import CapacityLimiter, to_thread
 
 from service.storage.database import Database
 
@@ -74,11 +74,14 @@ class Kept(Generic[T]):
         Tells whether anything has changed; one that cannot tell is read every time.
     largest
         How many things.
+    threads
+        Those that read; without it, those of the requests.
     """
 
-    def __init__(self, database: Database, largest: int = 256) -> None:
+    def __init__(self, database: Database, largest: int = 256, threads: CapacityLimiter | None = None) -> None:
         self._database = database
         self._largest = largest
+        self._threads = threads
         self._things: OrderedDict[str, tuple[int, T]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -90,7 +93,7 @@ class Kept(Generic[T]):
             if found is not None and found[0] == mark:
                 self._things.move_to_end(name)
                 return found[1]
-        thing = await run_in_threadpool(read)
+        thing = await to_thread.run_sync(read, limiter=self._threads)
         if mark is not None:
             with self._lock:
                 self._things[name] = (mark, thing)

@@ -11,18 +11,20 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
+from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Request, Response
 from pydantic import ConfigDict
 
 from drivers.errors import ControllerError
 from service import bootstrap
 from service.access.audit import Action
+from service.access.keys import Identity
 from service.api import etags
 from service.api.auditing import audit
 from service.api.controllers import IN_PROCESS
 from service.api.problems import UnavailableError, documented
 from service.api.shapes import Operator, RigId, Shape, Viewer
-from service.api.state import Api
+from service.api.state import Api, Services
 from service.errors import ConflictError
 from service.storage import jobs, rigs
 
@@ -36,6 +38,8 @@ router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
 
 FRESH_S = 0.5
 """Whoever asks again within this time gets the same answer: a page that many look at does not load the bus."""
+STOPS = 8
+"""Stops that are worked on at once, beside all other requests: none of those is waited for."""
 STOPPED = "the rig was stopped by hand"
 IDLE_S = 30.0
 """A connection that nobody asked for so long is given up."""
@@ -115,6 +119,7 @@ class Lines:
     """Connections of the API to controllers."""
 
     def __init__(self) -> None:
+        self.stops = CapacityLimiter(STOPS)
         self._lines: dict[str, _Line] = {}
         self._lock = threading.Lock()
 
@@ -238,7 +243,7 @@ def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Respon
 
 
 @router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))
-def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Response:
+async def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Response:
     """Ramp the rig's excitation to zero at once, and let no job that there is move its rotor again.
 
     The rig's controller is stopped, and that of every job that moves the rotor or waits to do so, which may be the one
@@ -247,6 +252,10 @@ def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> Respon
     same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched off.
     """
     lines: Lines = request.app.state.lines
+    return await to_thread.run_sync(_stop, request, rig_id, who, api, lines, limiter=lines.stops)
+
+
+def _stop(request: Request, rig_id: str, who: Identity, api: Services, lines: Lines) -> Response:
     with api.database.read() as session:
         rig = rigs.get(session, rig_id)
         current = rigs.version(session, rig).controller_url

@@ -115,7 +115,7 @@ def problem(
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error of an application with a problem."""
+    """Answer every error of an application with a problem; nothing waits there, so that it needs no thread."""
     app.add_exception_handler(AmbError, _amb_error)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
@@ -125,7 +125,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _defect)
 
 
-def _amb_error(request: Request, error: Exception) -> Response:
+async def _amb_error(request: Request, error: Exception) -> Response:
     status = status_of(error)
     headers: dict[str, str] = {}
     if isinstance(error, RateError):
@@ -137,7 +137,7 @@ def _amb_error(request: Request, error: Exception) -> Response:
     return problem(request, status, str(error), headers=headers)
 
 
-def _invalid(request: Request, error: Exception) -> Response:
+async def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     if isinstance(error.body, bytes):  # what says that it is no JSON is not read
         return problem(request, 415, "the body is not said to be JSON; send Content-Type: application/json")
@@ -146,7 +146,7 @@ def _invalid(request: Request, error: Exception) -> Response:
     return problem(request, 422, first, found)
 
 
-def _http(request: Request, error: Exception) -> Response:
+async def _http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     detail = error.detail if error.detail != HTTPStatus(error.status_code).phrase else ""
     if error.status_code == 404 and not detail:
@@ -169,23 +169,23 @@ def _methods(request: Request) -> list[str]:
     return sorted([*found, "HEAD"] if "GET" in found else found)
 
 
-def _collision(request: Request, error: Exception) -> Response:
+async def _collision(request: Request, error: Exception) -> Response:
     log.warning("two requests collided: %s", str(error).splitlines()[0])
     return problem(request, 409, "another request changed the same thing at the same time; read it and try again")
 
 
-def _unkept(request: Request, error: Exception) -> Response:
+async def _unkept(request: Request, error: Exception) -> Response:
     log.warning("the database cannot keep a value: %s", str(error).splitlines()[0])
     return problem(request, 422, "the request holds a value that the database cannot keep: too long, or too large")
 
 
-def _database(request: Request, error: Exception) -> Response:
+async def _database(request: Request, error: Exception) -> Response:
     log.error("the database does not answer: %s", str(error).splitlines()[0])
     headers = {"Retry-After": "2"}
     return problem(request, 503, "the database does not answer; try again in a moment", headers=headers)
 
 
-def _defect(request: Request, error: Exception) -> Response:
+async def _defect(request: Request, error: Exception) -> Response:
     log.exception("a request met a defect", exc_info=error)
     return problem(request, 500, "the service met an error of its own; report it with the request_id and the log")
 

@@ -1,11 +1,20 @@
 """A rig as it is now: its controller away, a stop by hand, a rig that nobody else sees."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
 import pytest
 
 from service import bootstrap
+from service.access.keys import Scope
+from service.api.app import THREADS
+from service.api.live import Lines, LiveStatus
+from service.config import Settings
 from service.storage import jobs as rows
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet, rig_device
+from tests.support.serving import serving
 
 SHEET = reference_sheet()
 
@@ -95,3 +104,31 @@ def test_a_driver_with_a_defect_does_not_keep_the_jobs_from_their_end(service, a
     assert_problem(api.post(f"/rigs/{rig}/stop"), 503, "ZeroDivisionError", job)
     with service.services.database.read() as session:
         assert rows.get(session, job).state == "cancelled"
+
+
+def test_a_stop_waits_for_no_other_request(tmp_path, monkeypatch):
+    """Not even with a key that was never shown before."""
+    waiting, let_go = threading.Semaphore(0), threading.Event()
+
+    def hang(lines: Lines, url: str) -> LiveStatus:
+        waiting.release()
+        let_go.wait(30)
+        return LiveStatus(reachable=False, controller_url=url)
+
+    monkeypatch.setattr(Lines, "status", hang)
+    with (
+        serving(Settings(home=tmp_path / "home", port=0, requests_per_s=10_000)) as service,
+        httpx.Client(base_url=f"{service.url}/api/v1", timeout=40) as api,
+        ThreadPoolExecutor(THREADS) as lookers,
+    ):
+        keys = [{"authorization": f"Bearer {service.key(Scope.operator)}"} for _ in range(2)]
+        body = {"datasheet": SHEET, "controller_url": "modbus://127.0.0.1:9"}
+        rig = api.post("/rigs", json=body, headers=keys[0]).json()["id"]
+        looks = [lookers.submit(api.get, f"/rigs/{rig}/status", headers=keys[0]) for _ in range(THREADS)]
+        try:
+            assert all(waiting.acquire(timeout=10) for _ in looks)
+            answer = api.post(f"/rigs/{rig}/stop", headers=keys[1], timeout=10)
+            assert_problem(answer, 503, "did not reach the controller")
+        finally:
+            let_go.set()
+        assert {look.result().status_code for look in looks} == {200}
