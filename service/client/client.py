@@ -70,18 +70,21 @@ class Rigs:
     def change(self, rig: Rig, datasheet: str, controller_url: str, note: str = "") -> Rig:
         """Give a rig a new datasheet or controller, if nobody else has changed it since ``rig`` was read."""
         body = {"datasheet": datasheet, "controller_url": controller_url, "note": note}
-        return self._changed(rig, f"/rigs/{rig.id}", body)
+        return self._changed(rig, f"/rigs/{rig.id}", body, body)
 
     def choose_baseline(self, rig: Rig, model_id: str | None) -> Rig:
         """Choose the model that health checks compare with, None for the newest; as `change`."""
-        return self._changed(rig, f"/rigs/{rig.id}/baseline", {"model": model_id})
+        return self._changed(rig, f"/rigs/{rig.id}/baseline", {"model": model_id}, {"baseline_model": model_id})
 
-    def _changed(self, rig: Rig, path: str, body: dict[str, Any]) -> Rig:
-        seen = self._transport.send("GET", f"/rigs/{rig.id}")
+    def _changed(self, rig: Rig, path: str, body: dict[str, Any], fields: dict[str, Any]) -> Rig:
+        def made(found: dict[str, Any]) -> bool:
+            return all(found[name] == value for name, value in fields.items())
+
+        of = f"/rigs/{rig.id}"
+        seen = self._transport.send("GET", of)
         if seen.json()["version"] != rig.version:
             raise ConflictingError(412, f"the rig {rig.name!r} was changed by someone else; read it again", [], "")
-        headers = {"If-Match": seen.headers["etag"]}
-        return Rig.model_validate(self._transport.send("PUT", path, json=body, headers=headers).json())
+        return Rig.model_validate(self._transport.put(path, body, of, seen.headers["etag"], made))
 
     def versions(self, rig_id: str) -> Iterator[RigVersion]:
         """Every version of a rig, newest first."""

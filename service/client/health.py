@@ -98,12 +98,20 @@ class Schedules:
             raise ConflictingError(
                 412, f"the schedule {schedule.id} was changed by someone else; read it again", [], ""
             )
-        names = {"rig", "cron", "timezone", "options", "enabled"}
-        body = schedule.model_dump(mode="json", include=names)
-        body["webhook"] = None if schedule.webhook is None else schedule.webhook.model_dump(include={"url", "on"})
-        headers = {"If-Match": seen.headers["etag"]}
-        return Schedule.model_validate(self._transport.send("PUT", path, json=body, headers=headers).json())
+
+        def made(found: Any) -> bool:
+            return _wanted(Schedule.model_validate(found)) == body
+
+        body = _wanted(schedule)
+        return Schedule.model_validate(self._transport.put(path, body, path, seen.headers["etag"], made))
 
     def remove(self, schedule_id: str) -> None:
         """Check no more; what was checked stays."""
         self._transport.send("DELETE", f"/schedules/{schedule_id}")
+
+
+def _wanted(schedule: Schedule) -> dict[str, Any]:
+    names = {"rig", "cron", "timezone", "options", "enabled"}
+    body = schedule.model_dump(mode="json", include=names)
+    body["webhook"] = None if schedule.webhook is None else schedule.webhook.model_dump(include={"url", "on"})
+    return body

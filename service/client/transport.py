@@ -76,6 +76,26 @@ class Transport:
         headers = {"Idempotency-Key": str(uuid4())}
         return self.send("POST", path, json=body, params=_given(query), headers=headers).json()
 
+    def put(self, path: str, body: Any, of: str, tag: str, made: Callable[[Any], bool]) -> Any:
+        """JSON of what a change made of a thing, if nobody else has changed it since it had this ETag.
+
+        A change whose answer was lost is refused when it is sent again, by the ETag that it made itself: the thing is
+        read, and is the answer where it is as it was to be.
+
+        Parameters
+        ----------
+        of
+            Path of the thing.
+        made
+            Whether the thing is as it was to be.
+        """
+
+        def again() -> httpx.Response | None:
+            found = self.send("GET", of)
+            return found if made(found.json()) else None
+
+        return self.send("PUT", path, again, json=body, headers={"If-Match": tag}).json()
+
     def pages(self, path: str, shape: Callable[[Any], T], **query: Any) -> Iterator[T]:
         """Every item of a list, page by page."""
         after = None
@@ -85,8 +105,15 @@ class Transport:
             if (after := page.next) is None:
                 return
 
-    def send(self, method: str, path: str, **how: Any) -> httpx.Response:
+    def send(
+        self, method: str, path: str, made: Callable[[], httpx.Response | None] | None = None, **how: Any
+    ) -> httpx.Response:
         """A response that is no error.
+
+        Parameters
+        ----------
+        made
+            What a lost answer was to tell, where the request that is sent again meets 412; None for nothing.
 
         Raises
         ------
@@ -97,6 +124,7 @@ class Transport:
         """
         deadline = time.monotonic() + self.patience_s
         pause = PAUSE_S
+        lost = False
         while True:
             wait = pause
             try:
@@ -108,10 +136,13 @@ class Transport:
             else:
                 if response.is_success or response.status_code == 304:
                     return response
+                if response.status_code == 412 and lost and made is not None and (found := made()) is not None:
+                    return found
                 told = _retry_after(response)
                 if response.status_code not in BUSY or time.monotonic() + (told or wait) > deadline:
                     raise of_response(response)
                 wait = told or wait
+            lost = True  # also when a proxy says so
             time.sleep(wait)
             pause = min(2 * pause, LONGEST_PAUSE_S)
 

@@ -3,6 +3,7 @@
 import threading
 import time
 
+import httpx
 import pytest
 from sqlalchemy import update
 
@@ -24,6 +25,7 @@ from service.storage.database import now
 from service.storage.tables import JobRow
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
+from tests.support.api import commissioned
 from tests.support.service import rig_device
 from tests.support.serving import serving
 from tests.support.two_axes import sheet_of_one_plane
@@ -73,6 +75,49 @@ def test_rigs(ambit, rig):
         ambit.rigs.change(rig, SHEET, "")
     with pytest.raises(ConflictingError):
         ambit.rigs.create(SHEET, name="bench")
+
+
+def losing(client: Client, sends: bool = True) -> None:
+    """Lose the answer to the next change of a client, or with it the change."""
+    request = client._transport._http.request
+
+    def lose(method: str, *words, **how):
+        if method == "PUT":
+            client._transport._http.request = request
+            if sends:
+                assert request(method, *words, **how).is_success
+            raise httpx.ReadTimeout("the answer is lost")
+        return request(method, *words, **how)
+
+    client._transport._http.request = lose
+
+
+def test_a_change_whose_answer_was_lost_is_not_somebody_else_s(service, ambit):
+    rig = ambit.rigs.create(SHEET, "simulated://", name="far away")
+    losing(ambit)
+    rig = ambit.rigs.change(rig, SHEET, "simulated://?seed=2")
+    assert (rig.version, rig.controller_url) == (2, "simulated://?seed=2")
+    experiment = commissioned(service, rig.id)
+    model = experiment.replace("exp_", "mod_")
+    losing(ambit)
+    assert ambit.rigs.choose_baseline(rig, model).baseline_model == model
+    schedule = ambit.schedules.create(rig.id, "0 3 * * *")
+    losing(ambit)
+    assert ambit.schedules.change(schedule.model_copy(update={"cron": "0 4 * * *"})).cron == "0 4 * * *"
+
+    # but somebody else's is, though an answer was lost
+    with Client(service.url, service.operator) as other:
+        losing(ambit, sends=False)
+        lost = ambit._transport._http.request
+
+        def meanwhile(method: str, *words, **how):
+            if method == "PUT":
+                other.rigs.change(rig, SHEET, "simulated://?seed=4")
+            return lost(method, *words, **how)
+
+        ambit._transport._http.request = meanwhile
+        with pytest.raises(ConflictingError):
+            ambit.rigs.change(rig, SHEET, "simulated://?seed=3")
 
 
 def test_a_known_rig_is_given_no_other_controller_or_datasheet_by_mistake(service, ambit, tmp_path, capsys):
