@@ -48,9 +48,8 @@ def between(fitter: Fitter, amplifiers: Explained, plant: Explained, through: Th
     if first.amplifiers.log_evidence + first.log_evidence <= chosen.log_evidence + best.log_evidence:
         rivals = (_raised(x.amplifiers, x.log_evidence - chosen.log_evidence) for x in found)
         return amplifiers, replace(plant, elsewhere=_near(rivals, best.log_evidence))
-    # a mixture that does not need all of its effects is not in the order
-    kept = (r.log_evidence for r in plant.order if set(r.candidate.effects) == first.kept)
-    without = max(kept, default=first.log_evidence)
+    # a mixture that does not need all of its effects is not in the order, but those that it needs are
+    without = max(r.log_evidence for r in plant.order if set(r.candidate.effects) <= first.kept)
     own = {x.amplifiers.candidate.effects: x.log_evidence for x in found if x.kept == first.kept}
     raised = [_raised(r, own.get(r.candidate.effects, without)) for r in amplifiers.order]
     order = renormalised(sorted(raised, key=lambda r: -r.log_evidence))

@@ -9,13 +9,17 @@ from service.experiment.data import Experiment
 from service.gap.diagnose import diagnose
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fit import Problem
+from service.gap.fitting.fitted import Fit
 from service.gap.fitting.inherited import inherited_from
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import Stage
 from service.gap.measured.observation import observe
+from service.gap.weighing.verdict import Ranked
+from service.gap.which import between as between_parts
 from service.gap.which.begun import residuals
-from service.gap.which.search import explain
+from service.gap.which.between import Exchange
+from service.gap.which.search import Explained, explain
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
@@ -95,3 +99,22 @@ def test_inherited_values_move_the_plant_but_at_the_price_of_the_other_parts_dat
     )
     step = away - at
     assert step @ problem.prior @ step > 1.0, "their currents know it better than its tolerance"
+
+
+def test_what_a_mixture_leaves_of_itself_need_not_be_in_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three effects one is given to the amplifiers; the other two alone were no mixture that needs both."""
+
+    def ranked(evidence: float, *effects: str) -> Ranked:
+        fit = Fit(effects, np.zeros(1), (), true_rig(known_datasheet()[1]), (), 0.0, np.arange(1), np.eye(1), "")
+        return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.5, 0.0)
+
+    ground = ground_of({}, "amplifier")
+    plain, delay = ranked(-5.0), ranked(-6.0, "loop_delay")
+    others = frozenset(("touchdown_contact", "sensor_gain"))
+    amplifiers = Explained(ground, (plain, delay), (), ())
+    plant = Explained(ground, (ranked(-20.0, "sensor_lag", *others), ranked(-300.0)), (), ())
+    monkeypatch.setattr(between_parts, "_exchanges", lambda *_: [Exchange(delay, others, -10.0)])
+    monkeypatch.setattr(between_parts, "residuals", lambda *_: ())
+    now, same = between_parts.between(Fitter(), amplifiers, plant, lambda _: ground)
+    assert now.chosen is delay.candidate
+    assert same.order == plant.order
