@@ -1,21 +1,22 @@
-"""Amplifiers slower or faster, better or worse damped than the datasheet says."""
+"""Amplifiers slower or faster, better or worse damped than the datasheet says, all or some of them."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    amplifiers = rig.amplifiers
-    damping = amplifiers.damping_ratio
+    amplifiers, of_axes = rig.amplifiers, shares(rig, p)
+    damping, of_axes = amplifiers.damping_ratio, of_axes / of_axes.max()
     return replace(
         rig,
         amplifiers=replace(
             amplifiers,
-            natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * (1 + p["frequency_change"]),
-            damping_ratio=None if damping is None else damping * (1 + p["damping_change"]),
+            natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * (1 + p["frequency_change"] * of_axes),
+            damping_ratio=None if damping is None else damping * (1 + p["damping_change"] * of_axes),
             lag_s=amplifiers.lag_s + p["lag_s"],
         ),
     )
@@ -25,7 +26,7 @@ EFFECT = Effect(
     id="amplifier_bandwidth",
     path="amplifier",
     parameters=(
-        Parameter("frequency_change", "1", -0.7, 2.5, -0.13, 0.0, description="relative change of wa, every axis"),
+        Parameter("frequency_change", "1", -0.7, 2.5, -0.13, 0.0, description="relative change of wa, the largest"),
         Parameter(
             "damping_change",
             "1",
@@ -39,9 +40,11 @@ EFFECT = Effect(
         Parameter(
             "lag_s", "s", 0.0, 2e-4, 2e-6, 0.0, description="time constant of a further first-order lag", optional=True
         ),
+        *parameters("amplifiers"),
     ),
     apply=_apply,
-    law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T)",
+    law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T); "
+    "f a and d a where some change more, a in proportion to (1 +- e)(1 +- p), + at A, + in x, 1 at most",
     signature="i/u: gain falls and phase lags together towards high frequency, the same at any amplitude",
     aliases=("loop_delay", "eddy_currents", "amplifier_voltage_limit"),
     separated_by="logged i; gain of i/u (a delay leaves it flat); amplitude at one frequency (a voltage limit)",

@@ -6,24 +6,19 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
-from sim.rig import Array, Drift, Rig
+from sim.imbalance import parameters, shares
+from sim.rig import Drift, Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    shares, duration = _shares(rig, p["end_imbalance"], p["plane_imbalance"]), p["duration_s"]
-    ki, ks = p["ki_change"] * shares, p["ks_change"] * shares
+    of_axes, duration = shares(rig, p), p["duration_s"]
+    ki, ks = p["ki_change"] * of_axes, p["ks_change"] * of_axes
     if (known := rig.drift) is not None:  # goes as it goes, and further
         whole = known.progress(np.array(duration / known.duration_s))
         return replace(
             rig, drift=replace(known, ki_change=known.ki_change + ki / whole, ks_change=known.ks_change + ks / whole)
         )
     return replace(rig, drift=Drift(ki, ks, duration, p["curvature"]) if np.any(ki) or np.any(ks) else None)
-
-
-def _shares(rig: Rig, end: float, plane: float) -> Array:
-    """What each axis changes over what all do in the mean, (n,); a plane that is alone has no other to differ from."""
-    of_end, of_plane = {"A": 1 + end, "B": 1 - end}, {"x": 1 + plane, "y": 1 - plane}
-    return np.array([of_end[axis[1]] * (of_plane[axis[0]] if rig.n_planes == 2 else 1.0) for axis in rig.axes])
 
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
@@ -59,13 +54,7 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
-        *(
-            Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=description, strength=False, optional=True)
-            for name, description in (
-                ("end_imbalance", "1: only the magnets at A drift, -1: only those at B"),
-                ("plane_imbalance", "1: only the magnets in x drift, -1: only those in y; not used on one plane"),
-            )
-        ),
+        *parameters("magnets"),
     ),
     apply=_apply,
     restated=_restated,

@@ -16,6 +16,7 @@ from service.gap.fitting.jacobian import displacement_jacobian, residue_columns,
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import linear_answer, weight, whole_displacement
 from service.gap.measured.observation import Observation
+from sim import imbalance
 from sim.effect import Effect
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -32,8 +33,6 @@ BESIDE = 17
 """... at so many frequencies from the one beside it to the other."""
 APART = 8
 """Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
-IMBALANCES = ("end_imbalance", "plane_imbalance")
-"""Of a drift: what makes one magnet drift more than another, the second on rigs of two planes."""
 SLIGHT = 1e-3
 """Drift that is tried: small enough for its answer to be proportional."""
 SOFT = 0.02
@@ -168,7 +167,7 @@ def drifts(
     without, corners = whole_displacement(rig, o)[:, f], list(product((1.0, -1.0), repeat=rig.n_planes))
 
     def answer(factor: str, corner: tuple[float, ...]) -> NDArray[np.float64]:
-        of = dict(zip(IMBALANCES, corner, strict=False))
+        of = dict(zip(imbalance.NAMES, corner, strict=False))
         small = {**base, "ki_change": 0.0, "ks_change": 0.0, **of, factor: SLIGHT}
         change = (whole_displacement(effect.on(rig, **small), o)[:, f] - without) * w / SLIGHT
         return stacked(change[..., None])[:, 0]
@@ -184,7 +183,7 @@ def drifts(
         share = np.array([np.prod([(1 + s * i) / 2 for s, i in zip(c, imbalances, strict=True)]) for c in corners])
         split = np.kron(np.eye(2), share[:, None])
         found = np.linalg.lstsq(split.T @ power @ split, split.T @ along)[0]
-        names = (*IMBALANCES[: len(corners[0])], "ki_change", "ks_change")
+        names = (*imbalance.NAMES[: len(corners[0])], "ki_change", "ks_change")
         return float(found @ split.T @ along), dict(zip(names, (*imbalances, *found), strict=True))
 
     grid = product(np.linspace(-1.0, 1.0, 9), repeat=rig.n_planes)

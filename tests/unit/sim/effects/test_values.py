@@ -145,6 +145,16 @@ def test_a_drift_that_levels_off_levels_off_with_more_of_it_too():
     assert (more.drift.duration_s, more.drift.curvature) == (100.0, 3.0)
 
 
+def test_one_amplifier_alone_may_be_slower():
+    """What is stated is the largest change, so that no imbalance makes it one that no amplifier has."""
+    rig = alone("amplifier_bandwidth", frequency_change=-0.2, end_imbalance=-1.0, plane_imbalance=-1.0)
+    ratio = rig.amplifiers.natural_frequency_rad_s / RIG.amplifiers.natural_frequency_rad_s
+    assert ratio == pytest.approx([1.0, 1.0, 1.0, 0.8])
+    half = alone("amplifier_bandwidth", frequency_change=0.4, end_imbalance=1 / 3).amplifiers
+    ratio = half.natural_frequency_rad_s / RIG.amplifiers.natural_frequency_rad_s
+    assert ratio == pytest.approx([1.4, 1.2, 1.4, 1.2])
+
+
 @pytest.mark.parametrize(
     ("end", "plane", "of_axes"),
     [(0.0, 0.0, (1, 1, 1, 1)), (1.0, 0.0, (2, 0, 2, 0)), (0.0, -1.0, (0, 0, 2, 2)), (-1.0, 1.0, (0, 4, 0, 0))],

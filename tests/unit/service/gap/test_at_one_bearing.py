@@ -1,4 +1,4 @@
-"""One bearing that warms up, beside one that does not, is a drift, and it is said which drifts."""
+"""What is wrong at one bearing or in one axis alone is named as what it is, and where it is."""
 
 import pytest
 
@@ -21,3 +21,14 @@ def test_the_bearing_that_drifts_is_told() -> None:
     assert (found["ki_change"], found["ks_change"]) == pytest.approx((-0.02, -0.03), rel=0.25)
     told = gap_document(d)["candidates"][0]["parameters"]
     assert told["plane_imbalance"]["value"] == 0.0, "one plane has no other"
+
+
+def test_one_slow_amplifier_is_told_from_the_others() -> None:
+    datasheet, truth = known_datasheet(seed=6)
+    values = {"frequency_change": -0.15, "damping_change": 0.0, "lag_s": 0.0, "end_imbalance": 1.0}
+    slow = with_effects(true_rig(truth), {"amplifier_bandwidth": values})
+    d = diagnose(*one_plane(experiment(slow), datasheet))
+    assert d.verdict.effects == ("amplifier_bandwidth",)
+    found = d.chosen.fit.values[0]
+    assert found["end_imbalance"] == pytest.approx(1.0, abs=0.15)
+    assert found["frequency_change"] == pytest.approx(-0.15, rel=0.1)

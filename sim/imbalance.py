@@ -1,0 +1,30 @@
+"""One bearing or plane that an effect changes more than the other: two shapes that such effects share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim.effect import Parameter
+from sim.rig import Array, Rig
+
+NAMES = ("end_imbalance", "plane_imbalance")
+
+
+def parameters(what: str) -> tuple[Parameter, Parameter]:
+    """The two shapes of an effect on ``what`` there is one of in each axis, 0 where it is on all alike."""
+    end = f"1: only {what} at A, -1: only those at B"
+    plane = f"1: only {what} in x, -1: only those in y; not used on one plane"
+    first, second = (
+        Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=description, strength=False, optional=True)
+        for name, description in zip(NAMES, (end, plane), strict=True)
+    )
+    return first, second
+
+
+def shares(rig: Rig, p: Mapping[str, float]) -> Array:
+    """What each axis changes over what all do in the mean, (n,); a plane that is alone has no other to differ from."""
+    end, plane = (p[name] for name in NAMES)
+    of_end, of_plane = {"A": 1 + end, "B": 1 - end}, {"x": 1 + plane, "y": 1 - plane}
+    return np.array([of_end[axis[1]] * (of_plane[axis[0]] if rig.n_planes == 2 else 1.0) for axis in rig.axes])
