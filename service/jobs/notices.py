@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import random
 import time
@@ -21,6 +22,11 @@ from service.storage.tables import HealthRow, ScheduleRow, WebhookRow
 
 log = logging.getLogger(__name__)
 TIMEOUT_S = 10.0
+"""For each step of an attempt: to connect, to send, to receive a part."""
+DEADLINE_S = 30.0
+"""For all of an attempt: a receiver that answers byte by byte never exceeds the time for a step."""
+LARGEST = 4096
+"""Bytes that are read of an answer: a reason is in its first lines, and what else there is may never end."""
 
 
 def begin(health_id: str) -> None:
@@ -123,10 +129,30 @@ def attempt(delivery_id: str) -> float | None:
 def _post(url: str, message: webhook.Message) -> tuple[int | None, str, float | None]:
     """Status, what went wrong, and how long the receiver asks to be left alone."""
     try:
-        answer = httpx.post(
-            url, content=message.body, headers=message.headers, timeout=TIMEOUT_S, follow_redirects=False
-        )
+        return asyncio.run(_answer(url, message))
+    except TimeoutError:
+        return None, f"no whole answer within {DEADLINE_S:g} s", None
     except httpx.HTTPError as error:
         return None, f"{type(error).__name__}: {error}"[:500], None
+
+
+async def _answer(url: str, message: webhook.Message) -> tuple[int, str, float | None]:
+    headers = message.headers | {"accept-encoding": "identity"}  # a few bytes that unfold to many are not unfolded
+    async with (
+        asyncio.timeout(DEADLINE_S),
+        httpx.AsyncClient(timeout=TIMEOUT_S, follow_redirects=False) as client,
+        client.stream("POST", url, content=message.body, headers=headers) as answer,
+    ):
+        why = "" if answer.is_success else await _beginning(answer)
     after = answer.headers.get("retry-after", "")
-    return answer.status_code, "" if answer.is_success else answer.text[:500], float(after) if after.isdigit() else None
+    return answer.status_code, why, float(after) if after.isdigit() else None
+
+
+async def _beginning(answer: httpx.Response) -> str:
+    """First characters of an answer's body, as far as a database takes them."""
+    body = b""
+    async for part in answer.aiter_raw(LARGEST):
+        body += part
+        if len(body) >= LARGEST:
+            break
+    return body.decode(errors="replace").replace("\0", "\N{REPLACEMENT CHARACTER}")[:500]

@@ -2,7 +2,10 @@
 
 import json
 import threading
+import time
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from itertools import repeat
 from types import SimpleNamespace
 
 import pytest
@@ -22,7 +25,8 @@ class Receiver(HTTPServer):
     """Keeps what it is told, and answers as it was told to."""
 
     def __init__(self):
-        self.messages, self.answers, self.heard = [], [], lambda: None
+        self.messages, self.answers, self.heard, self.more = [], [], lambda: None, None
+        self.sent = 0
         super().__init__(("127.0.0.1", 0), Handler)
 
 
@@ -32,8 +36,13 @@ class Handler(BaseHTTPRequestHandler):
         self.server.messages.append(Message(body, dict(self.headers)))
         self.server.heard()
         self.send_response(self.server.answers.pop(0) if self.server.answers else 204)
-        self.send_header("content-length", "0")
+        if self.server.more is None:
+            self.send_header("content-length", "0")
         self.end_headers()
+        with suppress(OSError):  # the caller has heard enough
+            for part in self.server.more or ():
+                self.wfile.write(part)
+                self.server.sent += len(part)
 
     def log_message(self, *_):
         pass
@@ -195,6 +204,25 @@ def test_a_receiver_that_is_away_is_tried_again(told, receiver):
     notices.begin(health)
     assert notices.attempt("whd_1") > 4
     assert (delivery(told).state, delivery(told).status_code) == ("pending", None)
+
+
+def test_an_answer_without_end_is_read_as_far_as_a_reason_goes(told, receiver):
+    receiver.answers, receiver.more = [500], repeat(b"why\0" * 16384, 1000)
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    assert notices.attempt("whd_1") > 4
+    assert (delivery(told).state, delivery(told).status_code) == ("pending", 500)
+    assert delivery(told).detail == "why\N{REPLACEMENT CHARACTER}" * 125
+    assert receiver.sent < 32e6  # what the connection holds, of 65 MB
+
+
+def test_an_answer_that_comes_byte_by_byte_is_not_waited_for(told, receiver, monkeypatch):
+    monkeypatch.setattr(notices, "DEADLINE_S", 0.5)
+    receiver.answers, receiver.more = [500], (time.sleep(0.1) or b"." for _ in range(30))
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    began = time.monotonic()
+    assert notices.attempt("whd_1") > 4
+    assert time.monotonic() - began < 2
+    assert delivery(told).detail == "no whole answer within 0.5 s"
 
 
 def test_messages_of_a_webhook_that_was_removed_are_given_up(told, receiver):
