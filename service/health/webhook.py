@@ -11,6 +11,7 @@ import base64
 import binascii
 import hashlib
 import hmac
+import ipaddress
 import json
 import math
 import secrets
@@ -19,6 +20,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 from urllib.parse import urlsplit
+
+import idna
 
 from sim.errors import AmbError
 
@@ -215,12 +218,16 @@ def checked_url(url: str) -> str:
     Raises
     ------
     WebhookError
-        Not http or https, no host, or a password in it.
+        Not http or https, no host or one that no name server can know, a password, a space or a control character.
     """
+    if any(c <= " " or c == "\x7f" for c in url):  # looked for first: urlsplit leaves some of them out
+        raise WebhookError(f"webhook address {url!r} has a space or control character; write it as %20 and the like")
     try:
         parts = urlsplit(url)
         host = parts.hostname
         _ = parts.port
+        if host:
+            _must_be_encodable(host)
     except ValueError as error:
         raise WebhookError(f"webhook address {url!r} cannot be read: {error}") from error
     if parts.scheme not in ("http", "https") or not host:
@@ -228,6 +235,17 @@ def checked_url(url: str) -> str:
     if parts.username or parts.password:
         raise WebhookError("a webhook address holds no user or password: messages are signed instead")
     return url
+
+
+def _must_be_encodable(host: str) -> None:
+    """Raise ValueError for a host that a sender fails to encode: it would come to grief there with every message."""
+    if not host.strip("0123456789."):
+        ipaddress.IPv4Address(host)
+    name = host if host.isascii() else idna.encode(host).decode("ascii")
+    name.encode("idna")  # as a socket does: no label is empty, or longer than 63 letters
+    for label in name.split("."):
+        if label.startswith("xn--"):
+            idna.decode(label)
 
 
 def _key(secret: str) -> bytes:

@@ -132,7 +132,7 @@ def _post(url: str, message: webhook.Message) -> tuple[int | None, str, float | 
         return asyncio.run(_answer(url, message))
     except TimeoutError:
         return None, f"no whole answer within {DEADLINE_S:g} s", None
-    except httpx.HTTPError as error:
+    except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:  # an address that an earlier version took
         return None, f"{type(error).__name__}: {error}"[:500], None
 
 
@@ -145,7 +145,7 @@ async def _answer(url: str, message: webhook.Message) -> tuple[int, str, float |
     ):
         why = "" if answer.is_success else await _beginning(answer)
     after = answer.headers.get("retry-after", "")
-    return answer.status_code, why, float(after) if after.isdigit() else None
+    return answer.status_code, why, float(after) if after.isascii() and after.isdigit() else None
 
 
 async def _beginning(answer: httpx.Response) -> str:

@@ -117,11 +117,25 @@ def test_success_is_not_repeated_and_gone_is_final():
     assert worth_retrying(500)
 
 
-@pytest.mark.parametrize("bad", ["ftp://host/x", "http:///x", "https://user:pass@host/", "host/x", "http://[::1"])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        *("ftp://host/x", "http:///x", "https://user:pass@host/", "host/x", "http://[::1"),
+        *("http://a..b/", "http://.a/", f"http://{'a' * 300}/", "http://☃.net/", "http://☃.xn--0/", "http://xn--0/"),
+        *("http://999.1.1.1/", "http://host/\x01", "http://ho\tst/", " http://host/", "http://host/a b"),
+    ],
+)
 def test_addresses_that_cannot_be_used_are_refused(bad):
     with pytest.raises(WebhookError):
         checked_url(bad)
     assert checked_url("https://host:8443/hook?x=1") == "https://host:8443/hook?x=1"
+
+
+@pytest.mark.parametrize(
+    "host", ["my_host", "host.", "192.0.2.1:80", "[::1]:80", "münchen.example", "xn--mnchen-3ya.example"]
+)
+def test_addresses_that_can_be_used_are_left_as_they_are(host):
+    assert checked_url(f"http://{host}/x%20y?z=ü") == f"http://{host}/x%20y?z=ü"
 
 
 @pytest.mark.parametrize("bad", ["", "whsec_", "whsec_c2hvcnQ=", "not base64!"])

@@ -26,7 +26,7 @@ class Receiver(HTTPServer):
 
     def __init__(self):
         self.messages, self.answers, self.heard, self.more = [], [], lambda: None, None
-        self.sent = 0
+        self.after, self.sent = "", 0
         super().__init__(("127.0.0.1", 0), Handler)
 
 
@@ -36,6 +36,8 @@ class Handler(BaseHTTPRequestHandler):
         self.server.messages.append(Message(body, dict(self.headers)))
         self.server.heard()
         self.send_response(self.server.answers.pop(0) if self.server.answers else 204)
+        if self.server.after:
+            self.send_header("retry-after", self.server.after)
         if self.server.more is None:
             self.send_header("content-length", "0")
         self.end_headers()
@@ -204,6 +206,21 @@ def test_a_receiver_that_is_away_is_tried_again(told, receiver):
     notices.begin(health)
     assert notices.attempt("whd_1") > 4
     assert (delivery(told).state, delivery(told).status_code) == ("pending", None)
+
+
+@pytest.mark.parametrize("url", ["http://☃.xn--0/", "http://xn--0/", "http://host/\x01", "http://a..b/"])
+def test_an_address_that_cannot_be_used_is_a_failed_attempt(told, url):
+    notices.begin(check(told.database, url, True, new_secret()))  # as an earlier version kept it
+    assert notices.attempt("whd_1") > 4
+    assert (delivery(told).state, delivery(told).attempts) == ("pending", 1)
+    assert delivery(told).detail
+
+
+@pytest.mark.parametrize(("after", "least", "most"), [("60", 60, 61), ("²", 4, 6)])
+def test_a_receiver_asks_for_time_in_digits(told, receiver, after, least, most):
+    receiver.answers, receiver.after = [503], after
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    assert least <= notices.attempt("whd_1") <= most
 
 
 def test_an_answer_without_end_is_read_as_far_as_a_reason_goes(told, receiver):
