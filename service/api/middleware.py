@@ -23,6 +23,8 @@ PUBLIC = Rate(per_s=50.0, burst=200)
 """Requests of one address for what needs no key: pages, description, readiness, metrics."""
 _LARGER = "the body is larger than {:,} bytes"
 _READING = ("GET", "HEAD", "OPTIONS")
+_METHODS = {*_READING, "POST", "PUT", "PATCH", "DELETE", "CONNECT", "TRACE"}
+"""Those that HTTP defines; whatever else a caller makes up is one method in the metrics, which are kept for good."""
 _TOLD = ("who", "rig", "job", "experiment", "schedule")
 _HEADERS = (
     (b"x-content-type-options", b"nosniff"),
@@ -106,9 +108,10 @@ class Around:
 
     def _count(self, scope: Scope, status: int, seconds: float) -> None:
         route = getattr(scope.get("route"), "path", "none")
-        self._metrics.requests.labels(scope["method"], route, status).inc()
+        method = scope["method"] if scope["method"] in _METHODS else "other"
+        self._metrics.requests.labels(method, route, status).inc()
         if not route.endswith("/events"):
-            self._metrics.seconds.labels(scope["method"], route).observe(seconds)
+            self._metrics.seconds.labels(method, route).observe(seconds)
         level = logging.DEBUG if scope["method"] in _READING else logging.INFO
         about = _about(scope) if log.isEnabledFor(level) else {}
         log.log(level, "%s %s %d in %.1f ms", scope["method"], scope["path"], status, 1e3 * seconds, extra=about)

@@ -73,6 +73,14 @@ def test_a_store_that_hangs_is_told_in_time_and_keeps_no_request_waiting(service
         wait_for(lambda: client.get("/readyz").json()["ready"], "an answer of the store", 20)
 
 
+def test_methods_that_a_caller_makes_up_are_one_in_the_metrics(service):
+    for method in ("BREW", "WHEN"):
+        assert httpx.request(method, f"{service.url}/nowhere").status_code == 404
+    text = httpx.get(f"{service.url}/metrics").text
+    assert 'ambit_requests_total{method="other"' in text
+    assert not [method for method in ("BREW", "WHEN") if method in text]
+
+
 def test_watchers_are_counted_and_leave_room_when_they_go(service, tmp_path, monkeypatch):
     monkeypatch.setattr(events, "LARGEST", 1)
     with httpx.Client(base_url=f"{service.url}/api/v1", timeout=30) as client:
