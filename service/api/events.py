@@ -82,7 +82,7 @@ async def job_events(
     watchers: Watchers = request.app.state.watchers
     watchers.must_have_room()
     first = await to_thread.run_sync(_job, api, job_id)
-    known = int(last_event_id) if last_event_id and last_event_id.isdigit() else -1
+    known = int(last_event_id) if last_event_id and last_event_id.isascii() and last_event_id.isdigit() else -1
     return EventSourceResponse(_counted(watchers, _changes(request, api, first, known)), ping=PING_S)
 
 

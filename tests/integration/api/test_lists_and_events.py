@@ -3,6 +3,7 @@
 import json
 
 import httpx
+import pytest
 
 from service.storage import jobs as rows
 from service.storage.database import now
@@ -90,3 +91,11 @@ def test_a_watcher_is_told_every_change_until_the_end(api, service, rig):
     ]
     assert events[2][1]["progress"]["percent"] == 50.0
     assert events[3][1]["error"] == {"title": "bus error", "detail": "no answer"}
+
+
+@pytest.mark.parametrize("known", ["²", "job", "9" * 40])
+def test_a_watcher_may_say_anything_of_what_it_knows(api, rig, known):
+    job = api.post("/jobs", json={"kind": "experiment", "rig": rig}).json()["id"]
+    api.post(f"/jobs/{job}/cancel")
+    answer = api.get(f"/jobs/{job}/events", headers={"Last-Event-ID": known.encode("latin-1")})
+    assert (answer.status_code, answer.text.count("event: state")) == (200, 1)
