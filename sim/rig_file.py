@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from dataclasses import fields
 from itertools import pairwise
@@ -25,6 +26,17 @@ Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 PerAxis = Positive | list[Positive]
 Pair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 SignedPair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+
+DEEPEST = 8
+"""Parts of a dotted key, and brackets within brackets: a datasheet has three, and a parser's work grows with them."""
+_QUOTED = re.compile(
+    r'''"""(?:[^"\\]++|\\.?|"(?!""))*+(?:"{3,5}|\Z)'''  # texts of several lines
+    r"""|'{3}(?:[^']++|'(?!''))*+(?:'{3,5}|\Z)"""
+    r"""|"(?:[^"\\\n]++|\\.?)*+"?|'[^'\n]*+'?"""  # texts of one line
+    r"|#[^\n]*+",
+    re.DOTALL,
+)
+_DOTTED = re.compile(r"[\w+-]++(?:[ \t]*+\.[ \t]*+[\w+-]++)*+")
 
 
 class _Section(BaseModel):
@@ -174,6 +186,23 @@ def _first_problem(error: ValidationError) -> str:
     return f"{where}: {message}{value}" + (f", and {more} more" if more and not value else "")
 
 
+def _must_be_shallow(text: str) -> None:
+    """Raise DatasheetError for keys and brackets so deep that reading them takes minutes, or ends in the stack."""
+    bare = _QUOTED.sub(lambda found: "" if found[0].startswith("#") else "_", text)
+    for key in _DOTTED.finditer(bare):
+        if (parts := key[0].count(".") + 1) > DEEPEST:
+            raise DatasheetError(
+                f"the key {key[0][:20]}... has {parts} parts; a datasheet's keys have a few: leave it out"
+            )
+    depth = 0
+    for bracket in re.finditer(r"[\[\]{}]", bare):
+        depth = depth + 1 if bracket[0] in "[{" else max(depth - 1, 0)
+        if depth > DEEPEST:
+            raise DatasheetError(
+                f"more than {DEEPEST} brackets are open at once; a datasheet's lists are not that deep"
+            )
+
+
 def parse(text: str, source: str = "rig.toml") -> Datasheet:
     """Read a datasheet from TOML text.
 
@@ -183,11 +212,16 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
         One line that names ``source``, the field and what it must be.
     """
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        _must_be_shallow(text)
+        raw = _whole_numbers_to_float(tomllib.loads(text))
+    except DatasheetError as error:
+        raise DatasheetError(f"{source}: {error}") from error
+    except OverflowError as error:
+        raise DatasheetError(f"{source}: a whole number is larger than any figure; write it as 1e6 is") from error
+    except (ValueError, RecursionError) as error:  # what is no TOML, and a number of thousands of digits
         raise DatasheetError(f"{source} is not valid TOML: {error}") from error
     try:
-        f = _File.model_validate(_whole_numbers_to_float(raw))
+        f = _File.model_validate(raw)
     except ValidationError as error:
         raise DatasheetError(f"{source}: {_first_problem(error)}") from error
     n = len(f.rig.axes)

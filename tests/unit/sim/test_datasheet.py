@@ -1,5 +1,6 @@
 """A datasheet is read without loss, and one that is wrong ends in one line that names the field."""
 
+import time
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -178,6 +179,35 @@ def test_an_unknown_key_is_refused_so_that_a_slip_of_the_pen_is_seen():
 
 def test_text_that_is_no_toml_is_refused():
     assert "not valid TOML" in refusal("[rig\nname = ")
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (f"a = {'[' * 3000}", "brackets"),
+        (f"a = {'{a = ' * 3000}", "brackets"),
+        (f"{'a.' * 20_000}a = 1", "20001 parts"),
+        (f"[{'a . ' * 20_000}a]", "20001 parts"),
+        ("'a'.\"b\"." * 2000 + "a = 1", "4001 parts"),
+        (f'x = """a"""" # "\ny = {"[" * 3000}', "brackets"),
+        ("a = 1" + "0" * 400, "a whole number"),
+        ("a = 1" + "0" * 5000, "digits"),
+        ("a" * 40_000, "not valid TOML"),
+        ('"""\\' * 10_000, "not valid TOML"),
+    ],
+    ids=["lists", "tables", "key", "section", "quoted", "after text", "figure", "digits", "word", "text"],
+)
+def test_what_is_built_to_keep_a_reader_busy_is_refused_at_once(text, word):
+    began = time.process_time()
+    assert word in refusal(text)
+    assert time.process_time() - began < 1
+
+
+def test_dots_and_brackets_in_texts_and_comments_are_no_depth():
+    name = "a.b.c.d.e.f.g.h.i.j [[[[[[[[[["
+    assert rig_file.parse(f"# {name}\n" + with_line("name", f'"{name}"')).name == name
+    assert rig_file.parse(with_line("name", f"'''{name}'s'''")).name == f"{name}'s"
+    assert rig_file.parse(with_line("name", f'"""{name}\\""""')).name == f'{name}"'
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
