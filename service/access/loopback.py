@@ -49,7 +49,8 @@ def must_be_this_machine(address: str | None, headers: Mapping[str, str]) -> Non
     """Refuse a request without a key that comes from elsewhere, or from a page of elsewhere in a browser here.
 
     The address alone does not tell: any page may send to 127.0.0.1, and by a name that resolves to it (DNS rebinding)
-    even read the answer. So the name that was asked for, and the page that asked, must be of this machine too.
+    even read the answer. So the name that was asked for, and the page that asked, must be of this machine too. A proxy
+    here may hide all of that: whatever it passes on for others is refused.
 
     Parameters
     ----------
@@ -61,8 +62,13 @@ def must_be_this_machine(address: str | None, headers: Mapping[str, str]) -> Non
     Raises
     ------
     UnauthorisedError
-        It comes from elsewhere.
+        It comes from elsewhere, or through a proxy.
     """
+    passed_on = [name for name in headers if name == "forwarded" or name.startswith("x-forwarded-")]
+    if passed_on:
+        raise UnauthorisedError(
+            f"no API key exists, and {passed_on[0]} tells of a proxy: make the first key with {FIRST_KEY}"
+        )
     asked_for = urlsplit(f"//{headers.get('host', '')}").hostname
     origin = headers.get("origin")
     from_page = None if origin is None else urlsplit(origin).hostname

@@ -62,6 +62,15 @@ def test_a_service_without_keys_does_not_start_behind_a_proxy(tmp_path):
         prepared(Settings(home=tmp_path / "home", port=0, behind_proxy=True))
 
 
+def test_a_service_without_keys_serves_nobody_whom_a_proxy_passes_on(tmp_path):
+    with serving(Settings(home=tmp_path / "home", port=0)) as service:
+        refused = httpx.get(f"{service.url}/api/v1/rigs", headers={"X-Forwarded-For": "203.0.113.9"})
+        assert httpx.get(f"{service.url}/api/v1/rigs").status_code == 200
+    assert refused.status_code == 401
+    for word in ("x-forwarded-for", "ambit keys create"):
+        assert word in refused.json()["detail"]
+
+
 @pytest.mark.parametrize("proxies", ["*", "proxy.example.org", "10.0.0.1/8", "", "127.0.0.1,"])
 def test_proxies_are_addresses_and_networks_and_nothing_else(proxies):
     with pytest.raises(ConfigurationError, match=r"trusted_proxies: .* is no address or network"):

@@ -42,6 +42,9 @@ def test_this_machine_is_served(address, headers):
         ("127.0.0.1", HERE | {"origin": "null"}),
         ("127.0.0.1", HERE | {"sec-fetch-site": "cross-site"}),
         ("127.0.0.1", {"host": "127.0.0.1.example.org"}),
+        ("127.0.0.1", HERE | {"x-forwarded-for": "203.0.113.9"}),  # a proxy that asks for this machine by its address
+        ("127.0.0.1", HERE | {"x-forwarded-proto": "https"}),
+        ("127.0.0.1", HERE | {"forwarded": "for=203.0.113.9"}),
     ],
 )
 def test_elsewhere_is_told_to_make_a_key(address, headers):
