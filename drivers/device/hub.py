@@ -19,6 +19,9 @@ from drivers.errors import ControllerError
 
 GREETING_S = 0.02
 """After ``rawmode``, no frame for this long: python-can takes its answer for a single message."""
+BACKLOG_BYTES = 1 << 20
+"""A client that is farther behind is dropped: two seconds of a full line at 1 Mbit/s, beyond what the kernel holds."""
+_FLUSH_S = 0.001
 _PR_SET_TIMERSLACK = 29
 
 
@@ -51,6 +54,25 @@ class _Client:
     connection: socket.socket
     ready_at: float | None = None
     """When it may get frames; None before ``rawmode``."""
+    backlog: bytearray = field(default_factory=bytearray)
+    """What its connection has not taken yet."""
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def send(self, text: bytes) -> None:
+        """Send as much as the connection takes without waiting, and keep the rest: one that stalls stops nobody else.
+
+        Raises
+        ------
+        OSError
+            The connection is gone, or the client does not keep up.
+        """
+        with self.lock:
+            self.backlog += text
+            with suppress(BlockingIOError):
+                while self.backlog:
+                    del self.backlog[: self.connection.send(self.backlog, socket.MSG_DONTWAIT)]
+            if len(self.backlog) > BACKLOG_BYTES:
+                raise TimeoutError("the client does not read what it asked for")
 
 
 @dataclass(order=True)
@@ -132,7 +154,7 @@ class CanHub:
     def _listen(self, client: _Client) -> None:
         buffer = b""
         with suppress(OSError):
-            client.connection.sendall(b"< hi >")
+            client.send(b"< hi >")
             while chunk := client.connection.recv(65536):
                 *messages, buffer = (buffer + chunk).split(b">")
                 frames = []
@@ -143,7 +165,7 @@ class CanHub:
                             data = bytes(int(word, 16) for word in words[3 : 3 + int(words[2], 16)])
                             frames.append(Frame(int(words[1], 16), data))
                     elif words[:1] in ([b"open"], [b"rawmode"]):
-                        client.connection.sendall(b"< ok >")
+                        client.send(b"< ok >")
                         client.ready_at = time.monotonic() + GREETING_S if words[0] == b"rawmode" else None
                 if frames:
                     self._take(frames, client)
@@ -163,10 +185,13 @@ class CanHub:
     def _line(self) -> None:
         _sharpen_sleep()
         while not self._closing.is_set():
+            behind = [client for client in list(self._clients) if client.backlog]
+            for client in behind:
+                self._send(client, b"")
             with self._came:
                 pause = self._waiting[0].due - time.monotonic() if self._waiting else 0.1
                 if pause > 0:
-                    self._came.wait(pause)
+                    self._came.wait(min(pause, _FLUSH_S) if behind else pause)
                     continue
                 burst = [heapq.heappop(self._waiting)]
                 self._clock(burst[0])
@@ -199,10 +224,13 @@ class CanHub:
             # a node that is only just opening its interface does not hear what passes
             if client is burst[0].sender or client.ready_at is None or client.ready_at > now:
                 continue
-            try:
-                client.connection.sendall(text)
-            except OSError:
-                self._drop(client)
+            self._send(client, text)
+
+    def _send(self, client: _Client, text: bytes) -> None:
+        try:
+            client.send(text)
+        except OSError:
+            self._drop(client)
 
     def _drop(self, client: _Client) -> None:
         with suppress(ValueError):
