@@ -21,6 +21,7 @@ GREETING_S = 0.02
 """After ``rawmode``, no frame for this long: python-can takes its answer for a single message."""
 BACKLOG_BYTES = 1 << 20
 """A client that is farther behind is dropped: two seconds of a full line at 1 Mbit/s, beyond what the kernel holds."""
+ACCEPT_AGAIN_S = 0.1
 _FLUSH_S = 0.001
 _PR_SET_TIMERSLACK = 29
 
@@ -143,8 +144,9 @@ class CanHub:
                 connection, _ = self._listener.accept()
             except TimeoutError:
                 continue
-            except OSError:
-                return
+            except OSError:  # too many open files: they are closed some time
+                self._closing.wait(ACCEPT_AGAIN_S)
+                continue
             connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             client = _Client(connection)

@@ -24,6 +24,7 @@ from drivers.errors import ControllerError
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap
 
 MAX_PDU = 253
+ACCEPT_AGAIN_S = 0.1
 _HEADER = struct.Struct(">HHHB")
 GATEWAY_TARGET_FAILED = 0x0B
 
@@ -84,8 +85,9 @@ class TcpServer:
                 connection, _ = self._listener.accept()
             except TimeoutError:
                 continue
-            except OSError:
-                return
+            except OSError:  # too many open files: they are closed some time
+                self._closing.wait(ACCEPT_AGAIN_S)
+                continue
             connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             threading.Thread(target=self._serve, args=(connection,), name="modbus-host", daemon=True).start()
