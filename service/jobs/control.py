@@ -42,7 +42,7 @@ class Control:
         self._attempt = attempt
         self._journal = journal
         self._period_s = period_s
-        self._shipped = 0
+        self._shipped: int | None = None
         self._pending: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._over = threading.Event()
@@ -96,7 +96,10 @@ class Control:
         return dict(self._made)
 
     def begin_journal(self, shipped: int) -> None:
-        """The journal's file is in place, and so much of it is in the database."""
+        """The journal's file is in place, and so much of it is in the database; what it has more is kept from now on.
+
+        Not earlier: the file may be an older one than what another machine has put into the database.
+        """
         self._shipped = shipped
 
     def _watch(self) -> None:
@@ -106,12 +109,13 @@ class Control:
     def _turn(self) -> None:
         with self._lock:
             values, self._pending = self._pending, {}
-        offset, content = self._shipped, self._grown()
+        offset = self._shipped
+        content = b"" if offset is None else self._grown(offset)
         try:
             if values or content:
                 with self._context.database.write() as session:
                     mine, cancelled = jobs.note(session, self._job_id, self._attempt, **values)
-                    if mine and content:
+                    if mine and content and offset is not None:
                         jobs.add_journal(session, self._job_id, self._attempt, offset, content)
             else:
                 with self._context.database.read() as session:
@@ -122,16 +126,17 @@ class Control:
                 self._pending = values | self._pending
             return
         self._heard = time.monotonic()
-        self._shipped = offset + len(content)
+        if offset is not None:
+            self._shipped = offset + len(content)
         self.superseded = self.superseded or not mine
         self.cancel_requested = self.cancel_requested or (mine and cancelled)
 
-    def _grown(self) -> bytes:
+    def _grown(self, shipped: int) -> bytes:
         if self._journal is None:
             return b""
         try:
             with self._journal.open("rb") as file:
-                file.seek(self._shipped)
+                file.seek(shipped)
                 return file.read()
         except FileNotFoundError:
             return b""

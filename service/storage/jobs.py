@@ -290,10 +290,14 @@ def finish(
 
 
 def add_journal(session: Session, job_id: str, attempt: int, offset: int, content: bytes) -> bool:
-    """Keep a piece of a campaign's journal; False when another worker has the job now."""
+    """Keep a piece of a campaign's journal; False when another worker has the job now.
+
+    What was kept from there on goes: it is of another machine's journal, which this one does not continue.
+    """
     mine, _ = note(session, job_id, attempt)
     if mine:
-        session.merge(JournalPart(job_id=job_id, offset=offset, content=content))
+        session.execute(delete(JournalPart).where(JournalPart.job_id == job_id, JournalPart.offset >= offset))
+        session.add(JournalPart(job_id=job_id, offset=offset, content=content))
     return mine
 
 

@@ -124,6 +124,15 @@ def test_a_journal_is_whole_up_to_its_first_gap(database, job):
         assert jobs.journal(session, job) == b""
 
 
+def test_a_journal_that_is_written_anew_leaves_nothing_of_the_other_one(database, job):
+    with database.write() as session:
+        attempt = jobs.claim(session, job, 1, "w1").attempt
+        for offset, part in ((0, b"abc"), (3, b"def"), (6, b"ghi"), (0, b"ABCDEFGHIJ"), (10, b"KL")):
+            assert jobs.add_journal(session, job, attempt, offset, part)
+    with database.read() as session:
+        assert jobs.journal(session, job) == b"ABCDEFGHIJKL"
+
+
 def test_pages_go_on_after_the_last_item_however_much_is_added(database):
     with database.write() as session:
         rig = rigs.create(session, "pages", reference_sheet(), "", "", "me").id
