@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -155,7 +156,7 @@ def _rows(database: Database, part: Path) -> tuple[dict[str, int], set[str]]:
 
 
 def _store(blobs: Blobs, target: Path, named: set[str]) -> _Copied:
-    """Copy what the backups' common store has not yet, each file checked against its name."""
+    """Copy what the backups' common store has not yet, or not whole: each file is checked against its name."""
     copied = _Copied()
     there = set(blobs.names())
     for name in sorted(there | named):
@@ -170,23 +171,27 @@ def _store(blobs: Blobs, target: Path, named: set[str]) -> _Copied:
 
 
 def fetched(blobs: Blobs, name: str, to: Path) -> int:
-    """Bytes of a file of the store, once it lies at ``to`` and is what its name says.
+    """Bytes of a file of the store, once it lies at ``to`` and is what its name says; a damaged copy is replaced.
 
     Raises
     ------
     NotFoundError, StorageError
         The store has it not, or not whole.
     """
-    if not to.exists():
+    if not to.is_file() or manifest.digest(to) != name:
         to.parent.mkdir(parents=True, exist_ok=True)
         temporary = to.with_suffix(".part")
         seen = sha256()
-        with temporary.open("wb") as out:
-            for chunk in blobs.chunks(name):
-                seen.update(chunk)
-                out.write(chunk)
-        if seen.hexdigest() != name:
-            temporary.unlink()
-            raise StorageError(f"the file {name} of the store is damaged")
-        temporary.rename(to)
+        try:
+            with temporary.open("wb") as out:
+                for chunk in blobs.chunks(name):
+                    seen.update(chunk)
+                    out.write(chunk)
+                out.flush()
+                os.fsync(out.fileno())  # a power failure shall not leave a name without its content
+            if seen.hexdigest() != name:
+                raise StorageError(f"the file {name} of the store is damaged")
+            temporary.replace(to)
+        finally:
+            temporary.unlink(missing_ok=True)
     return to.stat().st_size

@@ -260,6 +260,31 @@ def test_a_file_that_the_store_lost_is_named_and_the_rest_is_kept(tmp_path):
     restore(Settings(home=tmp_path / "new"), path)
 
 
+@pytest.mark.parametrize("damage", [b"", b"an experimenT" * 1000], ids=["emptied", "of the same size"])
+def test_a_file_that_the_backups_lost_is_fetched_again(tmp_path, damage):
+    settings, new = Settings(home=tmp_path / "home"), Settings(home=tmp_path / "new")
+    sha256 = lived_in(settings)["sha256"]
+    copy = tmp_path / "backups" / "store" / sha256[:2] / sha256
+    copy.parent.mkdir(parents=True)
+    copy.write_bytes(damage)
+    path, written = create(settings, tmp_path / "backups")
+    assert written.missing == ()
+    assert list(copy.parent.iterdir()) == [copy]
+    restore(new, path)
+    assert Blobs(new.store).read(sha256) == b"an experiment" * 1000
+
+
+def test_a_file_that_both_lost_is_named(tmp_path):
+    settings = Settings(home=tmp_path / "home")
+    sha256 = lived_in(settings)["sha256"]
+    create(settings, tmp_path / "backups")[0].rename(tmp_path / "backups" / "20010101T000000Z")
+    for store in (Path(settings.store), tmp_path / "backups" / "store"):
+        (store / sha256[:2] / sha256).write_bytes(b"")
+    path, written = create(settings, tmp_path / "backups")
+    assert written.missing == (sha256,)
+    restore(Settings(home=tmp_path / "new"), path)
+
+
 def test_an_unfinished_backup_is_no_backup(tmp_path):
     (tmp_path / "20260101T000000Z").mkdir()
     with pytest.raises(DocumentError, match=r"manifest\.json"):
