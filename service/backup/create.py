@@ -19,6 +19,7 @@ from service.backup.manifest import Manifest
 from service.bootstrap import product_version
 from service.config import Settings
 from service.errors import NotFoundError, StorageError
+from service.exclusive import sole_use
 from service.output import ready_folder
 from service.storage import migrate
 from service.storage.blobs import Blobs
@@ -56,9 +57,25 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
     ------
     StorageError, OutputError
         A database cannot be read, or the folder cannot be written.
+    ConflictError
+        Another backup into the folder is being made.
     """
+    with sole_use(ready_folder(folder), "another backup", "wait for its end, or give this one another folder"):
+        _clear(folder)
+        return _create(settings, folder, say)
+
+
+def _clear(folder: Path) -> None:
+    """Remove what backups that were killed left; nobody else is at work in the folder."""
+    for part in folder.glob(".[0-9]*T[0-9]*Z.part"):
+        shutil.rmtree(part)
+    for copy in (folder / manifest.STORE).glob("??/*.part"):
+        copy.unlink()
+
+
+def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tuple[Path, Manifest]:
     at = datetime.now(UTC)
-    path = ready_folder(folder) / f"{at:%Y%m%dT%H%M%SZ}"
+    path = folder / f"{at:%Y%m%dT%H%M%SZ}"
     if path.exists():
         raise StorageError(f"{path} exists; wait a second and try again")
     part = ready_folder(folder / f".{path.name}.part")

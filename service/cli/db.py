@@ -38,9 +38,11 @@ def backup(
 ) -> None:
     """Back up both databases and the store, while the service runs; prints the folder of this backup."""
     from service.backup.create import create, prune
+    from service.cli.interrupt import kill_is_ctrl_c
     from service.config import load
 
-    path, made = create(load(config, flags={"home": home}), out)
+    with kill_is_ctrl_c():
+        path, made = create(load(config, flags={"home": home}), out)
     removed = prune(out, keep) if keep else []
     for name in made.missing:
         say(f"missing or damaged in the store, so not in the backup: {name}")

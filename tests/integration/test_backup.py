@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sqlite3
 import threading
 from contextlib import ExitStack, closing
@@ -16,6 +17,7 @@ from service.backup.create import create, kind_of, prune
 from service.backup.restore import WHY, restore
 from service.config import Settings
 from service.errors import ConflictError, DocumentError, StorageError
+from service.exclusive import LOCK, sole_use
 from service.jobs.engine import Dispatcher, workflow_id
 from service.jobs.submission import hand_over, hand_over_all
 from service.storage import jobs, migrate, workers
@@ -24,6 +26,7 @@ from service.storage.blobs import Blobs
 from service.storage.database import Database, now
 from service.storage.tables import AuditRow, Base, JobRow, Rig, WorkerRow
 from tests.support import command
+from tests.support.command import wait_until
 from tests.support.service_state import lived_in
 
 
@@ -283,6 +286,38 @@ def test_a_file_that_both_lost_is_named(tmp_path):
     path, written = create(settings, tmp_path / "backups")
     assert written.missing == (sha256,)
     restore(Settings(home=tmp_path / "new"), path)
+
+
+def test_what_a_killed_backup_left_goes_with_the_next_one(tmp_path):
+    settings, folder = Settings(home=tmp_path / "home"), tmp_path / "backups"
+    lived_in(settings)
+    (folder / "store" / "ab").mkdir(parents=True)
+    (folder / "store" / "ab" / f"{'ab' * 32}.part").write_bytes(b"half a file")
+    (folder / ".20260101T000000Z.part" / "ambit").mkdir(parents=True)
+    with sole_use(folder, "another backup", "wait"), pytest.raises(ConflictError, match="another backup is at work"):
+        create(settings, folder)
+    assert (folder / ".20260101T000000Z.part").exists()
+    path, _ = create(settings, folder)
+    assert {p.name for p in folder.iterdir()} == {path.name, "store", LOCK}
+    assert not list((folder / "store").glob("**/*.part"))
+
+
+def test_a_backup_that_is_told_to_end_leaves_nothing_of_itself(tmp_path, monkeypatch):
+    monkeypatch.setitem(command.ENVIRONMENT, "AMBIT_HOME", str(tmp_path / "home"))
+    settings, folder = Settings(home=tmp_path / "home"), tmp_path / "backups"
+    lived_in(settings)
+    (Path(settings.store) / "00").mkdir()
+    os.mkfifo(Path(settings.store) / "00" / ("00" * 32))  # a file that takes for ever to read
+    running = command.Running("db", "backup", "--out", folder)
+    try:
+        wait_until(lambda: (folder / "store" / "00").exists(), "the copy of the store")
+        assert list(folder.glob(".*.part"))
+        running.interrupt(signal.SIGTERM)
+        assert running.wait(20) == 1
+        assert "stopped by the user" in "".join(running.said)
+    finally:
+        running.end()
+    assert {p.name for p in folder.iterdir()} == {"store", LOCK}
 
 
 def test_an_unfinished_backup_is_no_backup(tmp_path):
