@@ -38,6 +38,8 @@ GRACE_S = 10.0
 """Time that rigs have to stop when the worker ends."""
 KEPT = timedelta(days=30)
 """So long a job that failed or was cancelled can go on where it stopped."""
+PASSING = timedelta(days=1)
+"""No upload or export takes so long: an older folder is of a process that was killed."""
 _NAME_PATIENCE_S = workers.ALIVE_S + 1.0
 
 
@@ -173,7 +175,12 @@ class Worker:
                 log.warning("taking over %s of a silent worker", handle.workflow_id)
 
     def _tidy(self) -> None:
-        """Forget answers that nobody asks for again, and the work of jobs that nobody will try again."""
+        """Forget answers that nobody asks for again, the work of jobs that nobody tries again, and broken uploads."""
+        for kind in ("uploads", "exports"):
+            for folder in (self.settings.work / kind).glob("*"):
+                with suppress(FileNotFoundError):  # its request has just ended
+                    if time.time() - folder.stat().st_mtime > PASSING.total_seconds():
+                        shutil.rmtree(folder, ignore_errors=True)
         with self.context.database.write() as session:
             idempotency.forget_old(session)
             for folder in self.settings.work.glob("job_*"):
