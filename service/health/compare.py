@@ -17,6 +17,7 @@ from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
 from service.identification.etfe import etfe
 from service.identification.known import as_identified, computed, led_back
+from service.identification.logged import checked
 from service.identification.points import PlanePoints
 from service.identification.saved import SavedPlane, saved_planes
 from service.identification.uncertainty import ESTIMATED_WEIGHTS
@@ -80,10 +81,14 @@ def compare(
         )
     saved = saved_planes(baseline.document, datasheet)
     twin, notes = as_identified(datasheet, baseline.document)
-    experiment = led_back(experiment, twin.chain)
+    log = checked(experiment, twin.datasheet, twin.chain)  # as the commissioning's was
+    experiment = led_back(log.experiment, log.chain)
+    notes = (*notes, *log.warnings)
     controller = (np.array(twin.datasheet.numerator), np.array(twin.datasheet.denominator))
     rule = policy or Policy()
     now = {name: plane_now(s, experiment) for name, s in saved.items()}
+    if any(n.points.I is None for n in now.values()):
+        notes = (*notes, "coil currents are not logged: the amplifiers are taken for unchanged, ki for what changes")
     figures = {name: plane_figures(s, controller) for name, s in saved.items()}
     n_tests = sum(len(f.monitored) + 1 for f in figures.values())  # one for what the model does not explain
     level = rule.level(tests_made, n_tests)
@@ -137,7 +142,7 @@ def _changes(
         one = FigureChange(
             m, float(was[k]), float(std_was[k]), float(is_now[k]), float(std_now[k]), 1.0, threshold, floor
         )
-        p = p_values(one.now - one.was, one.std_change, freedom)
+        p = p_values(one.significance, 1.0, freedom)
         found.append(replace(one, p_value=float(p)))
     return tuple(found)
 

@@ -57,7 +57,9 @@ def plane_now(saved: SavedPlane, experiment: Experiment) -> PlaneNow:
     check_excitation(points, FEWEST_TONES)
     data = Data(points)
     split = Split(log_ratios(saved.model), beyond=saved.beyond)
-    free = saved.free
+    free = saved.free.copy()
+    if points.I is None:  # nothing but the currents tells the amplifiers from ki
+        free[saved.model.layout.amplifiers[0].start : saved.model.layout.delay] = False
     start = _moved_modes(saved, data)
     near = refine(start, data, free, relative=FORGIVING, split=split)
     refined = near

@@ -48,8 +48,15 @@ class FigureChange:
 
     @property
     def significance(self) -> float:
-        """The change in its standard deviations, with sign."""
-        return (self.now - self.was) / max(self.std_change, 1e-300)
+        """The change in its standard deviations, with sign.
+
+        Of a sensitivity peak, that of its inverse, the distance of the loop from -1: an error moves that alike however
+        near it is, where a peak that grows without bound becomes as uncertain, and would never differ from any other.
+        """
+        if self.monitored.kind != "margin":
+            return (self.now - self.was) / max(self.std_change, 1e-300)
+        std = math.hypot(self.std_was / self.was**2, self.std_now / self.now**2, self.reproducibility / self.was**2)
+        return (1 / self.was - 1 / self.now) / max(std, 1e-300)
 
     @property
     def drifted(self) -> bool:
@@ -109,7 +116,7 @@ class HealthResult:
     rig_seconds: float | None
     speed_rad_s: float = 0.0
     notes: tuple[str, ...] = ()
-    """What the compared model lacks of the effects that the twin names, in sentences."""
+    """What the compared model lacks of the twin's effects, and what is wrong with the log, in sentences."""
 
     @property
     def changes(self) -> tuple[FigureChange, ...]:

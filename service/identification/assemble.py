@@ -148,8 +148,11 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
     if not u.adequate:
         warnings.insert(
             0,
-            f"residuals are {total:.2g} times the noise: something acts that the model does not have; "
-            "standard deviations allow for an error of that size, not for a bias that it may bring",
+            f"residuals are {total:.2g} times the noise, more than chance makes them: something acts that the model "
+            "does not have; standard deviations allow for an error of that size, not for a bias that it may bring"
+            if total > 1
+            else f"residuals are {total:.2g} times the noise, but for an error of the model that had to be allowed for "
+            "beside it: something acts that the model does not have",
         )
     return tuple(warnings)
 

@@ -172,6 +172,12 @@ def check_controller(
         drawn = _drawn(s, draws, seed)
         held = [m for m in drawn if slowest_decay(closed_loop_poles(m, law), m.known.sample_time_s) > 0]
         share = min(share, len(held) / max(len(drawn), 1))
+        if not drawn:
+            share = 0.0
+            reasons.append(
+                f"plane {s.plane}: the model is known so badly that no other one which the data allow can be computed; "
+                "identify it from more data"
+            )
         if len(held) < len(drawn):
             reasons.append(
                 f"plane {s.plane}: {len(drawn) - len(held)} of {len(drawn)} models that the data allow as well are "
@@ -183,7 +189,7 @@ def check_controller(
         if order.index(a.zone) > order.index(accepted_zone):
             p = a.sensitivity_peak
             reasons.append(
-                f"axis {a.axis}: sensitivity peak {p.value:.2f} (up to {p.high:.2f}) at {a.peak_hz:.4g} Hz is in zone "
+                f"axis {a.axis}: sensitivity peak {p.value:.2f} ({_up_to(p)}) at {a.peak_hz:.4g} Hz is in zone "
                 f"{a.zone}; accepted is {accepted_zone} or better"
             )
     if not planes:
@@ -191,6 +197,10 @@ def check_controller(
     return ControllerCheck(
         rig, not reasons, tuple(reasons), tuple(warnings), stable, share, decay, tuple(axes), limits, accepted_zone
     )
+
+
+def _up_to(peak: Interval) -> str:
+    return "and how far it may be is not known" if peak.high is None else f"up to {peak.high:.2f}"
 
 
 def _checked_law(controller: tuple[Real, Real]) -> tuple[Real, Real]:
@@ -272,8 +282,12 @@ def _interval(value: float | None, drawn: list[float | None]) -> Interval:
     """95 % of the draws; an end at which draws have no such margin is open."""
     if value is None:
         return Interval(None, None, None)
-    known = np.array([d for d in drawn if d is not None])
-    if len(known) < 0.5 * len(drawn) or not len(known):
+    if not drawn:
         return Interval(value, None, None)
-    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Interval(value, float(min(low, value)), float(max(high, value)))
+    # no such margin is one beyond any: of gain downwards that is the lowest, of all else the highest
+    beyond = -np.inf if value < 0 else np.inf
+    all_of_them = [beyond if d is None or np.isnan(d) else d for d in drawn]
+    low = np.quantile(all_of_them, (1 - LEVEL) / 2, method="lower")
+    high = np.quantile(all_of_them, (1 + LEVEL) / 2, method="higher")
+    ends = (float(min(low, value)), float(max(high, value)))
+    return Interval(value, *(end if np.isfinite(end) else None for end in ends))

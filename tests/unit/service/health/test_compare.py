@@ -1,5 +1,6 @@
 """A check on the rig in time: what changed is named, what did not change is left alone."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,13 @@ import pytest
 from service.errors import DocumentError
 from service.experiment.data import Experiment
 from service.health.compare import Baseline, compare
+from service.health.monitored import Monitored
+from service.health.result import FigureChange
 from service.health.sequential import Policy
 from service.identification.margins import zone_table
 from sim.errors import AmbError
 from sim.reference import reference_rig
+from sim.twin import with_effects
 from tests.support.commissioned import SHEET, check, result, with_magnets, with_mode
 
 
@@ -122,3 +126,27 @@ def test_what_cannot_be_compared_is_refused_in_one_line(unchanged):
         checked(replace(unchanged, sweeps=(few,)))
     with pytest.raises(AmbError, match="no excited tone"):
         checked(replace(unchanged, sweeps=tuple(s for s in unchanged.sweeps if s.kind == "noise")))
+
+
+def test_a_loop_that_nearly_touches_minus_one_is_an_alarm_however_uncertain_its_peak() -> None:
+    """A peak of 128 that may as well be 60 or without end is none of 5."""
+    peak = Monitored("x", "sensitivity_peak_A", "1", "margin", "sensitivity peak of xA")
+    change = FigureChange(peak, was=5.1, std_was=0.05, now=128.0, std_now=336.0, p_value=0.0, threshold=4.5)
+    assert change.drifted
+    small = FigureChange(peak, was=5.1, std_was=0.05, now=5.3, std_now=0.05, p_value=0.0, threshold=4.5)
+    assert not small.drifted
+    assert small.significance == pytest.approx((5.3 - 5.1) / math.hypot(0.05, 0.05), rel=0.05)
+
+
+def test_a_log_that_is_a_sample_early_is_put_in_step_as_that_of_the_commissioning_is() -> None:
+    found = checked(check(with_effects(reference_rig(), {"logging_offset": {"samples": 1.0}})))
+    assert not found.alarm
+    assert any("sample" in note for note in found.notes)
+
+
+def test_without_currents_a_change_of_ki_is_seen_with_the_amplifiers_as_they_were() -> None:
+    measured = check(with_magnets(ki=0.95))
+    blind = replace(measured, sweeps=tuple(replace(s, I=None) for s in measured.sweeps))
+    found = checked(blind)
+    assert set(found.drifted) >= {"x.kiA", "x.kiB", "y.kiA", "y.kiB"}
+    assert any("currents are not logged" in note for note in found.notes)
