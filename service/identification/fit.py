@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.residuals import Data
 from service.identification.result import CommissioningResult, PlaneResult
-from service.identification.rotating import speeds_of, turned
+from service.identification.rotating import NOT_PLANT, speeds_of, turned
 from service.identification.selection import Selected, choose_modes
 from service.identification.split import Knowledge
 from service.identification.staged import StagedFit, staged_fit
@@ -100,7 +101,8 @@ def identify(
         raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
     speeds = speeds_of(experiment)
     slowest = [s for s in excited if s.speed_rad_s == speeds[0]] if speeds else excited
-    main = next((s for s in slowest if s.comment != "amplifier"), excited[0])
+    named = next((s for s in slowest if s.comment not in NOT_PLANT), None)
+    main = named or next((s for s in slowest if s.comment != "amplifier"), excited[0])
     amplifier_sweep = next((s for s in excited if s.comment == "amplifier" and s is not main), None)
     others = [s for s in slowest if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
     validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
@@ -125,6 +127,11 @@ def identify(
             main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options, twin.chain
         )
         say((k + 1) * FITS / steps)
+    if validation is not None and all(f.held_out is None for f in found.values()):
+        warnings.append(
+            "the sweep that was left for cross-validation cannot be used (blocks or points too few): the fit is judged "
+            "on the data that it was made from"
+        )
     found = _settled_alike(found, main, tuple(experiment.axes), datasheet, options)
     planes = {}
     for k, (plane, f) in enumerate(found.items()):
@@ -218,7 +225,10 @@ def fit_plane(
     data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior)
     found = _fit_points(data, datasheet, axes, options, own)
     found = _settled(found, main, axes, datasheet, options, _block_s(main, points))
-    held_out = None if validation is None else plane_points(validation, axes, plane)
+    held_out = None
+    if validation is not None:
+        with suppress(AmbError):  # what cannot be used checks nothing, and costs nothing
+            held_out = plane_points(validation, axes, plane)
     if held_out is not None and len(held_out.omega) == 0:
         held_out = None
     return replace(found, held_out=held_out)

@@ -157,7 +157,7 @@ def without_synchronous(points: SpeedPoints, block_samples: NDArray[np.int64] | 
 
 def _without_near(points: SpeedPoints) -> SpeedPoints:
     near = np.min(
-        [np.abs(points.omega / (n * points.speed_rad_s) - 1) for n in ORDERS[:2]],
+        [np.abs(points.omega / (n * abs(points.speed_rad_s)) - 1) for n in ORDERS[:2]],
         axis=0,
     )
     keep = near > UNKNOWN_LENGTH
@@ -180,7 +180,7 @@ class _Line:
         self._a = _mean_turn(line - points.omega, block_samples, period_s)[:, None] * turn
         self._c = _mean_turn(-line - points.omega, block_samples, period_s)[:, None] * turn.conj()
         block_s = block_samples * period_s
-        away = np.abs(line - points.omega)
+        away = np.abs(abs(line) - points.omega)  # a real line is at either sign of its frequency
         self.on_it = away * block_s * blocks < np.pi
         signals = [points.Y, points.U] + ([] if points.I is None else [points.I])
         x = np.concatenate(signals, axis=2)
