@@ -60,7 +60,7 @@ def apply(
 ) -> None:
     """Write a twin that has the effects that a diagnosis found; says so where it does not levitate."""
     from service.errors import OutputError
-    from service.gap.apply import applied, cannot_run
+    from service.gap.apply import applied, cannot_run, of_another
     from service.gap.document import ends_reached
     from service.output import read_document, ready_folder, write_text
     from sim.rig_file import read, to_toml
@@ -76,6 +76,11 @@ def apply(
     print(f"{out}: {twin.name} with {names}")
     for note in ends_reached(document):
         print(f"note: {note}")
+    if of_another(datasheet, document):
+        say(
+            f"warning: {report} was made with another datasheet than {rig}; its effects were fitted beside that one's "
+            "values: give it, or diagnose again with this one"
+        )
     if reason := cannot_run(twin):
         say(
             f"warning: this twin cannot be simulated or served as it stands, {reason}; identify the experiment with "

@@ -9,6 +9,7 @@ from typing import Any, Self
 from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 
 from service.gap.measured.observation import GapError
+from service.gap.origin import datasheet_digest
 from sim.datasheet import Datasheet
 from sim.effects import effect
 from sim.errors import EffectError, LevitationError
@@ -72,6 +73,13 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
         raise GapError(f"the report lists no parameters of {' + '.join(names)}")
     added = tuple((name, _values(name, f"{name}." if len(names) > 1 else "", fitted)) for name in names)
     return replace(datasheet, effects=(*datasheet.effects, *added))
+
+
+def of_another(datasheet: Datasheet, document: Mapping[str, Any]) -> bool:
+    """Whether a report says that it was made with another datasheet, beside whose values its effects were fitted."""
+    made_from = document.get("of")
+    told = made_from.get("datasheet_sha256") if isinstance(made_from, Mapping) else None
+    return isinstance(told, str) and told != datasheet_digest(datasheet)
 
 
 def cannot_run(twin: Datasheet) -> str | None:

@@ -10,6 +10,7 @@ import pytest
 from service.cli import run
 from service.gap.apply import applied, cannot_run
 from service.gap.measured.observation import GapError
+from service.gap.origin import datasheet_digest
 from sim.reference import reference_datasheet
 from sim.rig_file import parse, to_toml
 
@@ -106,3 +107,24 @@ def test_apply_warns_of_a_twin_that_does_not_levitate(tmp_path, capsys):
     assert warning.startswith("warning: this twin cannot be simulated or served as it stands, its controller does not")
     assert "ambit identify" in warning
     assert parse(out.read_text()).effects == (("magnetic_saturation", SATURATED),)
+
+
+def test_a_report_of_another_datasheet_is_told_to_be_one(tmp_path, capsys):
+    """Its effects were fitted beside that one's values; a report that does not say what it is of is believed."""
+    mine, other = (
+        changed(["of"], {"datasheet_sha256": datasheet_digest(s)}) for s in (SHEET, replace(SHEET, mass_kg=9.0))
+    )
+    (tmp_path / "rig.toml").write_text(to_toml(SHEET))
+    for report, told in ((mine, False), (other, True), (MIXTURE, False)):
+        (tmp_path / "gap.json").write_text(json.dumps(report))
+        words = [
+            "gap",
+            "apply",
+            f"{tmp_path}/gap.json",
+            "--rig",
+            f"{tmp_path}/rig.toml",
+            "--out",
+            f"{tmp_path}/twin.toml",
+        ]
+        assert run(words) == 0
+        assert ("another datasheet" in capsys.readouterr().err) is told
