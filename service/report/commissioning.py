@@ -21,6 +21,8 @@ from sim.folded import folded
 
 GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
+POOR_PERCENT = 50.0
+"""NRMSE below which it is not to be believed: a model that says nothing but the mean has 0."""
 MARGINS = [
     "loop",
     "peak |S|, dB",
@@ -92,6 +94,11 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
             f"The rig {result.rig!r} does not behave as its model: in the {names} the residuals are {size} times the "
             f"noise, so something acts that the model does not have. It agrees with {where} by {worst_percent} in its "
             f"worst entry; with that reserve, {figures_found}"
+        )
+    if worst < POOR_PERCENT:
+        return "bad", (
+            f"The rig {result.rig!r} is not identified well enough to be believed: the model agrees with {where} by "
+            f"{worst_percent} only in its worst entry; with that reserve, {figures_found}"
         )
     text = (
         f"The rig {result.rig!r} is identified: the model agrees with {where} by {worst_percent} or better in every "

@@ -80,6 +80,15 @@ def test_a_wrong_model_is_not_called_identified(result):
     assert "12 times the noise" in text
 
 
+def test_a_model_that_does_not_agree_with_the_data_is_not_said_to_be_identified(result):
+    """However well its residuals pass: near instability noise is larger than what is measured."""
+    poor = {name: replace(p, cross_validation_fit_percent=np.full((2, 2), -36.1)) for name, p in result.planes.items()}
+    tone, text = verdict(replace(result, planes=poor))
+    assert tone == "bad"
+    assert "not identified well enough" in text
+    assert "-36.10 % NRMSE only" in text
+
+
 def test_zones_of_the_datasheet_are_those_of_the_verdict_and_the_plots(measured, result):
     experiment, datasheet = measured
     own = (("fine", 40.0), ("bad", math.inf))
