@@ -12,15 +12,18 @@ from sim.rig import Array, Rig
 NAMES = ("end_imbalance", "plane_imbalance")
 
 
+def of_end(what: str) -> Parameter:
+    """The shape of an effect on ``what`` there is one of at each bearing, 0 where it is on both alike."""
+    return _shape(NAMES[0], f"1: only {what} at A, -1: only {what} at B")
+
+
 def parameters(what: str) -> tuple[Parameter, Parameter]:
     """The two shapes of an effect on ``what`` there is one of in each axis, 0 where it is on all alike."""
-    end = f"1: only {what} at A, -1: only those at B"
-    plane = f"1: only {what} in x, -1: only those in y; not used on one plane"
-    first, second = (
-        Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=description, strength=False, optional=True)
-        for name, description in zip(NAMES, (end, plane), strict=True)
-    )
-    return first, second
+    return of_end(what), _shape(NAMES[1], f"1: only {what} in x, -1: only {what} in y; not used on one plane")
+
+
+def _shape(name: str, description: str) -> Parameter:
+    return Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=description, strength=False, optional=True)
 
 
 def shares(rig: Rig, p: Mapping[str, float]) -> Array:

@@ -226,8 +226,8 @@ class Rig:
     linear_range_m: float
     support: Support | None = None
     contact: Contact | None = None
-    seal_cross_stiffness_n_per_m: float = 0.0
-    """k of fx = -k y, fy = +k x at both bearings."""
+    seal_cross_stiffness_n_per_m: Array = field(default_factory=lambda: np.zeros(2))
+    """k of fx = -k y, fy = +k x at the bearings A and B, (2,)."""
     disturbances: tuple[Disturbance, ...] = ()
     noise: Noise = field(default_factory=Noise)
     logging_offset_samples: float = 0.0

@@ -196,7 +196,7 @@ def _mechanical_columns(
     c, r = 6 * rig.n_axes, rig.rotor
     s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
     per_displacement, force = magnets, motion.force
-    if rig.seal_cross_stiffness_n_per_m and rig.n_planes == 2:  # pushes at the bearings too
+    if np.any(rig.seal_cross_stiffness_n_per_m) and rig.n_planes == 2:  # pushes at the bearings too
         seal = rotor.seal_stiffness(rig)
         per_displacement, force = magnets - seal, force - (motion.q @ m.bearing_map.T) @ seal.T
 

@@ -140,6 +140,8 @@ def test_a_seal_pushes_the_way_of_the_rotor():
     generalised = -(m.stiffness - rotor.mechanics(RIG).stiffness) @ q
     force = np.linalg.lstsq(m.bearing_map.T, generalised, rcond=None)[0]
     np.testing.assert_allclose(force, [0, 0, 0.1, 0.1], atol=1e-9)
+    at_a = rotor.seal_stiffness(effect("cross_coupled_stiffness").on(RIG, stiffness_n_per_m=1e5, end_imbalance=1.0))
+    np.testing.assert_allclose(-at_a @ [1e-6, 1e-6, 0.0, 0.0], [0, 0, 0.2, 0.0], atol=1e-9)
 
 
 def test_a_support_takes_the_reaction():

@@ -22,7 +22,7 @@ EFFECTS = [
 OF_ITS_OWN = [
     {"extra_flexible_mode": {"frequency_hz": 310.0}},
     {"off_centre_rotor": {f"offset_{axis}_m": 6e-5 for axis in ("xA", "xB", "yA", "yB")}},
-    {"cross_coupled_stiffness": {"stiffness_n_per_m": 3e5}},
+    {"cross_coupled_stiffness": {"stiffness_n_per_m": 3e5, "end_imbalance": 0.5}},
     {"internal_damping": {}},
     {"magnetic_saturation": {"flux_share": 0.5}},
 ]
