@@ -46,7 +46,7 @@ def pull(m: Magnets, effective_a: Array, displacement_m: Array) -> Array:
     x = displacement_m + m.offset_m
     upper = np.maximum(i0 + i, 0.0) / (s0 - x)
     lower = np.maximum(i0 - i, 0.0) / (s0 + x)
-    if not m.flux_share:
+    if not np.any(m.flux_share):
         return np.asarray(k * (upper**2 - lower**2))
     share, n = m.flux_share * s0 / i0, m.flux_power  # of the pole's current over gap
     pulls = [pole**2 * (1 + m.flux_share**n) / (1 + (share * np.abs(pole)) ** n) for pole in (upper, lower)]
@@ -76,10 +76,10 @@ def static_load(rig: Rig) -> Array:
 def force_rotation(rig: Rig) -> Array:
     """How the magnets' forces turn from x to y and share at each bearing, (n, n), identity without coupling."""
     n, angle, share = rig.n_axes, rig.magnets.cross_coupling_rad, rig.magnets.cross_coupling_symmetric
-    if n != 4 or not (angle or share):
+    if n != 4:
         return np.eye(n)
-    c, s = math.cos(angle), math.sin(angle)
-    return np.kron(np.array([[c, share + s], [share - s, c]]), np.eye(2))
+    c, s = np.cos(angle), np.sin(angle)
+    return np.block([[np.diag(c), np.diag(share + s)], [np.diag(share - s), np.diag(c)]])
 
 
 def operating_point(rig: Rig) -> OperatingPoint:

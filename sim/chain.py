@@ -37,10 +37,10 @@ class Chain:
     eddy_time_constant_s: Array = field(default_factory=lambda: np.zeros(2))
     """(n,) of `sim.actuator.eddy_factor`, 0 for none."""
     eddy_corner_rad_s: float = 0.0
-    sensor_lag_s: float = 0.0
-    """Time constant of a further first-order pole of every sensor."""
-    sensor_delay_s: float = 0.0
-    """Dead time of every sensor."""
+    sensor_lag_s: Array = field(default_factory=lambda: np.zeros(2))
+    """Time constant of each sensor's further first-order pole, (n,)."""
+    sensor_delay_s: Array = field(default_factory=lambda: np.zeros(2))
+    """Dead time of each sensor, (n,)."""
 
     def of(self, axes: list[int]) -> Chain:
         """The blocks of some of the axes."""
@@ -49,6 +49,8 @@ class Chain:
             crosstalk=self.crosstalk[np.ix_(axes, axes)],
             amplifiers=None if self.amplifiers is None else _of(self.amplifiers, axes),
             eddy_time_constant_s=self.eddy_time_constant_s[axes],
+            sensor_lag_s=self.sensor_lag_s[axes],
+            sensor_delay_s=self.sensor_delay_s[axes],
         )
 
     @cached_property
@@ -69,7 +71,7 @@ class Chain:
     @cached_property
     def is_behind_sensor(self) -> bool:
         """Whether sensors are slower than the datasheet's."""
-        return self.sensor_lag_s > 0 or self.sensor_delay_s != 0
+        return bool(np.any(self.sensor_lag_s > 0) or np.any(self.sensor_delay_s != 0))
 
     @cached_property
     def is_before_flux(self) -> bool:
@@ -102,8 +104,8 @@ class Chain:
         return np.asarray(eddy / (1 + s * self.amplifier_lag_s))
 
     def sensor(self, omega_rad_s: Array) -> Complex:
-        """Sensor signal over that without these blocks, (F,)."""
-        s = 1j * np.asarray(omega_rad_s)
+        """Sensor signals over those without these blocks, (F, n)."""
+        s = 1j * np.asarray(omega_rad_s)[:, None]
         return np.asarray(np.exp(-s * self.sensor_delay_s) / (1 + s * self.sensor_lag_s))
 
     def flux_states(self) -> tuple[Array, Array, Array, Array]:

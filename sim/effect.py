@@ -55,6 +55,8 @@ class Parameter:
     """False for a parameter that shapes the effect without making it vanish (a resonance's frequency)."""
     optional: bool = False
     """True where the law is a plainer one with it at ``null``: a fit leaves it there unless the data tell otherwise."""
+    dormant: bool = False
+    """True where a fit that begins with it at ``null`` does not move it: few rigs need it."""
 
     @property
     def words(self) -> str:

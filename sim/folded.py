@@ -21,7 +21,8 @@ from sim.rig import Rig, Support
 from sim.twin import rig_from_datasheet, with_effects
 
 IN_MODEL = {
-    "amplifiers.delay_s": "its delay counts as computing delay: the identified delay is what comes beyond it",
+    "amplifiers.delay_s": "its delay, the mean of the axes, counts as computing delay: the identified delay is what "
+    "comes beyond it",
     "amplifiers.lag_s": "its further lag is divided out of the logged currents and counted in the loop: identified "
     "amplifiers are without it",
     "amplifiers.natural_frequency_rad_s": "its amplifiers are where the search starts, and what priors say",
@@ -192,7 +193,7 @@ def _chain(rig: Rig) -> Chain:
         eddy_time_constant_s=magnets.eddy_time_constant_s,
         eddy_corner_rad_s=magnets.eddy_corner_rad_s,
         sensor_lag_s=sensors.lag_s,
-        sensor_delay_s=float(np.mean(sensors.delay_s)),
+        sensor_delay_s=sensors.delay_s,
     )
 
 

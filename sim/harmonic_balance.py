@@ -103,7 +103,7 @@ class Responder:
             np.any(rig.magnets.hysteresis_rad > 0)
             or rig.contact
             or np.any(np.isfinite(rig.magnets.saturation_current_a))
-            or rig.magnets.flux_share
+            or np.any(rig.magnets.flux_share)
         )
         self._slews = bool(np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)))
 

@@ -12,18 +12,19 @@ from sim.rig import Array, Rig
 NAMES = ("end_imbalance", "plane_imbalance")
 
 
-def of_end(what: str) -> Parameter:
+def of_end(what: str, dormant: bool = False) -> Parameter:
     """The shape of an effect on ``what`` there is one of at each bearing, 0 where it is on both alike."""
-    return _shape(NAMES[0], f"1: only {what} at A, -1: only {what} at B")
+    return _shape(NAMES[0], f"1: only {what} at A, -1: only {what} at B", dormant)
 
 
-def parameters(what: str) -> tuple[Parameter, Parameter]:
+def parameters(what: str, dormant: bool = False) -> tuple[Parameter, Parameter]:
     """The two shapes of an effect on ``what`` there is one of in each axis, 0 where it is on all alike."""
-    return of_end(what), _shape(NAMES[1], f"1: only {what} in x, -1: only {what} in y; not used on one plane")
+    in_plane = f"1: only {what} in x, -1: only {what} in y; not used on one plane"
+    return of_end(what, dormant), _shape(NAMES[1], in_plane, dormant)
 
 
-def _shape(name: str, description: str) -> Parameter:
-    return Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=description, strength=False, optional=True)
+def _shape(name: str, words: str, dormant: bool) -> Parameter:
+    return Parameter(name, "1", -1.0, 1.0, 0.0, 0.0, description=words, strength=False, optional=True, dormant=dormant)
 
 
 def shares(rig: Rig, p: Mapping[str, float]) -> Array:

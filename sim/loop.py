@@ -52,12 +52,11 @@ class Loop:
         self._general = bool(
             np.any(self._law[7] < NONE)
             or np.any(self._law[9] > 0)
-            or m.flux_share
+            or np.any(m.flux_share)
             or self._slews
             or c
             or d
-            or m.cross_coupling_rad
-            or m.cross_coupling_symmetric
+            or np.any(self._rotation != np.eye(rig.n_axes))
         )
         self._seen = self._seen_rows()
         self._p = propagators(rig, self._ss, self._seen, substeps, self._slews)
@@ -95,7 +94,7 @@ class Loop:
                 np.full(self.n_axes, m.current_limit_a),
                 self._play_strength,
                 p.current_a,
-                np.full(self.n_axes, m.flux_share),
+                m.flux_share,
                 np.full(self.n_axes, m.flux_power),
             ]
         )

@@ -49,7 +49,7 @@ def beyond_linear(
         ki, ks = 1 + rig.drift.ki_change * gone, rig.drift.ks_change * gone
         total = ki * total + (ks - (ki - 1)) * point.ks * x_t
     excess = total - point.ki * (i_t - point.current_a) - point.ks * x_t
-    if rig.magnets.cross_coupling_rad or rig.magnets.cross_coupling_symmetric:
+    if np.any(rig.magnets.cross_coupling_rad) or np.any(rig.magnets.cross_coupling_symmetric):
         excess = excess @ force_rotation(rig).T
     excess = excess + point.load_n
     if rig.contact:

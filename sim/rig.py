@@ -101,12 +101,12 @@ class Magnets:
     hysteresis_rad: Array
     """Loss angle of the current's loop, 0 for none, (n,): of a Rayleigh loop, at the reference amplitude."""
     hysteresis_reference_a: float
-    cross_coupling_rad: float
-    """Rotation of the force from x to y at each bearing, rad."""
-    cross_coupling_symmetric: float = 0.0
-    """Share of the x force that acts in y, and the reverse, at each bearing."""
-    flux_share: float = 0.0
-    """Flux density at the bias over that at which a pole saturates, 0 for none."""
+    cross_coupling_rad: Array
+    """Rotation of the force from x to y at A and B, (2,)."""
+    cross_coupling_symmetric: Array
+    """Share of the x force that acts in y, and the reverse, at A and B, (2,)."""
+    flux_share: Array
+    """Flux density at the bias over that at which a pole saturates, 0 for none, (n,)."""
     flux_power: float = 4.0
     """n of a pole's pull / (1 + (B/Bs)^n)"""
     hysteresis_narrowest_a: float = 0.0
@@ -148,8 +148,8 @@ class Sensors:
     bandwidth_rad_s: Array
     """First-order pole, inf for none, (n,)."""
     delay_s: Array
-    lag_s: float = 0.0
-    """Time constant of a further first-order pole, the same in every axis."""
+    lag_s: Array
+    """Time constant of a further first-order pole, 0 for none, (n,)."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         sum(len(e[0]) - 1 for e in eddy if e),
         n_q,
         n_q,
-        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum()) + (n if rig.sensors.lag_s > SHORTEST_LAG_S else 0),
+        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum() + (rig.sensors.lag_s > SHORTEST_LAG_S).sum()),
         n if amp.lag_s > SHORTEST_LAG_S else 0,
     ]
     starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -111,7 +111,8 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     sensor[:, q] = rig.sensors.gain[:, None] * m.sensor_map
     s = int(starts[4])
     for axis in range(n):
-        further = 1 / rig.sensors.lag_s if rig.sensors.lag_s > SHORTEST_LAG_S else math.inf
+        lag_s = float(rig.sensors.lag_s[axis])
+        further = 1 / lag_s if lag_s > SHORTEST_LAG_S else math.inf
         for w in (float(rig.sensors.bandwidth_rad_s[axis]), further):
             if math.isinf(w):
                 continue

@@ -49,7 +49,7 @@ def continuous(model: PlaneModel) -> tuple[Real, Real, Real]:
     whole_a = np.block([[amp_a, np.zeros((n, len(a)))], [b @ amp_c, a]])
     whole_b = np.vstack([amp_b, np.zeros((len(a), 2))])
     whole_c = np.hstack([np.zeros((2, n)), c])
-    return with_known_sensors(whole_a, whole_b, whole_c, model.known.sensor_bandwidth_rad_s, chain)
+    return with_known_sensors(whole_a, whole_b, whole_c, model.known.sensor_bandwidth_rad_s, chain.sensor_lag_s)
 
 
 def driven(amplifiers: Sequence[Amplifier], chain: Chain) -> tuple[Real, Real, Real]:
@@ -64,12 +64,10 @@ def driven(amplifiers: Sequence[Amplifier], chain: Chain) -> tuple[Real, Real, R
     return whole, np.vstack([b, np.zeros((len(fa), b.shape[1]))]), np.hstack([fd @ c, fc])
 
 
-def with_known_sensors(a: Real, b: Real, c: Real, bandwidth_rad_s: Real, chain: Chain) -> tuple[Real, Real, Real]:
+def with_known_sensors(a: Real, b: Real, c: Real, bandwidth_rad_s: Real, lag_s: Real) -> tuple[Real, Real, Real]:
     """The same system with the lags of its sensors, those of the datasheet and the further one that is known."""
     a, b, c = with_sensor_lags(a, b, c, bandwidth_rad_s)
-    if chain.sensor_lag_s <= SHORTEST_LAG_S:
-        return a, b, c
-    return with_sensor_lags(a, b, c, np.full(len(c), 1.0 / chain.sensor_lag_s))
+    return with_sensor_lags(a, b, c, np.where(lag_s > SHORTEST_LAG_S, 1.0 / np.maximum(lag_s, SHORTEST_LAG_S), np.inf))
 
 
 def with_sensor_lags(a: Real, b: Real, c: Real, bandwidth_rad_s: Real) -> tuple[Real, Real, Real]:
@@ -106,7 +104,7 @@ def sampled(model: PlaneModel) -> Sampled:
     """
     a, b, c = continuous(model)
     period = model.known.sample_time_s
-    delay = max(model.delay_s + model.known.computing_delay_s + model.known.chain.sensor_delay_s, 0.0)
+    delay = max(model.delay_s + model.known.computing_delay_s + float(np.mean(model.known.chain.sensor_delay_s)), 0.0)
     whole = math.floor(delay / period + 1e-9)
     rest = max(delay - whole * period, 0.0)
     phi_late, gamma_late = integrated(a, b, rest)

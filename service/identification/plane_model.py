@@ -146,7 +146,7 @@ class PlaneModel:
             own = np.broadcast_to(self.sensor_gain.astype(np.complex128), (len(omega), 2))
         else:
             own = np.asarray(self.sensor_gain / (1.0 + 1j * omega[:, None] / bandwidth))
-        return np.asarray(own * chain.sensor(omega)[:, None]) if chain.is_behind_sensor else own
+        return np.asarray(own * chain.sensor(omega)) if chain.is_behind_sensor else own
 
     def base_band(self, axis: int, omega: Real) -> tuple[Complex, Complex]:
         """Flux-making current at the excited line per ampere of held u, and its derivatives, as `amplifier.base_band`.

@@ -64,7 +64,8 @@ def loop_matrix(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s
     n, period = len(a), model.known[0].sample_time_s
     phi, drives, past = None, [], []
     for k, plane in enumerate(model.planes):
-        delay = max(plane.delay_s + plane.known.computing_delay_s + plane.known.chain.sensor_delay_s, 0.0)
+        dead_s = float(np.mean(plane.known.chain.sensor_delay_s))
+        delay = max(plane.delay_s + plane.known.computing_delay_s + dead_s, 0.0)
         whole = math.floor(delay / period + 1e-9)
         rest = max(delay - whole * period, 0.0)
         columns = b[:, 2 * k : 2 * k + 2]
@@ -115,7 +116,8 @@ def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, R
     scale = np.concatenate([np.ones(size + n), np.full(n, 1e3)])
     c = np.hstack([np.zeros((4, size)), seen]) * scale
     bandwidth = np.concatenate([k.sensor_bandwidth_rad_s for k in model.known])
-    return with_known_sensors(a / scale[:, None] * scale, b / scale[:, None], c, bandwidth, model.known[0].chain)
+    lag_s = np.concatenate([k.chain.sensor_lag_s for k in model.known])
+    return with_known_sensors(a / scale[:, None] * scale, b / scale[:, None], c, bandwidth, lag_s)
 
 
 def whirl(

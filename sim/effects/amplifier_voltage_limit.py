@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["slew_inverse_s_per_a"] < 1e-12:
         return rig
-    slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / p["slew_inverse_s_per_a"])
+    with np.errstate(divide="ignore"):  # of an axis that has no limit
+        slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / (p["slew_inverse_s_per_a"] * shares(rig, p)))
     return replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=slew, slew_seen=p["slope_seen"]))
 
 
@@ -41,6 +43,7 @@ EFFECT = Effect(
             "nothing on a first-order amplifier",
             strength=False,
         ),
+        *parameters("amplifiers", dormant=True),
     ),
     apply=_apply,
     law="|di/dt| <= U_dc/L; below it the amplifier is linear",

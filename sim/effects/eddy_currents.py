@@ -1,12 +1,12 @@
 """Eddy currents in the iron: the flux lags the coil current by a half-order law."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 ALL_IRON = 1.5
@@ -23,8 +23,9 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["time_constant_s"] <= 0:
         return rig
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
-    root = np.sqrt(rig.magnets.eddy_time_constant_s) + math.sqrt(p["time_constant_s"])
-    corner = min(p["corner_rad_s"], ALL_IRON**2 / p["time_constant_s"])
+    added = p["time_constant_s"] * shares(rig, p)
+    root = np.sqrt(rig.magnets.eddy_time_constant_s) + np.sqrt(added)
+    corner = min(p["corner_rad_s"], ALL_IRON**2 / float(added.max()))
     if np.any(rig.magnets.eddy_time_constant_s):  # more of the iron that is known
         corner = rig.magnets.eddy_corner_rad_s
     magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner)
@@ -58,6 +59,7 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        *parameters("magnets", dormant=True),
     ),
     apply=_apply,
     law="flux/current = 1/(1 + sqrt(tau (s + wc)) - sqrt(tau wc)); solid iron wc = 0",

@@ -4,18 +4,22 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    amplifiers = replace(rig.amplifiers, delay_s=rig.amplifiers.delay_s + p["delay_s"])
+    amplifiers = replace(rig.amplifiers, delay_s=rig.amplifiers.delay_s + p["delay_s"] * shares(rig, p))
     return replace(rig, amplifiers=amplifiers)
 
 
 EFFECT = Effect(
     id="loop_delay",
     path="amplifier",
-    parameters=(Parameter("delay_s", "s", 0.0, 3e-4, 35e-6, 0.0, description="delay of every axis"),),
+    parameters=(
+        Parameter("delay_s", "s", 0.0, 3e-4, 35e-6, 0.0, description="delay, mean of all axes"),
+        *parameters("amplifiers", dormant=True),
+    ),
     apply=_apply,
     law="i(t) = A(s) u(t - tau)",
     signature="i/u: phase falls linearly with frequency, gain unchanged, the same at any amplitude",

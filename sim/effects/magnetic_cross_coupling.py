@@ -3,18 +3,21 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from sim.effect import Effect, Parameter
+from sim.imbalance import of_end
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    m = rig.magnets
+    m, of_ends = rig.magnets, np.array([1 + p["end_imbalance"], 1 - p["end_imbalance"]])
     return replace(
         rig,
         magnets=replace(
             m,
-            cross_coupling_rad=m.cross_coupling_rad + p["rotation_rad"],
-            cross_coupling_symmetric=m.cross_coupling_symmetric + p["symmetric_share"],
+            cross_coupling_rad=m.cross_coupling_rad + p["rotation_rad"] * of_ends,
+            cross_coupling_symmetric=m.cross_coupling_symmetric + p["symmetric_share"] * of_ends,
         ),
     )
 
@@ -25,6 +28,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("rotation_rad", "rad", -0.2, 0.2, 0.04, 0.0, description="magnets turned against the sensors"),
         Parameter("symmetric_share", "1", -0.2, 0.2, 0.01, 0.0, description="share of the flux that closes across"),
+        of_end("the magnets", dormant=True),
     ),
     apply=_apply,
     law="f_x = cos(phi) f0_x + (c + sin(phi)) f0_y, f_y = (c - sin(phi)) f0_x + cos(phi) f0_y, "

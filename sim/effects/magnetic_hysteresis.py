@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    m = rig.magnets
-    magnets = replace(m, hysteresis_rad=m.hysteresis_rad + p["loss_angle_rad"] * m.hysteresis_reference_a / 0.5)
+    m, angle = rig.magnets, p["loss_angle_rad"] * rig.magnets.hysteresis_reference_a / 0.5
+    magnets = replace(m, hysteresis_rad=m.hysteresis_rad + angle * shares(rig, p))
     if not np.any(m.hysteresis_rad):  # or else more of the plays that are known
         magnets = replace(
             magnets,
@@ -57,6 +58,7 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        *parameters("magnets", dormant=True),
     ),
     apply=_apply,
     law="b = i + 2 alpha r2/(r2 - r1) integral play_r(i) dr, r = r1..r2; all r: (1 + alpha A) i +- alpha/2 (A^2 - i^2)",

@@ -6,18 +6,21 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    magnets = rig.magnets
+    magnets, of_axes = rig.magnets, shares(rig, p)
     if p["saturation_inverse_per_a"] > 1e-12:
         # Cubic terms i^3/(3 is^2) of saturations in series add.
-        inverse = np.hypot(1 / magnets.saturation_current_a, p["saturation_inverse_per_a"])
-        magnets = replace(magnets, saturation_current_a=1 / inverse)
+        inverse = np.hypot(1 / magnets.saturation_current_a, p["saturation_inverse_per_a"] * of_axes)
+        with np.errstate(divide="ignore"):  # of an axis that has none
+            magnets = replace(magnets, saturation_current_a=1 / inverse)
     if p["flux_share"] > 0:
-        n = magnets.flux_power if magnets.flux_share else p["flux_power"]
-        share = (magnets.flux_share**n + p["flux_share"] ** n) ** (1 / n)  # (B/Bs)^n of both, as far as it is small
+        n = magnets.flux_power if np.any(magnets.flux_share) else p["flux_power"]
+        # (B/Bs)^n of both, as far as it is small
+        share = (magnets.flux_share**n + (p["flux_share"] * of_axes) ** n) ** (1 / n)
         magnets = replace(magnets, flux_share=share, flux_power=n)
     return replace(rig, magnets=magnets)
 
@@ -40,6 +43,7 @@ EFFECT = Effect(
         Parameter(
             "flux_power", "1", 2.0, 8.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
         ),
+        *parameters("magnets", dormant=True),
     ),
     apply=_apply,
     law="the force sees i_s tanh(i/i_s), or each pole pulls 1/(1 + (B/Bs)^n) of what it should",

@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    sensors = replace(
-        rig.sensors, lag_s=rig.sensors.lag_s + p["time_constant_s"], delay_s=rig.sensors.delay_s + p["delay_s"]
-    )
+    of_axes, sensors = shares(rig, p), rig.sensors
+    lag_s, delay_s = sensors.lag_s + p["time_constant_s"] * of_axes, sensors.delay_s + p["delay_s"] * of_axes
+    sensors = replace(sensors, lag_s=lag_s, delay_s=delay_s)
     return replace(rig, sensors=sensors)
 
 
@@ -31,6 +32,7 @@ EFFECT = Effect(
         Parameter(
             "delay_s", "s", 0.0, 1e-4, 1e-6, 0.0, description="dead time of the sensor's electronics", optional=True
         ),
+        *parameters("sensors", dormant=True),
     ),
     apply=_apply,
     law="y = x exp(-s tau)/(1 + s T)",

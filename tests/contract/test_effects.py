@@ -174,7 +174,7 @@ def test_each_of_its_parameters_counts(one):
     for p in one.parameters:
         others = beside.get(p.name, {})
         typical = answer(one.on(rig, **others))
-        moved = p.null if p.strength else 0.1 * p.typical or 0.6 * p.high
+        moved = p.null if p.strength else 0.1 * p.typical or 0.02 * p.high
         changed = answer(one.on(rig, **others, **{p.name: min(max(moved, min(p.low, p.null)), p.high)}))
         assert any(np.any(np.abs(a - b) > 1e-9 * np.abs(b).max()) for a, b in zip(changed, typical, strict=True)), (
             p.name
@@ -293,7 +293,7 @@ def test_nothing_of_it_added_to_a_rig_that_has_it_changes_nothing(one):
     def shaped(p):
         """Within the range, off what is typical."""
         typical = one.null()[p.name] if p.scale == "log" else p.typical
-        return p.low**0.7 * p.high**0.3 if p.scale == "log" and p.low > 0 else 0.7 * typical + 0.3 * p.high
+        return p.low**0.7 * p.high**0.3 if p.scale == "log" and p.low > 0 else 0.95 * typical + 0.05 * p.high
 
     has = one.on(rig, **{p.name: shaped(p) for p in one.parameters if not p.strength})
     again = one.on(has, **one.null())

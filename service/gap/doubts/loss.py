@@ -44,7 +44,7 @@ def lag_missing(e: Explained) -> str | None:
 def lag_share(e: Explained) -> tuple[float, float]:
     """Share of the fitted hysteresis's lag that the data show, and its standard deviation."""
     c = e.order[0].candidate
-    problem = Problem(e.ground, [CATALOGUE[name] for name in c.effects])
+    problem = Problem.of(e.ground, c.fit)
     begin = sum(len(CATALOGUE[name].parameters) for name in c.effects[: c.effects.index(HYSTERESIS)])
     own = range(begin, begin + len(CATALOGUE[HYSTERESIS].parameters))
     without = e.ground.rig(c.fit.theta, c.fit.inherited or None)

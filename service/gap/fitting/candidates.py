@@ -16,7 +16,7 @@ from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, Values
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, Stage
-from service.gap.fitting.unknowns import slow_to_compute
+from service.gap.fitting.unknowns import asleep, slow_to_compute
 from service.pool import workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
@@ -92,7 +92,8 @@ def fit_task(task: Task) -> Candidate:
 
 
 def _fitted(task: Task) -> Candidate:
-    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.plain)
+    dormant = frozenset.intersection(*(asleep(task.effects, values) for values in task.starts))
+    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.plain | dormant)
     active, rough = problem.active, [s for s in task.stages if s.closed]
     begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]
     straight = _straight(problem, begun) if problem.nonlinear and rough and len(begun) > 1 else []

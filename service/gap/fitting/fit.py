@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.fitted import Fit, Linearised
 from service.gap.fitting.jacobian import current_jacobian, displacement_jacobian, stacked
+from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import (
     at_speed_of,
     centred,
@@ -26,8 +27,9 @@ from service.gap.fitting.predict import (
     whole_displacement,
 )
 from service.gap.fitting.stage import EXACT, Stage
-from service.gap.fitting.unknowns import Unknowns
+from service.gap.fitting.unknowns import Unknowns, asleep
 from service.gap.measured.observation import Observation
+from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model
 
@@ -67,6 +69,11 @@ class _State:
 
 class Problem(Unknowns):
     """Observations of a part of the loop, its uncertain values, and the effects that are fitted beside them."""
+
+    @classmethod
+    def of(cls, ground: Ground, fit: Fit) -> Problem:
+        """The problem that a fit has solved, but for what was held where a law is the plainest."""
+        return cls(ground, [CATALOGUE[name] for name in fit.effects], asleep(fit.effects, fit.values))
 
     # ------------------------------------------------------------------------------------------- predictions
 
@@ -133,6 +140,8 @@ class Problem(Unknowns):
         """Weighted derivatives of the predictions by some of the effects' parameters, (P, H, n, len(of)) per sweep."""
         columns = [np.zeros((*p.shape, len(of)), dtype=complex) for p in state.predictions]
         for column_of, j in enumerate(of):
+            if self.low[j] == self.high[j]:  # held
+                continue
             moved = state.x.copy()
             at = self._a + j
             moved[at] += STEP if moved[at] + STEP <= self.high[j] else -STEP

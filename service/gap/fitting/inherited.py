@@ -9,7 +9,6 @@ from service.gap.fitting.evidence import prior_precision
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground, Inherited
 from service.gap.fitting.unknowns import slow_to_compute
-from sim.effects import CATALOGUE
 
 
 def inherited_from(ground: Ground, candidate: Candidate) -> Inherited:
@@ -17,7 +16,7 @@ def inherited_from(ground: Ground, candidate: Candidate) -> Inherited:
 
     What the part's own law leaves beyond the noise widens them. Effects that are slow to compute stay as fitted.
     """
-    problem, fit = Problem(ground, [CATALOGUE[name] for name in candidate.effects]), candidate.fit
+    problem, fit = Problem.of(ground, candidate.fit), candidate.fit
     widened = max(1.0, fit.chi_square / fit.n_residuals)
     covariance = np.linalg.inv(fit.curvature / widened + prior_precision(problem))
     free = [k for k, name in enumerate(candidate.effects) if not slow_to_compute(name)]

@@ -36,9 +36,10 @@ class Unknowns:
 
     def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
         """``held`` are parameters, by effect and name, that stay where their law is the plainest."""
-        self.ground, self.effects, self._held = ground, tuple(effects), held
+        self.ground, self.effects = ground, tuple(effects)
         self.observations, self.active = ground.observations, ground.part.active
         other = ground.inherited
+        self._held = {*held, *(() if other is None else asleep(*zip(*other.effects, strict=True)))}
         theirs = [] if other is None else [CATALOGUE[name] for name, _ in other.effects]
         self.parameters = [(k, p) for k, e in enumerate((*effects, *theirs)) for p in e.parameters]
         self._n_effects = len(effects) + len(theirs)
@@ -133,6 +134,20 @@ class Unknowns:
         other = self.ground.inherited
         own = x[: self._a - (0 if other is None else len(other.active))]
         return self._penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
+
+
+def asleep(effects: Sequence[str] = (), values: Sequence[Mapping[str, float]] = ()) -> frozenset[tuple[str, str]]:
+    """Dormant parameters, by effect and name, that are at their null.
+
+    >>> asleep(["sensor_lag"], [{"end_imbalance": 0.5}])
+    frozenset({('sensor_lag', 'plane_imbalance')})
+    """
+    return frozenset(
+        (name, p.name)
+        for name, own in zip(effects, values, strict=True)
+        for p in CATALOGUE[name].parameters
+        if p.dormant and own.get(p.name, p.typical) == p.null
+    )
 
 
 def slow_to_compute(name: str) -> bool:

@@ -27,7 +27,7 @@ LOOKED_FOR = ("support_resonance", "extra_flexible_mode")
 
 def residuals(ground: Ground, candidate: Candidate) -> tuple[Complex, ...]:
     """What an explanation leaves of a part, weighted, (P, H, n) per sweep."""
-    return tuple(Problem(ground, [CATALOGUE[name] for name in candidate.effects]).residuals(candidate.fit))
+    return tuple(Problem.of(ground, candidate.fit).residuals(candidate.fit))
 
 
 def beside(
@@ -78,5 +78,5 @@ def rough_beside(first: Candidate, ground: Ground) -> tuple[Stage, ...]:
 
     To the others all that is left is noise: they would lead a good start of a faint effect anywhere.
     """
-    problem = Problem(ground, [CATALOGUE[name] for name in first.effects])
+    problem = Problem.of(ground, first.fit)
     return tuple(stage for stage in rough_stages(ground) if not problem.within_floor(first.fit, stage))

@@ -17,7 +17,6 @@ from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import mean_power, overall, significance
 from service.gap.weighing.verdict import HeldOut
 from service.gap.which.search import Explained
-from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]
 
@@ -27,7 +26,7 @@ def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observ
     ground = e.ground
     if ground.from_current:
         o = driven_by_current(ground.rig(ground.theta), o)
-    there = Problem(replace(ground, observations=(o,)), [CATALOGUE[name] for name in candidate.effects])
+    there = Problem.of(replace(ground, observations=(o,)), candidate.fit)
     return o, there.residuals(candidate.fit)[0]
 
 
@@ -58,7 +57,7 @@ def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
         return there
     best = e.order[0].candidate
     o, before = on_sweep(e, e.null.candidate, unseen)
-    problem = Problem(replace(e.ground, observations=(o,)), [CATALOGUE[name] for name in best.effects])
+    problem = Problem.of(replace(e.ground, observations=(o,)), best.fit)
     linear, f = problem.linearised(best.fit), o.fundamental
     (z,), (J,) = linear.residuals, linear.columns
     rows = stacked(J)

@@ -56,7 +56,7 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
     base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
-    leaves = _leaves_something(ground, base)
+    leaves = leaves_something(ground, base)
     more = ground.part.effects if leaves else _explaining_more(base, order)
     # Alone, an effect may explain much by values that the datasheet does not allow; beside another it need not.
     hopeful = [base] if size > 1 else [r for r in order if r.candidate.effects]
@@ -74,13 +74,14 @@ def with_one_more(
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
-        if _leaves_something(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
+        if leaves_something(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
             everything += from_the_other_side(fitter, ground, null, best, everything)
             everything += exchanged(fitter, ground, best, everything)
     return best_of_each(null, [*everything, *contained(fitter, ground, null, *everything)])
 
 
-def _leaves_something(ground: Ground, best: Ranked) -> bool:
+def leaves_something(ground: Ground, best: Ranked) -> bool:
+    """Whether an explanation leaves more than another program's law of the same effects would."""
     # Of a large gap another law of the same effect may leave a little, but asks for no impossible datasheet.
     if max(best.apart) < MIXED and not _strained(best) and not _at_bound(best):
         return False

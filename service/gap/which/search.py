@@ -18,9 +18,10 @@ from service.gap.weighing.significance import significance
 from service.gap.weighing.verdict import Ranked, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
-from service.gap.which.mixtures import exchanged, extended, with_one_more, worthy
+from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
 from service.gap.which.refined import best_of_each, contained, cost, refined
+from service.gap.which.uneven import uneven
 from sim.effects import CATALOGUE
 
 Real = NDArray[np.float64]
@@ -149,6 +150,8 @@ def explain(
         null, plain = plainer[0], residuals(ground, plainer[0])
         found = refined(fitter, ground, null, found)
     order, left = ranked(null, found), plain
+    if most > 1:
+        found, order = _with_uneven(fitter, ground, null, found, order)
     fewer = next(r for r in order if r.candidate is null)
     for size in range(1, most + 1):
         left = residuals(ground, order[0].candidate)
@@ -161,8 +164,23 @@ def explain(
     if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
         found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
         order = worthy(ranked(null, found))
+    if len(order[0].candidate.effects) > 1:
+        _, order = _with_uneven(fitter, ground, null, found, order)
     order = beyond_tolerance(fitter, ground, order)
     # it leaves so little more that its evidence and shares stand
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     left = residuals(ground, order[0].candidate)
     return Explained(ground, tuple(order), plain, left)
+
+
+def _with_uneven(
+    fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Candidate], order: Sequence[Ranked]
+) -> tuple[list[Candidate], list[Ranked]]:
+    """What was found, and its order, with effects that differ from axis to axis where the best leaves too much."""
+    best = order[0].candidate
+    asked = [best] if len(best.effects) > 1 else found
+    more = uneven(fitter, ground, asked) if leaves_something(ground, order[0]) else []
+    if not more:
+        return list(found), list(order)
+    found = best_of_each(null, [*found, *more])
+    return found, worthy(ranked(null, found))

@@ -63,7 +63,7 @@ def test_a_warming_magnet_has_gone_most_of_its_way_early() -> None:
 
 def test_flux_saturation_keeps_the_pull_at_the_bias() -> None:
     m = effect("magnetic_saturation").on(QUIET, saturation_inverse_per_a=0.02, flux_share=0.7).magnets
-    plain = replace(m, flux_share=0.0)
+    plain = replace(m, flux_share=np.zeros(4))
     n = QUIET.n_axes
     small, large = np.full(n, 1e-4), np.full(n, 0.8 * m.bias_current_a[0])
     assert np.all(actuator.force(m, large, np.zeros(n)) < 0.9 * actuator.force(plain, large, np.zeros(n)))

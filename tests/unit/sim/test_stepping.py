@@ -164,7 +164,7 @@ def test_a_drifting_magnet_ends_where_its_drift_says():
         reference_rig(gravity_m_per_s2=4.0, speed_rad_s=150.0),
         effect("gyroscopic_coupling").on(reference_rig(speed_rad_s=300.0), polar_inertia_kgm2=4.0, mode_coupling=0.05),
         replace(QUIET, sensors=replace(QUIET.sensors, delay_s=np.full(4, 1.3e-5))),
-        replace(QUIET, sensors=replace(QUIET.sensors, bandwidth_rad_s=np.full(4, 8e4), lag_s=4e-6)),
+        replace(QUIET, sensors=replace(QUIET.sensors, bandwidth_rad_s=np.full(4, 8e4), lag_s=4e-6 * np.arange(4))),
         replace(QUIET, controller=replace(QUIET.controller, computing_delay_s=2e-5)),
         replace(
             QUIET,

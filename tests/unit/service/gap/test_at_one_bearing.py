@@ -41,3 +41,23 @@ def test_the_bearing_with_the_seal_is_told() -> None:
     assert d.verdict.effects == ("cross_coupled_stiffness",)
     found = d.chosen.fit.values[0]
     assert (found["stiffness_n_per_m"], found["end_imbalance"]) == pytest.approx((-1e5, -1.0), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("loop_delay", {"delay_s": 1.5e-5}),
+        ("sensor_lag", {"time_constant_s": 5e-6, "delay_s": 0.0}),
+        ("magnetic_hysteresis", {"loss_angle_rad": 0.01}),
+    ],
+)
+def test_what_one_bearing_alone_has_is_told_by_the_bearing(effect: str, values: dict[str, float]) -> None:
+    """Of a sensor, an amplifier or a magnet there is one in each axis: one may be at fault by itself."""
+    datasheet, truth = known_datasheet(seed=11)
+    at_a = with_effects(true_rig(truth), {effect: {**values, "end_imbalance": 1.0}})
+    d = diagnose(*one_plane(experiment(at_a), datasheet))
+    assert d.verdict.effects == (effect,)
+    found = d.chosen.fit.values[0]
+    assert found["end_imbalance"] == pytest.approx(1.0, abs=0.1)
+    strength = next(iter(values))
+    assert found[strength] == pytest.approx(values[strength], rel=0.15)
