@@ -86,7 +86,8 @@ def operating_point(rig: Rig) -> OperatingPoint:
     """Current that carries the weight at the sensors' centre, and ki, ks there.
 
     The pull of an off-centre rotor at zero current is taken as balanced by the static load that moved it, so an
-    offset changes ki and ks and makes even harmonics, but asks for no current of its own.
+    offset changes ki and ks and makes even harmonics, but asks for no current of its own. Where the current that holds
+    the rotor is known, its load is what that balances, wherever it comes from.
 
     Raises
     ------
@@ -94,6 +95,8 @@ def operating_point(rig: Rig) -> OperatingPoint:
         The magnets cannot carry the weight within the current limit.
     """
     m, n = rig.magnets, rig.n_axes
+    if rig.static_current_a is not None:
+        return _at(m, rig.static_current_a, -force_rotation(rig) @ force(m, rig.static_current_a, np.zeros(n)))
     if not rig.gravity_m_per_s2 and not np.any(m.offset_m):
         # centred, unloaded: the magnets' own factors, less what a pole's pull grows more slowly with its flux
         saturated_share = m.flux_share**m.flux_power
@@ -122,9 +125,13 @@ def operating_point(rig: Rig) -> OperatingPoint:
                 f"{m.current_limit_a:g} A; raise the bias current or the current limit"
             )
         current[axis] = brentq(excess, low, high, xtol=1e-12)
+    return _at(m, current, load)
+
+
+def _at(m: Magnets, current: Array, load: Array) -> OperatingPoint:
     # Central differences: the law is smooth to well below these steps.
     di, dx = 1e-5, 1e-10
-    zero = np.zeros(n)
+    zero = np.zeros(len(current))
     ki = (force(m, current + di, zero) - force(m, current - di, zero)) / (2 * di)
     ks = (force(m, current, zero + dx) - force(m, current, zero - dx)) / (2 * dx)
     return OperatingPoint(current, load, ki, ks)

@@ -236,6 +236,8 @@ class Rig:
     speed_rad_s: float = 0.0
     gravity_m_per_s2: float = 0.0
     """Weight shared by all axes at 45 degrees; 0 for a vertical or unloaded rotor."""
+    static_current_a: Array | None = None
+    """Mean coil current that holds whatever load there is, (n,), in place of the weight's; None where that is all."""
 
     @property
     def n_axes(self) -> int:

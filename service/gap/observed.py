@@ -12,6 +12,7 @@ from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
 from service.gap.measured.observation import GapError, Observation, observe, usable
+from service.gap.measured.resting import about_rest, held_at, load_in_words, resting_current
 from service.gap.measured.settling import DRIFTS
 from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, span_s, sweeps_for, timed
 from service.gap.measured.thin import thinned
@@ -89,6 +90,11 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         other = timed(other)
         of_both = Together.of(usable(main)), Together.of(usable(other))
         notes += [f"{n} is not used: a diagnosis fits one sweep and checks on one other, here {name}" for n in unused]
+    if (resting := resting_current(main, nu.rig)) is not None:
+        main, other = about_rest(main), about_rest(other)
+        loaded = held_at(nu.rig, resting)
+        notes.append(load_in_words(loaded, nu.rig))
+        nu = replace(nu, rig=loaded)
     sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)
     if nu.rig.drift is not None:

@@ -165,7 +165,7 @@ def _moved_points(rig: Rig, point: actuator.OperatingPoint) -> tuple[tuple[Real,
     Of centred magnets without a load either moves itself alone. The gap that ki and ks state moves with them, and with
     it what an offset or a load makes of both.
     """
-    if not rig.gravity_m_per_s2 and not np.any(rig.magnets.offset_m):
+    if rig.static_current_a is None and not rig.gravity_m_per_s2 and not np.any(rig.magnets.offset_m):
         nothing = np.zeros(rig.n_axes)
         return (point.ki, nothing), (nothing, point.ks)
 
