@@ -1,4 +1,4 @@
-"""Who asks, and whether they may: `require` in front of every route.
+"""Who asks, and whether they may: `KeyFirst` routes ask before anything else is done, as each one's `require` says.
 
 The application keeps its `Gate` as ``app.state.gate``; ``request.state.identity`` tells the log who asked.
 """
@@ -13,8 +13,11 @@ from typing import Annotated, Any
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import Request, Security
+from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import ASGIApp, Receive, Send
+from starlette.types import Scope as ASGIScope
 
 from service.access import keys
 from service.access.audit import Action
@@ -144,31 +147,69 @@ class Gate:
             self._noted.pop(key_id, None)
 
 
+async def admitted(request: Request, scope: Scope) -> None:
+    """Let whoever asks in, as ``request.state.identity``.
+
+    Raises
+    ------
+    UnauthorisedError, ForbiddenError, RateError
+        There is no key that holds, its scope does not reach so far, or it asks too often.
+    """
+    gate: Gate = request.app.state.gate
+    header = request.headers.get("authorization")
+    who, key = NOBODY, None
+    try:
+        # whoever shows something that is no key is not taken for nobody
+        key = None if header is None else keys.bearer(header)
+        who = await gate.identity(key, request.client.host if request.client else None, request)
+        request.state.identity = who
+        who.must_reach(scope)
+    except (UnauthorisedError, ForbiddenError) as error:
+        await gate.refused(request, who, key, error)
+        raise
+
+
 @cache
 def require(scope: Scope) -> Callable[..., Coroutine[Any, Any, Identity]]:
     """Dependency of a route: the identity of whoever asks, if its scope reaches so far.
 
-    ``who: Annotated[Identity, Depends(require(Scope.operator))]``; answers 401, 403 or 429 otherwise.
+    ``who: Annotated[Identity, Depends(require(Scope.operator))]`` in a router of `KeyFirst`, which has asked by then;
+    a route of another class lets nobody in.
     """
 
     async def allowed(
-        request: Request, given: Annotated[HTTPAuthorizationCredentials | None, Security(_scheme)]
+        request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Security(_scheme)]
     ) -> Identity:
-        gate: Gate = request.app.state.gate
-        who, key = NOBODY, given.credentials if given is not None else None
-        try:
-            key = key if given is not None else _other_scheme(request)
-            who = await gate.identity(key, request.client.host if request.client else None, request)
-            request.state.identity = who
-            return who.must_reach(scope)
-        except (UnauthorisedError, ForbiddenError) as error:
-            await gate.refused(request, who, key, error)
-            raise
+        who: Identity = request.state.identity
+        return who.must_reach(scope)
 
     return allowed
 
 
-def _other_scheme(request: Request) -> str | None:
-    """None where nothing is shown; whoever shows something that is no key is not taken for nobody."""
-    header = request.headers.get("authorization")
-    return None if header is None else keys.bearer(header)
+class KeyFirst(APIRoute):
+    """A route that asks for a key, as its `require` says, before a body is read and before it tells its methods.
+
+    FastAPI on its own reads the body first, and tells anyone what is wrong with it.
+    """
+
+    async def handle(self, scope: ASGIScope, receive: Receive, send: Send) -> None:
+        """One request."""
+        asked = [dependency.call for dependency in self.dependant.dependencies]
+        required = next((wanted for wanted in Scope if require(wanted) in asked), None)
+        if required is not None:
+            known = self.methods is None or scope["method"] in self.methods
+            await admitted(Request(scope), required if known else Scope.viewer)
+        await super().handle(scope, receive, send)
+
+
+class Elsewhere:
+    """ASGI application for the addresses that there are not: under ``/api/`` only who has a key is told."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: ASGIScope, receive: Receive, send: Send) -> None:
+        """One request."""
+        if scope["type"] == "http" and scope["path"].startswith("/api/"):
+            await admitted(Request(scope), Scope.viewer)
+        await self._app(scope, receive, send)

@@ -78,6 +78,7 @@ def create_app(settings: Settings) -> FastAPI:
     problems.install(app)
     for router in (*_routers(), operations.router, page.router):
         app.include_router(router)
+    app.router.default = access.Elsewhere(app.router.default)
     app.add_middleware(
         Around,
         metrics=app.state.metrics,

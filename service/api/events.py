@@ -14,13 +14,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from service.access.errors import RateError
+from service.api.access import KeyFirst
 from service.api.jobs import JobShape, shape
 from service.api.problems import documented
 from service.api.shapes import JobId, Viewer
 from service.api.state import Api, Services
 from service.storage import jobs
 
-router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"], route_class=KeyFirst)
 
 POLL_S = 0.2
 LARGEST = 100

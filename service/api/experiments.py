@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session
 from service.access.audit import Action
 from service.access.keys import Identity
 from service.api import etags, examples
+from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.once import Answer, once
 from service.api.problems import MediaTypeError, TooLargeError, documented
@@ -42,7 +43,7 @@ from service.storage.tables import ExperimentRow
 from service.uploads import Limits, Parsed, UploadContentError, UploadError, parse
 from sim import rig_file
 
-router = APIRouter(prefix="/api/v1", tags=["experiments"])
+router = APIRouter(prefix="/api/v1", tags=["experiments"], route_class=KeyFirst)
 
 HDF5 = "application/x-hdf5"
 TYPES = {HDF5: ".h5", "application/x-matlab-data": ".mat", "application/octet-stream": ".h5"}

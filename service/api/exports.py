@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 
 from service.api import etags, example_documents
+from service.api.access import KeyFirst
 from service.api.problems import Documented
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
@@ -18,7 +19,7 @@ from service.exports.errors import ExportError
 from service.storage import results
 from service.storage.tables import ExperimentRow, ModelRow
 
-router = APIRouter(prefix="/api/v1", tags=["exports"])
+router = APIRouter(prefix="/api/v1", tags=["exports"], route_class=KeyFirst)
 
 TYPES = {
     "json": "application/json",

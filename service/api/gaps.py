@@ -8,12 +8,13 @@ from fastapi import APIRouter, Response
 from pydantic import ConfigDict
 
 from service.api import etags, example_documents, examples
+from service.api.access import KeyFirst
 from service.api.shapes import After, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results
 from service.storage.tables import GapRow
 
-router = APIRouter(prefix="/api/v1/gaps", tags=["gaps"])
+router = APIRouter(prefix="/api/v1/gaps", tags=["gaps"], route_class=KeyFirst)
 
 
 class GapShape(Shape):

@@ -8,13 +8,14 @@ from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
 
 from service.api import etags, examples
+from service.api.access import KeyFirst
 from service.api.shapes import After, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results, rigs
 from service.storage.listing import LARGEST_PAGE
 from service.storage.tables import HealthRow
 
-router = APIRouter(prefix="/api/v1", tags=["health"])
+router = APIRouter(prefix="/api/v1", tags=["health"], route_class=KeyFirst)
 
 
 class HealthShape(Shape):

@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.api import etags, examples
+from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.once import Answer, once
 from service.api.options import OF_A_JOB, checked_options
@@ -34,7 +35,7 @@ from service.jobs.submission import hand_over
 from service.storage import jobs, results, rigs
 from service.storage.tables import ExperimentRow, JobRow
 
-router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/api/v1/jobs", tags=["jobs"], route_class=KeyFirst)
 
 Kind = Literal["experiment", "identification", "gap", "health"]
 State = Literal["queued", "running", "done", "failed", "cancelled"]

@@ -20,6 +20,7 @@ from service import bootstrap
 from service.access.audit import Action
 from service.access.keys import Identity
 from service.api import etags
+from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.controllers import IN_PROCESS
 from service.api.problems import UnavailableError, documented
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
+router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"], route_class=KeyFirst)
 
 FRESH_S = 0.5
 """Whoever asks again within this time gets the same answer: a page that many look at does not load the bus."""

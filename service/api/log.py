@@ -9,12 +9,13 @@ from pydantic import ConfigDict
 
 from service.access.audit import Action
 from service.api import etags, examples
+from service.api.access import KeyFirst
 from service.api.shapes import After, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import audit
 from service.storage.tables import AuditRow
 
-router = APIRouter(prefix="/api/v1/audit", tags=["audit"])
+router = APIRouter(prefix="/api/v1/audit", tags=["audit"], route_class=KeyFirst)
 
 
 class AuditShape(Shape):

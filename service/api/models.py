@@ -11,6 +11,7 @@ from pydantic import ConfigDict
 
 from service.api import etags, examples
 from service.api import example_documents as documents
+from service.api.access import KeyFirst
 from service.api.shapes import (
     After,
     IfNoneMatch,
@@ -29,7 +30,7 @@ from service.storage import results, rigs
 from service.storage.blobs import Blobs
 from service.storage.tables import ModelRow
 
-router = APIRouter(prefix="/api/v1", tags=["models"])
+router = APIRouter(prefix="/api/v1", tags=["models"], route_class=KeyFirst)
 
 
 class ModelShape(Shape):

@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.api import etags, examples
+from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.controllers import checked_url
 from service.api.once import Answer, once
@@ -37,7 +38,7 @@ from service.storage.database import now
 from service.storage.tables import ModelRow, Rig, RigVersion
 from sim import rig_file
 
-router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"])
+router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"], route_class=KeyFirst)
 RETIRED = "the rig was retired"
 LONGEST_NAME = 200
 

@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.api import etags
+from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.once import Answer, once
 from service.api.options import checked_options
@@ -36,7 +37,7 @@ from service.storage.database import now
 from service.storage.ids import new_id
 from service.storage.tables import ScheduleRow
 
-router = APIRouter(prefix="/api/v1/schedules", tags=["schedules"])
+router = APIRouter(prefix="/api/v1/schedules", tags=["schedules"], route_class=KeyFirst)
 LATEST_US = 253_402_300_799_000_000
 """The year 9999, µs since 1970."""
 

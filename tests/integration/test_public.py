@@ -7,7 +7,7 @@ from dataclasses import replace
 import httpx
 import pytest
 
-from service.api import events, middleware
+from service.api import access, events, middleware
 from service.api.app import THREADS
 from service.config import Settings
 from service.storage import jobs
@@ -40,6 +40,28 @@ def test_an_address_that_asks_without_end_has_to_wait(slow_to_forgive):
         assert int(refused.headers["retry-after"]) >= 1
         assert client.get("/healthz").status_code == 200
         assert client.get("/api/v1/rigs").status_code == 200
+
+
+def test_an_address_that_asks_for_what_there_is_not_has_to_wait_as_for_what_there_is(service):
+    service.key()
+    with httpx.Client(base_url=service.url) as client:
+        for method, path in (("GET", "/api/v1/nothing"), ("PATCH", "/api/v1/jobs")):
+            assert client.request(method, path).status_code == 401
+        answers = [client.get("/api/nothing").status_code for _ in range(2 * access.FAILURES.burst)]
+    assert answers[-1] == 429
+
+
+def test_who_shows_no_key_has_nothing_read(tmp_path, monkeypatch):
+    """What is no JSON, or none of the fields, is told to those who may ask: whatever the address and method."""
+    monkeypatch.setattr(access, "FAILURES", replace(access.FAILURES, burst=1000))
+    headers = {"content-type": "application/json"}
+    with serving(Settings(home=tmp_path / "home", port=0)) as service, httpx.Client(base_url=service.url) as client:
+        paths = client.get("/openapi.json").json()["paths"]
+        asked = [(method, path) for path, methods in paths.items() for method in methods if path.startswith("/api/")]
+        assert len(asked) > 30
+        service.key()
+        answers = {of: client.request(*of, content=b"{", headers=headers).status_code for of in asked}
+    assert set(answers.values()) == {401}, answers
 
 
 def test_metrics_and_readiness_do_not_read_the_database_for_everyone(service, monkeypatch):

@@ -30,6 +30,7 @@ def database(tmp_path):
 @pytest.fixture
 def client(database):
     app = FastAPI()
+    app.router.route_class = access.KeyFirst
     app.state.gate = access.Gate(database, Rate(1000.0, 30))
     statuses = {UnauthorisedError: 401, ForbiddenError: 403, RateError: 429}
     for kind, status in statuses.items():
