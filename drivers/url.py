@@ -5,8 +5,9 @@ from __future__ import annotations
 import ssl
 from collections.abc import Callable
 from pathlib import Path
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from urllib.parse import SplitResult
 
+from drivers.address import Query, understood
 from drivers.controller import Controller
 from drivers.errors import ControllerError
 from drivers.link import LinkFactory
@@ -16,8 +17,6 @@ from drivers.simulated.driver import SimulatedController
 from drivers.transcript import RecordingLinks, replay_links
 from sim.rig import Rig
 
-Query = dict[str, str]
-
 
 def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
     if rig is None:
@@ -25,13 +24,13 @@ def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
         from sim.reference import reference_rig
 
         rig = twin.rig_from_datasheet(rig_file.read(Path(query["rig"]))) if "rig" in query else reference_rig()
-    return SimulatedController(rig, seed=_whole(query, "seed", 0))
+    return SimulatedController(rig, seed=int(query.get("seed", 0)))
 
 
 def _modbus(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.modbus.driver import tcp_links
 
-    return tcp_links(_host(url), _port(url, 502), _whole(query, "unit", 1, 0, 255), _map(query))
+    return tcp_links(url.hostname or "", url.port or 502, int(query.get("unit", 1)), _map(query))
 
 
 def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
@@ -43,40 +42,34 @@ def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
             context.load_cert_chain(query["cert"], query.get("key"))
     except (OSError, ssl.SSLError) as error:
         raise ControllerError(f"{url.geturl()}: cannot use the certificates: {error}") from error
-    return tls_links(_host(url), _port(url, 802), context, _whole(query, "unit", 1, 0, 255), _map(query))
+    return tls_links(url.hostname or "", url.port or 802, context, int(query.get("unit", 1)), _map(query))
 
 
 def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.modbus.driver import rtu_links
 
-    if not url.path:
-        raise ControllerError(f"{url.geturl()!r} names no serial port; write modbus+rtu:///dev/ttyUSB0?baud=115200")
-    return rtu_links(url.path, _whole(query, "baud", 115200, 1), _whole(query, "unit", 1, 0, 255), _map(query))
+    return rtu_links(url.path, int(query.get("baud", 115200)), int(query.get("unit", 1)), _map(query))
 
 
 def _canopen(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.canopen import map as canopen_map
     from drivers.canopen.driver import CanopenLinks
 
-    if "node" not in query:
-        raise ControllerError(f"{url.geturl()!r} names no node; write canopen://socketcan/can0?node=5")
     objects = canopen_map.read_map(Path(query["map"])) if "map" in query else canopen_map.DEFAULT_MAP
-    return CanopenLinks(url.netloc + url.path, _whole(query, "node", 0), _whole(query, "bitrate", 1_000_000), objects)
+    return CanopenLinks(url.netloc + url.path, int(query["node"]), int(query.get("bitrate", 1_000_000)), objects)
 
 
 def _replay(url: SplitResult, query: Query) -> LinkFactory:
     return replay_links(Path(url.netloc + url.path))
 
 
-_BUSES: dict[str, tuple[Callable[[SplitResult, Query], LinkFactory], frozenset[str]]] = {
-    "modbus": (_modbus, frozenset({"unit", "map"})),
-    "modbuss": (_modbus_tls, frozenset({"unit", "map", "ca", "cert", "key"})),
-    "modbus+rtu": (_modbus_rtu, frozenset({"unit", "map", "baud"})),
-    "canopen": (_canopen, frozenset({"node", "bitrate", "map"})),
-    "replay": (_replay, frozenset()),
+_BUSES: dict[str, Callable[[SplitResult, Query], LinkFactory]] = {
+    "modbus": _modbus,
+    "modbuss": _modbus_tls,
+    "modbus+rtu": _modbus_rtu,
+    "canopen": _canopen,
+    "replay": _replay,
 }
-_IN_PROCESS = {"simulated": frozenset({"rig", "seed"})}
-_EVERY_BUS = frozenset({"transcript"})
 
 
 def connect(url: str, rig: Rig | None = None) -> Controller:
@@ -100,50 +93,17 @@ def connect(url: str, rig: Rig | None = None) -> Controller:
     Raises
     ------
     ControllerError
-        An unknown scheme or option; names the ones there are.
+        An unknown scheme or option, or a number out of its range; names the ones there are.
     BusError
         Nothing answers there.
     """
-    parts = urlsplit(url)
-    known = _IN_PROCESS.get(parts.scheme) or (_BUSES[parts.scheme][1] | _EVERY_BUS if parts.scheme in _BUSES else None)
-    if known is None:
-        schemes = ", ".join(f"{scheme}://" for scheme in (*_IN_PROCESS, *_BUSES))
-        raise ControllerError(f"{url!r} has no known scheme; use one of {schemes}")
-    query = {name: values[-1] for name, values in parse_qs(parts.query, keep_blank_values=True).items()}
-    if unknown := sorted(set(query) - known):
-        raise ControllerError(
-            f"{url!r} has an unknown option {unknown[0]!r}; {parts.scheme}:// knows {', '.join(sorted(known))}"
-        )
-    if parts.scheme in _IN_PROCESS:
+    parts, query = understood(url)
+    if parts.scheme not in _BUSES:
         return _simulated(parts, query, rig)
-    links = _BUSES[parts.scheme][0](parts, query)
+    links = _BUSES[parts.scheme](parts, query)
     if "transcript" in query:
         links = RecordingLinks(links, Path(query["transcript"]))
     return RemoteController(links)
-
-
-def _host(url: SplitResult) -> str:
-    if not url.hostname:
-        raise ControllerError(f"{url.geturl()!r} names no host; write {url.scheme}://host:port")
-    return url.hostname
-
-
-def _port(url: SplitResult, default: int) -> int:
-    try:
-        return url.port or default
-    except ValueError as error:
-        raise ControllerError(f"{url.geturl()!r}: {error}") from error
-
-
-def _whole(query: Query, name: str, default: int, least: int | None = None, most: int | None = None) -> int:
-    try:
-        value = int(query.get(name, default))
-    except ValueError as error:
-        raise ControllerError(f"the option {name} is a whole number, not {query[name]!r}") from error
-    if (least is not None and value < least) or (most is not None and value > most):
-        bounds = f"{least} to {most}" if most is not None else f"at least {least}"
-        raise ControllerError(f"the option {name} is {bounds}, not {value}")
-    return value
 
 
 def _map(query: Query) -> RegisterMap:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from os.path import normpath
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
+from drivers.address import understood
+from drivers.errors import ControllerError
 from service.api.problems import UnprocessableError
 from service.config import Settings
 
@@ -15,6 +17,8 @@ FILES = ("map", "ca", "cert", "key", "rig")
 REFUSED = ("transcript",)
 FOLDER = "controllers"
 """Folder in the service's home whose files a controller's URL may name."""
+DEVICES = "/dev"
+"""Where serial ports are: a port elsewhere would be a file that is opened for whoever names it."""
 
 
 def checked_url(url: str, settings: Settings) -> str:
@@ -23,24 +27,22 @@ def checked_url(url: str, settings: Settings) -> str:
     Raises
     ------
     UnprocessableError
-        An unknown scheme, or a file that is not one of the service's.
+        An unknown scheme or option, a number out of its range, or a file that is not one of the service's.
     """
     if not url:
         return url
-    try:
-        parts = urlsplit(url)
-        _ = parts.port
-        query = parse_qs(parts.query, keep_blank_values=True)
-    except ValueError as error:
-        raise UnprocessableError(f"the controller's URL cannot be read: {error}") from error
-    if parts.scheme not in SCHEMES:
+    if url.partition(":")[0].lower() not in SCHEMES:
         raise UnprocessableError(f"a controller's URL begins with one of {', '.join(f'{s}://' for s in SCHEMES)}")
-    if parts.scheme in ("modbus", "modbuss") and not parts.hostname:
-        raise UnprocessableError(f"{url!r} names no host; write {parts.scheme}://host:port")
+    try:
+        parts, query = understood(url)
+    except ControllerError as error:
+        raise UnprocessableError(f"the controller's URL: {error}") from error
     folder = (settings.home.absolute() / FOLDER).resolve()
-    for name, values in query.items():
+    for name, value in query.items():
         if name in REFUSED:
             raise UnprocessableError(f"the option {name} is for the command line; leave it out")
-        if name in FILES and any(not Path(value).resolve().is_relative_to(folder) for value in values):
+        if name in FILES and not Path(value).resolve().is_relative_to(folder):
             raise UnprocessableError(f"the option {name} must name a file in {folder}; have it put there")
+    if parts.scheme == "modbus+rtu" and not Path(normpath(parts.path)).is_relative_to(DEVICES):
+        raise UnprocessableError(f"{parts.path} is no serial port; one is in {DEVICES}, as /dev/ttyUSB0")
     return url

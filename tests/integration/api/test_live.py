@@ -67,7 +67,7 @@ def device(tmp_path_factory):
     device.device.end()
 
 
-@pytest.mark.parametrize("now", ["", "simulated://", "modbus+rtu:///nowhere?baud=0", "modbus://127.0.0.1:9"])
+@pytest.mark.parametrize("now", ["", "simulated://", "modbus+rtu:///dev/nowhere", "modbus://127.0.0.1:9"])
 def test_a_stop_reaches_the_controller_that_a_job_is_on_whatever_the_rig_names_by_now(service, api, rig, device, now):
     changed(api, rig, device.url)
     job = api.post("/jobs", json={"rig": rig, "kind": "experiment"}).json()["id"]

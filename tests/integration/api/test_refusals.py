@@ -35,10 +35,26 @@ def test_a_job_that_cannot_be_done_is_refused_at_once(api, rig, body, status, wo
         ("modbus://host:1?transcript=/tmp/x", "transcript"),
         ("modbuss://host:1?ca=/etc/ssl/key.pem", "controllers"),
         ("simulated://?rig=/etc/passwd", "controllers"),
-        ("modbus://", "names no host"),
+        ("modbus+rtu:///etc/passwd", "/dev"),
+        ("modbus+rtu:///dev/../etc/passwd", "/dev"),
     ],
 )
 def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
+    assert_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
+
+
+@pytest.mark.parametrize(
+    ("url", "word"),
+    [
+        ("modbus://", "names no host"),
+        ("modbus://host?units=1", "unknown option 'units'"),
+        ("modbus+rtu:///dev/ttyUSB0?baud=0", "baud is 300 to 4000000"),
+        ("canopen://socketcan/can0?node=128", "node is 1 to 127"),
+        ("canopen://socketcan/can0?node=5&bitrate=0", "bitrate is 10000 to 1000000"),
+        ("canopen://can0?node=5", "cannot read the CAN bus"),
+    ],
+)
+def test_a_controllers_url_that_no_bus_can_have_is_refused_when_it_is_given(api, url, word):
     assert_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
 
 

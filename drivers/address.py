@@ -1,0 +1,81 @@
+"""What the URL of a controller says, as far as that can be told without opening a bus or a file."""
+
+from __future__ import annotations
+
+from urllib.parse import SplitResult, parse_qs, urlsplit
+
+from drivers.errors import ControllerError
+
+Query = dict[str, str]
+_EVERY_BUS = frozenset({"transcript"})
+_OPTIONS = {
+    "simulated": frozenset({"rig", "seed"}),
+    "modbus": _EVERY_BUS | {"unit", "map"},
+    "modbuss": _EVERY_BUS | {"unit", "map", "ca", "cert", "key"},
+    "modbus+rtu": _EVERY_BUS | {"unit", "map", "baud"},
+    "canopen": _EVERY_BUS | {"node", "bitrate", "map"},
+    "replay": _EVERY_BUS,
+}
+"""Options by scheme."""
+_WHOLE = {
+    ("simulated", "seed"): (0, 2**63 - 1),
+    ("modbus", "unit"): (0, 255),
+    ("modbuss", "unit"): (0, 255),
+    # 0 is for all units, none of which answers, and those beyond 247 are reserved (Modbus over serial line 1.02, 2.2)
+    ("modbus+rtu", "unit"): (1, 247),
+    ("modbus+rtu", "baud"): (300, 4_000_000),
+    ("canopen", "node"): (1, 127),  # CiA 301
+    ("canopen", "bitrate"): (10_000, 1_000_000),
+}
+"""The least and the greatest of those that are whole numbers."""
+
+
+def understood(url: str) -> tuple[SplitResult, Query]:
+    """Parts and options of a URL; `drivers.url.connect` has a table of what it can be.
+
+    Raises
+    ------
+    ControllerError
+        An unknown scheme or option, a part that is missing, a number out of its range; names what there is.
+    """
+    try:
+        parts = urlsplit(url)
+        _ = parts.port  # is read, and checked, there
+    except ValueError as error:
+        raise ControllerError(f"{url!r}: {error}") from error
+    if parts.scheme not in _OPTIONS:
+        schemes = ", ".join(f"{scheme}://" for scheme in _OPTIONS)
+        raise ControllerError(f"{url!r} has no known scheme; use one of {schemes}")
+    known = _OPTIONS[parts.scheme]
+    query = {name: values[-1] for name, values in parse_qs(parts.query, keep_blank_values=True).items()}
+    if unknown := sorted(set(query) - known):
+        raise ControllerError(
+            f"{url!r} has an unknown option {unknown[0]!r}; {parts.scheme}:// knows {', '.join(sorted(known))}"
+        )
+    for name, text in query.items():
+        if (parts.scheme, name) in _WHOLE:
+            _must_be_whole(name, text, *_WHOLE[parts.scheme, name])
+    _must_name_a_place(parts, query)
+    return parts, query
+
+
+def _must_be_whole(name: str, text: str, least: int, most: int) -> None:
+    try:
+        value = int(text)
+    except ValueError as error:
+        raise ControllerError(f"the option {name} is a whole number, not {text!r}") from error
+    if not least <= value <= most:
+        raise ControllerError(f"the option {name} is {least} to {most}, not {value}")
+
+
+def _must_name_a_place(url: SplitResult, query: Query) -> None:
+    if url.scheme in ("modbus", "modbuss") and not url.hostname:
+        raise ControllerError(f"{url.geturl()!r} names no host; write {url.scheme}://host:port")
+    if url.scheme == "modbus+rtu" and not url.path:
+        raise ControllerError(f"{url.geturl()!r} names no serial port; write modbus+rtu:///dev/ttyUSB0?baud=115200")
+    if url.scheme == "canopen":
+        from drivers.canopen.bus import bus_arguments
+
+        if "node" not in query:
+            raise ControllerError(f"{url.geturl()!r} names no node; write canopen://socketcan/can0?node=5")
+        bus_arguments(url.netloc + url.path)
