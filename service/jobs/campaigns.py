@@ -14,6 +14,7 @@ from service import bootstrap
 from service.errors import ConflictError, JobError, StoppedError
 from service.experiment.aims import Profile
 from service.experiment.campaign import EXPERIMENT, JOURNAL, run_campaign
+from service.experiment.journal import entries
 from service.experiment.multisine_plan import MultisineProfile
 from service.experiment.progress import Progress
 from service.jobs.context import Context
@@ -216,12 +217,19 @@ def _measured_before(worker: Context, job: JobRow) -> str | None:
 
 
 def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control) -> None:
-    """The longer one of this machine's journal and the database's: what was begun elsewhere goes on here."""
-    kept = worker.database.surely(lambda session: jobs.journal(session, job.id), control.stopped)
+    """The longer one of this machine's journal and the database's: what was begun elsewhere goes on here.
+
+    Of both only whole lines count: what a machine that died had written of a point is measured again, in other bytes.
+    """
+    sent = worker.database.surely(lambda session: jobs.journal(session, job.id), control.stopped)
     local = path.read_bytes() if path.exists() else b""
+    kept, local = sent[: entries(sent)[1]], local[: entries(local)[1]]
+    if cut := len(sent) - len(kept):
+        log.warning("the journal of %s was cut short: %d bytes at its end are no whole point", job.id, cut)
     if len(kept) > len(local):
         path.write_bytes(kept)
-    control.begin_journal(len(kept) if local[: len(kept)] == kept or len(kept) > len(local) else 0)
+        local = kept
+    control.begin_journal(len(kept) if local[: len(kept)] == kept else 0)
 
 
 def _keep_partial(worker: Context, job: JobRow, control: Control, folder: Path, purpose: str) -> None:

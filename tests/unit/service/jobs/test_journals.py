@@ -1,10 +1,12 @@
 """A campaign's journal in the database, from which another machine goes on."""
 
+import logging
 import threading
 from types import SimpleNamespace
 
 import pytest
 
+from service.experiment.journal import Journal, line
 from service.jobs import campaigns
 from service.jobs.control import Control
 from service.storage import jobs, rigs
@@ -30,7 +32,12 @@ def kept(worker, job):
         return jobs.journal(session, job.id)
 
 
-def works(worker, job, path, measured):
+def of(*points):
+    """Lines of a journal."""
+    return b"".join(line({"point": point}) for point in points)
+
+
+def works(worker, job, path, *measured):
     """A machine with a journal of its own at ``path`` takes the job and measures some more."""
     with worker.database.write() as session:
         attempt = jobs.claim(session, job.id, 1, "w1").attempt
@@ -42,17 +49,43 @@ def works(worker, job, path, measured):
             control._turn()
 
 
+def goes_on(worker, job, path, header, *points):
+    """Another machine takes the job and measures some more, as a campaign does."""
+    with worker.database.write() as session:
+        attempt = jobs.claim(session, job.id, 1, "w2").attempt
+    with Control(worker, job.id, attempt, path, period_s=60.0) as control:
+        campaigns._restore_journal(worker, job, path, control)
+        journal = Journal(path, header)
+        for point in points:
+            journal.append({"point": point})
+            control._turn()
+        journal.close()
+
+
 def test_a_takeover_has_every_point_though_two_machines_went_different_ways(worker, submitted, tmp_path):
-    works(worker, submitted, tmp_path / "one", [b"1 begun\n", b"2 by one\n", b"3 by one\n"])
+    works(worker, submitted, tmp_path / "one", of("1"), of("2 by one"), of("3 by one"))
     other = tmp_path / "two"
-    other.write_bytes(b"1 begun\n2 by two\n3 by two\n4 by two\n")  # measured while the database was away
-    works(worker, submitted, other, [b"5 by two\n"])
+    other.write_bytes(of("1", "2 by two", "3 by two", "4 by two"))  # measured while the database was away
+    works(worker, submitted, other, of("5 by two"))
     assert kept(worker, submitted) == other.read_bytes()
 
 
 def test_an_older_journal_takes_nothing_from_the_database(worker, submitted, tmp_path):
-    works(worker, submitted, tmp_path / "one", [b"1 begun\n", b"2 by one\n", b"3 by one\n"])
+    works(worker, submitted, tmp_path / "one", of("1"), of("2 by one"), of("3 by one"))
     older = tmp_path / "two"
-    older.write_bytes(b"1 begun\n2 by two\n")
-    works(worker, submitted, older, [b"4 by two\n"])
-    assert kept(worker, submitted) == older.read_bytes() == b"1 begun\n2 by one\n3 by one\n4 by two\n"
+    older.write_bytes(of("1", "2 by two"))
+    works(worker, submitted, older, of("4 by two"))
+    assert kept(worker, submitted) == older.read_bytes() == of("1", "2 by one", "3 by one", "4 by two")
+
+
+def test_a_point_that_was_cut_short_on_its_way_takes_no_later_one_along(worker, submitted, tmp_path, caplog):
+    """The machine died in the middle of a line, which is measured again elsewhere: other figures, another length."""
+    header = {"rig": "r"}
+    one, two = tmp_path / "one", tmp_path / "two"
+    Journal(one, header).close()
+    whole = one.read_bytes() + of("1")
+    works(worker, submitted, one, of("1"), of("2 by one, and cut short")[:-9])
+    with caplog.at_level(logging.WARNING):
+        goes_on(worker, submitted, two, header, "2", "3")
+    assert kept(worker, submitted) == two.read_bytes() == whole + of("2", "3")
+    assert "cut short" in caplog.text
