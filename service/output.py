@@ -10,8 +10,13 @@ from typing import Any
 from service.errors import DocumentError, OutputError
 
 
-def ready_folder(folder: Path) -> Path:
+def ready_folder(folder: Path, mode: int = 0o777) -> Path:
     """The folder, made where it does not exist, and proven to be writable.
+
+    Parameters
+    ----------
+    mode
+        Of the folder where it is made.
 
     Raises
     ------
@@ -20,9 +25,11 @@ def ready_folder(folder: Path) -> Path:
     """
     probe = folder / f".write-test.{os.getpid()}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"x")
-        probe.unlink()
+        folder.mkdir(mode, parents=True, exist_ok=True)
+        try:
+            probe.write_bytes(b"x")
+        finally:  # on a full disk the file is made, and the writing fails
+            probe.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(
             f"cannot write to {folder}: {error.strerror or error}; nothing was started: choose another folder"

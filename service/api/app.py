@@ -36,6 +36,7 @@ from service.api.state import Services
 from service.bootstrap import product_version
 from service.config import Settings
 from service.jobs.engine import Dispatcher
+from service.private import make_folders
 from service.storage.blobs import Blobs
 from service.storage.database import Database
 from service.storage.migrate import upgrade
@@ -57,7 +58,7 @@ def create_app(settings: Settings) -> FastAPI:
     StorageError
         A database or the store cannot be used.
     """
-    settings.work.mkdir(parents=True, exist_ok=True)
+    make_folders(settings)
     database = Database(settings.database, pool_size=THREADS)
     upgrade(database)
     services = Services(settings, database, Blobs(settings.store), Dispatcher(settings), Kept(database))

@@ -36,6 +36,7 @@ from service.api.shapes import (
     Viewer,
 )
 from service.api.state import Api, Services
+from service.private import private_folder
 from service.storage import results, rigs
 from service.storage.database import now
 from service.storage.ids import new_id
@@ -151,9 +152,7 @@ async def upload_experiment(
 
 
 def _incoming(api: Services) -> Path:
-    folder = api.settings.work / "uploads"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return private_folder(api.settings.work / "uploads")
 
 
 async def _received(request: Request, path: Path, api: Services) -> tuple[Path, str]:

@@ -16,6 +16,7 @@ from service.api.problems import Documented
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
 from service.exports.errors import ExportError
+from service.private import private_folder
 from service.storage import results
 from service.storage.tables import ExperimentRow, ModelRow
 
@@ -102,6 +103,4 @@ def export_responses(
 
 
 def _scratch(api: Services) -> Path:
-    folder = api.settings.work / "exports"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return private_folder(api.settings.work / "exports")

@@ -18,9 +18,10 @@ from service.backup import manifest, postgres, sqlite
 from service.backup.manifest import Manifest
 from service.bootstrap import product_version
 from service.config import Settings
-from service.errors import NotFoundError, StorageError
+from service.errors import NotFoundError, OutputError, StorageError
 from service.exclusive import sole_use
 from service.output import ready_folder
+from service.private import PRIVATE, private_file, private_folder
 from service.storage import migrate
 from service.storage.blobs import Blobs
 from service.storage.database import Database, sqlite_file
@@ -60,9 +61,15 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
     ConflictError
         Another backup into the folder is being made.
     """
-    with sole_use(ready_folder(folder), "another backup", "wait for its end, or give this one another folder"):
-        _clear(folder)
-        return _create(settings, folder, say)
+    ready_folder(folder, PRIVATE)
+    with sole_use(folder, "another backup", "wait for its end, or give this one another folder"):
+        try:
+            _clear(folder)
+            return _create(settings, folder, say)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write the backup into {folder}: {error.strerror or error}; free space or choose another folder"
+            ) from error
 
 
 def _clear(folder: Path) -> None:
@@ -78,8 +85,7 @@ def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tup
     path = folder / f"{at:%Y%m%dT%H%M%SZ}"
     if path.exists():
         raise StorageError(f"{path} exists; wait a second and try again")
-    part = ready_folder(folder / f".{path.name}.part")
-    part.chmod(0o700)  # webhooks' secrets are in it
+    part = private_folder(folder / f".{path.name}.part")  # webhooks' secrets are in it
     try:
         database = Database(settings.database)
         try:
@@ -106,11 +112,23 @@ def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tup
         finally:
             database.close()
         manifest.write(part, made)
+        _force(part, *part.rglob("*"))
         part.rename(path)
+        _force(folder)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
     return path, made
+
+
+def _force(*paths: Path) -> None:
+    """Have the disk hold files and folders: a power failure shall not leave a backup's name without what it names."""
+    for path in paths:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def prune(folder: Path, keep: int) -> list[Path]:
@@ -175,6 +193,7 @@ def _rows(database: Database, part: Path) -> tuple[dict[str, int], set[str]]:
 def _store(blobs: Blobs, target: Path, named: set[str]) -> _Copied:
     """Copy what the backups' common store has not yet, or not whole: each file is checked against its name."""
     copied = _Copied()
+    private_folder(target)
     there = set(blobs.names())
     for name in sorted(there | named):
         try:
@@ -184,6 +203,7 @@ def _store(blobs: Blobs, target: Path, named: set[str]) -> _Copied:
             continue
         copied.names.append(name)
         copied.bytes += size
+    _force(target, *(path for path in target.iterdir() if path.is_dir()))
     return copied
 
 
@@ -200,12 +220,12 @@ def fetched(blobs: Blobs, name: str, to: Path) -> int:
         temporary = to.with_suffix(".part")
         seen = sha256()
         try:
-            with temporary.open("wb") as out:
+            with open(temporary, "wb", opener=private_file) as out:
                 for chunk in blobs.chunks(name):
                     seen.update(chunk)
                     out.write(chunk)
                 out.flush()
-                os.fsync(out.fileno())  # a power failure shall not leave a name without its content
+                os.fsync(out.fileno())
             if seen.hexdigest() != name:
                 raise StorageError(f"the file {name} of the store is damaged")
             temporary.replace(to)

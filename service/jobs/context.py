@@ -9,6 +9,7 @@ from pathlib import Path
 from service.config import Settings
 from service.jobs.calculator import Calculator
 from service.jobs.engine import Dispatcher
+from service.private import private_folder
 from service.storage.blobs import Blobs
 from service.storage.database import Database
 
@@ -27,9 +28,7 @@ class Context:
 
     def folder(self, job_id: str) -> Path:
         """Folder of a job's work in progress."""
-        path = self.settings.work / job_id
-        path.mkdir(parents=True, exist_ok=True)
-        return path
+        return private_folder(self.settings.work / job_id)
 
 
 _context: Context | None = None

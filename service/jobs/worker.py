@@ -24,6 +24,7 @@ from service.jobs import notices, steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
 from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, quieten, share_polls, shared_s
+from service.private import make_folders
 from service.storage import idempotency, jobs, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now
@@ -76,7 +77,7 @@ class Worker:
         """
         from dbos import DBOS
 
-        self.settings.work.mkdir(parents=True, exist_ok=True)
+        make_folders(self.settings)
         upgrade(self.context.database)
         self.context.blobs.check()
         self._sign_on()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlch
 from sqlalchemy.orm import Session, sessionmaker
 
 from service.errors import StorageError
+from service.private import private_file, private_folder
 from service.storage.changes import Changes
 from service.storage.pooling import pool_options
 
@@ -58,7 +60,8 @@ def use_wal(path: Path) -> None:
             connection.close()
 
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        private_folder(path.parent)
+        os.close(private_file(path, os.O_RDWR | os.O_CREAT))  # SQLite gives the files beside it the same mode
         patient_until = time.monotonic() + _LOCKED_S
         while True:
             try:

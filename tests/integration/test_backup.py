@@ -1,5 +1,6 @@
 """A service comes back from its backup as it was, on SQLite and on PostgreSQL, and no rotor moves because of it."""
 
+import errno
 import json
 import os
 import signal
@@ -16,7 +17,7 @@ from service.backup import manifest
 from service.backup.create import create, kind_of, prune
 from service.backup.restore import WHY, restore
 from service.config import Settings
-from service.errors import ConflictError, DocumentError, StorageError
+from service.errors import ConflictError, DocumentError, OutputError, StorageError
 from service.exclusive import LOCK, sole_use
 from service.jobs.engine import Dispatcher, workflow_id
 from service.jobs.submission import hand_over, hand_over_all
@@ -74,8 +75,6 @@ def test_a_service_comes_back_as_it_was(settings, tmp_path):
     path, written = create(old, tmp_path / "backups")
     assert written.database == settings.kind
     assert (written.rows["rigs"], written.blobs, written.missing) == (1, 1, ())
-
-    assert path.stat().st_mode & 0o077 == 0
 
     restore(new, path)
     after = everything(new)
@@ -286,6 +285,42 @@ def test_a_file_that_both_lost_is_named(tmp_path):
     path, written = create(settings, tmp_path / "backups")
     assert written.missing == (sha256,)
     restore(Settings(home=tmp_path / "new"), path)
+
+
+def test_nobody_else_reads_a_backup(tmp_path):
+    """It holds webhooks' secrets and the addresses of rigs, its store what was measured."""
+    old, folder = Settings(home=tmp_path / "old"), tmp_path / "backups"
+    lived_in(old)
+    path, _ = create(old, folder)
+    files = [each for each in (folder / manifest.STORE).rglob("*") if each.is_file()]
+    assert files
+    for one in (folder, path, folder / manifest.STORE, *files):
+        assert one.stat().st_mode & 0o077 == 0, one
+
+
+def test_a_backup_has_its_name_once_the_disk_has_all_of_it(tmp_path, monkeypatch):
+    old, folder = Settings(home=tmp_path / "old"), tmp_path / "backups"
+    lived_in(old)
+    fsync, rename, forced, before = os.fsync, Path.rename, set(), set()
+    monkeypatch.setattr(os, "fsync", lambda of: (forced.add(os.fstat(of).st_ino), fsync(of)))
+    monkeypatch.setattr(Path, "rename", lambda self, to: (before.update(forced), rename(self, to))[1])
+    path, _ = create(old, folder)
+    for one in (path, *path.rglob("*"), folder / manifest.STORE, *(folder / manifest.STORE).rglob("*")):
+        assert one.stat().st_ino in before, one
+    assert folder.stat().st_ino in forced
+
+
+def test_a_backup_onto_a_full_disk_says_so_and_leaves_nothing(tmp_path, monkeypatch):
+    old, folder = Settings(home=tmp_path / "old"), tmp_path / "backups"
+    lived_in(old)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match=f"backup into {folder}: No space left on device; free space"):
+        create(old, folder)
+    assert not list(folder.glob("*T*Z*")) + list(folder.glob(".*T*Z*"))
 
 
 def test_what_a_killed_backup_left_goes_with_the_next_one(tmp_path):

@@ -39,6 +39,24 @@ def test_a_newer_schema_is_refused(database):
         migrate.upgrade(database)
 
 
+def test_nobody_else_reads_the_tables_of_a_new_service(tmp_path):
+    database = Database(f"sqlite:///{tmp_path / 'home' / 'ambit.db'}")
+    migrate.upgrade(database)
+    made = {path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "home").iterdir()}
+    database.close()
+    assert made == {"ambit.db": 0o600, "ambit.db-wal": 0o600, "ambit.db-shm": 0o600}
+    assert (tmp_path / "home").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_folder_and_tables_that_others_may_read_stay_so(tmp_path):
+    tmp_path.chmod(0o755)
+    path = tmp_path / "ambit.db"
+    path.touch()
+    path.chmod(0o644)
+    use_wal(path)
+    assert (tmp_path.stat().st_mode & 0o777, path.stat().st_mode & 0o777) == (0o755, 0o644)
+
+
 def test_several_processes_may_migrate_at_once(tmp_path):
     url = f"sqlite:///{tmp_path / 'ambit.db'}"
     failed = []
