@@ -68,10 +68,10 @@ def _guarded(
     period_s = POLL_S if job.kind in jobs.ON_RIG else UNHURRIED_POLL_S
     with (
         logs.bound(job=job_id, rig=job.rig_id, request=asked.get("request")),
-        tracing.span(f"job.{job.kind}", asked, job=job_id, rig=job.rig_id, attempt=job.attempt),
+        tracing.span(f"job.{job.kind}", asked, job=job_id, rig=job.rig_id, attempt=job.run),
         Control(worker, job_id, job.attempt, journal, period_s) as control,
     ):
-        log.info("a step of the %s begins, attempt %d", job.kind, job.attempt)
+        log.info("a step of the %s begins, attempt %d", job.kind, job.run)
         try:
             found = outcome(jobs.DONE, work(worker, job, control))
         except StoppedError:
