@@ -141,9 +141,23 @@ async def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     if isinstance(error.body, bytes):  # what says that it is no JSON is not read
         return problem(request, 415, "the body is not said to be JSON; send Content-Type: application/json")
+    if (unknown := _unknown(request, error)) is not None:
+        return problem(request, 404, unknown)
     found = [{"field": ".".join(str(p) for p in e["loc"]), "reason": e["msg"]} for e in error.errors()]
     first = f"{found[0]['field']}: {found[0]['reason']}" if found else "the request is not valid"
     return problem(request, 422, first, found)
+
+
+def _unknown(request: Request, error: RequestValidationError) -> str | None:
+    """That there is no thing of such an id, which is none: nobody reads a pattern to find that out."""
+    first = error.errors()[0]
+    where, name = (*first["loc"], "")[:2]
+    if where != "path" or not name.endswith("_id") or not first["type"].startswith("string_"):
+        return None
+    kind = name.removesuffix("_id")
+    listed = request.scope["route"].path_format.partition("/{")[0]
+    how = "with ambit jobs, or " if kind == "job" else ""
+    return f"there is no {kind} {first['input']!r}; list them {how}at {listed}"
 
 
 async def _http(request: Request, error: Exception) -> Response:

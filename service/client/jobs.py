@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import httpx
 
-from service.client.errors import ApiError, JobEndedError, JobGoesOnError, UnreachableError
+from service.client.errors import ApiError, JobEndedError, JobGoesOnError, MissingError, UnreachableError
 from service.client.shapes import Event, Job, Kind
 from service.client.transport import BUSY, LONGEST_PAUSE_S, PAUSE_S, Transport
 
@@ -56,7 +57,7 @@ class Jobs:
 
     def get(self, job_id: str) -> Job:
         """A job as it is now."""
-        return Job.model_validate(self._transport.get(f"/jobs/{job_id}"))
+        return Job.model_validate(self._transport.get(_path(job_id)))
 
     def list(self, state: str | None = None, kind: Kind | None = None, rig: str | None = None) -> Iterator[Job]:
         """Jobs, newest first."""
@@ -64,11 +65,11 @@ class Jobs:
 
     def cancel(self, job_id: str) -> Job:
         """Cancel a job: an excitation ends within a second, and what was measured is kept."""
-        return Job.model_validate(self._transport.post(f"/jobs/{job_id}/cancel"))
+        return Job.model_validate(self._transport.post(_path(job_id) + "/cancel"))
 
     def retry(self, job_id: str) -> Job:
         """Try a job again that failed or was cancelled."""
-        return Job.model_validate(self._transport.post(f"/jobs/{job_id}/retry"))
+        return Job.model_validate(self._transport.post(_path(job_id) + "/retry"))
 
     def events(self, job_id: str) -> Iterator[Event]:
         """Every change of a job until it has ended; a connection that breaks is taken up again.
@@ -84,7 +85,7 @@ class Jobs:
         while True:
             headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
             try:
-                with self._transport.stream(f"/jobs/{job_id}/events", headers, SILENCE_S) as response:
+                with self._transport.stream(_path(job_id) + "/events", headers, SILENCE_S) as response:
                     for event in _events(response):
                         again = event.id == last and event.job.state == state
                         last, state = event.id, event.job.state
@@ -142,6 +143,13 @@ def must_be_done(job: Job) -> Job:
         raise JobGoesOnError(f"the job {job.id} is still {job.state}; wait for it with: ambit watch {job.id}", job)
     why = "" if job.error is None else f": {job.error.title}: {job.error.detail}".replace(": : ", ": ").rstrip(": ")
     raise JobEndedError(f"the job {job.id} {'was cancelled' if job.state == 'cancelled' else job.state}{why}", job)
+
+
+def _path(job_id: str) -> str:
+    """Path of a job; what is no word, as an id that a script left empty, would be another address."""
+    if not re.fullmatch(r"\w+", job_id, re.ASCII):
+        raise MissingError(404, f"there is no job {job_id!r}; list them with ambit jobs", [], "")
+    return f"/jobs/{job_id}"
 
 
 def _events(response: httpx.Response) -> Iterator[Event]:

@@ -70,7 +70,7 @@ def get(session: Session, job_id: str) -> JobRow:
     NotFoundError
         There is none of that id.
     """
-    return row(session, JobRow, job_id, "job", "at /api/v1/jobs")
+    return row(session, JobRow, job_id, "job", "with ambit jobs, or at /api/v1/jobs")
 
 
 def listed(

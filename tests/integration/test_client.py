@@ -167,6 +167,13 @@ def test_errors_say_what_to_do(ambit):
         ambit.rigs.named("nobody")
 
 
+@pytest.mark.parametrize("job", ["nonsense", "job_0", "", "../rigs"])
+@pytest.mark.parametrize("command", ["watch", "cancel", "retry"])
+def test_a_job_that_there_is_not_is_told_with_where_they_are(service, capsys, command, job):
+    assert run([command, job, "--url", service.url, "--key", service.operator]) == 1
+    assert capsys.readouterr().err.startswith(f"ambit: there is no job {job!r}; list them with ambit jobs")
+
+
 def test_keys(service, rig):
     with Client(service.url, "ambit_00000000_" + "0" * 48) as nobody, pytest.raises(KeyRefusedError, match="not known"):
         nobody.rigs.get(rig.id)

@@ -64,4 +64,5 @@ def test_requests_that_are_no_requests(api):
     assert_problem(api.post("/jobs", content=b"{", headers={"content-type": "application/json"}), 422, "JSON")
     assert_problem(api.post("/rigs", content=b"x" * 2_000_000), 413, "1,000,000")
     assert_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
+    assert_problem(api.get("/rigs/bench/status"), 404, "there is no rig 'bench'; list them at /api/v1/rigs")
     assert_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")
