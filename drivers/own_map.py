@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.errors import MapError
 from drivers.objects import GROUPS, Object, Type
+from sim.errors import reason
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -35,7 +36,7 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"cannot read the map {path}: {error}") from error
+        raise MapError(f"cannot read the map {path}: {reason(error)}") from error
 
 
 def parsed(text: str, source: str, model: type[M]) -> M:

@@ -16,6 +16,7 @@ from drivers.errors import BusError, ControllerError
 from drivers.link import Link, LinkFactory, RefusedError
 from drivers.objects import Refusal
 from drivers.packing import Order, Value, Values
+from sim.errors import reason
 
 FORMAT = "amb-transcript"
 _DRAWN_ANEW = ("token", "command", "crc")
@@ -30,7 +31,7 @@ class RecordingLinks:
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
-            raise ControllerError(f"cannot write the transcript {path}: {error}") from error
+            raise ControllerError(f"cannot write the transcript {path}: {reason(error)}") from error
         self._lock = threading.Lock()
         self._note({"format": FORMAT, "version": 1, "controller": links.description})
 
@@ -108,7 +109,7 @@ def replay_links(path: Path) -> _ReplayLinks:
     try:
         lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ControllerError(f"cannot read the transcript {path}: {error}") from error
+        raise ControllerError(f"cannot read the transcript {path}: {reason(error)}") from error
     if not lines or lines[0].get("format") != FORMAT or lines[0].get("version") != 1:
         raise ControllerError(f"{path} is not a transcript of version 1")
     return _ReplayLinks(path, lines[1:])

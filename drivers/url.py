@@ -15,6 +15,7 @@ from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
 from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
 from drivers.transcript import RecordingLinks, replay_links
+from sim.errors import reason
 from sim.rig import Rig
 
 
@@ -41,7 +42,8 @@ def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
         if "cert" in query:
             context.load_cert_chain(query["cert"], query.get("key"))
     except (OSError, ssl.SSLError) as error:
-        raise ControllerError(f"{url.geturl()}: cannot use the certificates: {error}") from error
+        files = ", ".join(query[name] for name in ("ca", "cert", "key") if name in query)
+        raise ControllerError(f"{url.geturl()}: cannot use the certificates {files}: {reason(error)}") from error
     return tls_links(url.hostname or "", url.port or 802, context, int(query.get("unit", 1)), _map(query))
 
 

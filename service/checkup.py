@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from service.bootstrap import DATASHEET, RESULT
 from service.output import json_text, read_document, ready_folder, write_text
+from sim.errors import reason
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
@@ -128,7 +129,7 @@ def read_history(path: Path) -> list[Checked]:
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     except (OSError, UnicodeDecodeError) as error:
         raise DocumentError(
-            f"cannot read the history {path}: {error}; give the file that ambit health wrote"
+            f"cannot read the history {path}: {reason(error)}; give the file that ambit health wrote"
         ) from error
     found = []
     for number, text in enumerate(lines):

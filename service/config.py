@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from service.errors import ConfigurationError
+from sim.errors import reason
 
 PREFIX = "AMBIT_"
 FILE_VARIABLE = "AMBIT_CONFIG"
@@ -185,4 +186,4 @@ def _from_file(file: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(f"cannot read the settings {file}: {error}; give a TOML file") from error
+        raise ConfigurationError(f"cannot read the settings {file}: {reason(error)}; give a TOML file") from error

@@ -29,7 +29,7 @@ from service.gap.trial.blind_trial import Diagnose, Published, checked, fingerpr
 from service.gap.trial.scoring import told
 from service.pool import workers
 from sim.datasheet import Datasheet
-from sim.errors import AmbError
+from sim.errors import AmbError, reason
 from sim.rig_file import to_toml
 from sim.withheld.case import Case, draw
 from sim.withheld.seal import SealError
@@ -106,7 +106,7 @@ def run_one(number: int, seed: int, out_dir: Path, engine: Diagnose = diagnose) 
         try:
             return dict(json.loads((folder / "sealed.json").read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError) as error:
-            raise SealError(f"{folder / 'sealed.json'} cannot be read any more: {error}") from error
+            raise SealError(f"{folder / 'sealed.json'} cannot be read any more: {reason(error)}") from error
 
     # the diagnosis gets what the file holds, as anyone who reads it would
     seen = file.read(folder / EXPERIMENT)
@@ -128,7 +128,7 @@ def _kept(number: int, seed: int, out_dir: Path) -> dict[str, Any] | None:
     except SealError as error:
         raise SealError(f"{folder}: {error}; remove {KEPT} there, and its case is sealed and run again") from error
     except (OSError, ValueError, TypeError, KeyError) as error:
-        raise AmbError(f"{path} cannot be read: {error}; remove the file and its case is run again") from error
+        raise AmbError(f"{path} cannot be read: {reason(error)}; remove the file and its case is run again") from error
     if not same:
         raise AmbError(f"{path} is of another trial than seed {seed}; give another folder")
     return document
@@ -207,7 +207,7 @@ def run_blind_trial(
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise AmbError(f"cannot write the trial to {out_dir}: {error}; give another folder") from error
+        raise AmbError(f"cannot write the trial to {out_dir}: {reason(error)}; give another folder") from error
     done: dict[int, dict[str, Any]] = {}
     try:
         for number, document in _finished(cases, seed, out_dir, jobs, engine):

@@ -8,9 +8,21 @@
     └── EffectError                  an unknown effect or parameter, or one that this rig cannot have
 """
 
+import re
+
 
 class AmbError(ValueError):
     """Base of every error of this product: one line that names the thing and the remedy."""
+
+
+def reason(error: BaseException) -> str:
+    """What an error says, in one line; of one of the operating system the words, without its number.
+
+    >>> reason(FileNotFoundError(2, "No such file or directory", "rig.toml"))
+    'No such file or directory'
+    """
+    words = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(re.sub(r"\[Errno -?\d+\] ", "", words).split()) or type(error).__name__
 
 
 class DatasheetError(AmbError):

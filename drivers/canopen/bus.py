@@ -19,6 +19,7 @@ import canopen
 from can.interfaces.socketcand.socketcand import SocketCanDaemonBus, convert_can_message_to_ascii_message
 
 from drivers.errors import BusError, ControllerError
+from sim.errors import reason
 
 INTERFACES = ("socketcan", "socketcand", "udp_multicast", "virtual")
 
@@ -76,7 +77,9 @@ def open_network(address: str, bitrate: int = 1_000_000) -> canopen.Network:
         network.bus = _reachable(arguments)
         network.connect()
     except (can.CanError, OSError, TimeoutError, ValueError) as error:
-        raise BusError(f"cannot open the CAN bus {address}: {error}") from error
+        raise BusError(
+            f"cannot open the CAN bus {address}: {reason(error)}; see that it is up, and that its name is right"
+        ) from error
     return network
 
 
@@ -118,7 +121,7 @@ class _SocketcandBus(SocketCanDaemonBus):
                 text = self._connection.recv(65536).decode("ascii")
                 self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
             except (OSError, ValueError) as error:
-                raise can.CanError(f"socketcand: {error}") from error
+                raise can.CanError(f"socketcand: {reason(error)}") from error
             if not text:
                 raise can.CanError("socketcand has closed the connection")
             *whole, self._begun = (self._begun + text).split(">")

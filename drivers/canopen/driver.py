@@ -22,6 +22,7 @@ from drivers.errors import BusError
 from drivers.link import Link, RefusedError
 from drivers.objects import BY_NAME, Outcome, Refusal, Type
 from drivers.packing import Order, Value, Values, decode, encode, pack, unpack, with_crc
+from sim.errors import reason
 
 T = TypeVar("T")
 SDO_TIMEOUT_S = 0.3
@@ -91,7 +92,7 @@ class CanopenLinks:
             network.send_message(cob_id + self.node_id, data)
         except (can.CanError, OSError, RuntimeError) as error:
             self.close()
-            raise BusError(f"the CAN bus failed: {error}") from error
+            raise BusError(f"the CAN bus failed: {reason(error)}") from error
 
     def close(self) -> None:
         """Leave the bus; safe twice. The next call opens it again."""
@@ -209,10 +210,15 @@ class _SdoLink:
             raise BusError(f"the SDO transfer was aborted: {aborted}") from aborted
         except (SdoCommunicationError, SdoError, struct.error) as error:  # struct.error: a frame was cut short
             self._failed()
-            raise BusError(f"the SDO transfer failed: {error}") from error
+            raise BusError(
+                f"the SDO transfer with node {self._links.node_id} failed: {reason(error)}; see that the controller is "
+                "on, and that bus and node are right"
+            ) from error
+        except BusError:  # it could not be opened
+            raise
         except (can.CanError, OSError, RuntimeError, ValueError, IndexError) as error:
             self._links.close()
-            raise BusError(f"the CAN bus failed: {error}") from error
+            raise BusError(f"the CAN bus failed: {reason(error)}") from error
         self._failures = 0
         return done
 

@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from drivers.errors import ControllerError
+from sim.errors import reason
 
 GREETING_S = 0.02
 """After ``rawmode``, no frame for this long: python-can takes its answer for a single message."""
@@ -113,7 +114,7 @@ class CanHub:
         try:
             self._listener = socket.create_server((host, port))
         except OSError as error:
-            raise ControllerError(f"cannot listen on {host}:{port}: {error}; choose another port") from error
+            raise ControllerError(f"cannot listen on {host}:{port}: {reason(error)}; choose another port") from error
         self._listener.settimeout(0.1)
         self.port: int = self._listener.getsockname()[1]
         self.host = host

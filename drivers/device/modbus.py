@@ -22,6 +22,7 @@ from drivers.device.front import DeviceFront
 from drivers.device.registers import RegisterSession
 from drivers.errors import ControllerError
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap
+from sim.errors import reason
 
 MAX_PDU = 253
 ACCEPT_AGAIN_S = 0.1
@@ -63,7 +64,7 @@ class TcpServer:
         try:
             self._listener = socket.create_server((host, port))
         except OSError as error:
-            raise ControllerError(f"cannot listen on {host}:{port}: {error}; choose another port") from error
+            raise ControllerError(f"cannot listen on {host}:{port}: {reason(error)}; choose another port") from error
         self._listener.settimeout(0.1)
         self.port: int = self._listener.getsockname()[1]
         self._thread = threading.Thread(target=self._accept, name="modbus", daemon=True)

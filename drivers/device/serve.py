@@ -30,6 +30,7 @@ from drivers.device.machine import Event, RigDevice
 from drivers.device.modbus import RtuServer, TcpServer
 from drivers.errors import ControllerError
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
+from sim.errors import reason
 
 SWITCH_INTERVAL_S = 0.0005
 """How long a thread of the device process may keep the others waiting: the bus answers while the rig is computed."""
@@ -131,7 +132,7 @@ def serve_modbus_tls(device: RigDevice, options: ModbusOptions) -> Served:
             context.load_verify_locations(options.client_ca)
             context.verify_mode = ssl.CERT_REQUIRED
     except (OSError, ssl.SSLError) as error:
-        raise ControllerError(f"cannot use the certificates: {error}") from error
+        raise ControllerError(f"cannot use the certificates: {reason(error)}") from error
     return _serve_tcp(device, options, "modbuss", context)
 
 
@@ -158,7 +159,7 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
         try:
             port = serial.Serial(options.device, options.baud, timeout=0)
         except (OSError, serial.SerialException, ValueError) as error:
-            raise ControllerError(f"cannot open the serial port {options.device}: {error}") from error
+            raise ControllerError(f"cannot open the serial port {options.device}: {reason(error)}") from error
         server = RtuServer(front, port.fileno(), options.unit, registers, spoiler)
         name, close_port = options.device, port.close
     else:
@@ -219,7 +220,7 @@ class EventLog:
         try:
             self._file = path.open("a", encoding="utf-8")
         except OSError as error:
-            raise ControllerError(f"cannot write the events to {path}: {error}") from error
+            raise ControllerError(f"cannot write the events to {path}: {reason(error)}") from error
         self._lock = threading.Lock()
 
     def __call__(self, event: Event) -> None:

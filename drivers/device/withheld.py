@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim.errors import AmbError
+from sim.errors import AmbError, reason
 from sim.rig_file import to_toml
 from sim.withheld.seal import seal
 
@@ -29,7 +29,7 @@ def sealed_in(path: Path, case: Case) -> str:
             os.fchmod(stream.fileno(), 0o600)  # a file that was there may have been anyone's to read
             stream.write(json.dumps(kept.document()) + "\n")
     except OSError as error:
-        raise AmbError(f"cannot write the sealed file {path}: {error}; give another one") from error
+        raise AmbError(f"cannot write the sealed file {path}: {reason(error)}; give another one") from error
     return kept.commitment
 
 
@@ -45,5 +45,5 @@ def datasheet_beside(path: Path, case: Case) -> Path:
     try:
         written.write_text(to_toml(case.datasheet), encoding="utf-8")
     except OSError as error:
-        raise AmbError(f"cannot write the datasheet {written}: {error}; give another sealed file") from error
+        raise AmbError(f"cannot write the datasheet {written}: {reason(error)}; give another sealed file") from error
     return written

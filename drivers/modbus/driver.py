@@ -14,6 +14,7 @@ from typing import Any
 
 from pymodbus import FramerType, ModbusException
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import BusError
@@ -23,6 +24,7 @@ from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, Register
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, check_crc, with_crc
 from drivers.pages import SEGMENT_BYTES, SEGMENT_PAGES, page_data, paged_bytes
+from sim.errors import reason
 
 Client = Any  # ModbusTcpClient or ModbusSerialClient, which are only partly typed
 Keep = Callable[[int, bytes], bytes]
@@ -34,6 +36,14 @@ BLOCK_TRIES = 4
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
 _REFUSALS = {refusal.modbus: refusal for refusal in Refusal}
+_EXCEPTIONS = {
+    1: "it does not know what was asked for; see that this is the controller's address",
+    10: "the gateway has no way to unit {unit}; correct unit, or set up the gateway",
+    11: "behind the gateway no unit {unit} answers; correct unit, or see to that device",
+}
+"""What those mean that a controller of ours never gives (Modbus application protocol 1.1b3, 7)."""
+_REACH = "see that the controller is on, and that its address and unit are right"
+_OPEN = "see that it is there, that this user may use it, and that nobody else does"
 
 
 class ModbusLink:
@@ -153,7 +163,7 @@ class ModbusLink:
                 parts.append(keep(len(parts), self._fast_block(client.socket, address, count)))
         except (OSError, BusError) as error:
             self.close()
-            raise BusError(f"reading data failed: {error}") from error
+            raise BusError(f"reading data failed: {reason(error)}") from error
 
     def _block(self, address: int, count: int) -> bytes:
         """One block of input registers."""
@@ -171,7 +181,7 @@ class ModbusLink:
         if not frame:
             raise BusError("the connection was closed")
         if len(frame) < size:
-            frame = _received(connection, frame, size)
+            frame = _received(connection, frame, size, self._unit)
         return read_response(frame, self._transaction, self._unit, count)
 
     def _connected(self) -> Client:
@@ -180,9 +190,9 @@ class ModbusLink:
             try:
                 connected = client.connect()
             except (OSError, ssl.SSLError, ModbusException) as error:
-                raise BusError(f"cannot connect: {error}") from error
-            if not connected:
-                raise BusError("cannot connect: nothing answers there, or it refused")
+                raise BusError(f"cannot connect: {reason(error)}; {_REACH}") from error
+            if not connected:  # pymodbus keeps the reason to itself
+                raise BusError(f"cannot open the serial port; {_OPEN}")
             connection = getattr(client, "socket", None)
             if isinstance(connection, socket.socket):
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -195,18 +205,28 @@ class ModbusLink:
             client = self._connected()
             try:
                 answer: ModbusPDU = getattr(client, verb)(*arguments, **more, device_id=self._unit)
+            except ModbusIOException:
+                self._fail(f"no answer from unit {self._unit}; {_REACH}")
+            except ConnectionException:
+                self._fail(f"the connection was closed without an answer from unit {self._unit}; {_REACH}")
             except (ModbusException, OSError, ValueError, IndexError) as error:
-                self._fail(str(error).removeprefix("Modbus Error: ").removeprefix("[Input/Output] "))
+                self._fail(reason(error).removeprefix("Modbus Error: "))
             if answer.isError():
                 code = getattr(answer, "exception_code", 0)
                 if code not in _REFUSALS:
-                    self._fail(f"the device answered with exception {code}")
+                    self._fail(_exception(code, self._unit))
                 raise RefusedError(_REFUSALS[code], f"Modbus exception {code}")
             return answer
 
     def _fail(self, message: str) -> Any:
         self.close()
         raise BusError(message)
+
+
+def _exception(code: int, unit: int) -> str:
+    """What a device says, or a gateway in front of it, that is no refusal of the controller's."""
+    told = _EXCEPTIONS.get(code, "").format(unit=unit)
+    return f"the device answered with Modbus exception {code}" + (f": {told}" if told else "")
 
 
 def _as_it_is(number: int, block: bytes) -> bytes:
@@ -232,12 +252,12 @@ def _set_kernel_timeout(connection: socket.socket, seconds: float) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, interval)
 
 
-def _received(connection: socket.socket, begun: bytes, size: int) -> bytes:
+def _received(connection: socket.socket, begun: bytes, size: int, unit: int) -> bytes:
     """Exactly ``size`` bytes of which some are there; an exception's frame is shorter, and told at once."""
     frame = bytearray(begun)
     while True:
         if len(frame) >= 9 and frame[7] & 0x80:
-            raise BusError(f"the device answered with exception {frame[8]}")
+            raise BusError(_exception(frame[8], unit))
         if len(frame) >= size:
             return bytes(frame)
         chunk = connection.recv(size - len(frame))
@@ -301,6 +321,17 @@ class _SharedLine:
             self._client.close()
 
 
+class _TcpClient(ModbusTcpClient):
+    """pymodbus's TCP client, which keeps to itself why it cannot connect."""
+
+    def connect(self) -> bool:
+        """Connect; OSError where that fails."""
+        if self.socket is None:
+            parameters = self.comm_params
+            self.socket = socket.create_connection((parameters.host, parameters.port), parameters.timeout_connect)
+        return True
+
+
 class _TlsClient(ModbusTcpClient):
     """pymodbus's TCP client in TLS. Its own TLS client neither checks the host's name nor the frame's length."""
 
@@ -325,9 +356,9 @@ def tcp_links(host: str, port: int, unit: int = 1, registers: RegisterMap = DEFA
     """Links over plain TCP."""
 
     def client(timeout: float) -> Client:
-        return ModbusTcpClient(host, port=port, timeout=timeout, retries=0)
+        return _TcpClient(host, port=port, timeout=timeout, retries=0)
 
-    return ModbusLinks(f"modbus://{host}:{port}", client, unit, registers)
+    return ModbusLinks(f"modbus://{host}:{port}?unit={unit}", client, unit, registers)
 
 
 def tls_links(
@@ -338,7 +369,7 @@ def tls_links(
     def client(timeout: float) -> Client:
         return _TlsClient(host, port, timeout, context)
 
-    return ModbusLinks(f"modbuss://{host}:{port}", client, unit, registers)
+    return ModbusLinks(f"modbuss://{host}:{port}?unit={unit}", client, unit, registers)
 
 
 def rtu_links(port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> ModbusLinks:
@@ -349,4 +380,4 @@ def rtu_links(port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFA
             port, framer=FramerType.RTU, baudrate=baud, timeout=max(timeout, 3 * 260 * 11 / baud), retries=0
         )
 
-    return ModbusLinks(f"modbus+rtu://{port}", client, unit, registers, serial=True)
+    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, serial=True)

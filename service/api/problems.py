@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 from http import HTTPStatus
 from typing import Any
@@ -18,10 +19,12 @@ from drivers.errors import BusError, ControllerError, LeaseError
 from service.access.errors import ForbiddenError, RateError, UnauthorisedError
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.uploads.errors import UploadError
-from sim.errors import AmbError
+from sim.errors import AmbError, reason
 
 log = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""What a disk says that takes no more."""
 
 
 class Problem(BaseModel):
@@ -122,6 +125,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(IntegrityError, _collision)
     app.add_exception_handler(DataError, _unkept)
     app.add_exception_handler(SQLAlchemyError, _database)
+    app.add_exception_handler(OSError, _machine)
     app.add_exception_handler(Exception, _defect)
 
 
@@ -197,6 +201,15 @@ async def _database(request: Request, error: Exception) -> Response:
     log.error("the database does not answer: %s", str(error).splitlines()[0])
     headers = {"Retry-After": "2"}
     return problem(request, 503, "the database does not answer; try again in a moment", headers=headers)
+
+
+async def _machine(request: Request, error: Exception) -> Response:
+    assert isinstance(error, OSError)
+    if error.errno not in NO_ROOM:
+        return await _defect(request, error)
+    log.error("the service's machine cannot keep what a request sent or made: %s", error)
+    detail = f"the service's machine cannot write: {reason(error)}; free space there, then try again"
+    return problem(request, 503, detail, headers={"Retry-After": "60"})
 
 
 async def _defect(request: Request, error: Exception) -> Response:

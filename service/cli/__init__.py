@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str]) -> int:
     """Exit status of a command line."""
-    from sim.errors import AmbError
+    from sim.errors import AmbError, reason
 
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
@@ -65,8 +65,12 @@ def run(arguments: list[str]) -> int:
         status = INTERRUPTED
     except BrokenPipeError:
         return _reader_left()
-    except (AmbError, OSError) as error:
+    except AmbError as error:
         say(f"ambit: {one_line(str(error))}")
+        return FAILED
+    except OSError as error:  # no part of the product has said what it means
+        file = f"{error.filename}: " if error.filename else ""
+        say(f"{' '.join(['ambit', *arguments[:1]])}: {file}{reason(error)}")
         return FAILED
     if status == INTERRUPTED:
         say("ambit: stopped by the user; files that were finished are kept")

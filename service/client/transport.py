@@ -15,6 +15,7 @@ from service.access.loopback import is_loopback
 from service.client.errors import UnreachableError, of_response
 from service.client.shapes import Page
 from service.errors import OutputError
+from sim.errors import reason
 
 T = TypeVar("T")
 PREFIX = "/api/v1"
@@ -47,8 +48,8 @@ class Transport:
         self.url = url.rstrip("/")
         self.shows_key = bool(key)
         self.patience_s = patience_s
+        verify: Any = _authority(ca) if ca else True
         try:
-            verify: Any = _authority(ca) if ca else True
             parts = httpx.URL(self.url)
             direct = parts.scheme == "http" and is_loopback(parts.host)  # no proxy leads to this machine
             self._http = httpx.Client(
@@ -56,7 +57,7 @@ class Transport:
             )
         except (httpx.InvalidURL, ValueError, OSError) as error:
             raise UnreachableError(
-                f"cannot use {url!r}: {error}; give http://host:port with --url or AMBIT_URL"
+                f"cannot use {url!r}: {reason(error)}; give http://host:port with --url or AMBIT_URL"
             ) from error
 
     def close(self) -> None:
@@ -194,7 +195,7 @@ class Transport:
 
     def _unreachable(self, error: Exception) -> UnreachableError:
         return UnreachableError(
-            f"the service at {self.url} does not answer ({str(error) or type(error).__name__}); "
+            f"the service at {self.url} does not answer ({reason(error)}); "
             "is it running? give its address with --url or AMBIT_URL"
         )
 
@@ -211,4 +212,9 @@ def _retry_after(response: httpx.Response) -> float | None:
 def _authority(ca: Path | str) -> Any:
     import ssl
 
-    return ssl.create_default_context(cafile=str(ca))
+    try:
+        return ssl.create_default_context(cafile=str(ca))
+    except OSError as error:  # SSLError is one
+        raise UnreachableError(
+            f"cannot read the authority {ca}: {reason(error)}; give a PEM file with --ca or AMBIT_CA"
+        ) from error

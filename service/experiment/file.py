@@ -19,6 +19,7 @@ import numpy as np
 from service.experiment import contract, matlab
 from service.experiment.data import Experiment, Sweep
 from service.experiment.errors import ExperimentFileError
+from sim.errors import reason
 
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
 MATLAB_73 = b"MATLAB 7.3 MAT-file"
@@ -52,9 +53,9 @@ def read(path: Path | str) -> Experiment:
             remedy = "an interrupted campaign lies beside it: resume that"
         raise ExperimentFileError(f"{path} does not exist; {remedy}") from error
     except (OSError, RuntimeError, KeyError, EOFError, matlab.DamagedError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        why = reason(error)
         raise ExperimentFileError(
-            f"{path} cannot be read, it may be truncated or damaged ({reason}); copy it again from where it was made"
+            f"{path} cannot be read, it may be truncated or damaged ({why}); copy it again from where it was made"
         ) from error
 
 
@@ -160,7 +161,9 @@ def write(path: Path, experiment: Experiment) -> None:
     except OSError as error:
         with suppress(OSError):
             temporary.unlink()
-        raise ExperimentFileError(f"cannot write {path}: {error}; free space or choose another folder") from error
+        raise ExperimentFileError(
+            f"cannot write {path}: {reason(error)}; free space or choose another folder"
+        ) from error
 
 
 def _write_sweep(group: Any, sweep: Sweep) -> None:

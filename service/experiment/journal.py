@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.errors import ExperimentFileError, JournalError
+from sim.errors import reason
 
 FORMAT = "amb-campaign-journal"
 VERSION = 1
@@ -88,7 +89,7 @@ def read(path: Path) -> tuple[Entry, list[Entry]]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise JournalError(f"cannot read the journal {path}: {error}") from error
+        raise JournalError(f"cannot read the journal {path}: {reason(error)}") from error
     found, _ = entries(content)
     if not found or found[0].get("format") != FORMAT or found[0].get("version") != VERSION:
         raise JournalError(f"{path} is not a campaign journal of version {VERSION}; move it away to start anew")
@@ -119,7 +120,7 @@ class Journal:
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            raise ExperimentFileError(f"cannot write {path}: {error}; choose another folder") from error
+            raise ExperimentFileError(f"cannot write {path}: {reason(error)}; choose another folder") from error
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="journal")
         self._forcing: Future[None] | None = None
         try:
@@ -162,7 +163,7 @@ class Journal:
             while data:
                 data = data[os.write(self._descriptor, data) :]
         except OSError as error:
-            raise ExperimentFileError(f"cannot write {self.path}: {error}; free space and resume") from error
+            raise ExperimentFileError(f"cannot write {self.path}: {reason(error)}; free space and resume") from error
         self._forcing = self._disk.submit(os.fsync, self._descriptor)
 
     def _forced(self) -> None:

@@ -19,7 +19,7 @@ from service.jobs.context import Context, context
 from service.jobs.control import POLL_S, UNHURRIED_POLL_S, Control
 from service.storage import jobs, results, rigs
 from service.storage.tables import ExperimentRow, JobRow, RigVersion
-from sim.errors import AmbError
+from sim.errors import AmbError, reason
 
 log = logging.getLogger(__name__)
 
@@ -80,6 +80,11 @@ def _guarded(
             found = outcome(jobs.FAILED, control.result, error.title, str(error))
         except AmbError as error:
             found = outcome(jobs.FAILED, control.result, _title(error), str(error))
+        except OSError as error:
+            log.exception("job %s met an error of this machine", job_id)
+            file = f" {error.filename}" if error.filename else ""
+            detail = f"{worker.settings.worker} cannot use{file}: {reason(error)}; see to its disk, then try again"
+            found = outcome(jobs.FAILED, control.result, "error of the worker's machine", detail)
         except Exception as error:
             log.exception("job %s met a defect", job_id)
             detail = f"{type(error).__name__}: {error}; report it with the worker's log"

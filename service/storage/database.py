@@ -19,6 +19,7 @@ from service.errors import StorageError
 from service.private import private_file, private_folder
 from service.storage.changes import Changes
 from service.storage.pooling import pool_options
+from sim.errors import reason
 
 T = TypeVar("T")
 
@@ -72,7 +73,9 @@ def use_wal(path: Path) -> None:
                     raise
             time.sleep(0.01)
     except (OSError, sqlite3.Error) as error:
-        raise StorageError(f"cannot use the database {path}: {error}; choose another folder with AMBIT_HOME") from error
+        raise StorageError(
+            f"cannot use the database {path}: {reason(error)}; choose another folder with AMBIT_HOME"
+        ) from error
 
 
 def sqlite_file(url: str) -> Path | None:

@@ -15,6 +15,7 @@ from fsspec.core import url_to_fs
 from fsspec.implementations.local import LocalFileSystem
 
 from service.errors import StorageError
+from sim.errors import reason
 
 _OF_S3 = {"endpoint_url": "endpoint_url", "profile": "profile"}
 _CLIENT_OF_S3 = {"region": "region_name"}
@@ -91,7 +92,7 @@ def answering(doing: str, local: bool) -> Iterator[None]:
 
 def told(error: Exception) -> str:
     """An error in one line."""
-    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    return reason(error).rstrip(".")
 
 
 def _remedy(error: Exception) -> str:

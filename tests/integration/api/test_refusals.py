@@ -1,7 +1,11 @@
 """What is no request, or cannot be done, is refused at once as a problem."""
 
+import errno
+import os
+
 import pytest
 
+from service.api import experiments
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 
@@ -56,6 +60,16 @@ def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
 )
 def test_a_controllers_url_that_no_bus_can_have_is_refused_when_it_is_given(api, url, word):
     assert_problem(api.post("/rigs", json={"datasheet": SHEET, "controller_url": url, "name": "x"}), 422, word)
+
+
+def test_a_disk_that_is_full_is_no_defect_of_the_service(api, rig, monkeypatch):
+    async def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(experiments, "_received", full)
+    answer = api.post(f"/rigs/{rig}/experiments", content=b"x", headers={"content-type": "application/x-hdf5"})
+    assert_problem(answer, 503, "No space left on device; free space")
+    assert int(answer.headers["retry-after"]) >= 1
 
 
 def test_requests_that_are_no_requests(api):

@@ -1,6 +1,10 @@
-"""A step of a job tells in the log which attempt at the job it belongs to."""
+"""A step of a job tells in the log which attempt at the job it belongs to, and whose fault its end is."""
 
+import errno
 import logging
+import os
+
+import pytest
 
 from service.config import Settings
 from service.jobs import context, steps
@@ -9,24 +13,40 @@ from tests.support.databases import migrated
 from tests.support.service import reference_sheet
 
 
-def test_the_second_step_is_no_second_attempt_and_a_retry_is(tmp_path, monkeypatch, caplog):
+@pytest.fixture
+def worker(tmp_path, monkeypatch):
     with migrated("sqlite", tmp_path) as database:
-        settings = Settings(home=tmp_path)
-        worker = context.Context(settings, database, None, None, None)
-        monkeypatch.setattr(steps, "context", lambda: worker)
-        with database.write() as session:
-            rig = rigs.create(session, "bench", reference_sheet(), "", "", "me")
-            job = jobs.submit(session, "experiment", rig.id, 1, "me").id
+        settings = Settings(home=tmp_path, worker_name="w1")
+        monkeypatch.setattr(steps, "context", lambda: context.Context(settings, database, None, None, None))
+        yield database
 
-        def told(run):
-            caplog.clear()
-            with caplog.at_level(logging.INFO):
-                steps.guarded(lambda *_: {}, job, run)
-            return caplog.text
 
-        assert "attempt 1" in told(1)
-        assert "attempt 1" in told(1)
-        with database.write() as session:
-            jobs.finish(session, job, 1, jobs.FAILED, {})
-            jobs.retry(session, job, "me", "local")
-        assert "attempt 2" in told(2)
+@pytest.fixture
+def job(worker):
+    with worker.write() as session:
+        rig = rigs.create(session, "bench", reference_sheet(), "", "", "me")
+        return jobs.submit(session, "experiment", rig.id, 1, "me").id
+
+
+def test_a_disk_that_is_full_is_told_as_that_and_not_as_a_defect(job):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/data/work/rig.toml")
+
+    found = steps.guarded(full, job, 1)
+    assert (found["state"], found["title"]) == ("failed", "error of the worker's machine")
+    assert found["detail"].startswith("w1 cannot use /data/work/rig.toml: No space left on device; see")
+
+
+def test_the_second_step_is_no_second_attempt_and_a_retry_is(worker, job, caplog):
+    def told(run):
+        caplog.clear()
+        with caplog.at_level(logging.INFO):
+            steps.guarded(lambda *_: {}, job, run)
+        return caplog.text
+
+    assert "attempt 1" in told(1)
+    assert "attempt 1" in told(1)
+    with worker.write() as session:
+        jobs.finish(session, job, 1, jobs.FAILED, {})
+        jobs.retry(session, job, "me", "local")
+    assert "attempt 2" in told(2)
