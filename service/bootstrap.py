@@ -123,8 +123,9 @@ def measure(
     """
     from service.experiment.campaign import run_campaign
 
-    write_datasheet(ready_folder(out_dir), datasheet)
-    return run_campaign(controller, datasheet, out_dir, progress, cancelled, resume, profile)
+    measured = run_campaign(controller, datasheet, out_dir, progress, cancelled, resume, profile)
+    write_datasheet(out_dir, datasheet)  # not before: a campaign that is refused leaves the folder as it was
+    return measured
 
 
 def write_datasheet(folder: Path, datasheet: Datasheet) -> Path:

@@ -136,8 +136,8 @@ class Journal:
             raise JournalError(f"{self.path} is not a campaign journal; move it away to start anew")
         if found and _compared(found[0]) != _compared(json.loads(json.dumps(header, default=_encoded))):
             raise JournalError(
-                f"{self.path} belongs to {_difference(found[0], header)}; "
-                "choose another folder, or start anew without resuming"
+                f"{self.path} belongs to {_difference(found[0], header)}; choose another folder, or put it aside and "
+                "start anew with ambit commission --no-resume"
             )
         os.ftruncate(self._descriptor, good)
         os.lseek(self._descriptor, good, os.SEEK_SET)
@@ -190,8 +190,14 @@ def _compared(header: Entry) -> Entry:
 def _difference(found: Entry, wanted: Entry) -> str:
     """The first thing in which two headers differ, in words."""
     for key in _compared(wanted):
-        if found.get(key) != wanted[key]:
-            return f"another campaign (its {key} is {_short(found.get(key))}, not {_short(wanted[key])})"
+        old, new = found.get(key), wanted[key]
+        if key == "datasheet_sha256" and old != new:
+            return "another campaign (of another datasheet)"
+        if isinstance(old, dict) and isinstance(new, dict):
+            names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+            old, new = ({name: of[name] for name in names if name in of} for of in (old, new))
+        if old != new:
+            return f"another campaign (its {key} is {_short(old)}, not {_short(new)})"
     return "another campaign"
 
 

@@ -153,7 +153,7 @@ class Recorder:
             if {k: entry.get(k) for k in asked} != asked:
                 raise JournalError(
                     f"the journal was written by another plan: its next point is {entry.get('request')}, "
-                    f"this one asks for {asked['request']}; start anew without resuming"
+                    f"this one asks for {asked['request']}; start anew with ambit commission --no-resume"
                 )
         else:
             entry = asked | self._live(request, reduction)

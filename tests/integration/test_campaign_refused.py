@@ -7,6 +7,7 @@ import pytest
 from drivers.controller import State, Status
 from drivers.errors import CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
+from service.bootstrap import measure, write_datasheet
 from service.errors import OutputError
 from service.experiment.campaign import recover, run_campaign
 from service.experiment.errors import CampaignError, JournalError
@@ -53,10 +54,22 @@ def test_a_journal_of_another_rig_or_profile(tmp_path):
     with pytest.raises(CancelledError):
         campaign(Faulty(interrupted_at(20, KeyboardInterrupt())), tmp_path)
     before = (tmp_path / "experiment.journal").read_bytes()
-    assert_refused(JournalError, "datasheet_sha256", Faulty(None), tmp_path, replace(SHEET, mass_kg=281.0))
+    assert_refused(
+        JournalError, "of another datasheet.*--no-resume", Faulty(None), tmp_path, replace(SHEET, mass_kg=281.0)
+    )
     assert (tmp_path / "experiment.journal").read_bytes() == before
     with pytest.raises(JournalError, match="its profile is"):
         campaign(Faulty(None), tmp_path, replace(SMALL, points=25))
+
+
+def test_a_campaign_that_is_refused_leaves_the_datasheet_of_the_other_one(tmp_path):
+    with pytest.raises(CancelledError):
+        campaign(Faulty(interrupted_at(5, KeyboardInterrupt())), tmp_path)
+    path = write_datasheet(tmp_path, SHEET)
+    before = path.read_text()
+    with pytest.raises(JournalError, match="another datasheet"):
+        measure(Faulty(None), replace(SHEET, mass_kg=281.0), tmp_path, profile=SMALL)
+    assert path.read_text() == before
 
 
 TINY = replace(SMALL, points=16, validation_points=2, amplifier_points=2)

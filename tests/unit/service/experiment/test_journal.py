@@ -8,7 +8,7 @@ import pytest
 from service.experiment.errors import ExperimentFileError, JournalError
 from service.experiment.journal import Journal, entries, line, read
 
-HEADER = {"rig": "r", "profile": {"points": 200}}
+HEADER = {"rig": "r", "profile": {"points": 200, "blocks": 4}}
 
 
 @pytest.fixture
@@ -81,8 +81,9 @@ def test_nothing_after_a_damaged_line_comes_back(path):
 def test_another_campaign_is_refused_and_left_alone(path):
     filled(path)
     before = path.read_bytes()
-    with pytest.raises(JournalError, match="its profile is"):
-        Journal(path, HEADER | {"profile": {"points": 100}})
+    told = r'its profile is \{"points": 200\}, not \{"points": 100\}\); .*folder, or .* ambit commission --no-resume'
+    with pytest.raises(JournalError, match=told):
+        Journal(path, HEADER | {"profile": {"points": 100, "blocks": 4}})
     assert path.read_bytes() == before
 
 
