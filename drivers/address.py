@@ -38,6 +38,8 @@ def understood(url: str) -> tuple[SplitResult, Query]:
     ControllerError
         An unknown scheme or option, a part that is missing, a number out of its range; names what there is.
     """
+    if not url.isprintable():  # urlsplit would leave some of that out without a word
+        raise ControllerError(f"{url!r} has a control character; leave it out")
     try:
         parts = urlsplit(url)
         _ = parts.port  # is read, and checked, there

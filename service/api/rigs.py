@@ -175,9 +175,10 @@ def _checked(wanted: RigWanted, services: Services) -> str:
     sheet = rig_file.parse(wanted.datasheet, "datasheet")
     checked_url(wanted.controller_url, services.settings)
     name = wanted.name or sheet.name
-    if len(name) > LONGEST_NAME or "\0" in name:  # TOML has an escape for every character
+    if len(name) > LONGEST_NAME or not name.isprintable():  # it is shown in logs and on terminals, which would obey it
         raise UnprocessableError(
-            f"the name of a rig has at most {LONGEST_NAME} characters and no NUL; give another one, or the field name"
+            f"the name of a rig has at most {LONGEST_NAME} characters, none of which is a control character; give "
+            "another one, or the field name"
         )
     return name
 

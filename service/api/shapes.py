@@ -23,6 +23,10 @@ Time = Annotated[datetime, PlainSerializer(_utc, when_used="json")]
 """ISO 8601, UTC."""
 
 
+DEEPEST = 16
+"""Levels of objects and lists in a body; far below the depth at which Python gives up."""
+
+
 class Shape(BaseModel):
     """What the service sends."""
 
@@ -36,18 +40,19 @@ class Wanted(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_nul(cls, sent: Any) -> Any:
-        if _has_nul(sent):
-            raise ValueError("holds a NUL character (U+0000), which PostgreSQL keeps in no text; leave it out")
+    def _can_be_kept(cls, sent: Any) -> Any:
+        parts = [(sent, 0)]
+        while parts:
+            part, depth = parts.pop()
+            if isinstance(part, str) and "\0" in part:
+                raise ValueError("holds a NUL character (U+0000), which PostgreSQL keeps in no text; leave it out")
+            if isinstance(part, dict | list) and depth == DEEPEST:
+                raise ValueError(f"is nested deeper than {DEEPEST} levels, as nothing is that means something here")
+            if isinstance(part, dict):
+                parts += [(each, depth + 1) for pair in part.items() for each in pair]
+            elif isinstance(part, list):
+                parts += [(each, depth + 1) for each in part]
         return sent
-
-
-def _has_nul(sent: Any) -> bool:
-    if isinstance(sent, dict):
-        return any(_has_nul(part) for pair in sent.items() for part in pair)
-    if isinstance(sent, list):
-        return any(map(_has_nul, sent))
-    return isinstance(sent, str) and "\0" in sent
 
 
 class Listed(Shape, Generic[T]):

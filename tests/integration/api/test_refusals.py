@@ -72,6 +72,20 @@ def test_a_disk_that_is_full_is_no_defect_of_the_service(api, rig, monkeypatch):
     assert int(answer.headers["retry-after"]) >= 1
 
 
+@pytest.mark.parametrize("depth", [20, 600, 5000, 200_000])
+def test_a_body_that_is_nested_without_end_is_no_defect(api, rig, depth):
+    for whole in ('{"datasheet": %s}', '{"kind": "experiment", "rig": "r", "options": {"a": %s}}'):
+        body = whole % ("[" * depth + "]" * depth)
+        path = "/rigs" if "datasheet" in whole else "/jobs"
+        answer = api.post(path, content=body, headers={"content-type": "application/json"})
+        assert answer.status_code in (400, 422), answer.text
+
+
+@pytest.mark.parametrize("name", ["a\x1b]0;title\x07", "two\nlines", "dear\u202eelbatrops"])
+def test_a_name_that_a_terminal_would_obey_is_refused(api, name):
+    assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": name}), 422, "control character")
+
+
 def test_requests_that_are_no_requests(api):
     assert_problem(api.get("/nothing"), 404, "/openapi.json")
     assert_problem(api.patch("/jobs"), 405, "PATCH", "/openapi.json")

@@ -36,6 +36,7 @@ def test_simulated_takes_rig_and_seed() -> None:
         ("canopen://socketcan/can0?node=0", "node is 1 to 127, not 0"),
         ("canopen://socketcan/can0?node=5&bitrate=0", "bitrate is 10000 to 1000000, not 0"),
         ("modbus://[::1", "Invalid IPv6 URL"),
+        ("modbus://ho\tst", "'modbus://ho\\tst' has a control character"),
         ("simulated://?seed=-1", "seed is 0 to"),
         ("canopen://pigeon/can0?node=1", "cannot read the CAN bus"),
         ("canopen://socketcan/?node=1", "cannot read the CAN bus"),
