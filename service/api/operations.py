@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from shutil import disk_usage
+
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Histogram, generate_latest
@@ -24,6 +26,8 @@ FRESH_S = 1.0
 PATIENCE_S = 2.0
 """Whoever asks is answered within this time, whatever database and store do."""
 NO_ANSWER = "no answer yet"
+LEAST_BYTES = 10_000_000
+"""With less room neither rows nor an experiment can be kept, and what was measured is lost to a full disk."""
 _LIMITED: Documented = {429: documented()[429]}
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 
@@ -135,6 +139,8 @@ def readiness(api: Services) -> Ready:
         database, worker = "does not answer", "unknown"
     try:
         api.blobs.check()
+        if disk_usage(api.settings.home).free < LEAST_BYTES:
+            store = "no room is left on the disk of the service's home: free space there"
     except Exception:
         store = "does not answer"
     good = database == store == "ok"

@@ -24,7 +24,9 @@ from sim.errors import AmbError, reason
 log = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-"""What a disk says that takes no more."""
+"""What a disk says that takes no more,"""
+FULL = ("database or disk is full", "No space left on device")
+"""and what SQLite and PostgreSQL say of it."""
 
 
 class Problem(BaseModel):
@@ -200,6 +202,8 @@ async def _unkept(request: Request, error: Exception) -> Response:
 async def _database(request: Request, error: Exception) -> Response:
     log.error("the database does not answer: %s", str(error).splitlines()[0])
     headers = {"Retry-After": "2"}
+    if any(words in str(error) for words in FULL):
+        return problem(request, 503, "the database's disk is full; free space there, then try again", headers=headers)
     return problem(request, 503, "the database does not answer; try again in a moment", headers=headers)
 
 

@@ -3,11 +3,12 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import httpx
 import pytest
 
-from service.api import access, events, middleware
+from service.api import access, events, middleware, operations
 from service.api.app import THREADS
 from service.config import Settings
 from service.storage import jobs
@@ -93,6 +94,13 @@ def test_a_store_that_hangs_is_told_in_time_and_keeps_no_request_waiting(service
             assert answer.json()["store"] == "no answer yet"
         answered.set()
         wait_for(lambda: client.get("/readyz").json()["ready"], "an answer of the store", 20)
+
+
+def test_a_disk_without_room_is_not_ready(service, monkeypatch):
+    monkeypatch.setattr(operations, "disk_usage", lambda _: SimpleNamespace(free=4096))
+    answer = httpx.get(f"{service.url}/readyz")
+    assert answer.status_code == 503
+    assert "no room is left" in answer.json()["store"]
 
 
 def test_methods_that_a_caller_makes_up_are_one_in_the_metrics(service):

@@ -2,10 +2,13 @@
 
 import errno
 import os
+import sqlite3
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from service.api import experiments
+from service.storage import rigs
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 
@@ -70,6 +73,12 @@ def test_a_disk_that_is_full_is_no_defect_of_the_service(api, rig, monkeypatch):
     answer = api.post(f"/rigs/{rig}/experiments", content=b"x", headers={"content-type": "application/x-hdf5"})
     assert_problem(answer, 503, "No space left on device; free space")
     assert int(answer.headers["retry-after"]) >= 1
+
+
+def test_a_database_whose_disk_is_full_says_so(api, monkeypatch):
+    full = OperationalError("INSERT", {}, sqlite3.OperationalError("database or disk is full"))
+    monkeypatch.setattr(rigs, "create", lambda *_: (_ for _ in ()).throw(full))
+    assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": "full"}), 503, "disk is full; free space")
 
 
 @pytest.mark.parametrize("depth", [20, 600, 5000, 200_000])
