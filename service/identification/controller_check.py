@@ -15,7 +15,7 @@ import numpy as np
 from service.identification.closed_loop import closed_loop_poles, slowest_decay
 from service.identification.loop_margins import loop_margins
 from service.identification.margins import (
-    dense_grid,
+    loop_grid,
     sensitivity,
     sensitivity_peaks,
     zone,
@@ -249,7 +249,7 @@ def _moved(theta: Real, step: Real) -> Real:
 def _axes(
     saved: SavedPlane, law: tuple[Real, Real], drawn: list[PlaneModel], limits: tuple[tuple[str, float], ...]
 ) -> list[AxisCheck]:
-    omega = dense_grid(saved.model)
+    omega = loop_grid(saved.model)
     best_peaks = sensitivity_peaks(saved.model, law)
     best = _figures(saved.model, law, omega)
     others = list(zip(*(_figures(m, law, omega) for m in drawn), strict=True)) or [(), ()]

@@ -11,6 +11,8 @@ from service.identification.zoh import Complex, Real
 
 CLOSE = 1e-5
 """Half the relative distance of two frequencies between which a loop counts as straight."""
+REST = 1e-3
+"""A loop at this frequency is at rest, rad/s: slower than any part of it but an integrator."""
 
 
 @dataclass(frozen=True)
@@ -40,20 +42,25 @@ class LoopMargins:
         return down, up, phase, delay
 
     def places(self) -> Real:
-        """Pairs of frequencies about each crossing, (4, 2) rad/s, nan without one."""
+        """Pairs of frequencies about each crossing, (4, 2) rad/s, nan without one; to both sides of rest."""
         at = np.array([np.nan if c is None else c.omega for c in self.crossings()])
-        return at[:, None] * (1.0 + CLOSE * np.array([-1.0, 1.0]))
+        away = np.where(at == 0, REST, CLOSE * at)
+        return np.stack([at - away, at + away], axis=1)
 
 
 def loop_margins(omega: Real, loop: Complex) -> LoopMargins:
     """Margins of L = 1/S - 1 from its values at rising frequencies, straight in between.
 
-    Gain margins in dB: how far the gain may fall (negative) and rise; phase in degrees; delay in s.
+    Gain margins in dB: how far the gain may fall (negative) and rise; phase in degrees; delay in s. L(-w) = L(w)*, so a
+    loop that does not integrate is real at rest, too: an unstable plant falls there when the gain falls. That is seen
+    where the frequencies begin at `REST`.
     """
     down: Crossing | None = None
     up: Crossing | None = None
-    for k in np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0):
-        db, w = _gain(omega[k : k + 2], loop[k : k + 2])
+    real = [_gain(omega[k : k + 2], loop[k : k + 2]) for k in np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0)]
+    if omega[0] <= REST and abs(loop[0].imag) < 0.1 * abs(loop[0].real):
+        real.append(_gain(omega[0] * np.array([-1.0, 1.0]), np.array([loop[0].conj(), loop[0]])))
+    for db, w in real:
         if math.isnan(db):
             continue
         if db < 0:

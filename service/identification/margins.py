@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from service.identification.etfe import FrequencyResponse
-from service.identification.loop_margins import loop_margins, moved
+from service.identification.loop_margins import REST, loop_margins, moved
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real, discrete_response
 from sim.datasheet import ISO_14839_3_DB
@@ -124,12 +124,21 @@ def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -
     return np.asarray(np.linalg.inv(loop), dtype=np.complex128)
 
 
-def dense_grid(model: PlaneModel, highest_hz: float = 3000.0) -> Real:
-    """Frequencies that show every peak of the model, rad/s."""
-    highest = 2 * np.pi * min(highest_hz, 0.49 / model.known.sample_time_s)
-    base = np.geomspace(2 * np.pi, highest, 500)
+def dense_grid(model: PlaneModel) -> Real:
+    """Frequencies from 1 Hz to almost half the sample rate that show every peak of the model, rad/s."""
+    highest = 2 * np.pi * 0.49 / model.known.sample_time_s
+    base = _per_decade(2 * np.pi, highest, 144)
     near = [m[0] * (1 + np.linspace(-0.02, 0.02, 41)) for m in model.modes if 0 < m[0] < highest]
     return np.unique(np.concatenate([base, *near]))
+
+
+def loop_grid(model: PlaneModel) -> Real:
+    """The same from rest on, where a loop without an integrator has its lower gain margin."""
+    return np.concatenate([_per_decade(REST, 2 * np.pi, 60)[:-1], dense_grid(model)])
+
+
+def _per_decade(lowest: float, highest: float, number: int) -> Real:
+    return np.geomspace(lowest, highest, 1 + math.ceil(number * math.log10(highest / lowest)))
 
 
 @dataclass(frozen=True)
@@ -149,7 +158,7 @@ def sensitivity_peaks(model: PlaneModel, controller: tuple[Real, Real]) -> tuple
     controller
         Numerator and denominator of the discrete law from -y to u.
     """
-    omega = dense_grid(model)
+    omega = loop_grid(model)
     size = np.abs(sensitivity(model, controller, omega))
     return _refined(model, controller, omega, size[:, 0, 0], 0), _refined(model, controller, omega, size[:, 1, 1], 1)
 
@@ -183,7 +192,7 @@ def axis_margins(
     measured
         ETFE r->u of the plane.
     """
-    omega = dense_grid(model)
+    omega = loop_grid(model)
     s = sensitivity(model, controller, omega)
     peaks = sensitivity_peaks(model, controller)
     out = []

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 
-from service.identification.loop_margins import loop_margins, moved
+from service.identification.closed_loop import closed_loop_poles
+from service.identification.loop_margins import REST, loop_margins, moved
 from service.identification.margins import axis_margins
 from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
+from sim.reference import pid_with_biquad
 
-OMEGA = np.geomspace(1e-2, 1e2, 4000)
+OMEGA = np.geomspace(REST, 1e2, 5000)
 LOOPS = {
     "three lags": control.tf([2.0], [1.0, 3.0, 2.0, 0.0]),
     "an unstable plant under PID": control.tf([6.0, 9.0, 3.0], [1.0, 0.0, -1.0, 0.0]) * control.tf([1.0], [0.05, 1.0]),
+    "an unstable plant under PD": control.tf([9.0, 3.0], [1.0, 0.0, -1.0]) * control.tf([1.0], [0.05, 1.0]),
 }
 
 
@@ -29,7 +34,8 @@ def test_margins_are_those_of_python_control(name: str) -> None:
         if crossing is not None:
             k = int(np.argmin(np.abs(theirs)))
             assert crossing.value == pytest.approx(theirs[k], abs=1e-2)
-            assert crossing.omega == pytest.approx(at_gain[np.argmin(np.abs(decibel - theirs[k]))], rel=1e-3)
+            where = at_gain[np.argmin(np.abs(decibel - theirs[k]))]
+            assert crossing.omega == pytest.approx(where, rel=1e-3, abs=REST)
     assert found.phase_deg is not None
     assert found.phase_deg.value == pytest.approx(np.min(np.abs(phases)), abs=1e-2)
     assert found.delay_s is not None
@@ -65,14 +71,47 @@ def test_margins_of_a_plane_have_deviations_and_their_measured_counterparts(resu
             assert all(s is None or s > 0 for s in told["gain_margin_db_std"][axis])
 
 
-def test_margins_that_a_loop_does_not_have_are_none(
-    truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray]
-) -> None:
+def test_margins_that_a_loop_does_not_have_are_none(truth: dict[str, PlaneModel]) -> None:
     """Of so weak a law the loop never reaches one: no phase, no delay, and nothing is computed of them."""
     model = truth["x"]
     free = model.layout.free()
-    weak = (1e-3 * controller[0], controller[1])
+    numerator, denominator = pid_with_biquad(integral_a_per_ms=0.0)
+    weak = (1e-3 * numerator, denominator)
     for axis in axis_margins(model, weak, np.diag((1e-4 * model.theta[free]) ** 2), free, None):
         assert (axis.phase_deg.value, axis.phase_deg.std) == (None, None)
         assert (axis.delay_s.value, axis.delay_s.std) == (None, None)
         assert axis.peak_std > 0
+
+
+def quick(slow: PlaneModel) -> PlaneModel:
+    """A plane whose axes would swing above 3 kHz: amplifiers of 12 kHz, sampled every 10 us."""
+    theta = slow.theta.copy()
+    for place in slow.layout.amplifiers:
+        theta[place] = [1.0, 2 * np.pi * 12e3, 0.8]
+    return replace(slow.at(theta), known=replace(slow.known, sample_time_s=1e-5))
+
+
+@pytest.mark.parametrize(
+    ("rig", "law"),
+    [
+        pytest.param(lambda m: m, {"integral_a_per_ms": 0.0}, id="down at rest, without an integrator"),
+        pytest.param(lambda m: m, {"integral_a_per_ms": 1e3}, id="down below 1 Hz, with a slow one"),
+        pytest.param(quick, {"sample_time_s": 1e-5, "filter_hz": 3e4}, id="up above 3 kHz"),
+    ],
+)
+def test_gain_by_a_margin_puts_a_pole_of_the_loop_on_the_circle(rig, law, truth: dict[str, PlaneModel]) -> None:
+    model, controller = rig(truth["x"]), pid_with_biquad(**law)
+    free = model.layout.free()
+    axes = axis_margins(model, controller, np.diag((1e-4 * model.theta[free]) ** 2), free, None)
+    for place, axis in zip(model.layout.amplifiers, axes, strict=True):
+        for margin in (axis.gain_down_db, axis.gain_up_db):
+            assert margin.value is not None
+            assert margin.std is not None
+            assert margin.std > 0
+            growth = []
+            for beyond in (-0.1, 0.1):
+                theta = model.theta.copy()
+                theta[place.start] *= 10 ** ((margin.value + np.sign(margin.value) * beyond) / 20)
+                poles = np.abs(closed_loop_poles(model.at(theta), controller)) - 1.0
+                growth.append(np.max(poles[np.abs(poles) > 1e-7]))  # apart from an integrator that nothing drives
+            assert growth[0] < 0 < growth[1]
