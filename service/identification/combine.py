@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigvals
@@ -150,8 +150,28 @@ def _balance(driven: Real | Complex, seen: Real | Complex) -> float:
 
 
 def plant_state_space(model: PlaneModel, axes: tuple[str, str]) -> StateSpace:
-    """The levitated plant from coil currents to sensed displacements in modal form."""
-    return modal_form(*physical_matrices(model), ((f"i_{axes[0]}", f"i_{axes[1]}"), (f"y_{axes[0]}", f"y_{axes[1]}")))
+    """The levitated plant from coil currents to sensed displacements in modal form, with the datasheet's sensor poles.
+
+    Partial fractions of w/(s + w) C (sI - A)^-1 B have w C (A + wI)^-1 at the plant's states and less that times B at
+    the sensor's: no eigenvectors are asked for, and two sensors may have the same pole.
+    """
+    a, b, c = physical_matrices(model)
+    lags = [(j, float(w)) for j, w in enumerate(model.known.sensor_bandwidth_rad_s) if np.isfinite(w)]
+    for j, w in lags:
+        c[j] = w * np.linalg.solve((a + w * np.eye(len(a))).T, c[j])
+    plant = modal_form(a, b, c, ((f"i_{axes[0]}", f"i_{axes[1]}"), (f"y_{axes[0]}", f"y_{axes[1]}")))
+    for j, w in lags:
+        driven, seen = -c[j] @ b, np.eye(2)[j]
+        size = _balance(driven, seen)
+        n = len(plant.A)
+        plant = replace(
+            plant,
+            A=np.block([[plant.A, np.zeros((n, 1))], [np.zeros((1, n)), np.array([[-w]])]]),
+            B=np.vstack([plant.B, driven * size]),
+            C=np.column_stack([plant.C, seen / size]),
+            states=(*plant.states, f"sensor {axes[j]} real pole {-w:.4g} rad/s"),
+        )
+    return plant
 
 
 def amplifier_state_space(model: PlaneModel, axes: tuple[str, str]) -> StateSpace:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,19 @@ def test_state_space_in_modal_form_has_the_models_response_and_poles(model: Plan
     assert block[0, 0] == block[1, 1] < 0
     assert np.count_nonzero(ss.A) == 4 + 4 * 2
     assert np.allclose(np.sort_complex(np.linalg.eigvals(ss.A)), np.sort_complex(plant_poles(no_sensor)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("bandwidth_rad_s", [(3e4, np.inf), (np.inf, 2e4), (2e4, 2e4), (2e4, 2.5e4)])
+def test_state_space_has_the_sensors_poles_as_the_model_has(model: PlaneModel, bandwidth_rad_s) -> None:
+    slow = replace(model, known=replace(model.known, sensor_bandwidth_rad_s=np.array(bandwidth_rad_s)))
+    ss = plant_state_space(slow, ("xA", "xB"))
+    assert np.allclose(ss.response(OMEGA), slow.plant_response(OMEGA), rtol=1e-9, atol=0)
+    poles = np.sort(np.linalg.eigvals(ss.A).real)
+    sensors = -np.sort(np.array([w for w in bandwidth_rad_s if np.isfinite(w)]))[::-1]
+    assert np.allclose(poles[: len(sensors)], sensors)
+    assert len(ss.states) == len(ss.A) == 8 + len(sensors)
+    at = [k for k, name in enumerate(ss.states) if name.startswith("sensor")]
+    assert np.count_nonzero(ss.A[at]) == np.count_nonzero(ss.A[:, at]) == len(at)
 
 
 def test_zeros_are_where_the_plant_loses_rank(truth: dict[str, PlaneModel]) -> None:
