@@ -15,6 +15,7 @@ from service.exports.errors import ExportError
 from service.exports.linear import UNITS
 from service.identification.etfe import FrequencyResponse, Path, etfe
 from service.identification.points import plane_points, planes_of
+from service.identification.sweeps import chosen_sweeps
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -63,7 +64,7 @@ def of_experiment(experiment: Experiment, path: Path = "u->y", sweep: str = "") 
     """
     if path not in PATHS:
         raise ExportError(f"no response {path!r} can be exported; give one of {', '.join(PATHS)}")
-    found = experiment.main if not sweep else experiment.named(sweep)
+    found = chosen_sweeps(experiment).main.sweep if not sweep else experiment.named(sweep)
     if found is None:
         names = ", ".join(s.comment for s in experiment.sweeps)
         raise ExportError(f"the experiment has no sweep {sweep!r}; it has {names}")

@@ -22,11 +22,12 @@ from service.identification.plane_model import Known, Layout, PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.residuals import Data
 from service.identification.result import CommissioningResult, PlaneResult
-from service.identification.rotating import NOT_PLANT, speeds_of, turned
+from service.identification.rotating import turned
 from service.identification.selection import Selected, choose_modes
 from service.identification.split import Knowledge
 from service.identification.staged import StagedFit, staged_fit
 from service.identification.start import joint_start
+from service.identification.sweeps import chosen_sweeps
 from service.identification.tolerances import Tolerances
 from service.identification.transient import LASTING, Transient, settled, told
 from service.identification.zoh import Real
@@ -71,8 +72,8 @@ def identify(
     Parameters
     ----------
     experiment
-        The main sweep is fitted; one with comment "amplifier" helps with the amplifiers; the first other one is kept
-        for cross-validation and no step of any fit sees it.
+        The main sweep is fitted, with others that excite axes which it does not; one with comment "amplifier" helps
+        with the amplifiers; the first other one is kept for cross-validation and no step of any fit sees it.
     datasheet
         Geometry, mass properties, bias current, controller; its ki, ks, amplifiers and modes are not trusted unless
         ``options`` ask for them as priors. Effects that it names are part of the model as far as that can have them
@@ -96,18 +97,13 @@ def identify(
     doubts = stated_amplitudes(experiment)
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
-    excited = [s for s in experiment.sweeps if s.kind != "noise" and s.n_points and np.any(s.amplitude_a > 0)]
-    if not excited:
-        raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
-    speeds = speeds_of(experiment)
-    slowest = [s for s in excited if s.speed_rad_s == speeds[0]] if speeds else excited
-    named = next((s for s in slowest if s.comment not in NOT_PLANT), None)
-    main = named or next((s for s in slowest if s.comment != "amplifier"), excited[0])
-    amplifier_sweep = next((s for s in excited if s.comment == "amplifier" and s is not main), None)
-    others = [s for s in slowest if s is not main and s is not amplifier_sweep and s.comment != "preliminary"]
-    validation = next((s for s in others if s.comment == "validation"), others[0] if others else None)
+    chosen = chosen_sweeps(experiment)
+    main, speeds = chosen.main.sweep, chosen.speeds_rad_s
+    amplifier_sweep = None if chosen.amplifier is None else chosen.amplifier.sweep
+    validation = None if chosen.validation is None else chosen.validation.sweep
 
-    warnings = [sentence for e in twin.effects for sentence in e.sentences()] + doubts + list(log.warnings)
+    warnings = [sentence for e in twin.effects for sentence in e.sentences()]
+    warnings += [*doubts, *log.warnings, *chosen.notes]
     if main.speed_rad_s:
         remedy = "" if len(speeds) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(
@@ -121,7 +117,7 @@ def identify(
     steps = len(pairs) + any(speeds)
     for k, (plane, pair) in enumerate(pairs.items()):
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
-            warnings.append(f"plane {plane} is not excited and not identified")
+            warnings.append(f"plane {plane} is not excited in {chosen.main.name} and not identified")
             continue
         found[plane] = fit_plane(
             main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options, twin.chain
@@ -153,18 +149,13 @@ def identify(
         datasheet.name,
         tuple(experiment.axes),
         planes,
-        _name(experiment, main),
-        None if validation is None else _name(experiment, validation),
+        chosen.main.name,
+        None if chosen.validation is None else chosen.validation.name,
         tuple(warnings),
         rotating=rotating,
         cross_planes=across,
         known_effects=twin.effects,
     )
-
-
-def _name(experiment: Experiment, sweep: Sweep) -> str:
-    place = next(k for k, s in enumerate(experiment.sweeps) if s is sweep)
-    return f"sweeps/{place} ({sweep.comment})" if sweep.comment else f"sweeps/{place}"
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,11 @@ from service.identification.rotating_points import SpeedPoints, speed_points
 from service.identification.rotating_start import Begun, begun, not_modes
 from service.identification.selection import Selected
 from service.identification.split import Posterior, Split
+from service.identification.sweeps import NOT_PLANT
 from service.identification.uncertainty import Uncertainty, uncertainty_of
 from service.identification.zoh import Real
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
-
-NOT_PLANT = ("amplifier", "preliminary", "validation")
-"""Comments of sweeps that the joint fit does not see."""
 
 ROUND = 0.005
 """Standard deviation of the logarithm by which the two planes' shapes of one mode may split differently."""
@@ -145,16 +143,6 @@ class Turned:
             "natural_frequency_rad_s": {"x": w_x.document(), "y": w_y.document()},
             "damping_ratio": {"x": zeta_x.document(), "y": zeta_y.document()},
         }
-
-
-def speeds_of(experiment: Experiment) -> list[float]:
-    """Speeds at which the plant was excited, slowest first."""
-    found = {
-        float(s.speed_rad_s)
-        for s in experiment.sweeps
-        if s.kind != "noise" and s.comment not in NOT_PLANT and s.n_points and np.any(s.amplitude_a > 0)
-    }
-    return sorted(found, key=abs)
 
 
 def turned(

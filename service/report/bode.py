@@ -14,6 +14,7 @@ from service.identification.etfe import FrequencyResponse, etfe
 from service.identification.margins import sensitivity
 from service.identification.points import plane_points
 from service.identification.result import PlaneResult
+from service.identification.sweeps import chosen_sweeps
 from service.report.figure import (
     FOURTH,
     MEASURED,
@@ -225,8 +226,9 @@ def sensitivity_figure(plane: PlaneResult, experiment: Experiment, datasheet: Da
 
 def _measured_sensitivity(plane: PlaneResult, experiment: Experiment) -> FrequencyResponse | None:
     try:
-        return etfe(plane_points(experiment.main, experiment.axes, plane.plane), "r->u")
-    except (AmbError, StopIteration):
+        main = chosen_sweeps(experiment).main.sweep
+        return etfe(plane_points(main, experiment.axes, plane.plane), "r->u")
+    except AmbError:
         return None
 
 
