@@ -150,6 +150,7 @@ class Tolerances:
         return k if away <= rival and away < np.clip(5 * self.mode_frequency, NEAR, FAR) * told.frequency else None
 
     def _of_mode(self, told: _Mode, k: int, model: PlaneModel) -> tuple[Real, Real]:
+        """Rows of frequency, damping and shape; no damping, or no motion at bearings or sensors, is one not known."""
         at, size = model.layout.mode(k).start, model.layout.size
         nu, sigma, *rest = model.modes[k]
         shape, w = np.array(rest), model.natural_frequencies[k]
@@ -159,17 +160,20 @@ class Tolerances:
         d_w[2:4] = shape[:2] ** 2 / (2 * w)
         d_zeta = -sigma / w**2 * d_w
         d_zeta[at + 1] += 1.0 / w
-        std = self.mode_frequency * told.frequency, self.mode_damping * told.damping
-        residual = [(w - told.frequency) / std[0], (sigma / w - told.damping) / std[1]]
+        residual, jacobian = np.zeros(MODE_ROWS), np.zeros((MODE_ROWS, size))
+        std = self.mode_frequency * told.frequency
+        residual[0], jacobian[0] = (w - told.frequency) / std, d_w / std
+        if told.damping > 0:
+            std = self.mode_damping * told.damping
+            residual[1], jacobian[1] = (sigma / w - told.damping) / std, d_zeta / std
+        if not (told.shape[:2].any() and told.shape[2:].any()):
+            return residual, jacobian
         # how a shape splits between bearings and sensors is known already (`split`): the three other directions
         expected = told.shape * (1.0 if shape @ told.shape >= 0 else -1.0)
         spread = self.mode_shape * np.maximum(np.abs(expected), NODE * np.abs(expected).max())
         b, s = expected[:2], expected[2:]
         split = np.concatenate([-b / max(float(b @ b), 1e-24), s / max(float(s @ s), 1e-24)]) * spread
         across = null_space(split[None, :]).T
-        d_shape = np.zeros((3, size))
-        d_shape[:, at + 2 : at + 6] = across / spread
-        return (
-            np.concatenate([residual, across @ ((shape - expected) / spread)]),
-            np.vstack([d_w / std[0], d_zeta / std[1], d_shape]),
-        )
+        residual[2:] = across @ ((shape - expected) / spread)
+        jacobian[2:, at + 2 : at + 6] = across / spread
+        return residual, jacobian

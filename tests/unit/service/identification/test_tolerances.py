@@ -63,6 +63,29 @@ def test_what_the_model_lacks_says_nothing():
     assert not jacobian[-5:].any()
 
 
+@pytest.mark.parametrize(
+    ("unknown", "silent"),
+    [
+        ({"damping_ratio": 0.0}, [1]),
+        ({"shape_at_bearings": (0.0, 0.0), "shape_at_sensors": (0.0, 0.0)}, [2, 3, 4]),
+        ({"shape_at_sensors": (0.0, 0.0)}, [2, 3, 4]),
+        ({"shape_at_bearings": (0.0, 0.0)}, [2, 3, 4]),
+    ],
+    ids=["damping", "shape", "sensors", "bearings"],
+)
+def test_a_mode_whose_damping_or_shape_is_zero_is_known_by_the_rest(unknown, silent):
+    sheet = sheet_of_truth(small_experiment("x")[1])
+    full, part = (
+        Tolerances.of(replace(sheet, modes=(replace(sheet.modes[0], **told),)), ("xA", "xB")).rows(TRUTH)
+        for told in ({}, unknown)
+    )
+    rows = len(full[0]) - 5 + np.array(silent)
+    assert full[1][rows].any(axis=1).all()
+    for whole, without in zip(full, part, strict=True):
+        assert not without[rows].any()
+        np.testing.assert_array_equal(np.delete(without, rows, axis=0), np.delete(whole, rows, axis=0))
+
+
 def test_deviations_shrink_as_bayes_says_and_only_when_asked():
     """1/sd^2 of data and datasheet add up, parameters correlated as they are."""
     experiment, sheet = small_experiment("x")
