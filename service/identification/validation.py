@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.distributions import chi2_tail, normal_above
+from service.distributions import f_tail, normal_above
+from service.identification.portmanteau import portmanteau
 from service.identification.zoh import Complex, Real
 
 LEVEL = 0.99
@@ -44,9 +45,10 @@ class CorrelationTest:
     bound: float
     """What white residuals stay within at `LEVEL`, lag by lag."""
     statistic: float
-    """Portmanteau: sum over the lags in units of its expectation under white residuals, chi-square."""
+    """Sum over the lags, of white residuals of expectation ``degrees_of_freedom``: a chi-square for long records."""
     degrees_of_freedom: int
     p_value: float
+    """Of its own distribution at this number of residuals."""
 
     def document(self) -> dict[str, object]:
         """As JSON."""
@@ -66,12 +68,9 @@ def whiteness(name: str, residual: Complex, max_lag: int = 15) -> CorrelationTes
     ``residual`` (F,) in units of its noise, ascending in frequency.
     """
     n = len(residual)
-    lags = np.arange(1, min(max_lag, n // 3) + 1)
-    power = float(np.sum(np.abs(residual) ** 2)) or 1.0
-    rho = np.array([np.sum(residual[:-k].conj() * residual[k:]) / power for k in lags])
-    weight = n / np.maximum(n - lags, 1)  # fewer products at long lags
-    statistic = float(2 * n * np.sum(weight * np.abs(rho) ** 2))
-    return _test(name, lags.astype(float), rho, n, statistic, 2 * len(lags))
+    lags = np.arange(1, min(max_lag, n // 3) + 1, dtype=np.int64)
+    rho, statistic, p_value = portmanteau(residual, lags)
+    return _test(name, lags.astype(float), rho, n, statistic, 2 * len(lags), p_value)
 
 
 def independence(name: str, residual: Complex, direction: Complex, max_lag: int = 8) -> CorrelationTest:
@@ -95,12 +94,16 @@ def independence(name: str, residual: Complex, direction: Complex, max_lag: int 
     left, singular, _ = np.linalg.svd(shifted, full_matrices=False)
     basis = left[:, singular > 0.05 * singular[0]]
     statistic = float(2 * np.sum(np.abs(basis.conj().T @ residual) ** 2) / size**2)
-    return _test(name, lags.astype(float), rho, n, statistic, 2 * basis.shape[1])
+    # what a plane of m of n dimensions holds of a white residual of whatever size, against what is left beside it, is F
+    m = basis.shape[1]
+    beside = max(2 * n - statistic, 1e-300)
+    p_value = float(f_tail(statistic * (n - m) / (beside * m), 2 * m, 2 * (n - m))) if n > m else 1.0
+    return _test(name, lags.astype(float), rho, n, statistic, 2 * m, p_value)
 
 
-def _test(name: str, lags: Real, rho: Complex, n: int, statistic: float, dof: int) -> CorrelationTest:
+def _test(name: str, lags: Real, rho: Complex, n: int, statistic: float, dof: int, p_value: float) -> CorrelationTest:
     bound = float(normal_above(0.5 - LEVEL / 2) / math.sqrt(2 * n))
-    return CorrelationTest(name, lags, np.asarray(rho.real), bound, statistic, dof, float(chi2_tail(statistic, dof)))
+    return CorrelationTest(name, lags, np.asarray(rho.real), bound, statistic, dof, p_value)
 
 
 def all_pass(tests: list[CorrelationTest], level: float = LEVEL) -> bool:
