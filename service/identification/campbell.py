@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ class Branch:
     """(S,); so is ``damping_std``."""
     damping_std: Real
     turn: Real
-    """(S,) -1 backward circle, 1 forward circle, of the sensors' orbits; nan for the free rotor."""
+    """(S,) of the sensors' orbits, -1 a circle against the shaft, 1 one with it; nan for the free rotor."""
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -89,9 +89,14 @@ def campbell(
     fastest_rad_s: float,
     highest_rad_s: float,
 ) -> Campbell:
-    """Diagram up to `BEYOND` times the fastest measured speed, for whirls below a frequency."""
-    speeds = np.linspace(0.0, BEYOND * abs(fastest_rad_s), SPEEDS) * (np.sign(fastest_rad_s) or 1.0)
+    """Diagram up to `BEYOND` times the fastest measured speed, for whirls below a frequency.
+
+    Forward is the way that the shaft turns, from x to y at a positive speed.
+    """
+    sense = float(np.sign(fastest_rad_s)) or 1.0
+    speeds = np.linspace(0.0, BEYOND * abs(fastest_rad_s), SPEEDS) * sense
     found = [whirl(model, controller, float(w), u.covariance, u.free, highest_rad_s) for w in speeds]
+    found = [replace(w, direction=sense * w.direction) for w in found]
     levitated = tracked(found)
     return Campbell(speeds, levitated, free_whirl(model, u, speeds), critical_speeds(speeds, levitated))
 
@@ -162,7 +167,7 @@ def free_whirl(model: RotatingModel, u: Uncertainty, speeds: Real) -> tuple[Bran
     values, std = values.reshape(shape), std.reshape(shape)
     out = []
     for k in range(len(pairs)):
-        g = model.coupling(k)[0] * (np.sign(speeds[-1]) or 1.0)
+        g = model.coupling(k)[0]
         # the forward whirl is the one that the gyroscopic moment stiffens
         words = ("backward", "forward") if g > 0 else ("forward", "backward") if g < 0 else ("planar", "planar")
         for j, word in enumerate(words):

@@ -25,7 +25,7 @@ class Whirl:
     pole: Complex
     """(n,) rad/s, Im > 0."""
     direction: Real
-    """(n,) from -1, a backward circle at the sensors, over 0, to and fro, to 1, a forward one."""
+    """(n,) from -1, a circle from y to x at the sensors, over 0, to and fro, to 1, one from x to y."""
     shape: Complex
     """(n, 4) at the sensors, of length 1."""
     covariance: Real
@@ -138,7 +138,7 @@ def whirl(
     shape = (seen @ right[:, order]).T
     shape = shape / np.linalg.norm(shape, axis=1, keepdims=True)
     x, y = shape[:, :2], shape[:, 2:]
-    forward, backward = np.sum(np.abs(x + 1j * y) ** 2, axis=1), np.sum(np.abs(x - 1j * y) ** 2, axis=1)
+    to_y, to_x = np.sum(np.abs(x + 1j * y) ** 2, axis=1), np.sum(np.abs(x - 1j * y) ** 2, axis=1)
     along = []
     pairing = np.einsum("ik,ik->k", left[:, order].conj(), right[:, order])
     for place in np.flatnonzero(free):
@@ -151,4 +151,4 @@ def whirl(
     slope = np.array(along)  # (parameters, n)
     both = np.stack([slope.real, slope.imag], axis=2)
     found = np.einsum("pna,pq,qnb->nab", both, covariance, both)
-    return Whirl(poles[order], (forward - backward) / (forward + backward), shape, found)
+    return Whirl(poles[order], (to_y - to_x) / (to_y + to_x), shape, found)

@@ -9,6 +9,7 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.identification.beyond import BEYOND_ROWS
+from service.identification.campbell import campbell
 from service.identification.fit import identify
 from service.identification.result import CommissioningResult
 from service.identification.rotating import Turned
@@ -257,6 +258,19 @@ def test_the_campbell_diagram_tells_forward_from_backward(turned: Turned) -> Non
     assert [b.direction for b in diagram.free] == ["backward", "forward"] * 2
     assert diagram.critical
     assert diagram.critical[0].speed_rad_s == pytest.approx(96.6, rel=0.01)
+
+
+def test_forward_is_with_the_shaft_whichever_way_it_turns(turned: Turned, controller) -> None:
+    """Seen from the other end of the shaft nothing differs."""
+    one, other = (campbell(turned.model, controller, turned.uncertainty, w, 2 * np.pi * 1000) for w in (300.0, -300.0))
+    assert other.speed_rad_s.tolist() == (-one.speed_rad_s).tolist()
+    for name in ("levitated", "free"):
+        for a, b in zip(getattr(one, name), getattr(other, name), strict=True):
+            assert a.direction == b.direction
+            np.testing.assert_allclose(a.frequency, b.frequency, rtol=1e-6)
+            # at standstill the planes' own whirls turn no way
+            np.testing.assert_allclose(a.turn[1:], b.turn[1:], atol=1e-3)
+    assert {b.direction for b in one.levitated} >= {"forward", "backward"}
 
 
 def test_synchronous_lines_are_taken_out(datasheet: Datasheet) -> None:
