@@ -35,6 +35,8 @@ REPRODUCIBILITY: dict[Kind, float] = {
 }
 """Relative, one sigma: what two campaigns on one rig differ by beside their noise. A transient below a quarter of the
 accuracy is let pass at every tone, and a figure that hangs on few tones keeps most of it."""
+SPEED_APART, SPEED_APART_RAD_S = 0.01, 1.0
+"""How far speeds may be apart that count as one: a share of it, and rad/s."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,12 @@ class Baseline:
         found = self.document.get("format")
         if found != FORMAT or self.document.get("version") != 1:
             raise DocumentError(f"a baseline is an {FORMAT} of version 1, not {found!r}; give the rig's result.json")
+
+    @property
+    def speed_rad_s(self) -> float | None:
+        """At which it was measured; None where an older version wrote the document."""
+        told = self.document.get("speed_rad_s")
+        return None if told is None else float(told)
 
 
 def compare(
@@ -87,6 +95,9 @@ def compare(
     controller = (np.array(twin.datasheet.numerator), np.array(twin.datasheet.denominator))
     rule = policy or Policy()
     now = {name: plane_now(s, experiment) for name, s in saved.items()}
+    was_at, is_at = baseline.speed_rad_s, float(experiment.main.speed_rad_s)
+    if at_other_speed := other_speed(was_at, is_at):
+        notes = (at_other_speed, *notes)
     if any(n.points.I is None for n in now.values()):
         notes = (*notes, "coil currents are not logged: the amplifiers are taken for unchanged, ki for what changes")
     figures = {name: plane_figures(s, controller) for name, s in saved.items()}
@@ -117,8 +128,25 @@ def compare(
         level=level,
         zones=datasheet.sensitivity_zones_db,
         rig_seconds=_rig_seconds(experiment),
-        speed_rad_s=experiment.main.speed_rad_s,
+        speed_rad_s=is_at,
+        baseline_speed_rad_s=was_at,
+        at_other_speed=at_other_speed,
         notes=notes,
+    )
+
+
+def other_speed(was_at: float | None, is_at: float) -> str:
+    """What there is to say of the speeds of commissioning and check, either way round; "" where they are alike."""
+    if was_at is None:
+        alike, then = is_at == 0, "at a speed that its result does not tell"
+    else:
+        apart = abs(abs(is_at) - abs(was_at))
+        alike, then = apart <= SPEED_APART_RAD_S + SPEED_APART * abs(is_at), f"at {was_at:.4g} rad/s"
+    if alike:
+        return ""
+    return (
+        f"checked at {is_at:.4g} rad/s and commissioned {then}: what changed may be the speed's, as gyroscopic "
+        "coupling is in neither model; check at the speed of the commissioning, or commission at this one"
     )
 
 

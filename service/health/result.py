@@ -115,8 +115,12 @@ class HealthResult:
     zones: tuple[tuple[str, float], ...]
     rig_seconds: float | None
     speed_rad_s: float = 0.0
+    baseline_speed_rad_s: float | None = 0.0
+    """None where the commissioning's result does not tell."""
+    at_other_speed: str = ""
+    """What to know where the two differ, in a sentence."""
     notes: tuple[str, ...] = ()
-    """What the compared model lacks of the twin's effects, and what is wrong with the log, in sentences."""
+    """That the speed is another one, what the model lacks of the twin's effects, what is wrong with the log."""
 
     @property
     def changes(self) -> tuple[FigureChange, ...]:
@@ -166,7 +170,8 @@ class HealthResult:
         if not told:
             return f"{self.rig}: nothing drifted; {state}"
         more = f" and {len(told) - 3} more" if len(told) > 3 else ""
-        return f"{self.rig}: {'; '.join(told[:3])}{more}; {state}"
+        apart = f"; {self.at_other_speed}" if self.at_other_speed else ""
+        return f"{self.rig}: {'; '.join(told[:3])}{more}; {state}{apart}"
 
     def document(self) -> dict[str, Any]:
         """The contents of health.json."""
@@ -198,6 +203,7 @@ class HealthResult:
             "level": self.level,
             "rig_seconds": self.rig_seconds,
             "speed_rad_s": self.speed_rad_s,
+            "baseline_speed_rad_s": self.baseline_speed_rad_s,
             "frequencies_hz": [float(f) for f in self.planes[0].frequency_hz] if self.planes else [],
             "left_out": [text for p in self.planes for text in p.left_out],
             "notes": list(self.notes),

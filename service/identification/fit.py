@@ -151,6 +151,7 @@ def identify(
         planes,
         chosen.main.name,
         None if chosen.validation is None else chosen.validation.name,
+        float(main.speed_rad_s),
         tuple(warnings),
         rotating=rotating,
         cross_planes=across,

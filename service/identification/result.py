@@ -284,6 +284,8 @@ class CommissioningResult:
     planes: dict[str, PlaneResult]
     main_sweep: str
     validation_sweep: str | None
+    speed_rad_s: float = 0.0
+    """Of the rotor while the planes were measured."""
     warnings: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     rotating: Turned | None = None
@@ -301,6 +303,7 @@ class CommissioningResult:
             "rig": self.rig,
             "planes": {name: p.document() for name, p in self.planes.items()},
             "experiment": experiment,
+            "speed_rad_s": self.speed_rad_s,
             "warnings": list(self.warnings),
             "provenance": {
                 "main_sweep": self.main_sweep,

@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from service.errors import DocumentError
 from service.experiment.data import Experiment
-from service.health.compare import Baseline, compare
+from service.health.compare import Baseline, compare, other_speed
 from service.health.monitored import Monitored
 from service.health.result import FigureChange
 from service.health.sequential import Policy
@@ -22,6 +23,11 @@ from tests.support.commissioned import SHEET, check, result, with_magnets, with_
 @pytest.fixture(scope="module")
 def unchanged() -> Experiment:
     return check(reference_rig())
+
+
+@cache
+def changed() -> Experiment:
+    return check(with_magnets(ki=0.95))
 
 
 def checked(experiment: Experiment, **options):
@@ -44,7 +50,7 @@ def test_a_check_takes_a_tenth_of_a_commissioning(unchanged):
 
 
 def test_five_percent_less_ki_are_an_alarm_that_names_ki():
-    found = checked(check(with_magnets(ki=0.95)))
+    found = checked(changed())
     assert found.alarm
     assert set(found.drifted) == {"x.kiA", "x.kiB", "y.kiA", "y.kiB"}
     for c in found.changes:
@@ -144,8 +150,43 @@ def test_a_log_that_is_a_sample_early_is_put_in_step_as_that_of_the_commissionin
     assert any("sample" in note for note in found.notes)
 
 
+def at_speed(experiment: Experiment, speed_rad_s: float) -> Experiment:
+    return replace(experiment, sweeps=tuple(replace(s, speed_rad_s=speed_rad_s) for s in experiment.sweeps))
+
+
+def test_a_check_at_another_speed_than_the_commissionings_says_so():
+    assert result()["speed_rad_s"] == 0.0
+    found = compare(Baseline(result()), at_speed(changed(), 300.0), SHEET)
+    assert found.alarm
+    document = found.document()
+    assert (document["speed_rad_s"], document["baseline_speed_rad_s"]) == (300.0, 0.0)
+    for text in (document["notes"][0], document["sentence"]):
+        assert "checked at 300 rad/s and commissioned at 0 rad/s" in text
+    alike = compare(Baseline(result()), changed(), SHEET)
+    assert alike.notes == ()
+    assert "rad/s" not in alike.sentence()
+
+
+@pytest.mark.parametrize(
+    ("was_at", "is_at", "told"),
+    [
+        (300.0, 0.0, "checked at 0 rad/s and commissioned at 300 rad/s"),
+        (None, 300.0, "checked at 300 rad/s and commissioned at a speed that its result does not tell"),
+        (None, 0.0, ""),
+        (-300.0, 301.0, ""),
+    ],
+)
+def test_results_that_tell_no_speed_and_speeds_that_are_nearly_one(was_at, is_at, told):
+    document = {**result(), "speed_rad_s": was_at}
+    if was_at is None:  # an older version's
+        del document["speed_rad_s"]
+    said = other_speed(Baseline(document).speed_rad_s, is_at)
+    assert bool(said) == bool(told)
+    assert told in said
+
+
 def test_without_currents_a_change_of_ki_is_seen_with_the_amplifiers_as_they_were() -> None:
-    measured = check(with_magnets(ki=0.95))
+    measured = changed()
     blind = replace(measured, sweeps=tuple(replace(s, I=None) for s in measured.sweeps))
     found = checked(blind)
     assert set(found.drifted) >= {"x.kiA", "x.kiB", "y.kiA", "y.kiB"}
