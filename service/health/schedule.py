@@ -80,8 +80,16 @@ def due_runs(cron: str, since: datetime, until: datetime, timezone: str = "UTC")
 
 
 def _next(cron: str, after: datetime) -> datetime:
+    """First due time after an instant of a zone, UTC.
+
+    A time of day that comes twice, as clocks are put back, is due the first time only, but for what runs every hour.
+    One that does not come, as they are put forward, is due when they are (so do Vixie's cron, and croniter).
+    """
     try:
-        found: datetime = croniter(cron, after).get_next(datetime)
+        runs = croniter(cron, after)
+        found: datetime = runs.get_next(datetime)
+        while found.fold and runs.expanded[1] != ["*"]:
+            found = runs.get_next(datetime)
     except (CroniterBadCronError, CroniterBadDateError) as error:
         raise ScheduleError(f"schedule {cron!r} cannot be read: {str(error).splitlines()[0]}") from error
     return found.astimezone(UTC)

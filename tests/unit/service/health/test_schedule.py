@@ -22,6 +22,26 @@ def test_an_expression_is_read_in_its_own_time_zone_over_a_change_of_clocks():
     assert runs == [at("2026-03-28T05:30"), at("2026-03-29T04:30"), at("2026-03-30T04:30")]
 
 
+@pytest.mark.parametrize(
+    ("cron", "autumn", "spring"),
+    [
+        ("30 2 * * *", ["00:30"], ["01:00"]),
+        ("30 1-3 * * *", ["23:30", "00:30", "02:30"], ["00:30", "01:00", "01:30"]),
+        ("0 */2 * * *", ["22:00", "00:00", "03:00"], ["23:00", "01:00", "02:00"]),
+        ("30 * * * *", ["22:30", "23:30", "00:30", "01:30", "02:30"], ["23:30", "00:30", "01:30", "02:30"]),
+    ],
+)
+def test_a_check_is_due_once_in_the_hour_that_comes_twice_and_in_that_which_does_not_come(cron, autumn, spring):
+    """Zurich's 02:00 to 03:00 comes twice on 25 October 2026, at 00:00 and 01:00 UTC, and not at all on 29 March."""
+    for night, hours, expected in (("2026-10-24T21:45", 5.5, autumn), ("2026-03-28T22:45", 4.0, spring)):
+        runs = due_runs(cron, at(night), at(night) + timedelta(hours=hours), "Europe/Zurich")
+        assert [r.strftime("%H:%M") for r in runs] == expected
+
+
+def test_a_service_that_starts_in_the_repeated_hour_does_not_check_again():
+    assert next_run("30 2 * * *", at("2026-10-25T01:10"), "Europe/Zurich") == at("2026-10-26T01:30")
+
+
 def test_a_service_that_was_down_has_missed_runs_that_show():
     cron = "0 6 * * *"
     started = [at("2026-03-01T06:00:02"), at("2026-03-05T06:00:01")]
