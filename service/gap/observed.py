@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.experiment.dead import require_live_channels
 from service.experiment.stated import stated_amplitudes
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
@@ -66,6 +67,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     ------
     GapError
         The data do not allow it: no excited sweep, too few points or blocks, axes that do not match.
+    AmbError
+        A channel is dead.
     """
     if experiment.axes != datasheet.axes:
         raise GapError(
@@ -73,6 +76,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
             "give the datasheet of the rig that was measured, with the same axes"
         )
     (main_name, main), *others = sweeps_for(experiment)
+    require_live_channels(main, tuple(experiment.axes), main_name)
     notes = [*stated_amplitudes(experiment), *notes_on(main, bool(others), datasheet)]
     if told := other_rate(main, datasheet):
         notes.append(told)

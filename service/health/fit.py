@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.experiment.data import Experiment
+from service.experiment.dead import require_live_channels
 from service.health.noise import check_weights
 from service.identification.plane_model import PlaneModel
 from service.identification.points import PlanePoints, check_excitation, plane_points
@@ -49,10 +50,11 @@ def plane_now(saved: SavedPlane, experiment: Experiment) -> PlaneNow:
     Raises
     ------
     AmbError
-        Too few usable tones, or only one axis excited.
+        Too few usable tones, only one axis excited, or a dead channel.
     """
     if all(s.kind == "noise" for s in experiment.sweeps):
         raise AmbError(f"the check of rig {experiment.rig!r} has no excited tone; run it once more")
+    require_live_channels(experiment.main, tuple(experiment.axes), "the check")
     points = plane_points(experiment.main, tuple(experiment.axes), saved.plane)
     check_excitation(points, FEWEST_TONES)
     data = Data(points)

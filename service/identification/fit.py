@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.experiment.dead import require_live_channels
 from service.experiment.stated import stated_amplitudes
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fits
 from service.identification.assemble import assemble
@@ -98,6 +99,7 @@ def identify(
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
     chosen = chosen_sweeps(experiment)
+    require_live_channels(chosen.main.sweep, tuple(experiment.axes), chosen.main.name)
     main, speeds = chosen.main.sweep, chosen.speeds_rad_s
     amplifier_sweep = None if chosen.amplifier is None else chosen.amplifier.sweep
     validation = None if chosen.validation is None else chosen.validation.sweep

@@ -130,6 +130,9 @@ def test_what_cannot_be_compared_is_refused_in_one_line(unchanged):
     few = unchanged.main.select(unchanged.main.frequency_hz > 900)
     with pytest.raises(AmbError, match="at least"):
         checked(replace(unchanged, sweeps=(few,)))
+    deaf = replace(unchanged.main, Y=unchanged.main.Y * np.array([1, 0, 1, 1]))
+    with pytest.raises(AmbError, match="y of xB reads 0 m"):
+        checked(replace(unchanged, sweeps=(deaf,)))
     with pytest.raises(AmbError, match="no excited tone"):
         checked(replace(unchanged, sweeps=tuple(s for s in unchanged.sweeps if s.kind == "noise")))
 

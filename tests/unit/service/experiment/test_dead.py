@@ -1,0 +1,54 @@
+"""A dead sensor, or channel of the log, is told by its name before anything is fitted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.experiment.dead import require_live_channels
+from service.gap.observed import observed
+from service.identification.fit import identify
+from sim.errors import AmbError
+from tests.support.measured import small_experiment
+
+EXPERIMENT, SHEET = small_experiment()
+
+
+def with_channel(signal: str, axis: int, reads: complex | np.ndarray) -> Experiment:
+    values = getattr(EXPERIMENT.main, signal).copy()
+    values[..., axis] = reads
+    return replace(EXPERIMENT, sweeps=(replace(EXPERIMENT.main, **{signal: values}), *EXPERIMENT.sweeps[1:]))
+
+
+@pytest.mark.parametrize(
+    ("signal", "axis", "reads", "told"),
+    [
+        ("Y", 1, 0.0, "y of xB reads 0 m"),
+        ("Y", 2, 3e-6 - 4e-6j, "y of yA reads 5e-06 m"),
+        ("I", 0, 0.0, "i of xA reads 0 A .* or leave i out"),
+        ("U", 3, 0.0, "u of yB reads 0 A"),
+    ],
+)
+def test_a_dead_channel_is_named(signal, axis, reads, told) -> None:
+    dead = with_channel(signal, axis, reads)
+    with pytest.raises(AmbError, match=rf"sweeps/0 \(main\): {told}"):
+        identify(dead, SHEET)
+    with pytest.raises(AmbError, match=rf"sweeps/0: {told}"):
+        observed(dead, SHEET)
+
+
+@pytest.mark.parametrize(
+    ("size_m", "told"), [(1e-19, "reads .* m in every block"), (2e-9, r"is no more than noise \(2.*e-09 m\)")]
+)
+def test_rounding_and_noise_are_no_answer(size_m: float, told: str) -> None:
+    shape = EXPERIMENT.main.Y.shape[:-1]
+    noise = size_m * np.random.default_rng(0).normal(size=(*shape, 2)).view(complex)[..., 0]
+    with pytest.raises(AmbError, match=f"y of xB {told}"):
+        identify(with_channel("Y", 1, noise), SHEET)
+
+
+def test_a_channel_that_is_heard_at_most_points_is_live() -> None:
+    y = EXPERIMENT.main.Y[..., 1].copy()
+    y[::3] = 0
+    require_live_channels(with_channel("Y", 1, y).main, SHEET.axes, "sweeps/0")
