@@ -174,7 +174,7 @@ def test_a_log_of_coarse_steps_costs_the_points_that_read_nothing_and_is_said_no
 
 def test_a_plane_without_any_displacement_is_refused_in_one_line(experiment: Experiment, datasheet: Datasheet) -> None:
     dead = tuple(replace(sweep, Y=np.zeros_like(sweep.Y)) for sweep in experiment.sweeps)
-    with pytest.raises(AmbError, match="y reads 0 in every block") as caught:
+    with pytest.raises(AmbError, match="y of xA reads 0 m in every block") as caught:
         identify(replace(experiment, sweeps=dead), datasheet)
     assert "\n" not in str(caught.value)
 
