@@ -43,6 +43,8 @@ def displacement_gradient(model: PlaneModel, motion: Motion) -> Complex:
         by_square = _mode_gradient(model, motion, block)
         # w^2 = nu^2 + phi_b^T Ks phi_b moves with ks
         d_y[2:4] += combined(model.modes[:, 2:4].T ** 2, by_square.reshape(n, -1)).reshape(2, 2, -1)
+    for image in motion.images:
+        d_y[:, :, image.at] += displacement_gradient(model, image.motion)
     return d_y
 
 
@@ -77,6 +79,11 @@ def amplifier_gradient(model: PlaneModel, points: Points, motion: Motion, d_i: C
         d_i[place, j], d_i[layout.delay, j] = d_now[:-1], d_now[-1]
         d_y[place] = to_force * d_base[:-1, None]
         d_y[layout.delay] += to_force * d_base[-1]
+    for image in motion.images:
+        shape = (layout.size, 2, len(image.at))
+        of_y = np.zeros(shape, dtype=np.complex128)
+        amplifier_gradient(model, image.points, image.motion, np.zeros_like(of_y), of_y)
+        d_y[:, :, image.at] += of_y
 
 
 def extended_gradient(model: PlaneModel, points: Points, motion: Motion, d_y: Complex) -> None:
@@ -101,3 +108,7 @@ def extended_gradient(model: PlaneModel, points: Points, motion: Motion, d_y: Co
     d_y[at + 2] = -(seen(both, both) * turn + seen(arm, arm_s) * push)
     for j in range(2):
         d_y[at + 3 + j, j] = motion.y[j] / model.sensor_gain[j]
+    for image in motion.images:  # the sensors' gains have them in y
+        of_y = np.zeros((model.layout.size, 2, len(image.at)), dtype=np.complex128)
+        extended_gradient(model, image.points, image.motion, of_y)
+        d_y[at : at + 3, :, image.at] += of_y[at : at + 3]

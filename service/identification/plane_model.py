@@ -28,7 +28,7 @@ from service.identification.prediction import Amplitude as Amplitude
 from service.identification.prediction import Points as Points
 from service.identification.prediction import Prediction as Prediction
 from service.identification.prediction import Together as Together
-from service.identification.zoh import Complex, Real
+from service.identification.zoh import Complex, Real, aliases
 from sim.chain import Chain
 
 FASTEST = 20.0
@@ -199,4 +199,10 @@ class PlaneModel:
 
     def response(self, omega: Real) -> Complex:
         """Small-signal response from held u, as it reaches the amplifiers, to sampled y, (P, 2, 2)."""
+        out = self._base_band_response(omega)
+        for at, there in aliases(omega, self.known.sample_time_s):
+            out[at] += self._base_band_response(there)
+        return out
+
+    def _base_band_response(self, omega: Real) -> Complex:
         return np.asarray(self.plant_response(omega) * self.amplifier_response(omega)[:, None, :])

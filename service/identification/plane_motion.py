@@ -11,12 +11,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification import amplifier
 from service.identification.force_law import excess_of_many, excess_of_waves, force_beyond_linear
 from service.identification.many_lines import excess_of_products
 from service.identification.prediction import Amplitude, Points
-from service.identification.zoh import Complex, Real
+from service.identification.zoh import Complex, Real, aliases
 
 if TYPE_CHECKING:
     from service.identification.plane_model import PlaneModel
@@ -97,6 +98,8 @@ class Motion:
     """Displacement at the bearings, m."""
     excess_slopes: tuple[Complex, Complex] | None = None
     """Of the force law's excess to ki and ks, where they were asked for."""
+    images: tuple[Image, ...] = ()
+    """What the sampler folds onto the lines that are high enough for it to count."""
 
     @staticmethod
     def of(model: PlaneModel, points: Points, amplitude: Amplitude | None, slopes: bool = False) -> Motion:
@@ -106,11 +109,12 @@ class Motion:
         for j, place in enumerate(model.layout.amplifiers):
             np.multiply(amplifier.sampled(points.omega, model.theta[place], delay, period)[0], points.u_rows[j], i[j])
             np.multiply(model.base_band(j, points.omega)[0], points.u_rows[j], coil[j])
-        loop = loop_of(model, points.omega)
+        loop, images = loop_of(model, points.omega), _images(model, points)
         if amplitude is None or not slopes:
-            return Motion(model, loop, amplitude, i, coil, *_driven(model, loop, coil, _excess(model, amplitude)))
+            driven = _driven(model, loop, coil, _excess(model, amplitude))
+            return Motion(model, loop, amplitude, i, coil, *driven, images=images)
         more, *by = excess(model, amplitude)
-        return Motion(model, loop, amplitude, i, coil, *_driven(model, loop, coil, more), (by[0], by[1]))
+        return Motion(model, loop, amplitude, i, coil, *_driven(model, loop, coil, more), (by[0], by[1]), images)
 
     def about(self, amplitude: Amplitude) -> Motion:
         """The same with the force law's excess at another amplitude."""
@@ -120,13 +124,35 @@ class Motion:
     @cached_property
     def y(self) -> Complex:
         """Sampled displacement at the sensors, m."""
-        return np.asarray(self.loop.through[:, 0] * self.force[0] + self.loop.through[:, 1] * self.force[1])
+        y = np.asarray(self.loop.through[:, 0] * self.force[0] + self.loop.through[:, 1] * self.force[1])
+        for image in self.images:
+            y[:, image.at] += image.motion.y
+        return y
 
     @property
     def x_of_modes(self) -> Complex:
         """What each flexible mode adds to the displacement at the bearings, (n, 2, P)."""
         shapes = self.loop.bearings[2:]
         return np.asarray(shapes[:, :, None] * (self.loop.gain[2:] * (shapes @ self.total))[:, None])
+
+
+@dataclass(frozen=True)
+class Image:
+    """The motion at a line's alias, by the part of the held u that is there: small, so the magnets are linear."""
+
+    at: NDArray[np.int64]
+    """(K,) places of the lines."""
+    points: Points
+    """(K,) their aliases; |omega| is beyond half the sample rate."""
+    motion: Motion
+
+
+def _images(model: PlaneModel, points: Points) -> tuple[Image, ...]:
+    found = []
+    for at, omega in aliases(points.omega, model.known.sample_time_s):
+        there = Points(omega, points.u[at])
+        found.append(Image(at, there, Motion.of(model, there, None)))
+    return tuple(found)
 
 
 def _driven(model: PlaneModel, loop: Loop, coil: Complex, excess: Complex | None) -> tuple[Complex, Complex, Complex]:
