@@ -58,7 +58,10 @@ def apply(
     rig: Annotated[Path, typer.Option(help="Datasheet that was diagnosed.")],
     out: Annotated[Path, typer.Option(help="Twin file to write: the datasheet with the effects that were found.")],
 ) -> None:
-    """Write a twin that has the effects that a diagnosis found; says so where it does not levitate."""
+    """Write a twin that has the effects that a diagnosis found; says so where it does not levitate.
+
+    Without a gap it is the datasheet as it is. Fails where there is a gap that no effect explains.
+    """
     from service.errors import OutputError
     from service.gap.apply import applied, cannot_run, of_another
     from service.gap.document import ends_reached
@@ -72,8 +75,10 @@ def apply(
     document = read_document(report, "amb-gap-report")
     twin = applied(datasheet, document)
     write_text(out, to_toml(twin))
-    names = ", ".join(name for name, _ in twin.effects)
-    print(f"{out}: {twin.name} with {names}")
+    if twin == datasheet:
+        print(f"{out}: {twin.name} as its datasheet has it: the diagnosis found no gap, so there is no effect to add")
+    else:
+        print(f"{out}: {twin.name} with {', '.join(name for name, _ in twin.effects)}")
     for note in ends_reached(document):
         print(f"note: {note}")
     if of_another(datasheet, document):

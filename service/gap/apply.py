@@ -16,6 +16,9 @@ from sim.errors import EffectError, LevitationError
 from sim.stepping import Simulation
 from sim.twin import rig_from_datasheet
 
+NO_GAP = "no_gap"
+"""Verdict of a diagnosis that found nothing to add."""
+
 
 class _Verdict(BaseModel):
     kind: str
@@ -49,13 +52,16 @@ class _Report(BaseModel):
 def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     """The datasheet with the effects that a gap report (gap.json) found, at their fitted parameters.
 
+    Where it found no gap, that is the datasheet as it is: the twin is complete, and what takes it goes on.
+
     An effect that the twin has already is refused: its parameters in the report are what is still missing, not
     the total, and two entries of one effect in a file would hide that.
 
     Raises
     ------
     GapError
-        The report lacks a field, names no effect, is of another rig, or adds an effect that the twin has already.
+        The report lacks a field, found a gap that no effect explains, is of another rig, or adds an effect that the
+        twin has already.
     """
     if document.get("format") != "amb-gap-report":
         raise GapError('this is no gap report: its "format" is not "amb-gap-report"')
@@ -64,6 +70,8 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
         raise GapError(f"the report is of rig {report.rig!r}, the datasheet of {datasheet.name!r}")
     names = report.verdict.effects
     if not names:
+        if report.verdict.kind == NO_GAP:
+            return datasheet
         raise GapError(f"the report's verdict is {report.verdict.kind.replace('_', ' ')}: there is no effect to add")
     present = {name for name, _ in datasheet.effects}
     if present & set(names):

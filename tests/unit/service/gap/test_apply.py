@@ -75,6 +75,19 @@ def test_a_report_that_does_not_say_what_to_add_is_refused(path, value, said):
         applied(SHEET, changed(path, value))
 
 
+def test_without_a_gap_the_twin_is_the_datasheet_and_what_takes_it_goes_on(tmp_path, capsys):
+    report = changed(["verdict"], {"kind": "no_gap", "effects": []})
+    (tmp_path / "gap.json").write_text(json.dumps(report))
+    (tmp_path / "rig.toml").write_text(to_toml(SHEET))
+    out = tmp_path / "twin.toml"
+    words = ["gap", "apply", str(tmp_path / "gap.json"), "--rig", str(tmp_path / "rig.toml"), "--out", str(out)]
+    assert run(words) == 0
+    assert parse(out.read_text()) == SHEET
+    assert "found no gap, so there is no effect to add" in capsys.readouterr().out
+    (tmp_path / "gap.json").write_text(json.dumps(report | {"rig": "another"}))
+    assert run(words) == 1
+
+
 SATURATED = (("saturation_inverse_per_a", 2.0), ("flux_share", 1.2), ("flux_power", 4.0))
 
 
