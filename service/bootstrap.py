@@ -174,7 +174,7 @@ def identify_into(
         The experiment cannot be identified, or the folder not be written.
     """
     from service.identification.fit import Options, identify
-    from service.report.commissioning import commissioning_page
+    from service.report.commissioning import commissioning_page, verdict
 
     say = announce or (lambda _: None)
     ready_folder(out_dir)
@@ -183,6 +183,7 @@ def identify_into(
     result = identify(experiment, datasheet, Options(priors=priors), progress)
     identified = time.monotonic()
     document = result.document(experiment_name)
+    document["sentence"] = verdict(result)[1]
     document["provenance"]["product"] = f"amb-commissioning {product_version()}"
     document["provenance"]["priors"] = priors
     files = {"result": write_text(out_dir / RESULT, json_text(document))}

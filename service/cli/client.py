@@ -15,6 +15,7 @@ import typer
 
 from service.cli.commission import Excitation
 from service.cli.console import print_json, say, stderr
+from service.experiment.progress import PHASE_WORDS
 
 if TYPE_CHECKING:
     from service.client import Client, Job, Rig
@@ -264,7 +265,7 @@ def _bar(ambit: Client, job: Job) -> Job:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
     columns = (
-        TextColumn("{task.description:<13}"),
+        TextColumn("{task.description:<15}"),
         BarColumn(bar_width=None),
         TaskProgressColumn(),
         TextColumn("{task.fields[points]}"),
@@ -277,7 +278,7 @@ def _bar(ambit: Client, job: Job) -> Job:
             p = seen.progress
             bar.update(
                 task,
-                description=p.phase if seen.state == "running" and p.phase else seen.state,
+                description=PHASE_WORDS.get(p.phase, p.phase) if seen.state == "running" and p.phase else seen.state,
                 completed=p.percent,
                 points=f"{p.point} of {p.points}" if p.points else "",
                 left=_left(seen),
@@ -289,7 +290,8 @@ def _line(job: Job) -> str:
     p = job.progress
     points = f", point {p.point} of {p.points}" if p.points else ""
     left = _left(job)
-    return f"{job.state} {p.phase}".rstrip() + f": {p.percent:.0f} %{points}" + (f", {left}" if left else "")
+    words = PHASE_WORDS.get(p.phase, p.phase)
+    return f"{job.state} {words}".rstrip() + f": {p.percent:.0f} %{points}" + (f", {left}" if left else "")
 
 
 def _left(job: Job) -> str:

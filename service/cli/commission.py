@@ -143,7 +143,7 @@ def show(
     truth: Rig | None = None,
     more: dict[str, Any] | None = None,
 ) -> None:
-    """Print a result: figures beside the truth or the datasheet, fits, notes, time and files.
+    """Print a result: what it says, figures beside the truth or the datasheet, fits, peaks, notes, time and files.
 
     Parameters
     ----------
@@ -163,8 +163,10 @@ def show(
         print_json(document | told | {"compared_with": reference, "comparison": summary.compared(found)})
         return
     console = stdout()
+    console.print(document["sentence"], soft_wrap=True)
     console.print(summary.table(found, reference))
-    for text in summary.fits(document) + summary.notes(document) + [summary.times(seconds, experiment)]:
+    lines = summary.fits(document) + summary.margins(document) + summary.notes(document)
+    for text in [*lines, summary.times(seconds, experiment)]:
         console.print(text, soft_wrap=True)
     for name, path in files.items():
         console.print(f"{name}: {path}", soft_wrap=True)

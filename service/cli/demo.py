@@ -139,15 +139,16 @@ def _rig(ambit: Client, controller: str) -> Rig:
 
 def _watched(ambit: Client, job: Job) -> tuple[Job, float]:
     """The job when it is done, and when its experiment was, monotonic."""
-    from service.cli.progress import WORDS, campaign_progress
+    from service.cli.progress import campaign_progress
     from service.client.jobs import must_be_done
+    from service.experiment.progress import PHASE_WORDS
 
     try:
         changes = ambit.jobs.watch(job.id)
         with campaign_progress() as shown:
             for seen in changes:
                 job = seen
-                if job.progress.phase in WORDS and job.state == "running":
+                if job.progress.phase in PHASE_WORDS and job.state == "running":
                     shown(_progress(job))
                 elif job.progress.phase in ("identification", "report") or job.ended:
                     break

@@ -10,6 +10,7 @@ import typer
 
 from service.cli.client import Ca, Json, Key, Kind, Url, client
 from service.cli.console import print_json, stdout
+from service.experiment.progress import PHASE_WORDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,4 +69,5 @@ def _show(found: Sequence[Job], names: dict[str, str]) -> None:
 def _progress(job: Job) -> str:
     if job.error is not None:
         return job.error.title
-    return f"{job.progress.percent:.0f} % {job.progress.phase}".rstrip() if job.state == "running" else ""
+    words = PHASE_WORDS.get(job.progress.phase, job.progress.phase)
+    return f"{job.progress.percent:.0f} % {words}".rstrip() if job.state == "running" else ""

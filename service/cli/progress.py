@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from service.cli.console import say, stderr
+from service.experiment.progress import PHASE_WORDS
 from service.report.format import duration
 
 if TYPE_CHECKING:
@@ -17,16 +18,6 @@ if TYPE_CHECKING:
 LOG_EVERY_S = 5.0
 FIRST_POINTS = 20
 """So many points before a rate is believed: the first ones wait for compilers and caches."""
-
-WORDS = {
-    "noise": "noise",
-    "preliminary": "coarse sweep",
-    "main": "main sweep",
-    "peaks": "peaks",
-    "validation": "unseen sweep",
-    "amplifier": "amplifiers",
-    "done": "done",
-}
 
 
 @contextmanager
@@ -62,7 +53,7 @@ def line(p: Progress) -> str:
     """One report as a line of text."""
     known = p.points_per_s > 0 and p.done >= FIRST_POINTS
     rate = f", {p.points_per_s:.1f} points/s, {duration(p.seconds_left)} left" if known else ""
-    return f"{WORDS.get(p.phase, p.phase)}: {p.done} of {p.total} points{rate}"
+    return f"{PHASE_WORDS.get(p.phase, p.phase)}: {p.done} of {p.total} points{rate}"
 
 
 def _log() -> Callable[[Progress], None]:
@@ -85,7 +76,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import Progress as Bar
 
     columns = (
-        TextColumn("{task.description:<13}"),
+        TextColumn("{task.description:<15}"),
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]}"),
@@ -98,7 +89,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
             known = p.points_per_s > 0 and p.done >= FIRST_POINTS
             bar.update(
                 task,
-                description=WORDS.get(p.phase, p.phase),
+                description=PHASE_WORDS.get(p.phase, p.phase),
                 completed=p.done,
                 total=p.total,
                 rate=f"{p.points_per_s:.1f} points/s" if known else "",

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from service.report.format import figures, number
+from service.report.format import decibel, figures, fixed, number, signed
+from sim.datasheet import ISO_14839_3_DB
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,11 +27,8 @@ class Row:
     std: float
     reference: float | None
     """The truth of a simulated rig, or the datasheet's value."""
-
-    @property
-    def error_percent(self) -> float | None:
-        """Deviation from the reference, percent of the reference."""
-        return None if not self.reference else 100 * (self.value / self.reference - 1)
+    error_percent: float | None
+    """Of the identified value, percent of the truth; of the datasheet's value, percent of the identified one."""
 
 
 def rows(document: dict[str, Any], axes: tuple[str, ...], truth: Rig | None = None) -> Iterator[Row]:
@@ -51,11 +49,11 @@ def rows(document: dict[str, Any], axes: tuple[str, ...], truth: Rig | None = No
 def _stiffness(plane: str, found: dict[str, Any], axes: tuple[str, ...], truth: Rig | None) -> Iterator[Row]:
     for name in ("kiA", "kiB", "ksA", "ksB"):
         estimate = found["stiffness"][name]
-        reference = estimate.get("nominal")
-        if truth is not None:
-            source = truth.magnets.ki if name.startswith("ki") else truth.magnets.ks
-            reference = float(source[axes.index(plane + name[-1])])
-        yield _row(plane, name, estimate, reference)
+        if truth is None:
+            yield _row(plane, name, estimate, estimate.get("nominal"), estimate.get("error_percent"))
+            continue
+        source = truth.magnets.ki if name.startswith("ki") else truth.magnets.ks
+        yield _beside(plane, name, estimate, float(source[axes.index(plane + name[-1])]))
 
 
 def _modes(plane: str, found: dict[str, Any], index: int, truth: Rig | None) -> Iterator[Row]:
@@ -63,23 +61,29 @@ def _modes(plane: str, found: dict[str, Any], index: int, truth: Rig | None) -> 
     for k, mode in enumerate(found["rotor_modes"]):
         w = mode["natural_frequency_rad_s"]
         same = min(known, key=lambda m: abs(m.natural_frequency_rad_s - w["value"]), default=None)
-        yield _row(plane, f"wn{k + 1}", w, None if same is None else same.natural_frequency_rad_s)
-        yield _row(plane, f"zeta{k + 1}", mode["damping_ratio"], None if same is None else same.damping_ratio)
+        yield _beside(plane, f"wn{k + 1}", w, None if same is None else same.natural_frequency_rad_s)
+        yield _beside(plane, f"zeta{k + 1}", mode["damping_ratio"], None if same is None else same.damping_ratio)
 
 
-def _row(plane: str, name: str, estimate: dict[str, Any], reference: float | None) -> Row:
-    return Row(plane, name, estimate["unit"], estimate["value"], estimate["std"], reference)
+def _beside(plane: str, name: str, estimate: dict[str, Any], truth: float | None) -> Row:
+    return _row(plane, name, estimate, truth, 100 * (estimate["value"] / truth - 1) if truth else None)
+
+
+def _row(plane: str, name: str, estimate: dict[str, Any], reference: float | None, error_percent: float | None) -> Row:
+    return Row(plane, name, estimate["unit"], estimate["value"], estimate["std"], reference, error_percent)
 
 
 def table(found: list[Row], reference: str) -> Table:
-    """The rows as a table; ``reference`` heads the column of what they are compared with."""
+    """The rows as a table; ``reference`` heads the column of what they are compared with: "truth" or "datasheet"."""
     from rich import box
     from rich.table import Table
 
     out = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     out.add_column("plane")
     out.add_column("quantity")
-    for head in ("identified", "std. dev.", reference, "difference %"):
+    # the sign of the report and of result.json: what is off is the datasheet
+    off = "datasheet off by, %" if reference == "datasheet" else "difference, %"
+    for head in ("identified", "std. dev.", reference, off):
         out.add_column(head, justify="right")
     last = ""
     for r in found:
@@ -92,7 +96,7 @@ def table(found: list[Row], reference: str) -> Table:
             value,
             std,
             "" if r.reference is None else number(r.reference),
-            "" if r.error_percent is None else f"{r.error_percent:+z.3f}",
+            "" if r.error_percent is None else signed(r.error_percent, 1 if reference == "datasheet" else 3),
         )
         last = r.plane
     return out
@@ -107,6 +111,22 @@ def fits(document: dict[str, Any]) -> list[str]:
             matrix, sweep = plane["fit_percent"], "fitted sweep (no other one was measured)"
         a, b = (" ".join("-" if v is None else f"{v:.2f}" for v in row) for row in matrix)
         out.append(f"{name}-plane: NRMSE {a} / {b} % on the {sweep}")
+    return out
+
+
+def margins(document: dict[str, Any]) -> list[str]:
+    """Peak of the sensitivity by plane and axis, with the zone that the worst is in.
+
+    >>> found = {"sensitivity_peak": {"A": 2.0, "B": 3.0}, "iso_14839_3_zone": "B", "zone_limits_db": {"A": 9.5}}
+    >>> margins({"planes": {"x": {"margins": found}}})
+    ["x-plane: sensitivity peak A 2.00 (6.0 dB), B 3.00 (9.5 dB), zone B of the rig's own table"]
+    """
+    out = []
+    for name, plane in document["planes"].items():
+        found = plane["margins"]
+        peaks = (f"{axis} {fixed(s, 2)} ({fixed(decibel(s))} dB)" for axis, s in found["sensitivity_peak"].items())
+        of = "ISO 14839-3" if found["zone_limits_db"] == dict(ISO_14839_3_DB[:-1]) else "the rig's own table"
+        out.append(f"{name}-plane: sensitivity peak {', '.join(peaks)}, zone {found['iso_14839_3_zone']} of {of}")
     return out
 
 

@@ -6,6 +6,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+PHASE_WORDS = {
+    "noise": "noise",
+    "preliminary": "coarse sweep",
+    "main": "main sweep",
+    "peaks": "peaks",
+    "validation": "unseen sweep",
+    "amplifier": "amplifier sweep",
+    "done": "done",
+}
+"""What a person is told of a phase: in a log, on a bar and the page, and of its sweep in a report."""
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -64,7 +64,7 @@ def commissioning_page(result: CommissioningResult, experiment: Experiment, data
         f" in {float(rig_s) / 60:.0f} min on the rig" if rig_s else ""
     )
     footer = (
-        f"Fitted: {result.main_sweep}. Unseen: {result.validation_sweep or 'none'}. "
+        f"Fitted: {result.main_sweep}. Unseen by every fit: {result.validation_sweep or 'none'}. "
         "Regions and tests are at 99 %; std. dev. is one sigma."
     )
     return Page(f"Commissioning of rig {result.rig}", about, sentence, tone, notes, sections, footer).html()

@@ -7,17 +7,17 @@ from collections import Counter
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.experiment.progress import PHASE_WORDS
 from service.report.figure import AXIS_COLOURS, BAD, MODEL, SECOND, THIRD, Figure, Real, line, log_magnitude, points
 from service.report.format import MISSING, count, duration, number, table
 from sim.datasheet import Datasheet
 
 COLOURS = {"main": MODEL, "validation": SECOND, "amplifier": THIRD}
-NAMES = {"validation": "validation (unseen by every fit)", "preliminary": "coarse", "": "sweep"}
 
 
 def _name(experiment: Experiment, sweep: Sweep) -> str:
     if sweep.comment:
-        return NAMES.get(sweep.comment, sweep.comment)
+        return PHASE_WORDS.get(sweep.comment, sweep.comment)
     return f"sweep {next(k for k, s in enumerate(experiment.sweeps) if s is sweep)}"
 
 

@@ -70,6 +70,13 @@ export function fixed(value, digits) {
   return Number(shown) === 0 ? shown.replace("-", "") : shown;
 }
 
+// What a person is told of a campaign's phase, as terminals and reports say it.
+const PHASES = { preliminary: "coarse sweep", main: "main sweep", validation: "unseen sweep", amplifier: "amplifier sweep" };
+
+export function phase(name) {
+  return PHASES[name] || name;
+}
+
 export function number(value, digits = 5) {
   return value === null || value === undefined ? "–" : String(Number(value.toPrecision(digits)));
 }

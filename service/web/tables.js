@@ -1,7 +1,7 @@
 // Tables of jobs, alive: each running one is watched by its events.
 
 import { documentLink, events, get, post } from "./api.js";
-import { duration, h, nothing, state, table, when } from "./dom.js";
+import { duration, h, nothing, phase, state, table, when } from "./dom.js";
 
 const WATCHED = 3; // a browser opens six connections to a server; the page itself needs some
 const ACTIVE = ["queued", "running"];
@@ -42,7 +42,7 @@ export function progress(job) {
   if (job.state !== "running") return "";
   const p = job.progress;
   const left = p.time_left_s ? ", " + duration(p.time_left_s) + " left" : "";
-  const points = p.points ? p.point + " of " + p.points + " points" : p.phase;
+  const points = p.points ? p.point + " of " + p.points + " points" : phase(p.phase);
   return h("span", {}, h("span", { class: "bar" }, h("i", { width: p.percent + "%" })), p.percent.toFixed(0) + " %, " + points + left);
 }
 
@@ -77,7 +77,7 @@ export async function job(found, names, context) {
     table(["", ""], [
       ["kind", now.kind],
       ["rig", h("a", { href: "#/rig/" + now.rig }, names.get(now.rig) || now.rig)],
-      ["phase", now.progress.phase || "–"],
+      ["phase", phase(now.progress.phase) || "–"],
       ["submitted", h("span", {}, when(now.created_at), " by " + now.submitted_by)],
       ["started", when(now.started_at)],
       ["ended", when(now.ended_at)],

@@ -212,6 +212,7 @@ def test_a_job_is_alive_on_the_page_without_reloading(service, ids):
         report(percent=42.0, point=126, points=300, phase="main", time_left_s=75.0)
         page.until("document.body.innerText.includes('42 %, 126 of 300 points, 1 min 15 s left')", 5)
         assert page.run("document.querySelector('.bar > i').style.width") == "42%"
+        assert "main sweep" in page.text(), "a phase is told as on a terminal"
         report(state=jobs.DONE, ended_at=now())
         page.until("document.querySelector('.state.done')", 5)
         assert page.run("window.kept")

@@ -118,7 +118,7 @@ class Nuisance:
         return float((ASSUMED_DOF + 1) * np.log1p(theta**2 / ASSUMED_DOF).sum())
 
     def far_off(self, theta: Real, least: float = FAR_OFF) -> list[str]:
-        """Values that lie beyond ``least`` tolerances of the datasheet's, in words, the farthest first."""
+        """What the datasheet is off by beyond ``least`` of its tolerances, in words, the farthest first."""
         off = self.off(theta)
         order = [int(k) for k in np.argsort(-np.abs(off)) if abs(off[k]) > least]
         return [f"{_words(self.names[k])} {_moved(self.names[k], float(off[k] * self.sigma[k]))}" for k in order]
@@ -197,13 +197,16 @@ def _words(name: str) -> str:
 
 
 def _moved(name: str, by: float) -> str:
-    """A deviation in the unit of its value.
+    """By how much a datasheet is off a value that moved ``by`` from it, in the value's unit; as the reports have it.
 
     >>> _moved("ki_xA", -0.6), _moved("sensor_position_A", 3e-3), _moved("mode1_bearing_B_x", 0.02)
-    ('-45 %', '+3 mm', '+0.02 1/sqrt(kg)')
+    ('+82 %', '-3 mm', '-0.02 1/sqrt(kg)')
+    >>> _moved("ks_xA", -6.9)
+    '+99000 %'
     """
     if name.startswith("sensor_position"):
-        return f"{1e3 * by:+.2g} mm"
+        return f"{-1e3 * by:+.2g} mm"
     if "_bearing_" in name or "_sensor_" in name:
-        return f"{by:+.2g} 1/sqrt(kg)"
-    return f"{100 * np.expm1(by):+.2g} %"
+        return f"{-by:+.2g} 1/sqrt(kg)"
+    percent = float(f"{100 * np.expm1(-by):.2g}")
+    return f"{percent:+.0f} %" if abs(percent) >= 10 else f"{percent:+.2g} %"

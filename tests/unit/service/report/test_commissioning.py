@@ -48,6 +48,11 @@ def test_every_figure_of_merit_is_in_the_tables(page, result):
             assert f">{figures(mode.natural_frequency_rad_s.value, mode.natural_frequency_rad_s.std)[0]}<" in page
 
 
+def test_a_sweep_is_named_as_on_the_terminal(page):
+    assert ">main sweep<" in page
+    assert ">unseen sweep<" in page
+
+
 def test_every_figure_is_there(page):
     expected = {"amplitudes"}
     for plane in "xy":
