@@ -14,7 +14,7 @@ MEDIA = {
     ".js": "text/javascript; charset=utf-8",
 }
 PAGES = ("index.html", "docs.html")
-ASSETS = ("style.css", "main.js", "api.js", "docs.js", "dom.js", "plots.js", "rig.js", "tables.js")
+ASSETS = ("style.css", "main.js", "api.js", "confirm.js", "docs.js", "dom.js", "plots.js", "rig.js", "tables.js")
 PLOTLY = "plotly.min.js"
 REPORT_STYLE = "report.css"
 POLICY = (

@@ -3,7 +3,9 @@
 
 const INK = "#1c2733", GRID = "#e4e8ec", MEASURED = "#7b8794", MODEL = "#0072b2", SECOND = "#d55e00", BAD = "#c0392b";
 const REGION = "rgba(0,114,178,0.22)";
-const CONFIG = { responsive: true, displaylogo: false, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]] };
+// on a narrow screen the buttons would lie over the legend, and fingers zoom by themselves
+const BUTTONS = window.matchMedia("(max-width: 760px)").matches ? false : "hover";
+const CONFIG = { responsive: true, displaylogo: false, displayModeBar: BUTTONS, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]] };
 
 function axis(more) {
   return {
@@ -61,7 +63,8 @@ export function bode(place, plane, out, source) {
   }));
 }
 
-function deviation(series, k) {
+// Standard deviation of a figure's change at a check, percent: of the check and of the commissioning.
+export function deviation(series, k) {
   return Math.hypot(series.std_percent[k], series.baseline_std_percent);
 }
 

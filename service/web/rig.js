@@ -1,6 +1,7 @@
 // One rig: what it does now, what it is, where its twin falls short, how it ages.
 
 import { documentLink, get, post } from "./api.js";
+import { confirmed, motion } from "./confirm.js";
 import { figures, fixed, h, nothing, number, section, state, table, when } from "./dom.js";
 import * as plots from "./plots.js";
 import * as tables from "./tables.js";
@@ -38,11 +39,14 @@ function live(found, context) {
       place.replaceChildren(h("p", { class: "note" }, "The controller does not answer: " + now.detail));
       return;
     }
-    const um = now.displacement_m.map((y) => fixed(1e6 * y, 2)).join("  ");
-    const amps = now.current_a.map((i) => fixed(i, 3)).join("  ");
-    place.replaceChildren(table(["state", "moved by", "excitation, A", "displacements, µm", "currents, A", "speed, rad/s"], [[
-      state(now.state === "done" ? "levitated" : now.state), now.lease_holder || "nobody", number(now.excitation_a, 3), um, amps, number(now.speed_rad_s, 4),
-    ]], [2, 3, 4, 5]), now.trip_message ? h("p", { class: "note" }, now.trip_message) : "");
+    const by = (values, scale, digits) => values.map((x, k) => h("span", { class: "axis" }, h("i", {}, found.axes[k]), " " + fixed(scale * x, digits)));
+    const figures = [
+      ["state", state(now.state === "done" ? "levitated" : now.state)], ["moved by", now.lease_holder || "nobody"],
+      ["excitation, A", number(now.excitation_a, 3)], ["speed, rad/s", number(now.speed_rad_s, 4)],
+      ["displacements, µm", by(now.displacement_m, 1e6, 2)], ["currents, A", by(now.current_a, 1, 3)],
+    ];
+    place.replaceChildren(h("dl", {}, figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+      now.trip_message ? h("p", { class: "note" }, now.trip_message) : "");
   };
   show();
   context.every(2000, show);
@@ -54,11 +58,19 @@ const submit = (kind, about, context) => () => context.doing(async () => {
   location.hash = "#/job/" + job.id;
 });
 
+const PROFILES = { standard: "standard, some 20 min for four axes", quick: "quick, a third of the time and of the accuracy" };
+
+// A job that moves the rotor, once somebody has said so.
+const move = (kind, title, profiles, found, context) => async () => {
+  const options = await confirmed(title + " " + found.name + "?", motion(kind, found), found.controller_url, profiles);
+  if (options) await submit(kind, { rig: found.id, options }, context)();
+};
+
 function actions(found, context) {
   if (!found.controller_url || found.retired_at) return "";
   return h("p", { class: "row" },
-    h("button", { onclick: submit("experiment", { rig: found.id }, context) }, "Commission"),
-    h("button", { onclick: submit("health", { rig: found.id }, context) }, "Check health"),
+    h("button", { class: "commission", onclick: move("experiment", "Commission", PROFILES, found, context) }, "Commission"),
+    h("button", { class: "check", onclick: move("health", "Check the health of", null, found, context) }, "Check health"),
     h("button", { class: "danger", onclick: () => context.doing(() => post("/rigs/" + found.id + "/stop")) }, "Stop the excitation"));
 }
 
@@ -133,9 +145,10 @@ async function gap(found, context) {
 function health(found, trend, context) {
   if (!found) return [nothing("Not checked yet.")];
   const places = h("div", { class: "plots", id: "trend" });
+  const once = trend.checks.length < 2;
   const [followed, unknown] = [true, false].map((yes) => Object.entries(trend.series).filter(([, s]) => plots.known(s).length > 0 === yes));
   const steady = Object.entries(trend.series).filter(([, s]) => s.drifting).map(([name]) => name);
-  context.then(() => {
+  if (!once) context.then(() => {
     for (const [name, series] of followed) {
       const place = h("div", { class: "plot" });
       places.append(place);
@@ -144,12 +157,23 @@ function health(found, trend, context) {
   });
   return [
     h("p", { class: "lead " + (found.alarm ? "bad" : "CD".includes(found.zone) ? "warn" : "") }, found.sentence),
-    h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + " checks · ",
+    h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + (once ? " check · " : " checks · "),
       documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html")),
     steady.length ? h("p", { class: "note" }, "Changes steadily: " + steady.join(", ")) : "",
     unknown.length ? h("p", { class: "note" }, "Known too badly to be followed: " + unknown.map(([name]) => name).join(", ")) : "",
-    places,
+    once ? only(followed) : places,
   ];
+}
+
+// One check is no trend: its changes as figures.
+function only(followed) {
+  const row = ([name, series]) => [
+    h("span", series.drifted[0] ? { class: "state alarm" } : {}, name), figures(series.change_percent[0], plots.deviation(series, 0)),
+  ];
+  const planes = [...new Set(followed.map(([name]) => name.split(".")[0]))];
+  return h("div", {}, h("p", { class: "about" }, "Changes since the commissioning, with one standard deviation; a trend begins with the second check."),
+    h("div", { class: "side", id: "changes" }, planes.map((plane) =>
+      table(["figure", "change, %"], followed.filter(([name]) => name.startsWith(plane + ".")).map(row), [1]))));
 }
 
 async function schedule(found, context) {

@@ -1,10 +1,12 @@
 // Tables of jobs, alive: each running one is watched by its events.
 
+import { confirmed, motion } from "./confirm.js";
 import { documentLink, events, get, post } from "./api.js";
 import { duration, h, nothing, phase, state, table, when } from "./dom.js";
 
 const WATCHED = 3; // a browser opens six connections to a server; the page itself needs some
 const ACTIVE = ["queued", "running"];
+const MOVING = ["experiment", "health"];
 const RETRIABLE = ["failed", "cancelled"];
 
 export function jobs(list, names, context) {
@@ -57,7 +59,11 @@ function cancel(job, context) {
 
 function retry(job, context) {
   const button = h("button", { class: "retry" }, "Try again");
-  button.addEventListener("click", () => {
+  button.addEventListener("click", async () => {
+    if (MOVING.includes(job.kind)) {
+      const rig = await get("/rigs/" + job.rig, context.signal);
+      if (!(await confirmed("Try the " + job.kind + " on " + rig.name + " again?", motion(job.kind, rig), rig.controller_url))) return;
+    }
     button.disabled = true;
     context.doing(() => post("/jobs/" + job.id + "/retry").then(context.refresh).finally(() => { button.disabled = false; }));
   });

@@ -28,6 +28,8 @@ from tests.support.serving import Serving, serving
 from tests.support.tab import tab
 
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+NOBODY = "modbus://127.0.0.1:9?unit=1"
+"""A controller that does not answer."""
 NAME = 'bench <img src=x onerror="document.title=1">'
 GAP = {
     "format": "amb-gap-report",
@@ -43,7 +45,7 @@ GAP = {
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    """A service with one rig, and a rig with everything: model, gap, checks, a schedule, jobs."""
+    """A service with a rig that has everything, model, gap, checks, a schedule, jobs, and one that was checked once."""
     with serving(Settings(home=tmp_path_factory.mktemp("page") / "home", port=0)) as found:
         yield found
 
@@ -80,7 +82,16 @@ def ids(service: Serving) -> dict[str, str]:
             )
         )  # fmt: skip
         session.flush()
-        for day, document in enumerate(_checks()):
+        checks = _checks()
+        second = rigs.create(session, "bench 2", to_toml(SHEET), NOBODY, "", "local")
+        session.add(
+            HealthRow(
+                id=new_id("hc"), rig_id=second.id, rig_version=1, experiment_id=experiment.id, model_id=model.id,
+                schedule_id=None, job_id=None, document=checks[0], report_sha256=blobs.put(b""), alarm=False,
+                created_at=now(),
+            )
+        )  # fmt: skip
+        for day, document in enumerate(checks):
             at = now() - timedelta(days=9 - day)
             time.sleep(0.003)  # lists are by id, and ids by the millisecond
             session.add(
@@ -102,7 +113,7 @@ def ids(service: Serving) -> dict[str, str]:
         running.state, ended.state = jobs.RUNNING, jobs.FAILED
         ended.error_title, ended.error_detail = "too few points", "plane x: 3 usable points"
         made = {"experiment": experiment.id, "gap": gap}
-        return {"rig": rig.id, "running": running.id, "failed": ended.id, **made}
+        return {"rig": rig.id, "second": second.id, "running": running.id, "failed": ended.id, **made}
 
 
 def _checks() -> list[dict]:
@@ -194,6 +205,70 @@ def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
         page.run("document.getElementById('entry').dispatchEvent(new Event('change'))")
         assert page.run("document.getElementById('entry').selectedOptions[0].text") == "y xA / u xB"
         assert page.complaints == []
+
+
+@needs_browser
+def test_one_check_is_told_in_figures_as_it_is_no_trend(service, ids):
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{ids['second']}")
+        page.until("document.querySelectorAll('#changes table').length === 2")
+        text = page.text()
+        assert "1 check ·" in text
+        assert "x.kiA" in text
+        assert page.run("document.querySelectorAll('#trend').length") == 0
+        assert page.complaints == []
+
+
+@needs_browser
+def test_no_rotor_is_moved_before_somebody_has_confirmed_it(service, ids):
+    def moving() -> list[JobRow]:
+        with service.services.database.read() as session:
+            found = jobs.listed(session, rig_id=ids["second"]).items
+            return [job for job in found if job.kind == "experiment"]
+
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{ids['second']}")
+        page.until("document.querySelector('button.commission')")
+        for key in ("Escape", "Enter"):  # neither key that is pressed without a thought moves anything
+            page.run("document.querySelector('button.commission').click()")
+            page.until("document.querySelector('dialog[open]')")
+            asked = page.run("document.querySelector('dialog').innerText")
+            for named in ("Commission bench 2?", NOBODY, "80 µm", "6 A", "standard"):
+                assert named in asked, named
+            page.press(key)
+            page.until("!document.querySelector('dialog')")
+        assert not moving()
+        page.run("document.querySelector('button.commission').click()")
+        page.until("document.querySelector('dialog[open]')")
+        page.run("document.getElementById('profile').value = 'quick'")
+        page.press("Tab")
+        assert page.run("document.activeElement.className") == "go danger"
+        page.press("Enter")
+        page.until("location.hash.startsWith('#/job/')")
+        (job,) = moving()
+        assert job.options == {"profile": "quick"}
+
+        with service.services.database.write() as session:
+            jobs.get(session, job.id).state = jobs.FAILED
+        page.open(f"{service.url}/#/job/{job.id}")
+        page.run("location.reload()")
+        page.until("document.querySelector('button.retry')")
+        page.run("document.querySelector('button.retry').click()")
+        page.until("document.querySelector('dialog[open]')")
+        assert "Try the experiment on bench 2 again?" in page.run("document.querySelector('dialog').innerText")
+        page.run("document.querySelector('dialog .go').click()")
+        page.until("document.querySelector('.state.queued')", 10)
+        assert page.complaints == []
+
+
+@needs_browser
+def test_a_phone_shows_every_page_without_scrolling_it_sideways(service, ids):
+    with tab() as page:
+        page.narrow(390)
+        for place in ("#/", f"#/rig/{ids['rig']}", f"#/job/{ids['failed']}", "docs"):
+            page.open(f"{service.url}/{place}")
+            page.until(f"document.documentElement.dataset.shown === '{place}'")
+            assert page.run("document.documentElement.scrollWidth") == 390, place
 
 
 @needs_browser

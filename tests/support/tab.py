@@ -75,6 +75,19 @@ class Tab:
             assert time.monotonic() < deadline, f"{script} did not come true; {self.complaints}; {self.text()[:2000]}"
             time.sleep(0.05)
 
+    def narrow(self, width: int) -> None:
+        """A window of a phone's width, px."""
+        size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+        self._call("Emulation.setDeviceMetricsOverride", size)
+
+    def press(self, key: str) -> None:
+        """A key, by its name, wherever the focus is."""
+        more = {"text": "\r"} if key == "Enter" else {}
+        for kind in ("keyDown", "keyUp"):
+            code = {"Enter": 13, "Escape": 27, "Tab": 9}[key]
+            event = {"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code}
+            self._call("Input.dispatchKeyEvent", event | (more if kind == "keyDown" else {}))
+
     def text(self) -> str:
         """What a reader sees."""
         return str(self.run("document.body.innerText"))
