@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
-from drivers.errors import ControllerError
+from drivers.errors import AddressError
 
 Query = dict[str, str]
 _EVERY_BUS = frozenset({"transcript"})
@@ -35,23 +35,23 @@ def understood(url: str) -> tuple[SplitResult, Query]:
 
     Raises
     ------
-    ControllerError
+    AddressError
         An unknown scheme or option, a part that is missing, a number out of its range; names what there is.
     """
     if not url.isprintable():  # urlsplit would leave some of that out without a word
-        raise ControllerError(f"{url!r} has a control character; leave it out")
+        raise AddressError(f"{url!r} has a control character; leave it out")
     try:
         parts = urlsplit(url)
         _ = parts.port  # is read, and checked, there
     except ValueError as error:
-        raise ControllerError(f"{url!r}: {error}") from error
+        raise AddressError(f"{url!r}: {error}") from error
     if parts.scheme not in _OPTIONS:
         schemes = ", ".join(f"{scheme}://" for scheme in _OPTIONS)
-        raise ControllerError(f"{url!r} has no known scheme; use one of {schemes}")
+        raise AddressError(f"{url!r} has no known scheme; use one of {schemes}")
     known = _OPTIONS[parts.scheme]
     query = {name: values[-1] for name, values in parse_qs(parts.query, keep_blank_values=True).items()}
     if unknown := sorted(set(query) - known):
-        raise ControllerError(
+        raise AddressError(
             f"{url!r} has an unknown option {unknown[0]!r}; {parts.scheme}:// knows {', '.join(sorted(known))}"
         )
     for name, text in query.items():
@@ -65,19 +65,19 @@ def _must_be_whole(name: str, text: str, least: int, most: int) -> None:
     try:
         value = int(text)
     except ValueError as error:
-        raise ControllerError(f"the option {name} is a whole number, not {text!r}") from error
+        raise AddressError(f"the option {name} is a whole number, not {text!r}") from error
     if not least <= value <= most:
-        raise ControllerError(f"the option {name} is {least} to {most}, not {value}")
+        raise AddressError(f"the option {name} is {least} to {most}, not {value}")
 
 
 def _must_name_a_place(url: SplitResult, query: Query) -> None:
     if url.scheme in ("modbus", "modbuss") and not url.hostname:
-        raise ControllerError(f"{url.geturl()!r} names no host; write {url.scheme}://host:port")
+        raise AddressError(f"{url.geturl()!r} names no host; write {url.scheme}://host:port")
     if url.scheme == "modbus+rtu" and not url.path:
-        raise ControllerError(f"{url.geturl()!r} names no serial port; write modbus+rtu:///dev/ttyUSB0?baud=115200")
+        raise AddressError(f"{url.geturl()!r} names no serial port; write modbus+rtu:///dev/ttyUSB0?baud=115200")
     if url.scheme == "canopen":
         from drivers.canopen.bus import bus_arguments
 
         if "node" not in query:
-            raise ControllerError(f"{url.geturl()!r} names no node; write canopen://socketcan/can0?node=5")
+            raise AddressError(f"{url.geturl()!r} names no node; write canopen://socketcan/can0?node=5")
         bus_arguments(url.netloc + url.path)

@@ -10,6 +10,7 @@
         ├── TripError            the controller tripped: excitation is zero, the trip is latched; says why
         ├── BusyError            the controller is playing another tone
         ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
+        ├── AddressError         a URL is none of a controller: its scheme, host or an option; says what is valid
         ├── MapError             a rig's own map of registers or objects is wrong; names the object
         └── CancelledError       the excitation was stopped, and is off
             └── StoppedElsewhereError  by somebody else than the caller: see to the rig before it is excited again
@@ -53,6 +54,10 @@ class TripError(ControllerError):
 
 class BusyError(ControllerError):
     """The controller is playing another tone; wait until it is done, or stop it."""
+
+
+class AddressError(ControllerError):
+    """A URL is none of a controller."""
 
 
 class MapError(ControllerError):

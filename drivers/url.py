@@ -94,7 +94,7 @@ def connect(url: str, rig: Rig | None = None) -> Controller:
 
     Raises
     ------
-    ControllerError
+    AddressError
         An unknown scheme or option, or a number out of its range; names the ones there are.
     BusError
         Nothing answers there.

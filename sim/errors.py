@@ -5,7 +5,8 @@
     AmbError (ValueError)            anything a caller can put right
     ├── DatasheetError               a value of rig.toml is missing, of the wrong type or out of range
     ├── LevitationError              the controller of the rig does not hold the rotor
-    └── EffectError                  an unknown effect or parameter, or one that this rig cannot have
+    ├── EffectError                  an unknown effect or parameter, or one that this rig cannot have
+    └── OptionsError                 values that a user gave cannot be read, or do not go together
 """
 
 import re
@@ -35,3 +36,7 @@ class LevitationError(AmbError):
 
 class EffectError(AmbError):
     """An effect id or one of its parameters is unknown, or does not fit the rig."""
+
+
+class OptionsError(AmbError):
+    """Values that a user gave cannot be read or do not go together; to a command that is bad usage."""

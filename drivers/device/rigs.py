@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.device.withheld import datasheet_beside, sealed_in
 from sim import rig_file
 from sim.effects import effect
-from sim.errors import AmbError, EffectError
+from sim.errors import EffectError, OptionsError
 from sim.reference import reference_rig
 from sim.rig import Noise, Rig
 from sim.stepping import Simulation
@@ -89,8 +89,10 @@ def build_rig(options: RigOptions) -> BuiltRig:
     ------
     DatasheetError, EffectError, LevitationError
         As their messages say.
+    OptionsError
+        Options that a withheld case has no use for.
     AmbError
-        Options that a withheld case has no use for, or a file that cannot be written.
+        A file that cannot be written.
     """
     given = _given(options)
     if options.withheld is not None:
@@ -118,9 +120,13 @@ def _withheld(options: RigOptions, seed: int, given: Given | None) -> BuiltRig:
     from sim.withheld.case import draw  # it takes half a second that no other rig needs
 
     if options.effects:
-        raise AmbError("an effect beside a withheld case would be taken for one: write it into the datasheet of --rig")
+        raise OptionsError(
+            "an effect beside a withheld case would be taken for one: write it into the datasheet of --rig"
+        )
     if given is None and (not options.noise or (options.gravity_m_per_s2, options.speed_rad_s) != (None, None)):
-        raise AmbError("a withheld case draws noise, gravity and speed with its rig: give --rig, too, to choose them")
+        raise OptionsError(
+            "a withheld case draws noise, gravity and speed with its rig: give --rig, too, to choose them"
+        )
     case = draw(seed, seed, given)
     commitment = sealed_in(options.sealed, case)
     datasheet = options.rig or datasheet_beside(options.sealed, case)

@@ -251,7 +251,10 @@ def checked_options(kind: str, options: dict[str, Any]) -> dict[str, Any]:
         # of alternatives, the one that was meant
         deepest = max(error.errors(), key=lambda e: (len(e["loc"]), e["type"] == _BAND))
         names = [str(part) for part in deepest["loc"] if "[" not in str(part) and part not in _ALTERNATIVES]
-        raise UnprocessableError(f"{'.'.join(['options', *names])}: {deepest['msg']}") from error
+        why = deepest["msg"]
+        if deepest["type"] == "extra_forbidden" and len(names) == 1:
+            why = f"there is no such option of this kind of job; it has {', '.join(shape.model_fields) or 'none'}"
+        raise UnprocessableError(f"{'.'.join(['options', *names])}: {why}") from error
 
 
 _SHAPES = (SteppedSineOptions, MultisineOptions, IdentificationOptions, HealthOptions, NoOptions)

@@ -79,7 +79,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _bad_usage(error: typer.TyperException) -> int:
-    text = one_line(error.format_message())
+    text = one_line(error.format_message()).replace("Value error, ", "")  # a library's words, not a user's
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "ambit"
     if text:  # nothing was said where the help was asked for by giving no command

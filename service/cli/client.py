@@ -15,6 +15,7 @@ import typer
 
 from service.cli.commission import Excitation
 from service.cli.console import print_json, say, stderr
+from service.cli.usage import job_id
 from service.experiment.progress import PHASE_WORDS
 
 if TYPE_CHECKING:
@@ -63,13 +64,21 @@ def submit(
     as_json: Json = False,
 ) -> None:
     """Submit a job to the service; prints its id."""
+    from service.client import RefusedError
+
     options = _options(option or [], quick, excitation, kind)
+    _must_have_or_not(experiment, kind)
     with client(url, key, ca) as ambit:
         known = _rig(ambit, rig, controller, change)
         experiment_id = experiment
         if experiment is not None and not experiment.startswith("exp_"):
             experiment_id = ambit.experiments.upload(known.id, Path(experiment)).id
-        job = ambit.jobs.submit(kind.value, known.id, experiment_id, options, priority)
+        try:
+            job = ambit.jobs.submit(kind.value, known.id, experiment_id, options, priority)
+        except RefusedError as error:
+            if not error.detail.startswith("options."):
+                raise
+            raise typer.BadParameter(error.detail.removeprefix("options."), param_hint="--option") from error
         if not (follow or out):
             _print(job, as_json)
             return
@@ -78,7 +87,7 @@ def submit(
 
 
 def watch(
-    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    job: Annotated[str, typer.Argument(help="Id of the job.", callback=job_id)],
     out: Annotated[Path | None, typer.Option(help="Fetch its files into this folder when it is done.")] = None,
     url: Url = None,
     key: Key = None,
@@ -94,7 +103,7 @@ def watch(
 
 
 def cancel(
-    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    job: Annotated[str, typer.Argument(help="Id of the job.", callback=job_id)],
     url: Url = None,
     key: Key = None,
     ca: Ca = None,
@@ -106,7 +115,7 @@ def cancel(
 
 
 def retry(
-    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    job: Annotated[str, typer.Argument(help="Id of the job.", callback=job_id)],
     follow: Annotated[bool, typer.Option("--watch", help="Watch it until it has ended.")] = False,
     out: Annotated[Path | None, typer.Option(help="Watch it, then fetch its files into this folder.")] = None,
     url: Url = None,
@@ -124,7 +133,7 @@ def retry(
 
 
 def fetch(
-    job: Annotated[str, typer.Argument(help="Id of the job.")],
+    job: Annotated[str, typer.Argument(help="Id of the job.", callback=job_id)],
     out: Annotated[Path, typer.Option(help="Folder of the files.")],
     url: Url = None,
     key: Key = None,
@@ -147,7 +156,18 @@ def client(url: str | None, key: str | None, ca: Path | None) -> Client:
     """The service that the options, or the environment, name."""
     from service.client import Client
 
+    if url is not None and not url.startswith(("http://", "https://")):
+        raise typer.BadParameter(f"{url!r} is no address of a service, as http://127.0.0.1:8311", param_hint="--url")
     return Client(url, key, ca)
+
+
+def _must_have_or_not(experiment: str | None, kind: Kind) -> None:
+    """A calculation works on an experiment; what measures makes its own."""
+    works_on_one = kind in (Kind.identification, Kind.gap)
+    if works_on_one and experiment is None:
+        raise typer.BadParameter(f"{kind.value} needs a file, or the id of an experiment", param_hint="--experiment")
+    if experiment is not None and not works_on_one:
+        raise typer.BadParameter(f"{kind.value} measures by itself; leave it out", param_hint="--experiment")
 
 
 def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, kind: Kind) -> dict[str, Any]:

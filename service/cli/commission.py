@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.console import print_json, say, stdout
+from service.cli.usage import value_of
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -64,15 +65,16 @@ def commission(
     as_json: Json = False,
 ) -> None:
     """Measure a rig through its controller, identify it, and write result.json and report.html."""
+    from drivers.errors import AddressError
     from service import bootstrap
     from service.output import ready_folder
     from sim.rig_file import read
 
     datasheet = read(rig)
     ready_folder(out)
-    commission_directly(
-        bootstrap.connected(controller), datasheet, out, resume, quick, as_json, None, excitation, priors
-    )
+    connection = bootstrap.connected(controller)
+    with value_of("--controller", AddressError):
+        commission_directly(connection, datasheet, out, resume, quick, as_json, None, excitation, priors)
 
 
 def identify(

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.console import print_json, stdout
+from service.cli.usage import value_of
 
 
 def check_controller(
@@ -36,7 +37,10 @@ def check_controller(
 
     then, datasheet = read_baseline(baseline)
     law, sample_time_s = read_law(controller)
-    table = zone_table(zones) if zones else datasheet.sensitivity_zones_db
+    with value_of("--zones"):
+        table = zone_table(zones) if zones else datasheet.sensitivity_zones_db
+    if accept not in dict(table):
+        raise typer.BadParameter(f"{accept!r} is none of the zones {', '.join(dict(table))}", param_hint="--accept")
     found = checked(
         datasheet.name,
         saved_planes(then.document, datasheet),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.console import print_json, stdout
+from service.cli.usage import value_of
 
 if TYPE_CHECKING:
     from sim.effect import Effect
@@ -20,7 +21,8 @@ def effects(
     from sim.effects import CATALOGUE
     from sim.effects import effect as one
 
-    chosen = list(CATALOGUE.values()) if effect is None else [one(effect)]
+    with value_of("effect"):
+        chosen = list(CATALOGUE.values()) if effect is None else [one(effect)]
     if as_json:
         print_json({"format": "amb-effects", "version": 1, "effects": [document(e) for e in chosen]})
     elif effect is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,23 +11,46 @@ import typer
 app = typer.Typer(no_args_is_help=True, help="Models and measured responses in the formats of other tools.")
 
 
+class Plane(StrEnum):
+    """Planes of a rig."""
+
+    x = "x"
+    y = "y"
+
+
+class Part(StrEnum):
+    """Parts of a plane's model, as in `service.exports.linear.PARTS`."""
+
+    plant = "plant"
+    amplifiers = "amplifiers"
+    whole = "whole"
+
+
+class Response(StrEnum):
+    """Measured responses, as in `service.exports.responses.PATHS`."""
+
+    u_y = "u->y"
+    u_i = "u->i"
+    i_y = "i->y"
+    r_u = "r->u"
+    r_y = "r->y"
+
+
 @app.command()
 def model(
     result: Annotated[Path, typer.Argument(help="result.json of a commissioning.")],
     out: Annotated[Path, typer.Argument(help="File to write; its ending says the format: .mat, .json or .csv.")],
-    plane: Annotated[str, typer.Option(help="Plane, x or y.")] = "x",
+    plane: Annotated[Plane, typer.Option(help="Plane.")] = Plane.x,
     part: Annotated[
-        str, typer.Option(help="plant (coil currents to displacements), amplifiers, or whole (both in series).")
-    ] = "plant",
+        Part, typer.Option(help="plant (coil currents to displacements), amplifiers, or whole (both in series).")
+    ] = Part.plant,
 ) -> None:
     """Write a state space with names and units: A, B, C, D in continuous time."""
     from service.exports import files, linear
-    from service.exports.errors import ExportError
     from service.output import read_document, ready_folder
 
-    if part not in linear.PARTS:
-        raise ExportError(f"no part {part!r} can be exported; give one of {', '.join(linear.PARTS)}")
-    found = linear.of_result(read_document(result, "amb-commissioning-result"), plane, part)
+    _must_end(out, files.LINEAR_ENDINGS)
+    found = linear.of_result(read_document(result, "amb-commissioning-result"), plane.value, part.value)
     ready_folder(out.parent)
     print(files.write_linear(out, found))
 
@@ -35,9 +59,9 @@ def model(
 def responses(
     experiment: Annotated[Path, typer.Argument(help="Experiment file, HDF5 or MATLAB.")],
     out: Annotated[Path, typer.Argument(help="File to write: .uff (UFF-58, all planes), .mat, .json or .csv.")],
-    path: Annotated[str, typer.Option(help="u->y, u->i, i->y, r->u or r->y.")] = "u->y",
+    path: Annotated[Response, typer.Option(help="From one signal to another.")] = Response.u_y,
     sweep: Annotated[str, typer.Option(help="Sweep by its comment; the main one without it.")] = "",
-    plane: Annotated[str, typer.Option(help="Only this plane, x or y.")] = "",
+    plane: Annotated[Plane | None, typer.Option(help="Only this plane.")] = None,
 ) -> None:
     """Write measured frequency responses with their standard deviations, names and units."""
     from service.experiment import file
@@ -46,11 +70,10 @@ def responses(
     from service.exports.errors import ExportError
     from service.output import ready_folder
 
-    if path not in measured.PATHS:
-        raise ExportError(f"no response {path!r} can be exported; give one of {', '.join(measured.PATHS)}")
-    found = measured.of_experiment(file.read(experiment), path, sweep)
+    _must_end(out, files.RESPONSE_ENDINGS)
+    found = measured.of_experiment(file.read(experiment), path.value, sweep)
     if plane and plane not in found:
-        raise ExportError(f"the sweep excites no plane {plane!r}; it excites {', '.join(found)}")
+        raise ExportError(f"the sweep excites no plane {plane.value!r}; it excites {', '.join(found)}")
     ready_folder(out.parent)
     chosen = [found[plane]] if plane else list(found.values())
     for written in files.write_responses(out, chosen):
@@ -72,6 +95,11 @@ def show(file: Annotated[Path, typer.Argument(help="File that export wrote.")]) 
             problems.append(str(error))
     # the reader that got further says more
     raise ExportError(problems[-1] if file.suffix.lower() not in files.LINEAR_ENDINGS else problems[0])
+
+
+def _must_end(out: Path, endings: tuple[str, ...]) -> None:
+    if out.suffix.lower() not in endings:
+        raise typer.BadParameter(f"{out.name} must end with one of {', '.join(endings)}", param_hint="out")
 
 
 def _model_words(file: Path) -> list[str]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.console import print_json, stdout
+from service.cli.usage import value_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -18,7 +19,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on 
 BaselineFolder = Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")]
 BUDGET_S = 90.0
 STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
-Budget = Annotated[float, typer.Option(help="Rig time of the check, s.", min=20.0)]
+Budget = Annotated[float, typer.Option(help="Rig time of the check, s.", min=20.0, max=3600.0)]
 PerYear = Annotated[
     float, typer.Option(help="False alarms a year that are accepted, over all figures.", min=1e-6, max=1.0)
 ]
@@ -41,6 +42,7 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Measure a few tones, compare with the commissioning; write health.json and health.html."""
+    from drivers.errors import AddressError
     from service import bootstrap, checkup
     from service.cli.interrupt import asked_to_stop
     from service.cli.progress import campaign_progress
@@ -50,7 +52,8 @@ def check(
     then, datasheet = checkup.read_baseline(baseline)
     ready_folder(out)
     plan = checkup.plan_for(then, datasheet, budget_s)
-    rig = bootstrap.connect(controller)
+    with value_of("--controller", AddressError):
+        rig = bootstrap.connect(controller)
     try:
         with asked_to_stop(STOPPING) as cancelled, campaign_progress() as progress:
             experiment = checkup.measure_check(rig, datasheet, plan, out, progress, cancelled)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,8 @@ import typer
 
 from drivers.device.lease import WATCHDOG_S
 from service.cli.console import print_json, say
+from service.cli.usage import finite, value_of
+from sim.errors import EffectError, OptionsError
 from sim.withheld import CAMPAIGN_S
 
 if TYPE_CHECKING:
@@ -74,8 +77,8 @@ def serve(
         ),
     ] = CAMPAIGN_S,
     noise: Annotated[bool, typer.Option(help="Noise of sensors and currents.")] = True,
-    gravity_m_per_s2: Annotated[float | None, typer.Option(help="Gravity on the rotor.")] = None,
-    speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.")] = None,
+    gravity_m_per_s2: Annotated[float | None, typer.Option(help="Gravity on the rotor.", callback=finite)] = None,
+    speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.", callback=finite)] = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="Hold the rig to the wall clock.")] = False,
     watchdog_s: Annotated[
         float, typer.Option(help="Excitation ends, and a trip latches, when the host is silent for so long.", min=0.01)
@@ -107,13 +110,19 @@ def serve(
 ) -> None:
     """Serve a simulated rig until Ctrl-C; prints the URL to connect to when it is ready."""
     from drivers.device import serve as devices
+    from drivers.device.faults import FaultPlan
     from drivers.device.machine import RigDevice
     from drivers.device.rigs import RigOptions, build_rig
 
     options = RigOptions(
         rig, seed, tuple(effect or ()), withheld, sealed, campaign_s, noise, gravity_m_per_s2, speed_rad_s
     )
-    built = build_rig(options)
+    with value_of("--faults"):
+        FaultPlan.parse(faults, fault_seed)
+    if protocol is Protocol.modbus_tls and (certificate is None or key is None):
+        raise typer.BadParameter("needs --certificate and --key, PEM files", param_hint="--protocol modbus-tls")
+    with value_of("--effect", EffectError) if effect else nullcontext(), value_of("--withheld", OptionsError):
+        built = build_rig(options)
     log = devices.EventLog(events) if events else None
     machine = RigDevice(
         built.rig,

@@ -16,7 +16,7 @@ from service.identification.loop_margins import REST, loop_margins, moved
 from service.identification.plane_model import PlaneModel
 from service.identification.zoh import Complex, Real, discrete_response
 from sim.datasheet import ISO_14839_3_DB
-from sim.errors import AmbError
+from sim.errors import OptionsError
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def zone_table(text: str) -> tuple[tuple[str, float], ...]:
 
     Raises
     ------
-    AmbError
+    OptionsError
         Not of that form, limits that do not rise, or no last zone without a limit.
 
     >>> zone_table("good=9.5, bad")
@@ -100,12 +100,12 @@ def zone_table(text: str) -> tuple[tuple[str, float], ...]:
             name, _, limit = part.strip().partition("=")
             found.append((name.strip(), float(limit) if limit.strip() else math.inf))
     except ValueError as error:
-        raise AmbError(f"zones {text!r} cannot be read; write them as A=9.5,B=12,C=14,D") from error
+        raise OptionsError(f"zones {text!r} cannot be read; write them as A=9.5,B=12,C=14,D") from error
     limits = [limit for _, limit in found]
     names = [name for name, _ in found]
     rising = all(a < b for a, b in pairwise(limits))
     if not rising or not math.isinf(limits[-1]) or not all(names) or len(set(names)) < len(names):
-        raise AmbError(f"zones {text!r} need different names, rising limits in dB, and a last zone without a limit")
+        raise OptionsError(f"zones {text!r} need different names, rising limits in dB, and a last zone without a limit")
     return tuple(found)
 
 

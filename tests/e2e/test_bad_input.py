@@ -162,7 +162,9 @@ def test_a_controller_that_does_not_answer(good, tmp_path):
 
 
 def test_a_controller_of_no_known_kind(good, tmp_path):
-    line = refusal("commission", "--controller", "carrier-pigeon://loft", "--rig", good / "rig.toml", "--out", tmp_path)
+    words = ("--controller", "carrier-pigeon://loft", "--rig", good / "rig.toml", "--out", tmp_path)
+    line = refusal("commission", *words, status=2)
+    assert "--controller" in line
     assert "modbus://" in line
 
 
