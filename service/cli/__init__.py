@@ -7,7 +7,22 @@ import sys
 
 import typer
 
-from service.cli import client, commission, controller, db, demo, effects, export, gap, health, jobs, keys, rig, serve
+from service.cli import (
+    client,
+    commission,
+    controller,
+    db,
+    demo,
+    effects,
+    export,
+    gap,
+    health,
+    jobs,
+    keys,
+    rig,
+    rigs,
+    serve,
+)
 from service.cli.console import one_line, say
 
 app = typer.Typer(
@@ -36,6 +51,11 @@ app.command()(client.watch)
 app.command()(client.cancel)
 app.command()(client.retry)
 app.command()(client.fetch)
+app.command()(rigs.rigs)
+app.command()(rigs.status)
+app.command()(rigs.stop)
+app.command()(rigs.acknowledge)
+app.command()(rigs.schedules)
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2
 INTERRUPTED = 130

@@ -66,8 +66,8 @@ class Patient:
             except TripError as trip:
                 if trip.cause not in (*OF_THE_TONE, OF_THE_HOST):
                     raise CampaignError(
-                        f"the controller tripped ({trip}); find the cause and acknowledge it, then run this again to "
-                        "go on where it stopped"
+                        f"the controller tripped ({trip}); find the cause and acknowledge it, as with ambit "
+                        "acknowledge, then run this again to go on where it stopped"
                     ) from trip
                 self._through(self._controller.acknowledge)
                 if trip.cause != OF_THE_HOST:
@@ -106,7 +106,8 @@ def make_ready(controller: Controller) -> None:
     if status.state == State.TRIPPED:
         if status.trip != TripCause.HOST:
             raise CampaignError(
-                f"the controller is tripped ({status.trip_message}); find the cause and acknowledge it first"
+                f"the controller is tripped ({status.trip_message}); find the cause and acknowledge it first, as with "
+                "ambit acknowledge"
             )
         controller.acknowledge()
     if status.state == State.OFF:

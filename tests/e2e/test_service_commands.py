@@ -110,7 +110,8 @@ def test_the_readme_s_calls_of_the_main_job_by_http(running, tmp_path):
     assert calls.count("curl") > 4
     models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
     sweep = synthetic_sweep(models, AXES, LAW, np.geomspace(10, 1000, 40), 0.05, seed=1)
-    file.write(tmp_path / "experiment.h5", synthetic_experiment(sweep, axes=AXES))
+    (tmp_path / "out" / "rig1").mkdir(parents=True)
+    file.write(tmp_path / "out" / "rig1" / "experiment.h5", synthetic_experiment(sweep, axes=AXES))
     (tmp_path / "rig.toml").write_text(reference_sheet())
     script = "set -eu\n" + calls.replace("http://127.0.0.1:8311", running.api.said)
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
@@ -165,12 +166,37 @@ def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
     running.wait(job)
 
 
+def test_a_rig_is_seen_and_stopped_from_a_terminal(ambit, running, sheet):
+    slow = f"profile={json.dumps(SLOW)}"
+    submit = ("submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--change", "--option", slow)
+    job = ambit(*submit).stdout.strip()
+    running.wait(job, lambda j: j["progress"]["point"] > 5)
+    listed = ambit("rigs").stdout
+    assert running.rig.url in listed
+    assert job in listed, "who moves the rotor"
+    assert json.loads(ambit("status", "reference", "--json").stdout)["lease_holder"]
+
+    assert ambit("stop", "reference").stdout.startswith("reference: stopped")
+    assert running.wait(job)["state"] == "failed"
+    shown = ambit("status", "reference").stdout
+    assert "moved by: nobody" in shown
+    assert "excitation, A: 0" in shown
+    assert "displacements, µm: xA " in shown
+    (rig,) = json.loads(ambit("rigs", "--json").stdout)["rigs"]
+    assert rig["status"]["excitation_a"] == 0.0
+    assert json.loads(ambit("schedules", "--json").stdout) == {"schedules": []}
+
+
 def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):
     assert "no rig 'nobody'" in command.refusal("submit", "experiment", "--rig", "nobody")
     assert "name=value" in command.refusal("submit", "gap", "--rig", "x", "--option", "a", status=2)
     wrong_kind = ("submit", "gap", "--rig", "x", "--excitation", "multisine")
     assert "--excitation" in command.refusal(*wrong_kind, status=2)
     assert "there is no job" in command.refusal("watch", "job_0")
+    for word in ("status", "stop"):
+        assert "no rig 'nobody'" in command.refusal(word, "nobody")
+    no_option = ("submit", "health", "--rig", "reference", "--option", "gear=1")
+    assert "--option: gear: there is no such option" in command.refusal(*no_option, status=2)
     (tmp_path / "x.h5").write_bytes(b"PK")
     assert "neither an HDF5 nor a MATLAB" in command.refusal(
         *("submit", "gap", "--rig", sheet, "--controller", running.rig.url, "--experiment", tmp_path / "x.h5")

@@ -24,6 +24,11 @@ COMMANDS = (
     ("rig",),
     ("rig", "serve"),
     ("rig", "datasheet"),
+    ("rigs",),
+    ("status",),
+    ("stop",),
+    ("acknowledge",),
+    ("schedules",),
 )
 
 
