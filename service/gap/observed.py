@@ -9,6 +9,7 @@ import numpy as np
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
 from service.experiment.stated import stated_amplitudes
+from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
@@ -75,9 +76,10 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
             f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; "
             "give the datasheet of the rig that was measured, with the same axes"
         )
+    must_be_in_si(experiment, datasheet)
     (main_name, main), *others = sweeps_for(experiment)
     require_live_channels(main, tuple(experiment.axes), main_name)
-    notes = [*stated_amplitudes(experiment), *notes_on(main, bool(others), datasheet)]
+    notes = [*odd_rotor(datasheet), *stated_amplitudes(experiment), *notes_on(main, bool(others), datasheet)]
     if told := other_rate(main, datasheet):
         notes.append(told)
     if not datasheet.modes:

@@ -11,6 +11,7 @@ import numpy as np
 from service.distributions import chi2_above
 from service.errors import DocumentError
 from service.experiment.data import Experiment
+from service.experiment.units import must_be_in_si
 from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
@@ -87,6 +88,7 @@ def compare(
             f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
             "give the datasheet of the rig that was measured"
         )
+    must_be_in_si(experiment, datasheet)
     saved = saved_planes(baseline.document, datasheet)
     twin, notes = as_identified(datasheet, baseline.document)
     log = checked(experiment, twin.datasheet, twin.chain)  # as the commissioning's was

@@ -11,6 +11,7 @@ import numpy as np
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
 from service.experiment.stated import stated_amplitudes
+from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fits
 from service.identification.assemble import assemble
 from service.identification.block_length import block_samples
@@ -95,7 +96,8 @@ def identify(
             f"the experiment has axes {', '.join(experiment.axes)} and the datasheet {', '.join(datasheet.axes)}; "
             "give the datasheet of the rig that was measured"
         )
-    doubts = stated_amplitudes(experiment)
+    must_be_in_si(experiment, datasheet)
+    doubts = odd_rotor(datasheet) + stated_amplitudes(experiment)
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
     chosen = chosen_sweeps(experiment)
@@ -121,9 +123,14 @@ def identify(
         if not np.any(np.isin(main.axis, pair) & (main.amplitude_a > 0)):
             warnings.append(f"plane {plane} is not excited in {chosen.main.name} and not identified")
             continue
-        found[plane] = fit_plane(
-            main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options, twin.chain
-        )
+        try:
+            found[plane] = fit_plane(
+                main, amplifier_sweep, validation, tuple(experiment.axes), plane, datasheet, options, twin.chain
+            )
+        except AmbError as error:
+            if not (odd := odd_rotor(datasheet)):
+                raise
+            raise AmbError(f"{odd[0]} The fit ended with: {error}") from error
         say((k + 1) * FITS / steps)
     if validation is not None and all(f.held_out is None for f in found.values()):
         warnings.append(
@@ -138,6 +145,9 @@ def identify(
     fitted = {plane: f.selected for plane, f in found.items()}
     if not planes:
         raise AmbError("no plane of the rig is excited on both of its axes; excite xA and xB, one after the other")
+    of = {name: [p.stiffness[name + end] for p in planes.values() for end in "AB"] for name in ("ki", "ks")}
+    ratios = {name: np.array([e.value / e.nominal for e in estimates if e.nominal]) for name, estimates in of.items()}
+    warnings = odd_stiffness({name: x[x > 0] for name, x in ratios.items()}) + warnings
     across = () if main.speed_rad_s else cross_planes(main, tuple(experiment.axes))
     warnings += [told_coupling(c) for c in across if c.coupled]
     rotating = None

@@ -74,13 +74,22 @@ class Transient:
     """Length of the blocks that it told, before they are made whole periods; None where it was known."""
 
 
+def _few(size: float) -> str:
+    """Two figures without an exponent.
+
+    >>> _few(2.71), _few(412.0)
+    ('2.7', '410')
+    """
+    return f"{float(f'{size:.2g}'):.6g}"
+
+
 def told(transient: Transient) -> str:
     """A transient in words."""
     hz, rate = abs(transient.pole.imag) / (2 * np.pi), -transient.pole.real
     where = f"{hz:.4g} Hz mode of the closed loop" if hz > 1 else "slow part of the closed loop"
     return (
         f"points were recorded while the {where} still rang (it decays with {rate:.2g} 1/s): what it left, up to "
-        f"{transient.share:.2g} times the noise, was taken out; settle longer and the standard deviations fall"
+        f"{_few(transient.share)} times the noise, was taken out; settle longer and the standard deviations fall"
     )
 
 

@@ -1,0 +1,99 @@
+"""Values in another unit than the one that their field has: such data fit, but the rig is another one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Experiment
+from service.experiment.errors import ExperimentFileError
+from sim.datasheet import Datasheet
+
+BEYOND = 5.0
+"""Times a rig's own limit that no amplitude reaches: of y the stops, of i the supply would have ended it before."""
+FAR = 30.0
+"""Factor from which a stiffness is not off, but in another unit, the least of which is 1000."""
+SPAN = (0.1, 20.0)
+"""Distance of the bearings from the centre of gravity over the radius of gyration: 1.7 for a uniform rotor between
+bearings at its ends, 0.5 for a disc between close ones, 10 for a small disc on a long shaft."""
+
+
+def must_be_in_si(experiment: Experiment, datasheet: Datasheet) -> None:
+    """Refuse amplitudes and frequencies that the rig cannot have had.
+
+    Raises
+    ------
+    ExperimentFileError
+        Displacements or currents far beyond the limits of the datasheet, or tones far beyond what its controller can
+        play; names dataset, field and the unit that it may be in.
+    """
+    room_m = max(datasheet.displacement_limit_m, datasheet.linear_range_m)
+    for k, sweep in enumerate(experiment.sweeps):
+        if not sweep.n_points:
+            continue
+        h = sweep.harmonic(1)
+        where = f"sweeps/{k}"
+        told = f"{where}: Y reaches {{}} m, the limit of displacement is {{}} m"
+        _must_stay(_largest(sweep.Y, h), room_m, told, "m")
+        for name, x in (("U", sweep.U), ("I", sweep.I)):
+            if x is not None:
+                told = f"{where}: {name} reaches {{}} A, the limit of current is {{}} A"
+                _must_stay(_largest(x, h), datasheet.current_limit_a, told, "A")
+        if float(sweep.frequency_hz.max()) * datasheet.sample_time_s > 1:
+            raise ExperimentFileError(
+                f"{where} has tones up to {sweep.frequency_hz.max():.4g} Hz, which a controller with the datasheet's "
+                f"sample_time_s of {datasheet.sample_time_s:.4g} s cannot play: is that in ms?"
+            )
+
+
+def odd_rotor(datasheet: Datasheet) -> list[str]:
+    """What mass, inertia and distances of a datasheet tell together, where they are no rotor's; a sentence."""
+    gyration_m = math.sqrt(datasheet.transverse_inertia_kgm2 / datasheet.mass_kg)
+    span_m = 0.5 * sum(datasheet.bearing_from_cog_m)
+    if SPAN[0] <= span_m / gyration_m <= SPAN[1]:
+        return []
+    return [
+        f"the datasheet's mass_kg {datasheet.mass_kg:.4g} and transverse_inertia_kgm2 "
+        f"{datasheet.transverse_inertia_kgm2:.4g} make a radius of gyration of {gyration_m:.3g} m, which does not go "
+        f"with bearings {span_m:.3g} m from the centre of gravity: is one of them in g, t, mm or kg mm²?"
+    ]
+
+
+def odd_stiffness(found_over_datasheet: Mapping[str, NDArray[np.float64]]) -> list[str]:
+    """What identified ki and ks are of the datasheet's, where all are off by a factor that only a unit makes.
+
+    Parameters
+    ----------
+    found_over_datasheet
+        By "ki" and "ks", identified over stated of every axis; positive.
+    """
+    factor = {name: float(np.exp(np.median(np.log(x)))) for name, x in found_over_datasheet.items() if len(x)}
+    off = [name for name, x in factor.items() if max(x, 1 / x) > FAR]
+    if not off:
+        return []
+    told = " and ".join(f"{name} {factor[name]:.1g} times" for name in off)
+    remedies = {
+        "ki": "current_stiffness_n_per_a, or of the currents or displacements of the experiment (mA, mm, µm)",
+        "ks": "position_stiffness_n_per_m (N/mm, N/µm)",
+    }
+    both = "mass_kg and transverse_inertia_kgm2 (g, t), or of both stiffnesses"
+    remedy = both if len(off) > 1 else remedies[off[0]]
+    return [f"identified are {told} the datasheet's, which is no tolerance: check the unit of {remedy}"]
+
+
+def _largest(x: NDArray[np.complex128], harmonic: int) -> float:
+    size = np.abs(x[:, :, harmonic].mean(axis=1))
+    return float(size[np.isfinite(size)].max(initial=0.0))  # a point that is no number is left out later, and told
+
+
+def _must_stay(largest: float, limit: float, told: str, unit: str) -> None:
+    if largest <= BEYOND * limit:
+        return
+    other = f"µ{unit}" if largest > 1000 * limit and unit == "m" else f"m{unit}"
+    raise ExperimentFileError(
+        f"{told.format(f'{largest:.3g}', f'{limit:.3g}')}: is it in {other}? Both hold {unit}; scale the "
+        "one that is wrong"
+    )

@@ -1,0 +1,57 @@
+"""A value in another unit is told: its data would fit, and be those of another rig."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.experiment.errors import ExperimentFileError
+from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
+from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
+from sim.reference import reference_datasheet, reference_rig
+
+SHEET = reference_datasheet()
+
+
+@pytest.fixture(scope="module")
+def measured() -> Experiment:
+    models = {plane: plane_model_of(reference_rig(), plane) for plane in "xy"}
+    law = (np.array(SHEET.numerator), np.array(SHEET.denominator))
+    return synthetic_experiment(
+        synthetic_sweep(models, SHEET.axes, law, np.geomspace(10, 900, 10), 0.1, seed=1), axes=SHEET.axes
+    )
+
+
+@pytest.mark.parametrize(("name", "factor", "unit"), [("Y", 1e6, "µm"), ("Y", 1e3, "mm"), ("I", 1e3, "mA")])
+def test_amplitudes_that_no_rig_has_are_refused_with_the_unit_that_they_may_be_in(measured, name, factor, unit):
+    must_be_in_si(measured, SHEET)
+    (sweep,) = measured.sweeps
+    wrong = replace(measured, sweeps=(replace(sweep, **{name: factor * getattr(sweep, name)}),))
+    with pytest.raises(ExperimentFileError, match=rf"sweeps/0: {name} reaches .* is it in {unit}\?"):
+        must_be_in_si(wrong, SHEET)
+
+
+def test_a_sample_time_in_milliseconds_is_told(measured):
+    with pytest.raises(ExperimentFileError, match=r"sample_time_s of 0\.1 s cannot play: is that in ms"):
+        must_be_in_si(measured, replace(SHEET, sample_time_s=0.1))
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+@pytest.mark.parametrize("field", ["mass_kg", "transverse_inertia_kgm2"])
+def test_a_mass_in_grams_or_tonnes_is_no_rotor(field, factor):
+    assert odd_rotor(SHEET) == []
+    (told,) = odd_rotor(replace(SHEET, **{field: factor * getattr(SHEET, field)}))
+    assert "mass_kg" in told
+    assert "radius of gyration" in told
+
+
+def test_stiffness_off_by_a_thousand_is_a_unit_and_twice_is_none():
+    usual = np.array([0.5, 0.6, 0.55, 0.5])
+    assert odd_stiffness({"ki": usual, "ks": usual}) == []
+    (ks,) = odd_stiffness({"ki": usual, "ks": 1e6 * usual})
+    assert "position_stiffness_n_per_m (N/mm, N/µm)" in ks
+    (ki,) = odd_stiffness({"ki": 1e-3 * usual, "ks": usual})
+    assert "current_stiffness_n_per_a" in ki
+    (both,) = odd_stiffness({"ki": 1e3 * usual, "ks": 1e3 * usual})
+    assert "mass_kg" in both
