@@ -182,8 +182,8 @@ def test_a_rig_is_seen_and_stopped_from_a_terminal(ambit, running, sheet):
     assert "moved by: nobody" in shown
     assert "excitation, A: 0" in shown
     assert "displacements, µm: xA " in shown
-    (rig,) = json.loads(ambit("rigs", "--json").stdout)["rigs"]
-    assert rig["status"]["excitation_a"] == 0.0
+    found = {rig["name"]: rig for rig in json.loads(ambit("rigs", "--json").stdout)["rigs"]}
+    assert found["reference"]["status"]["excitation_a"] == 0.0
     assert json.loads(ambit("schedules", "--json").stdout) == {"schedules": []}
 
 
