@@ -9,7 +9,7 @@ import pytest
 from sim import rig_file
 from sim.effects import CATALOGUE
 from sim.reference import reference_datasheet
-from tests.support.command import AMBIT, ENVIRONMENT, ambit, refusal
+from tests.support.command import AMBIT, ENVIRONMENT, ambit, at_once, refusal
 
 COMMANDS = (
     (),
@@ -34,7 +34,7 @@ COMMANDS = (
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_help(command):
-    done = ambit(*command, "--help")
+    done = at_once(*command, "--help")
     assert done.returncode == 0
     assert "Usage: ambit" in done.stdout
     assert done.stderr == ""
@@ -46,7 +46,7 @@ def test_help(command):
 )
 def test_help_names_the_tables_of_the_datasheet(command, word):
     """Brackets would be taken for colours."""
-    assert word in ambit(command, "--help").stdout
+    assert word in at_once(command, "--help").stdout
 
 
 def test_help_needs_none_of_the_heavy_libraries():
@@ -89,8 +89,16 @@ def test_bad_usage(arguments, said):
     assert "--help" in line
 
 
+@pytest.mark.parametrize(("arguments", "status"), [(("effects", "gremlins"), 1), (("effects", "--nonsense"), 2)])
+def test_a_process_ends_with_the_status_and_the_line_of_its_refusal(arguments, status):
+    done = ambit(*arguments)
+    assert done.returncode == status
+    assert done.stdout == ""
+    assert done.stderr == refusal(*arguments, status=status) + "\n"
+
+
 def test_the_catalogue_as_json():
-    done = ambit("effects", "--json")
+    done = at_once("effects", "--json")
     catalogue = json.loads(done.stdout)
     assert done.returncode == 0
     assert {e["id"] for e in catalogue["effects"]} >= {"loop_delay", "sensor_lag", "eddy_currents"}
@@ -98,13 +106,13 @@ def test_the_catalogue_as_json():
 
 def test_the_list_shows_every_law_to_the_letter():
     """Brackets of a law are no markup of the terminal's."""
-    shown = "".join(ambit("effects").stdout.split())
+    shown = "".join(at_once("effects").stdout.split())
     missing = [e.id for e in CATALOGUE.values() if "".join(e.law.split()) not in shown]
     assert not missing
 
 
 def test_one_effect_in_words():
-    done = ambit("effects", "loop_delay")
+    done = at_once("effects", "loop_delay")
     assert "exp" in done.stdout or "tau" in done.stdout
     assert "separated by" in done.stdout
 
@@ -127,4 +135,4 @@ def test_the_datasheet_of_the_reference_rig(tmp_path):
     done = ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
     assert done.returncode == 0
     assert rig_file.read(tmp_path / "rig.toml") == reference_datasheet()
-    assert ambit("rig", "datasheet").stdout == (tmp_path / "rig.toml").read_text()
+    assert at_once("rig", "datasheet").stdout == (tmp_path / "rig.toml").read_text()

@@ -1,4 +1,4 @@
-"""The command ``ambit`` as a user runs it: a process of its own."""
+"""The command ``ambit`` as a user runs it, a process of its own; and as good as that in the process of the test."""
 
 import os
 import signal
@@ -6,8 +6,12 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
+from unittest.mock import patch
 
+from service import cli
 from tests.support.processes import environment
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "COLUMNS": "100", "NO_COLOR": "1"}
@@ -27,9 +31,20 @@ def ambit(*arguments: object, timeout_s: float = 120.0, traced: bool = True) -> 
     )
 
 
+def at_once(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in this process: to start one takes a second, most of it for what a test has loaded.
+
+    All that the process adds is that it exits with this status.
+    """
+    out, err = StringIO(), StringIO()
+    with patch.dict(os.environ, ENVIRONMENT), redirect_stdout(out), redirect_stderr(err):
+        status = cli.run([str(a) for a in arguments])
+    return subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
+
+
 def refusal(*arguments: object, status: int = 1) -> str:
-    """The one line on stderr of a command that must fail, and nothing on stdout."""
-    done = ambit(*arguments)
+    """The one line on stderr of a command that must fail, and nothing on stdout; at once."""
+    done = at_once(*arguments)
     assert done.returncode == status, (done.stdout, done.stderr)
     lines = done.stderr.splitlines()
     assert len(lines) == 1, done.stderr
