@@ -12,6 +12,9 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 # one more than there are cores: a third of the time a test waits for a server or a device
 JOBS   ?= $(shell expr $$(nproc 2>/dev/null || echo 1) + 1)
 
+# modules are compiled once, not by every process that a test starts
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo test check bench clean
 .DELETE_ON_ERROR:
@@ -23,7 +26,7 @@ demo: $(VENV)/.demo ## commission a simulated rig, from nothing to result.json a
 	$(BIN)/ambit demo
 
 test: $(VENV)/.dev ## every test and doctest, with branch coverage
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --cov --cov-report=term $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder --cov --cov-report=term $(ARGS)
 
 check: $(VENV)/.dev ## ruff, mypy (strict but for benchmarks), import-linter
 	$(BIN)/ruff check .
