@@ -12,7 +12,6 @@ import pytest
 from service import web
 from service.config import Settings
 from service.health.compare import Baseline, compare
-from service.identification.fit import identify
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.jobs.calculations import model_summary
 from service.report.curves import curves
@@ -23,7 +22,7 @@ from service.storage.tables import ExperimentRow, GapRow, HealthRow, JobRow, Mod
 from sim.reference import reference_rig
 from sim.rig_file import to_toml
 from tests.support.browser import BROWSER
-from tests.support.commissioned import AXES, LAW, SHEET, plan, result
+from tests.support.commissioned import AXES, LAW, SHEET, commissioned, plan, result
 from tests.support.serving import Serving, serving
 from tests.support.tab import tab
 
@@ -53,9 +52,6 @@ def service(tmp_path_factory):
 @pytest.fixture(scope="module")
 def ids(service: Serving) -> dict[str, str]:
     database, blobs = service.services.database, service.services.blobs
-    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
-    sweep = synthetic_sweep(models, AXES, LAW, np.geomspace(10, 1000, 40), 0.05, seed=1)
-    commissioned = identify(synthetic_experiment(sweep, axes=AXES), SHEET)
     common = {"rig_version": 1, "created_at": now(), "job_id": None}
     with database.write() as session:
         rig = rigs.create(session, NAME, to_toml(SHEET), "", "a note & <b>more</b>", "local")
@@ -67,10 +63,10 @@ def ids(service: Serving) -> dict[str, str]:
         session.flush()
         model = ModelRow(
             id=new_id("mod"), rig_id=rig.id, experiment_id=experiment.id, created_by="local",
-            result_sha256=blobs.put(json.dumps(commissioned.document()).encode()),
+            result_sha256=blobs.put(json.dumps(result()).encode()),
             report_sha256=blobs.put(b"<h1>report</h1>"),
-            plots_sha256=blobs.put(json.dumps(curves(commissioned, SHEET)).encode()),
-            summary=model_summary(commissioned.document()), **common,
+            plots_sha256=blobs.put(json.dumps(curves(commissioned(), SHEET)).encode()),
+            summary=model_summary(result()), **common,
         )  # fmt: skip
         session.add(model)
         gap = new_id("gap")
