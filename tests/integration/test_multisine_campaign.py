@@ -49,6 +49,12 @@ def whole(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def identified(whole):
+    """What the file of the whole campaign tells."""
+    return identify(read(whole[0] / "experiment.h5"), SHEET)
+
+
+@pytest.fixture(scope="module")
 def counted(tmp_path_factory):
     """A short campaign, and how often it played something."""
     rig = Counted(lambda k: None)
@@ -60,8 +66,8 @@ def short(counted):
     return counted[0]
 
 
-def test_ki_ks_and_modes_are_within_three_reported_deviations_of_the_truth(whole):
-    result = identify(read(whole[0] / "experiment.h5"), SHEET).document("experiment.h5")
+def test_ki_ks_and_modes_are_within_three_reported_deviations_of_the_truth(identified):
+    result = identified.document("experiment.h5")
     for p, (name, plane) in enumerate(result["planes"].items()):
         for b, bearing in enumerate("AB"):
             for key, truth in (("ki", RIG.magnets.ki), ("ks", RIG.magnets.ks)):
@@ -84,10 +90,10 @@ def test_it_takes_a_tenth_of_the_stepped_sines_rig_time_and_says_so(whole):
     assert whole[1].main.time_s.max() < seconds
 
 
-def test_damping_ratios_are_told_as_exactly_as_ki_and_ks_are_by_a_thousand_seconds_of_tones(whole):
+def test_damping_ratios_are_told_as_exactly_as_ki_and_ks_are_by_a_thousand_seconds_of_tones(whole, identified):
     """The pilot knows the peaks; the stepped sine leaves 0.03 to 0.08 % on this rig (benchmarks/multisine.py)."""
     assert "not_designed" not in whole[1].attributes
-    for plane in identify(whole[1], SHEET).planes.values():
+    for plane in identified.planes.values():
         assert all(m.damping_ratio.std_from_data < 6e-4 * m.damping_ratio.value for m in plane.modes)
 
 
