@@ -12,7 +12,7 @@ from tests.support import command
 @pytest.fixture
 def ambit(tmp_path, monkeypatch):
     monkeypatch.setitem(command.ENVIRONMENT, "AMBIT_HOME", str(tmp_path / "home"))
-    return command.ambit
+    return command.at_once
 
 
 def kept(tmp_path) -> str:

@@ -99,7 +99,7 @@ def test_measured_identified_and_fetched_by_one_command(ambit, running, sheet, t
     assert "━" in shown
     assert "model: mod_" in shown
     assert (tmp_path / "again" / "result.json").exists()
-    fetched = json.loads(ambit("fetch", job, "--out", tmp_path / "third", "--json").stdout)
+    fetched = json.loads(command.at_once("fetch", job, "--out", tmp_path / "third", "--json").stdout)
     assert set(fetched["files"]) == {"datasheet", "experiment", "result", "report"}
 
 
@@ -153,16 +153,16 @@ def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
     assert running.rig.status().excitation_a == 0
 
     # it is found among the others, and goes on
-    listed = ambit("jobs", "--state", "cancelled", "--rig", "reference").stdout
+    listed = command.at_once("jobs", "--state", "cancelled", "--rig", "reference").stdout
     line = next(line for line in listed.splitlines() if job in line)
     for whole in ("experiment", "reference", "cancelled", time.strftime("%Y-%m-%d", time.gmtime()), "local"):
         assert whole in line  # nothing is cut in a pipe
-    assert job not in ambit("jobs", "--kind", "gap").stdout
-    again = json.loads(ambit("retry", job, "--json").stdout)
+    assert job not in command.at_once("jobs", "--kind", "gap").stdout
+    again = json.loads(command.at_once("retry", job, "--json").stdout)
     assert (again["id"], again["state"]) == (job, "queued")
-    (found,) = json.loads(ambit("jobs", "--limit", "1", "--json").stdout)["jobs"]
+    (found,) = json.loads(command.at_once("jobs", "--limit", "1", "--json").stdout)["jobs"]
     assert found["id"] == job
-    ambit("cancel", job)
+    command.at_once("cancel", job)
     running.wait(job)
 
 
