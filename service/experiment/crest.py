@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from service.experiment.multisine import Lines, Multisine, crest_factor, random_phases, synthesise
 
@@ -85,7 +86,7 @@ def optimised(
 def _coarse(lines: Lines) -> int:
     """Samples of a period that show the peaks: at least five for the highest line's period."""
     top = int(lines.excited[-1])
-    return int(min(lines.samples, 2 ** int(np.ceil(np.log2(5 * top)))))
+    return min(lines.samples, int(next_fast_len(5 * top, real=True)))
 
 
 def displacement_crest(multisine: Multisine, response: Complex) -> float:
