@@ -8,13 +8,13 @@ import numpy as np
 
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
+from service.experiment.resting import about_rest, held_at, load_in_words, resting_current
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
 from service.gap.measured.observation import GapError, Observation, observe, usable
-from service.gap.measured.resting import about_rest, held_at, load_in_words, resting_current
 from service.gap.measured.settling import DRIFTS
 from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, span_s, sweeps_for, timed
 from service.gap.measured.thin import thinned
@@ -99,7 +99,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     if (resting := resting_current(main, nu.rig)) is not None:
         main, other = about_rest(main), about_rest(other)
         loaded = held_at(nu.rig, resting)
-        notes.append(load_in_words(loaded, nu.rig))
+        notes.append(f"{load_in_words(loaded, nu.rig)}: the twin works there")
         nu = replace(nu, rig=loaded)
     sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)

@@ -10,6 +10,7 @@ import numpy as np
 
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
+from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
 from service.identification.amplifier_fit import AmplifierFit, amplifier_fits
@@ -37,6 +38,7 @@ from sim.chain import Chain
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.folded import folded
+from sim.twin import rig_from_datasheet
 
 END_SLOPE = 4.0
 """Change of the first mode's shape towards a free shaft's end, in largest values at bearings and sensors per bearing
@@ -108,6 +110,9 @@ def identify(
 
     warnings = [sentence for e in twin.effects for sentence in e.sentences()]
     warnings += [*doubts, *log.warnings, *chosen.notes]
+    rig = rig_from_datasheet(datasheet)
+    if (resting := resting_current(main, rig)) is not None:
+        warnings.append(f"{load_in_words(held_at(rig, resting), rig)}: what is identified is under this load")
     if main.speed_rad_s:
         remedy = "" if len(speeds) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim import imbalance
 from sim.datasheet import AXES
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
@@ -12,14 +13,20 @@ Generator = np.random.Generator
 
 WEAKEST, STRONGEST = 0.1, 1.6
 """Strengths as shares of the catalogue's typical, plainly visible ones."""
+UNEVEN = 0.25
+"""Share of the effects there may be one of in each axis that are on one bearing, plane or axis alone."""
 
 
 def strength(effect: Effect, rig: Rig, g: Generator) -> dict[str, float]:
     """Values of an effect's parameters, from barely to plainly visible.
 
     Strengths are shares of the typical values, of either sign where the range allows it; of an effect with one
-    parameter per axis, one or two axes have it.
+    parameter per axis, one or two axes have it; of one on all alike, some have it at one bearing, plane or axis alone.
     """
+    uneven = _uneven(effect, g)
+    # the mean of all, where the one has a strength as drawn; of amplifiers the largest change is what is stated
+    halved = 0 if effect.id == "amplifier_bandwidth" else np.count_nonzero(list(uneven.values()))
+    alone = 0.5**halved
     share = float(WEAKEST * (STRONGEST / WEAKEST) ** g.uniform())
     special = _special(effect.id, share, g)
     per_axis = [p.name for p in effect.parameters if any(f"_{axis}" in p.name for axis in rig.axes)]
@@ -27,16 +34,28 @@ def strength(effect: Effect, rig: Rig, g: Generator) -> dict[str, float]:
     sign = float(g.choice([-1.0, 1.0]))
     values = {}
     for p in effect.parameters:
-        if p.name in special:
+        if p.name in uneven:
+            values[p.name] = uneven[p.name]
+        elif p.name in special:
             values[p.name] = special[p.name]
         elif p.name in per_axis and p.name not in on:
             values[p.name] = p.null
         elif p.strength:
             signed = sign if p.low < 0 < p.high and -p.typical >= p.low else 1.0
-            values[p.name] = _inside(p, p.null + signed * (p.typical - p.null) * share * float(g.uniform(0.6, 1.0)))
+            part = alone * share * float(g.uniform(0.6, 1.0))
+            values[p.name] = _inside(p, p.null + signed * (p.typical - p.null) * part)
         else:
             values[p.name] = _inside(p, p.typical * 2.0 ** float(g.uniform(-1, 1)))
     return values
+
+
+def _uneven(effect: Effect, g: Generator) -> dict[str, float]:
+    """Imbalances of an effect that has them: none, or one bearing's, plane's or axis's own."""
+    names = [p.name for p in effect.parameters if p.name in imbalance.NAMES]
+    if not names or g.uniform() > UNEVEN:
+        return dict.fromkeys(names, 0.0)
+    which = int(g.integers(1, 2 ** len(names)))  # the first, the second, or both
+    return {name: float(g.choice([-1.0, 1.0])) if which >> k & 1 else 0.0 for k, name in enumerate(names)}
 
 
 def _special(name: str, share: float, g: Generator) -> dict[str, float]:
@@ -69,4 +88,5 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
 
 
 def _inside(p: Parameter, value: float) -> float:
-    return float(np.clip(value, min(p.low, p.null), max(p.high, p.null)))
+    low = p.low if p.scale == "log" else min(p.low, p.null)
+    return float(np.clip(value, low, max(p.high, p.null)))

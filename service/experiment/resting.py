@@ -53,13 +53,13 @@ def held_at(rig: Rig, current_a: Real) -> Rig:
 
 
 def load_in_words(rig: Rig, plain: Rig) -> str:
-    """What the load makes of the twin's magnets, in words; ``plain`` is the rig without it."""
+    """What the load makes of the magnets, in words; ``plain`` is the rig without it."""
     assert rig.static_current_a is not None
-    change = actuator.operating_point(rig).ks / actuator.operating_point(plain).ks - 1
+    more = 100 * (actuator.operating_point(rig).ks / actuator.operating_point(plain).ks - 1).max()
     amperes = ", ".join(f"{axis} {i:.2f} A" for axis, i in zip(rig.axes, rig.static_current_a, strict=True))
     return (
-        f"a static load is held by mean currents ({amperes}): the twin works there, its position stiffness up to "
-        f"{100 * change.max():.2g} % above that of the unloaded bearings, which the datasheet is taken to state"
+        f"mean currents hold a static load ({amperes}), which makes position stiffness up to {more:.2g} % larger than "
+        "the datasheet states for the unloaded bearings"
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from service.experiment.data import Experiment
 from service.gap.diagnose import diagnose
 from service.gap.observed import observed
+from service.identification.fit import identify
 from sim.actuator import operating_point
 from sim.rig import Rig
 from sim.twin import with_effects
@@ -40,6 +41,16 @@ def test_position_stiffness_grows_with_the_current_that_holds_a_lying_rotor(logg
     np.testing.assert_allclose(point.ki, DATASHEET.current_stiffness_n_per_a, rtol=1e-4)
     assert np.abs(data.o.U[:, 0].mean(axis=0)).max() < 1e-3, "what the twin is driven with is counted from there"
     assert any("static load" in note and "xA 1.50 A" in note for note in data.notes)
+
+
+def test_the_identification_says_that_it_is_of_the_loaded_bearing() -> None:
+    e, current = held(true_rig(TRUTH), np.array([1.5, 1.2, 1.5, 1.2]))
+    found = identify(*one_plane(e, DATASHEET))
+    assert any("static load (xA 1.50 A" in w for w in found.warnings)
+    ks = found.planes["x"].stiffness["ksA"]
+    loaded = TRUTH.position_stiffness_n_per_m[0] * (1 + (current[0] / TRUTH.bias_current_a[0]) ** 2)
+    # what the force has beyond proportion at 0.15 A is taken as that of an unloaded bearing
+    assert ks.value == pytest.approx(loaded, rel=4e-3)
 
 
 def test_a_hanging_rotor_has_none() -> None:
