@@ -179,7 +179,7 @@ def _with_uneven(
     """What was found, and its order, with effects that differ from axis to axis where the best leaves too much."""
     best = order[0].candidate
     asked = [best] if len(best.effects) > 1 else found
-    more = uneven(fitter, ground, asked) if leaves_something(ground, order[0]) else []
+    more = uneven(fitter, ground, null, asked) if leaves_something(ground, order[0]) else []
     if not more:
         return list(found), list(order)
     found = best_of_each(null, [*found, *more])
