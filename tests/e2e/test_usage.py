@@ -89,7 +89,10 @@ def test_bad_usage(arguments, said):
     assert "--help" in line
 
 
-@pytest.mark.parametrize(("arguments", "status"), [(("effects", "gremlins"), 1), (("effects", "--nonsense"), 2)])
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [(("gap", "apply", "no.json", "--rig", "no.toml", "--out", "x.toml"), 1), (("effects", "gremlins"), 2)],
+)
 def test_a_process_ends_with_the_status_and_the_line_of_its_refusal(arguments, status):
     done = ambit(*arguments)
     assert done.returncode == status
