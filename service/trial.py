@@ -128,7 +128,8 @@ def _kept(number: int, seed: int, out_dir: Path) -> dict[str, Any] | None:
     except SealError as error:
         raise SealError(f"{folder}: {error}; remove {KEPT} there, and its case is sealed and run again") from error
     except (OSError, ValueError, TypeError, KeyError) as error:
-        raise AmbError(f"{path} cannot be read: {reason(error)}; remove the file and its case is run again") from error
+        which = getattr(error, "filename", None) or path
+        raise AmbError(f"{which} cannot be read: {reason(error)}; remove {path} and its case is run again") from error
     if not same:
         raise AmbError(f"{path} is of another trial than seed {seed}; give another folder")
     return document

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from service.experiment.multisine import Lines, Multisine, crest_factor, random_phases, synthesise
 
@@ -86,6 +85,8 @@ def optimised(
 def _coarse(lines: Lines) -> int:
     """Samples of a period that show the peaks: at least five for the highest line's period."""
     top = int(lines.excited[-1])
+    from scipy.fft import next_fast_len  # takes a while, and only who makes phases needs it
+
     return min(lines.samples, int(next_fast_len(5 * top, real=True)))
 
 

@@ -118,10 +118,13 @@ def _read(document: Mapping[str, Any]) -> _Report:
 
 
 def _values(name: str, prefix: str, fitted: Mapping[str, _Parameter]) -> tuple[tuple[str, float], ...]:
-    known = [p.name for p in effect(name).parameters]
-    missing = [p for p in known if prefix + p not in fitted]
+    """Values of an effect's parameters; what its law may do without, and a report does not tell, is null."""
+    known = effect(name).parameters
+    missing = [p.name for p in known if prefix + p.name not in fitted and not p.optional]
     if missing:
         raise GapError(
             f"the gap report gives {name} no {' and no '.join(missing)}; diagnose again, which writes a whole gap.json"
         )
-    return tuple((p, fitted[prefix + p].value) for p in known)
+    told = ((p, fitted[prefix + p.name].value if prefix + p.name in fitted else p.null) for p in known)
+    # an imbalance of nought is what a twin that says nothing of it has
+    return tuple((p.name, value) for p, value in told if not (p.dormant and value == p.null))

@@ -49,7 +49,7 @@ def test_it_ends_with_an_error() -> None:
 
 
 def test_a_device_that_does_not_start_says_why() -> None:
-    said = r"device process ended with status 1: .*gremlins"
+    said = r"device process ended with status 2: .*gremlins"
     with pytest.raises(ControllerError, match=said), device_process("--effect", "gremlins"):
         pass
 

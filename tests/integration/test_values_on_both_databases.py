@@ -54,7 +54,6 @@ def rig(api):
         ("POST", "/jobs", {"kind": "experiment", "rig": "{rig}", "options": {"profile": {"a\0": [{"b": "\0"}]}}}),
         ("POST", "/schedules", {"rig": "{rig}", "cron": "0 6 * * *", "webhook": {"url": "https://h/\0"}}),
         ("PUT", "/rigs/{rig}/baseline", {"model": "mod_\0"}),
-        ("GET", "/jobs/job_%00", None),
         ("GET", "/jobs?rig=rig_%00", None),
     ],
 )

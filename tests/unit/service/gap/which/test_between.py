@@ -76,7 +76,8 @@ def test_what_the_amplifiers_leave_open_is_as_wide_as_their_data_and_the_datashe
         theirs = inherited_from(found.ground, candidate)
         spread = np.sqrt(np.diag(np.linalg.inv(theirs.precision)))
         k = len(theirs.active)
-        assert len(spread) == k + len(candidate.effects), "a delay's one value is uncertain too"
+        uncertain = [s for s in spread[k:] if s > 1e-9]
+        assert len(uncertain) == len(candidate.effects), "a delay's one value is uncertain too; its imbalances sleep"
         assert np.all(spread[:k] < 1.0), "no wider than the tolerances"
         np.testing.assert_allclose(theirs.mean[:k], candidate.fit.theta[theirs.active])
     assert theirs.effects == (("loop_delay", delayed.fit.values[0]),)

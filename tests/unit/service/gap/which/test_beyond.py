@@ -76,4 +76,4 @@ def test_the_diagnosis_says_that_it_is_the_datasheet_that_would_be_off() -> None
     assert found["verdict"]["effects"] == ["sensor_position"]
     assert "only with its datasheet off" in found["verdict"]["sentence"]
     (told,) = [note for note in found["notes"] if "would be off by more than a tolerance" in note]
-    assert "sensor position A +3." in told
+    assert "sensor position A -3." in told
