@@ -23,7 +23,7 @@ NOTICED = 0.005
 
 
 def resting_current(sweep: Sweep, rig: Rig) -> Real | None:
-    """Mean coil current of every axis, A, (n,); None where it is next to nothing, or was not logged."""
+    """Mean coil current of every axis over the finite points, A, (n,); None where next to nothing, or not logged."""
     if 0 not in sweep.harmonics:
         return None
     k, amplifiers = sweep.harmonics.index(0), rig.amplifiers
@@ -35,7 +35,9 @@ def resting_current(sweep: Sweep, rig: Rig) -> Real | None:
 
 
 def about_rest(sweep: Sweep) -> Sweep:
-    """The sweep with the means of u and i counted from those of all its points."""
+    """The sweep with the means of u and i counted from those of all its points; as it is where it has none."""
+    if 0 not in sweep.harmonics:
+        return sweep
     k = sweep.harmonics.index(0)
 
     def counted(X: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -64,4 +66,5 @@ def load_in_words(rig: Rig, plain: Rig) -> str:
 
 
 def _mean(X: NDArray[np.complex128], k: int) -> Real:
-    return np.asarray(X[:, :, k].real.mean(axis=(0, 1)))
+    finite = np.isfinite(X).all(axis=(1, 2, 3))
+    return np.asarray(X[finite, :, k].real.mean(axis=(0, 1))) if finite.any() else np.zeros(X.shape[-1])

@@ -174,6 +174,7 @@ def test_each_of_its_parameters_counts(one):
     for p in one.parameters:
         others = beside.get(p.name, {})
         typical = answer(one.on(rig, **others))
+        # shapes only a little: what one axis alone has is four times as strong there, and the loop need not hold it
         moved = p.null if p.strength else 0.1 * p.typical or 0.02 * p.high
         changed = answer(one.on(rig, **others, **{p.name: min(max(moved, min(p.low, p.null)), p.high)}))
         assert any(np.any(np.abs(a - b) > 1e-9 * np.abs(b).max()) for a, b in zip(changed, typical, strict=True)), (

@@ -43,6 +43,19 @@ def test_position_stiffness_grows_with_the_current_that_holds_a_lying_rotor(logg
     assert any("static load" in note and "xA 1.50 A" in note for note in data.notes)
 
 
+def test_a_damaged_point_and_a_sweep_without_means_leave_the_load_known() -> None:
+    e, current = held(true_rig(TRUTH), np.array([1.5, 1.2, 1.5, 1.2]))
+    main, other = e.sweeps
+    damaged = main.U.copy()
+    damaged[3] = np.nan
+    fundamental = [other.harmonics.index(1)]
+    lock_in = {name: getattr(other, name)[:, :, fundamental] for name in "RUIY"}
+    sweeps = (replace(main, U=damaged), replace(other, harmonics=(1,), **lock_in))
+    data = observed(replace(e, sweeps=sweeps), DATASHEET)
+    np.testing.assert_allclose(data.nuisance.rig.static_current_a, current, atol=1e-3)
+    assert np.isfinite(data.o.U).all()
+
+
 def test_the_identification_says_that_it_is_of_the_loaded_bearing() -> None:
     e, current = held(true_rig(TRUTH), np.array([1.5, 1.2, 1.5, 1.2]))
     found = identify(*one_plane(e, DATASHEET))
