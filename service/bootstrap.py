@@ -221,6 +221,12 @@ def diagnose_into(
     AmbError
         The data do not allow a diagnosis, or the folder cannot be written.
     """
+    from service.gap import processes
+
+    jobs = jobs or os.cpu_count() or 1
+    if jobs > 1:
+        processes.load()  # beside this one, which has to load now, too
+
     from service.gap.diagnose import diagnose
     from service.gap.document import gap_document
     from service.report.gap import gap_page
@@ -228,9 +234,7 @@ def diagnose_into(
     said = tell or (lambda phase, percent: None)
     ready_folder(out_dir)
     said("gap diagnosis", 2.0)
-    diagnosis = diagnose(
-        experiment, datasheet, jobs or os.cpu_count() or 1, lambda percent, words: said(words, 2.0 + 0.94 * percent)
-    )
+    diagnosis = diagnose(experiment, datasheet, jobs, lambda percent, words: said(words, 2.0 + 0.94 * percent))
     said("writing the report", 97.0)
     document = gap_document(diagnosis)
     files = {

@@ -11,13 +11,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap import processes
 from service.gap.fitting.evidence import occam
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, Values
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, Stage
 from service.gap.fitting.unknowns import asleep, slow_to_compute
-from service.pool import workers
+from service.pool import Workers, workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
@@ -168,10 +169,10 @@ class Fitter:
         self._fitted = fitted
         self.lost: set[tuple[str, ...]] = set()
         """explanations that no start led to a rig for"""
-        self._pool = workers(jobs) if jobs > 1 else None
-        if self._pool:
-            for _ in range(jobs):
-                self._pool.submit(_load)
+        self._pool: Workers | None = None
+        if jobs > 1:
+            processes.load()
+            self._pool = workers(jobs)
 
     def __enter__(self) -> Fitter:
         return self
@@ -199,19 +200,15 @@ class Fitter:
         self.lost |= {t.effects for k, t in enumerate(tasks) if found[k] is None}
         return [found[k] for k in range(len(tasks))]
 
-    def over(self, function: Callable[[One], Other], ones: Iterable[One]) -> list[Other]:
-        """A pure function of each, on the same processes."""
-        return list(self._pool.map(function, ones) if self._pool else map(function, ones))
+    def over(self, function: Callable[[One], Other], ones: Iterable[One]) -> Iterator[Other]:
+        """A pure function of each, on the same processes, which begin at once; without them as it is asked for."""
+        return iter(self._pool.map(function, ones)) if self._pool else map(function, ones)
 
     def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:
-        # Only the plant is worth a way to another process, which at first still loads its libraries.
-        if self._pool and any(t.ground.part.path == "plant" for t in tasks):
+        # Fits of the controller take no longer than the way to another process.
+        if self._pool and any(t.ground.part.path != "controller" for t in tasks):
             return iter(self._pool.map(_quietly, tasks))
         return map(_quietly, tasks)
-
-
-def _load() -> None:
-    """Done as soon as a process has loaded what it fits with, by finding this."""
 
 
 def _labour(task: Task) -> int:

@@ -13,26 +13,41 @@ import pytest
 
 LOADING = """
 import os, sys, time
-if "--multiprocessing-fork" in sys.orig_argv:
+if any("forkserver" in argument for argument in sys.orig_argv):
     open(os.path.join(os.environ["LOADING"], str(os.getpid())), "w").close()
     time.sleep(1.0)
 """
 COMMAND = """
-import os, signal, sys, time
+import sys, time
 from service.pool import workers
 
 if __name__ == "__main__":
-    pool = workers(3)
     try:
-        waiting = [pool.submit(time.sleep, 600) for _ in range(3)]
-        for future in waiting:
-            future.result()
+        with workers(3) as pool:
+            for future in [pool.submit(time.sleep, 600) for _ in range(3)]:
+                future.result()
     except KeyboardInterrupt:
-        pool.shutdown(cancel_futures=True)
         sys.exit("interrupted")
 """
+SLOW = """
+import os
+LOADED_BY = os.getpid()
+"""
+PREPARED = """
+from service.pool import prepare, workers
 
+def ask(number):
+    import os, time, slow
+    time.sleep(0.5)
+    return slow.LOADED_BY, os.getpid()
 
+if __name__ == "__main__":
+    prepare("slow")
+    with workers(2) as pool:
+        (a, one), (b, other) = pool.map(ask, range(2))
+    assert a == b
+    print(a, one, other)
+"""
 BUSY = """
 import os, sys, time
 from pathlib import Path
@@ -87,15 +102,34 @@ def gone(process: str) -> bool:
         return True
 
 
+def end_soon(begun: Path) -> None:
+    """See the processes end that have left their number in a folder."""
+    deadline = time.monotonic() + 20
+    while not all(map(gone, os.listdir(begun))):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def test_ctrl_c_while_processes_load_ends_them_all_without_a_traceback(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(LOADING)
     loading = tmp_path / "loading"
-    with started(COMMAND, tmp_path, loading, 3) as command:
+    with started(COMMAND, tmp_path, loading, 1) as command:
         os.killpg(command.pid, signal.SIGINT)  # as a terminal does
         _, said = command.communicate(timeout=60)
     assert said == "interrupted\n"
     assert command.returncode == 1
-    assert all(map(gone, os.listdir(loading)))
+    end_soon(loading)
+
+
+def test_what_is_said_in_advance_is_loaded_once(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "command.py").write_text(PREPARED)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    command = [sys.executable, str(tmp_path / "command.py")]
+    told = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout
+    loaded, own, other = map(int, told.split())
+    assert loaded not in {own, other}
+    assert own != other
 
 
 def test_an_interrupt_of_the_command_alone_does_not_wait_for_what_runs(tmp_path: Path) -> None:
@@ -111,7 +145,4 @@ def test_processes_end_with_a_command_that_was_killed(number: signal.Signals, tm
     with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy")) as command:
         command.send_signal(number)
         command.wait(20)
-        deadline = time.monotonic() + 20
-        while not all(map(gone, os.listdir(tmp_path / "busy"))):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        end_soon(tmp_path / "busy")
