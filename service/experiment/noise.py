@@ -6,6 +6,7 @@ period is subtracted, so that noise that only excitation brings is seen too.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,16 +36,17 @@ class NoiseSpectra:
     """The same densities before smoothing, lines and all, when ``frequency_hz`` is evenly spaced."""
 
     @cached_property
-    def _log_hz(self) -> Real:
-        """A plan asks some ten times for every tone."""
-        return np.asarray(np.log(self.frequency_hz))
+    def _logarithms(self) -> tuple[Real, Real]:
+        """Of the frequencies, (F,), and of the densities, (F, signals, n_axes): a plan asks some ten times a tone."""
+        return np.log(self.frequency_hz), np.log(np.stack(list(self.density.values()), axis=1))
 
     def at(self, frequency_hz: float) -> dict[str, Real]:
         """Densities at a frequency, (n_axes,) each, log-log interpolated and held beyond the ends."""
-        x = self._log_hz
-        k = int(np.clip(np.searchsorted(x, np.log(frequency_hz)), 1, len(x) - 1))
-        w = float(np.clip((np.log(frequency_hz) - x[k - 1]) / (x[k] - x[k - 1]), 0.0, 1.0))
-        return {s: np.exp((1 - w) * np.log(d[k - 1]) + w * np.log(d[k])) for s, d in self.density.items()}
+        x, d = self._logarithms
+        here = math.log(frequency_hz)
+        k = min(max(int(np.searchsorted(x, here)), 1), len(x) - 1)
+        w = min(max((here - x[k - 1]) / (x[k] - x[k - 1]), 0.0), 1.0)
+        return dict(zip(self.density, np.exp((1 - w) * d[k - 1] + w * d[k]), strict=True))
 
     def block_variance(self, frequency_hz: float, seconds: float) -> dict[str, Real]:
         """Variance E|X|^2 of a complex amplitude measured over ``seconds``, (n_axes,) each.
@@ -52,16 +54,20 @@ class NoiseSpectra:
         2 S / T in a smooth spectrum. A line beside the frequency leaks into a short block: as long as the spectrum
         resolves the block's width 1/T, S is averaged over the block's own window, sinc^2.
         """
+        return self._leaked(frequency_hz, seconds) or {s: 2 * d / seconds for s, d in self.at(frequency_hz).items()}
+
+    def _leaked(self, frequency_hz: float, seconds: float) -> dict[str, Real] | None:
+        """`block_variance` over the block's own window; None where the spectrum does not resolve that."""
         step = float(self.frequency_hz[1] - self.frequency_hz[0])
         if self.raw is None or seconds * step > 1:
-            return {s: 2 * d / seconds for s, d in self.at(frequency_hz).items()}
+            return None
         window = np.sinc((self.frequency_hz - frequency_hz) * seconds) ** 2
         return {s: 2 * step * (window @ d) for s, d in self.raw.items()}
 
     def mean_variance(self, frequency_hz: float, seconds: float, blocks: int) -> dict[str, Real]:
         """Variance of the mean of blocks, (n_axes,) each: noise averages out, a line beside the frequency may not."""
-        whole = self.block_variance(frequency_hz, seconds)
         smooth = {s: 2 * d / seconds for s, d in self.at(frequency_hz).items()}
+        whole = self._leaked(frequency_hz, seconds) or smooth
         return {s: np.maximum(whole[s] - smooth[s], 0.0) + smooth[s] / blocks for s in whole}
 
     def joined(self, other: NoiseSpectra) -> NoiseSpectra:

@@ -16,7 +16,7 @@ from service.gap.heard import scatter_shrinkage, with_interference
 from service.gap.interference import measured_by
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
-from service.gap.next_experiment import next_experiment
+from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
 from service.gap.passes import FITTED, Found, found_in
@@ -69,6 +69,8 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     verdict = judged(found.parts, o, unseen, gap, sources, found.fault, swings, data.lines_only)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
+    pair = left_together(whole.order, verdict)
+    proposal = Proposal(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
     shrunk = {
         r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, found.name)
         for r in (*listed(whole.order, verdict.effects), whole.null)
@@ -81,11 +83,13 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     if verdict.also_alike:
         told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
         notes.append(f"not told apart either: {told}")
-    pair = left_together(whole.order, verdict)
-    proposal = next_experiment(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
     if verdict.kind != "none_of_these" and (far := nu.far_off(chosen.fit.theta)):
         notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}")
-    if pair and proposal is None:
+    figures = loop_figures(
+        null.fit.rig, chosen.fit.rig, o, {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
+    )
+    proposed = proposal.document() if proposal else None
+    if pair and proposed is None:
         one, other_one = (" + ".join(c.effects).replace("_", " ") for c in pair)
         notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")
     found_out = Diagnosis(
@@ -100,10 +104,8 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
         {r.candidate.effects: relative_gap(r.candidate.fit.rig, unseen) for r in listed(whole.order, verdict.effects)},
         o,
         unseen,
-        loop_figures(
-            null.fit.rig, chosen.fit.rig, o, {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
-        ),
-        proposal,
+        figures,
+        proposed,
         tuple(notes),
         discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
     )

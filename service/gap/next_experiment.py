@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -75,44 +76,52 @@ def only_fainter(option: Option, a: Candidate, b: Candidate) -> bool:
     return option.amplitude is not None and option.amplitude < 1 and not any(CATALOGUE[e].nonlinear for e in apart)
 
 
-def next_experiment(
-    nuisance: Nuisance, pair: tuple[Candidate, Candidate] | None, grounds: Grounds, name: str, fitter: Fitter
-) -> dict[str, Any] | None:
-    """The option that tells two explanations apart, or None where there are none or nothing affordable does.
+class Proposal:
+    """The option that tells two explanations apart, looked for by the fitter's processes while others go on.
 
     Of those that are nearly sure to, one without work by hand before one with, and then the one that needs the least
     time of the rig; else the one that is most likely to. What takes work by hand is rehearsed only where nothing else
-    is nearly sure. The answer has the tones, and the command and the job that ask the service for them. ``name`` is the
-    rig's.
+    is nearly sure. The answer has the tones, and the command and the job that ask the service for them.
     """
-    if pair is None:
-        return None
-    a, b = pair
-    there_are = [o for o in options(grounds.sweeps, a.fit.rig, grounds.limits) if not only_fainter(o, a, b)]
-    what_it_tells = partial(_told, nuisance, a, b, grounds)
-    ranking: list[_Told] = []
-    for by_hand in (False, True):  # work by hand is not looked at where something else is nearly sure to do
-        told = fitter.over(what_it_tells, [o for o in there_are if bool(o.by_hand) is by_hand])
-        ranking += [t for t in told if t is not None and t.odds >= WORTH]
-        if any(t.odds >= SURE for t in ranking):
-            break
-    ranking.sort(key=_Told.order)
-    if not ranking:
-        return None
-    best = ranking[0]
-    option = best.case.option
-    return {
-        "separates": ["+".join(c.effects) or "none" for c in (a, b)],
-        "experiment": option.name,
-        "description": option.description,
-        **best.figures(),
-        "speed_rad_s": option.speed_rad_s,
-        "set_point_share_of_gap": option.offset,
-        "tones": tones(best.case, a.fit.rig.axes),
-        "by_hand": list(option.by_hand),
-        **submission(option, name),
-        "alternatives": [{"experiment": other.case.option.name, **other.figures()} for other in ranking[1:]],
-    }
+
+    def __init__(
+        self, nuisance: Nuisance, pair: tuple[Candidate, Candidate], grounds: Grounds, name: str, fitter: Fitter
+    ) -> None:
+        """Begin to look; ``name`` is the rig's."""
+        self._pair, self._name, self._fitter = pair, name, fitter
+        self._what_it_tells = partial(_told, nuisance, *pair, grounds)
+        there_are = options(grounds.sweeps, pair[0].fit.rig, grounds.limits)
+        self._options = [o for o in there_are if not only_fainter(o, *pair)]
+        self._begun = self._told(by_hand=False)
+
+    def _told(self, by_hand: bool) -> Iterator[_Told | None]:
+        return self._fitter.over(self._what_it_tells, [o for o in self._options if bool(o.by_hand) is by_hand])
+
+    def document(self) -> dict[str, Any] | None:
+        """As gap.json has it, once it is found; None where nothing affordable tells them apart."""
+        ranking = _worth(self._begun)
+        if not any(t.odds >= SURE for t in ranking):
+            ranking += _worth(self._told(by_hand=True))
+        if not ranking:
+            return None
+        best, *others = sorted(ranking, key=_Told.order)
+        option = best.case.option
+        return {
+            "separates": ["+".join(c.effects) or "none" for c in self._pair],
+            "experiment": option.name,
+            "description": option.description,
+            **best.figures(),
+            "speed_rad_s": option.speed_rad_s,
+            "set_point_share_of_gap": option.offset,
+            "tones": tones(best.case, self._pair[0].fit.rig.axes),
+            "by_hand": list(option.by_hand),
+            **submission(option, self._name),
+            "alternatives": [{"experiment": other.case.option.name, **other.figures()} for other in others],
+        }
+
+
+def _worth(told: Iterable[_Told | None]) -> list[_Told]:
+    return [t for t in told if t is not None and t.odds >= WORTH]
 
 
 def tones(planned: Case, axes: tuple[str, ...]) -> list[dict[str, Any]]:

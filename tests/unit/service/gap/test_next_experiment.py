@@ -14,7 +14,7 @@ from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.measured.observation import observe
-from service.gap.next_experiment import next_experiment, only_fainter, submission
+from service.gap.next_experiment import Proposal, only_fainter, submission
 from service.gap.proposal.case import Grounds, limits_of
 from service.gap.proposal.options import Option, options
 from service.gap.proposal.sensor_noise import SensorNoise
@@ -48,7 +48,7 @@ def test_an_exact_alias_is_constructed_and_only_speed_tells_it_apart() -> None:
     pair = left_together([DAMPED, more], ALIASES)
     assert pair is not None
     assert pair[1].effects == ("internal_damping",)
-    proposal = next_experiment(NU, pair, SEEN, "rig 1", FITTER)
+    proposal = Proposal(NU, pair, SEEN, "rig 1", FITTER).document()
     assert proposal is not None
     assert proposal["separates"] == ["modal_damping", "internal_damping"]
     assert proposal["experiment"] == "speed"
@@ -73,15 +73,14 @@ def test_what_contains_the_chosen_explanation_is_no_rival_and_what_does_not_is()
 def test_what_nothing_affordable_separates_gets_no_proposal() -> None:
     a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
     b = explanation(-1.0, sensor_lag={"time_constant_s": 2e-5 + 1e-12, "delay_s": 0.0})
-    assert next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1", FITTER) is None
-    assert next_experiment(NU, None, SEEN, "rig 1", FITTER) is None
+    assert Proposal(NU, (a.candidate, b.candidate), SEEN, "rig 1", FITTER).document() is None
 
 
 def test_a_sure_experiment_is_proposed_with_its_own_tones_and_time() -> None:
     """Nothing by hand where that is not needed, and of such the one that takes the least time."""
     a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
     b = explanation(-1.0, eddy_currents={"time_constant_s": 3e-6})
-    proposal = next_experiment(NU, (a.candidate, b.candidate), SEEN, "rig 1", FITTER)
+    proposal = Proposal(NU, (a.candidate, b.candidate), SEEN, "rig 1", FITTER).document()
     assert proposal is not None
     assert proposal["odds_of_telling_apart"] > 0.95
     assert proposal["by_hand"] == []
