@@ -34,7 +34,8 @@ class Action(StrEnum):
     of the job done, the first or a retry."""
     rotor_released = "rotor.released"
     """The lease is given back; the detail says how the excitation ended."""
-
+    trip_acknowledged = "trip.acknowledged"
+    """A controller that had tripped may excite again; the detail says of what it had tripped."""
     restored = "service.restored"
 
 

@@ -1,4 +1,4 @@
-"""A rig as it is now: asked of its controller. Reading moves nothing; `stop` is safe at any time."""
+"""A rig as it is now: asked of its controller. Reading moves nothing; `stop` is safe at any time, `acknowledge` too."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from service.api.problems import UnavailableError, documented
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
 from service.errors import ConflictError
+from service.experiment.leased import acknowledged
 from service.storage import jobs, rigs
 
 if TYPE_CHECKING:
@@ -90,6 +91,19 @@ class LiveStatus(Shape):
     uptime_s: float | None = None
 
 
+class Acknowledged(Shape):
+    """A controller whose trip was to be cleared."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"acknowledged": "sensor supply lost", "state": "levitated"}]}
+    )
+
+    acknowledged: str | None
+    """What it had tripped of; null where no trip was latched."""
+    state: str
+    """Now."""
+
+
 @dataclass
 class _Line:
     """A connection to one controller, used by one caller at a time."""
@@ -136,6 +150,15 @@ class Lines:
                 line.answer = LiveStatus(reachable=False, detail=str(error), controller_url=url)
             line.asked = time.monotonic()
             return line.answer
+
+    def acknowledge(self, url: str) -> Acknowledged:
+        """Clear the latched trip of a controller that nobody holds."""
+        line = self._line(url)
+        with line.lock:
+            line.answer = None
+            line.asked = time.monotonic()
+            trip = line.ask(acknowledged)
+            return Acknowledged(acknowledged=trip, state=line.ask(_state))
 
     def stop(self, urls: Collection[str]) -> tuple[set[str], dict[str, str]]:
         """Ramp the excitation to zero at all of these controllers at once, whoever holds the leases.
@@ -198,6 +221,10 @@ class Lines:
             line.close()
 
 
+def _state(controller: Controller) -> str:
+    return controller.status().state.name.lower()
+
+
 def _status(url: str, controller: Controller) -> LiveStatus:
     s = controller.status()
     return LiveStatus(
@@ -241,6 +268,24 @@ def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Respon
         url = rigs.version(session, rig).controller_url
     _must_be_seen(rig, url)
     return etags.document(lines.status(url))
+
+
+@router.post("/{rig_id}/acknowledge", response_model=Acknowledged, responses=documented(404, 409))
+def acknowledge_trip(request: Request, rig_id: RigId, who: Operator, api: Api) -> Acknowledged:
+    """Clear the latched trip of the rig's controller, once its cause is found: jobs may excite the rotor again.
+
+    Nothing moves by it. A controller that somebody holds is left alone.
+    """
+    lines: Lines = request.app.state.lines
+    with api.database.read() as session:
+        rig = rigs.get(session, rig_id)
+        url = rigs.version(session, rig).controller_url
+    _must_be_seen(rig, url)
+    done = lines.acknowledge(url)
+    if done.acknowledged is not None:
+        with api.database.write() as session:
+            audit(session, request, who, Action.trip_acknowledged, rig_id, rig=rig_id, trip=done.acknowledged)
+    return done
 
 
 @router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))

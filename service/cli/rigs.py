@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from service.client.shapes import Status
 
 Named = Annotated[str, typer.Argument(help="Name or id of the rig.")]
-HOLDER = "ambit acknowledge"
 
 
 def rigs(url: Url = None, key: Key = None, ca: Ca = None, as_json: Json = False) -> None:
@@ -63,33 +62,45 @@ def stop(rig: Named, url: Url = None, key: Key = None, ca: Ca = None, as_json: J
 
 
 def acknowledge(
+    rig: Annotated[str | None, typer.Argument(help="Name or id of the service's rig.")] = None,
     controller: Annotated[
-        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu:// or canopen://, as for ambit commission.")
-    ],
+        str | None,
+        typer.Option(
+            help="Without a service: URL, modbus://, modbuss://, modbus+rtu:// or canopen://, as for ambit commission."
+        ),
+    ] = None,
+    url: Url = None,
+    key: Key = None,
+    ca: Ca = None,
     as_json: Json = False,
 ) -> None:
-    """Clear a latched trip at a controller, once its cause is found; nothing moves, and nobody may hold the rig."""
-    from drivers.controller import State
+    """Clear a latched trip, once its cause is found; nothing moves, and nobody may hold the rig."""
+    if (rig is None) == (controller is None):
+        raise typer.BadParameter("name a rig of the service, or give --controller: one of them")
+    if rig is not None:
+        with client(url, key, ca) as ambit:
+            done = ambit.rigs.acknowledge(ambit.rigs.named(rig).id)
+        trip, now = done.acknowledged, done.state
+    else:
+        trip, now = _acknowledged_at(str(controller))
+    if as_json:
+        print_json({"acknowledged": trip, "state": now})
+    else:
+        print(f"acknowledged: {trip}; now {now}" if trip else f"no trip is latched; {now}")
+
+
+def _acknowledged_at(controller_url: str) -> tuple[str | None, str]:
+    """What a controller had tripped of, and its state now."""
     from drivers.errors import AddressError
     from service import bootstrap
-    from service.experiment.leased import alone
+    from service.experiment.leased import acknowledged
 
     with value_of("--controller", AddressError):
-        connection = bootstrap.connect(controller)
+        connection = bootstrap.connect(controller_url)
     try:
-        before = connection.status()
-        tripped = before.state == State.TRIPPED
-        if tripped:
-            with connection.lease(alone(HOLDER)):
-                connection.acknowledge()
-        now = connection.status().state.name.lower()
+        return acknowledged(connection), connection.status().state.name.lower()
     finally:
         connection.close()
-    trip = before.trip_message or before.trip.name.lower()
-    if as_json:
-        print_json({"acknowledged": trip if tripped else None, "state": now})
-    else:
-        print(f"acknowledged: {trip}; now {now}" if tripped else f"no trip is latched; {now}")
 
 
 def schedules(

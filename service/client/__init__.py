@@ -22,6 +22,7 @@ from service.client.errors import (
     UnreachableError,
 )
 from service.client.shapes import (
+    Acknowledged,
     AuditLine,
     Delivery,
     Event,
@@ -45,6 +46,7 @@ from service.client.shapes import (
 )
 
 __all__ = [
+    "Acknowledged",
     "ApiError",
     "AuditLine",
     "Client",

@@ -13,6 +13,7 @@ from service.client.errors import ConflictingError, MissingError
 from service.client.health import HealthChecks, Schedules
 from service.client.jobs import Jobs
 from service.client.shapes import (
+    Acknowledged,
     AuditLine,
     Experiment,
     Gap,
@@ -105,6 +106,10 @@ class Rigs:
     def status(self, rig_id: str) -> Status:
         """What the controller says now: state, trip, displacements, who holds it."""
         return Status.model_validate(self._transport.get(f"/rigs/{rig_id}/status"))
+
+    def acknowledge(self, rig_id: str) -> Acknowledged:
+        """Clear the latched trip of the rig's controller, once its cause is found; nothing moves."""
+        return Acknowledged.model_validate(self._transport.send("POST", f"/rigs/{rig_id}/acknowledge").json())
 
     def stop(self, rig_id: str) -> None:
         """Ramp the rig's excitation to zero at once, whoever makes it; no job that there is moves the rotor again."""

@@ -221,6 +221,14 @@ class Status(_Sent):
     uptime_s: float | None = None
 
 
+class Acknowledged(_Sent):
+    """A controller whose trip was to be cleared."""
+
+    acknowledged: str | None
+    """What it had tripped of; None where no trip was latched."""
+    state: str
+
+
 class Measured(_Sent):
     """A figure with its standard deviation, in the unit of its place."""
 

@@ -100,6 +100,22 @@ class Patient:
         return call()
 
 
+def acknowledged(controller: Controller) -> str | None:
+    """Clear a latched trip, and tell what it was; None where there is none. Nothing moves.
+
+    Raises
+    ------
+    LeaseError
+        Another host holds the rig.
+    """
+    status = controller.status()
+    if status.state != State.TRIPPED:
+        return None
+    with controller.lease(alone("ambit acknowledge")):
+        controller.acknowledge()
+    return status.trip_message or status.trip.name.lower()
+
+
 def make_ready(controller: Controller) -> None:
     """Refuse a rig that is off or tripped; the trip of a host that went away, as a killed run does, is acknowledged."""
     status = controller.status()

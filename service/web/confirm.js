@@ -1,4 +1,4 @@
-// Asked before a rotor is moved: what, where, how far. Enter is on "Cancel", Escape cancels.
+// Asked before a rotor is moved, or may be again: what, where, how far. Enter is on "Cancel", Escape cancels.
 
 import { h } from "./dom.js";
 
@@ -23,7 +23,7 @@ export function motion(kind, rig) {
 }
 
 // Resolves to the options that were chosen, or to null when it was cancelled.
-export function confirmed(title, words, place, profiles) {
+export function confirmed(title, words, place, profiles, go = "Move the rotor") {
   const choice = profiles && h("select", { id: "profile" }, Object.entries(profiles).map(([value, text]) => h("option", { value }, text)));
   return new Promise((answer) => {
     let chosen = null;
@@ -35,7 +35,7 @@ export function confirmed(title, words, place, profiles) {
       choice ? h("p", { class: "row" }, h("label", { for: "profile" }, "Profile"), choice) : "",
       h("p", { class: "row" },
         h("button", { class: "cancel", autofocus: true, onclick: close(() => null) }, "Cancel"),
-        h("button", { class: "go danger", onclick: close(() => (choice ? { profile: choice.value } : {})) }, "Move the rotor")));
+        h("button", { class: "go danger", onclick: close(() => (choice ? { profile: choice.value } : {})) }, go)));
     dialog.addEventListener("close", () => { dialog.remove(); answer(chosen); });
     document.body.append(dialog);
     dialog.showModal();

@@ -46,7 +46,8 @@ function live(found, context) {
       ["displacements, µm", by(now.displacement_m, 1e6, 2)], ["currents, A", by(now.current_a, 1, 3)],
     ];
     place.replaceChildren(h("dl", {}, figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
-      now.trip_message ? h("p", { class: "note" }, now.trip_message) : "");
+      now.trip_message ? h("p", { class: "note" }, now.trip_message) : "",
+      now.state === "tripped" && !found.retired_at ? h("button", { class: "acknowledge", onclick: acknowledge(found, now, context) }, "Acknowledge the trip") : "");
   };
   show();
   context.every(2000, show);
@@ -64,6 +65,13 @@ const PROFILES = { standard: "standard, some 20 min for four axes", quick: "quic
 const move = (kind, title, profiles, found, context) => async () => {
   const options = await confirmed(title + " " + found.name + "?", motion(kind, found), found.controller_url, profiles);
   if (options) await submit(kind, { rig: found.id, options }, context)();
+};
+
+// Nothing moves by it, but whoever submits a job may move the rotor again.
+const acknowledge = (found, now, context) => async () => {
+  const words = ["It tripped: " + (now.trip_message || now.trip) + ".", "Jobs may excite the rotor again. Is the cause found?"];
+  const sure = await confirmed("Acknowledge the trip of " + found.name + "?", words, found.controller_url, null, "Acknowledge");
+  if (sure) await context.doing(() => post("/rigs/" + found.id + "/acknowledge"));
 };
 
 function actions(found, context) {

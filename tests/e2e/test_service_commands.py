@@ -185,6 +185,7 @@ def test_a_rig_is_seen_and_stopped_from_a_terminal(ambit, running, sheet):
     found = {rig["name"]: rig for rig in json.loads(ambit("rigs", "--json").stdout)["rigs"]}
     assert found["reference"]["status"]["excitation_a"] == 0.0
     assert json.loads(ambit("schedules", "--json").stdout) == {"schedules": []}
+    assert ambit("acknowledge", "reference").stdout.startswith("no trip is latched")
 
 
 def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):

@@ -360,5 +360,6 @@ def test_a_rig_is_seen_and_stopped_live(ambit, tmp_path):
         status = ambit.rigs.status(rig.id)
         assert (status.reachable, status.state, status.excitation_a) == (True, "levitated", 0.0)
         ambit.rigs.stop(rig.id)
+        assert ambit.rigs.acknowledge(rig.id).acknowledged is None
     finally:
         device.device.end()

@@ -3,12 +3,16 @@
 import gzip
 import json
 import time
+from contextlib import closing
 from datetime import timedelta
 
 import httpx
 import numpy as np
 import pytest
 
+from drivers.controller import State
+from drivers.device.machine import RigDevice
+from drivers.device.serve import ModbusOptions, serve_modbus
 from service import web
 from service.config import Settings
 from service.health.compare import Baseline, compare
@@ -254,6 +258,29 @@ def test_no_rotor_is_moved_before_somebody_has_confirmed_it(service, ids):
         assert "Try the experiment on bench 2 again?" in page.run("document.querySelector('dialog').innerText")
         page.run("document.querySelector('dialog .go').click()")
         page.until("document.querySelector('.state.queued')", 10)
+        assert page.complaints == []
+
+
+@needs_browser
+def test_a_trip_is_acknowledged_on_the_page_once_somebody_has_confirmed_it(service):
+    with closing(serve_modbus(RigDevice(reference_rig(), seed=1), ModbusOptions(port=0))) as served, tab() as page:
+        with service.services.database.write() as session:
+            rig = rigs.create(session, "tripping", to_toml(SHEET), served.url, "", "local").id
+        page.open(f"{service.url}/#/rig/{rig}")
+        page.until("document.querySelector('#live dl')")
+        assert not page.run("document.querySelector('button.acknowledge')")
+        served.device.fault("sensor supply lost")
+        page.until("document.querySelector('button.acknowledge')")
+        page.run("document.querySelector('button.acknowledge').click()")
+        page.until("document.querySelector('dialog[open]')")
+        assert "sensor supply lost" in page.run("document.querySelector('dialog').innerText")
+        page.press("Enter")  # on "Cancel"
+        page.until("!document.querySelector('dialog')")
+        assert served.device.status().state == State.TRIPPED
+        page.run("document.querySelector('button.acknowledge').click()")
+        page.run("document.querySelector('dialog .go').click()")
+        page.until("document.querySelector('#live dl') && !document.querySelector('button.acknowledge')", 10)
+        assert served.device.status().state == State.LEVITATED
         assert page.complaints == []
 
 

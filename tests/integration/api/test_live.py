@@ -2,16 +2,20 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import httpx
 import pytest
 
+from drivers.device.machine import RigDevice
+from drivers.device.serve import ModbusOptions, serve_modbus
 from service import bootstrap
 from service.access.keys import Scope
 from service.api.app import THREADS
 from service.api.live import Lines, LiveStatus
 from service.config import Settings
 from service.storage import jobs as rows
+from sim.reference import reference_rig
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet, rig_device
 from tests.support.serving import serving
@@ -95,6 +99,41 @@ def test_a_stop_of_a_rig_that_lives_inside_its_job_cancels_that(service, api, re
     assert api.post(f"/rigs/{rig}/stop").status_code == 204
     with service.services.database.read() as session:
         assert rows.get(session, job).cancel_requested
+
+
+@pytest.fixture
+def tripping():
+    """A controller that a test can trip."""
+    with closing(serve_modbus(RigDevice(reference_rig(), seed=1), ModbusOptions(port=0))) as served:
+        yield served
+
+
+def test_a_latched_trip_is_acknowledged_by_whoever_says_so_and_that_is_kept(api, rig, tripping):
+    changed(api, rig, tripping.url)
+    assert api.post(f"/rigs/{rig}/acknowledge").json() == {"acknowledged": None, "state": "levitated"}
+    tripping.device.fault("sensor supply lost")
+    assert api.get(f"/rigs/{rig}/status").json()["state"] == "tripped"
+    done = api.post(f"/rigs/{rig}/acknowledge").json()
+    assert "sensor supply lost" in done["acknowledged"]
+    assert done["state"] == api.get(f"/rigs/{rig}/status").json()["state"] == "levitated"
+    told = [line for line in api.get("/audit", params={"rig": rig}).json()["items"] if line["action"][:4] == "trip"]
+    assert [line["action"] for line in told] == ["trip.acknowledged"]
+    assert "sensor supply lost" in told[0]["detail"]["trip"]
+
+
+def test_the_trip_of_a_rig_that_somebody_holds_is_left_to_them(api, rig, tripping):
+    changed(api, rig, tripping.url)
+    tripping.device.fault("sensor supply lost")
+    with bootstrap.connected(tripping.url) as controller, controller.lease("bench 7"):
+        assert_problem(api.post(f"/rigs/{rig}/acknowledge"), 409, "bench 7")
+    assert api.get(f"/rigs/{rig}/status").json()["state"] == "tripped"
+
+
+def test_no_trip_is_acknowledged_where_nobody_answers(api, rig, request):
+    assert_problem(api.post(f"/rigs/{rig}/acknowledge"), 503)
+    body = {"datasheet": SHEET, "controller_url": "simulated://", "name": f"{request.node.name}, inside"}
+    inside = api.post("/rigs", json=body).json()["id"]
+    assert_problem(api.post(f"/rigs/{inside}/acknowledge"), 409, "ambit rig serve")
 
 
 def test_a_driver_with_a_defect_does_not_keep_the_jobs_from_their_end(service, api, rig, monkeypatch):

@@ -10,6 +10,13 @@ from service.cli import run
 from sim.reference import reference_rig
 
 
+def test_a_trip_is_acknowledged_at_one_place(capsys):
+    """Neither at none, nor at a controller that may be another rig's."""
+    for words in ([], ["reference", "--controller", "modbus://127.0.0.1:9"]):
+        assert run(["acknowledge", *words]) == 2
+        assert "--controller" in capsys.readouterr().err
+
+
 def test_a_latched_trip_is_acknowledged_and_told(capsys):
     with closing(serve_modbus(RigDevice(reference_rig(), seed=1), ModbusOptions(port=0))) as served:
         words = ["acknowledge", "--controller", served.url]
