@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 AXES = ("xA", "xB", "yA", "yB")
 
 ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
 """Zones of ISO 14839-3 by peak sensitivity and their upper limits, dB."""
+
+
+def source_of(zones_db: Iterable[tuple[str, float]]) -> str:
+    """Where zones of the sensitivity peak are from: names and upper limits in dB, with or without the last zone.
+
+    >>> source_of([("A", 9.5), ("B", 12.0), ("C", 14.0)]), source_of([("good", 9.5), ("bad", math.inf)])
+    ('ISO 14839-3', "the rig's own table")
+    """
+    limited = tuple((name, limit) for name, limit in zones_db if math.isfinite(limit))
+    return "ISO 14839-3" if limited == ISO_14839_3_DB[:-1] else "the rig's own table"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from service.report.format import decibel, figures, fixed, number, signed
-from sim.datasheet import ISO_14839_3_DB
+from sim.datasheet import source_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -125,7 +125,7 @@ def margins(document: dict[str, Any]) -> list[str]:
     for name, plane in document["planes"].items():
         found = plane["margins"]
         peaks = (f"{axis} {fixed(s, 2)} ({fixed(decibel(s))} dB)" for axis, s in found["sensitivity_peak"].items())
-        of = "ISO 14839-3" if found["zone_limits_db"] == dict(ISO_14839_3_DB[:-1]) else "the rig's own table"
+        of = source_of(found["zone_limits_db"].items())
         out.append(f"{name}-plane: sensitivity peak {', '.join(peaks)}, zone {found['iso_14839_3_zone']} of {of}")
     return out
 

@@ -10,6 +10,7 @@ from service.distributions import normal_above
 from service.health.monitored import Monitored
 from service.identification.margins import zone
 from service.identification.zoh import Real
+from sim.datasheet import source_of
 
 NORMAL_95 = float(normal_above(0.025))
 
@@ -153,12 +154,12 @@ class HealthResult:
 
     @property
     def zone(self) -> str:
-        """Zone of ISO 14839-3 of the worst axis."""
+        """Zone of the worst axis, of ISO 14839-3 or of the datasheet's own table."""
         return zone(self.peak, self.zones)
 
     def sentence(self) -> str:
         """The result in one sentence."""
-        state = f"sensitivity peak {self.peak:.2f}, zone {self.zone} of ISO 14839-3"
+        state = f"sensitivity peak {self.peak:.2f}, zone {self.zone} of {source_of(self.zones)}"
         by_id = {c.monitored.id: c for c in self.changes}
         told = [
             f"{by_id[d].monitored.words} {by_id[d].change_percent:+z.2g} % "

@@ -16,7 +16,7 @@ from service.report.format import MISSING, count, decibel, figures, fixed, numbe
 from service.report.page import Captioned, Page, Section, Tone
 from service.report.plane import plane_section
 from service.report.rotating import rotating_section
-from sim.datasheet import ISO_14839_3_DB, Datasheet
+from sim.datasheet import Datasheet, source_of
 from sim.folded import folded
 
 GOOD_PERCENT = 90.0
@@ -111,7 +111,7 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
 
 
 def _standard(plane: PlaneResult) -> str:
-    return " of ISO 14839-3" if plane.zones_db == ISO_14839_3_DB else " of the rig's own table"
+    return f" of {source_of(plane.zones_db)}"
 
 
 def _figures_of_merit(result: CommissioningResult) -> Section:

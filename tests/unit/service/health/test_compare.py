@@ -107,9 +107,12 @@ def test_the_document_has_what_the_service_shows(unchanged):
 
 
 def test_the_table_of_zones_is_the_users(unchanged):
-    assert checked(unchanged).zone == "D"
-    own = replace(SHEET, sensitivity_zones_db=zone_table("fine=20,bad"))
-    assert compare(Baseline(result()), unchanged, own).zone == "fine"
+    found = checked(unchanged)
+    assert found.zone == "D"
+    assert "zone D of ISO 14839-3" in found.sentence()
+    own = compare(Baseline(result()), unchanged, replace(SHEET, sensitivity_zones_db=zone_table("fine=20,bad")))
+    assert own.zone == "fine"
+    assert "zone fine of the rig's own table" in own.sentence()
 
 
 def test_fewer_false_alarms_ask_for_larger_changes(unchanged):
