@@ -92,6 +92,18 @@ class Gate:
         self._limiter.take(who.key_id)
         return who
 
+    async def still_lets_in(self, request: Request) -> bool:
+        """Whether whoever was let in with a request would be now: a key may have ended meanwhile."""
+        header = request.headers.get("authorization")
+        address = request.client.host if request.client else None
+        try:
+            await (
+                self._local(address, request) if header is None else self._holder(keys.bearer(header), address or "")
+            )
+        except UnauthorisedError:
+            return False
+        return True
+
     async def refused(self, request: Request, who: Identity, key: str | None, error: Exception) -> None:
         """Note in the audit log that someone was not let in, as often as `REFUSALS` allows."""
         address = request.client.host if request.client else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from service.access.errors import RateError
-from service.api.access import KeyFirst
+from service.api.access import Gate, KeyFirst
 from service.api.jobs import JobShape, shape
 from service.api.problems import documented
 from service.api.shapes import JobId, Viewer
@@ -28,6 +29,8 @@ LARGEST = 100
 """Watchers at a time: each of them reads the database again and again."""
 RETRY_S = 5.0
 PING_S = 15
+KEY_S = 2.0
+"""How long a stream goes on after the key that opened it has ended."""
 _EVENT = {
     "type": "object",
     "description": "One event; comments between them are signs of life.",
@@ -106,7 +109,8 @@ def _job(api: Services, job_id: str) -> tuple[int, JobShape]:
 async def _changes(
     request: Request, api: Services, first: tuple[int, JobShape], known: int
 ) -> AsyncGenerator[ServerSentEvent]:
-    state = ""
+    gate: Gate = request.app.state.gate
+    state, asked = "", time.monotonic()
     changes, job = first
     while True:
         if changes != known or state == "":
@@ -119,6 +123,10 @@ async def _changes(
         if await request.is_disconnected():
             return
         try:
+            if time.monotonic() - asked > KEY_S:
+                if not await gate.still_lets_in(request):
+                    return
+                asked = time.monotonic()
             changes, job = await to_thread.run_sync(_job, api, job.id)
         except SQLAlchemyError:  # the database is away for a moment: the watcher need not know
             await asyncio.sleep(1.0)

@@ -5,9 +5,14 @@ import json
 import httpx
 import pytest
 
+from service.access.keys import Scope, id_of
+from service.config import Settings
 from service.storage import jobs as rows
+from service.storage import keys
 from service.storage.database import now
 from service.storage.tables import HealthRow
+from tests.support.service import reference_sheet
+from tests.support.serving import serving
 
 
 def test_lists_are_pages_and_filters_hold(api, rig, experiment):
@@ -91,6 +96,24 @@ def test_a_watcher_is_told_every_change_until_the_end(api, service, rig):
     ]
     assert events[2][1]["progress"]["percent"] == 50.0
     assert events[3][1]["error"] == {"title": "bus error", "detail": "no answer"}
+
+
+def test_a_watcher_whose_key_is_revoked_is_told_no_more(tmp_path):
+    """A stream of a job that waits for hours would go on for as long."""
+    with serving(Settings(home=tmp_path / "home", port=0)) as service:
+        key = service.key(Scope.operator)
+        shown = {"authorization": f"Bearer {key}"}
+        with httpx.Client(base_url=f"{service.url}/api/v1", headers=shown, timeout=10) as api:
+            body = {"datasheet": reference_sheet(), "controller_url": "modbus://127.0.0.1:9"}
+            rig = api.post("/rigs", json=body).json()["id"]
+            job = api.post("/jobs", json={"kind": "experiment", "rig": rig}).json()["id"]
+            with api.stream("GET", f"/jobs/{job}/events") as stream:
+                lines = stream.iter_lines()
+                assert next(lines).startswith("id: ")
+                with service.services.database.write() as session:
+                    keys.revoke(session, str(id_of(key)))
+                assert [line for line in lines if line.startswith("event: ")] == ["event: state"]
+            assert api.get(f"/jobs/{job}/events").status_code == 401
 
 
 @pytest.mark.parametrize("known", ["²", "job", "9" * 40])
