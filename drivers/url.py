@@ -13,13 +13,14 @@ from drivers.errors import ControllerError
 from drivers.link import LinkFactory
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
 from drivers.remote import RemoteController
-from drivers.simulated.driver import SimulatedController
 from drivers.transcript import RecordingLinks, replay_links
 from sim.errors import reason
 from sim.rig import Rig
 
 
 def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
+    from drivers.simulated.driver import SimulatedController  # its compiler takes half a second that no bus needs
+
     if rig is None:
         from sim import rig_file, twin
         from sim.reference import reference_rig

@@ -6,6 +6,8 @@ the tables is a new revision, and a new file here when the next one comes.
 
 import re
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -133,6 +135,19 @@ def test_revisions_are_one_line_and_every_one_but_the_newest_is_kept_as_it_was_d
     order = [script.revision for script in scripts.walk_revisions()][::-1]
     assert len(scripts.get_heads()) == 1
     assert order[:-1] == REVISIONS
+    assert migrate._known() == order, "the names of the files tell it without alembic"
+
+
+def test_where_there_is_nothing_to_upgrade_alembic_is_not_loaded(tmp_path):
+    url = f"sqlite:///{tmp_path / 'new.db'}"
+    with opened(url) as database:
+        migrate.upgrade(database)
+    code = (
+        "import sys; from service.storage import migrate; from service.storage.database import Database; "
+        f"print(migrate.upgrade(Database({url!r})), 'alembic' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [migrate.head(), "False"]
 
 
 def test_a_database_of_a_newer_version_is_left_alone(tmp_path):
