@@ -11,15 +11,17 @@ from drivers.controller import Status
 from drivers.url import connect
 from service.experiment import file
 from tests.support.command import Running, ambit, refusal, wait_until
+from tests.support.two_axes import true_and_known
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
 
 
 @pytest.fixture
 def rig(tmp_path):
-    """A rig on Modbus in a process of its own: URL and datasheet."""
-    ambit("rig", "datasheet", "--out", tmp_path / "rig.toml")
-    device = Running("rig", "serve", "--protocol", "modbus", "--port", 0, "--seed", 5)
+    """A rig of one plane on Modbus in a process of its own: URL and datasheet."""
+    for name, text in zip(("true", "rig"), true_and_known(), strict=True):
+        (tmp_path / f"{name}.toml").write_text(text)
+    device = Running("rig", "serve", "--rig", tmp_path / "true.toml", "--protocol", "modbus", "--port", 0, "--seed", 5)
     url = device.first_line()
     assert url.startswith("modbus://"), device.said
     yield url, tmp_path / "rig.toml"

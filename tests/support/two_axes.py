@@ -6,6 +6,9 @@ from dataclasses import replace
 
 from service.experiment.data import Experiment, Sweep
 from sim.datasheet import Datasheet
+from sim.reference import reference_datasheet
+from sim.rig_file import to_toml
+from tests.support.synthetic import known_datasheet
 
 
 def one_plane(measured: Experiment, datasheet: Datasheet) -> tuple[Experiment, Datasheet]:
@@ -35,3 +38,8 @@ def sheet_of_one_plane(datasheet: Datasheet) -> Datasheet:
         amplifier_damping_ratio=None if damping is None else damping[:2],
         sensor_gain=datasheet.sensor_gain[:2],
     )
+
+
+def true_and_known() -> tuple[str, str]:
+    """Two rig.toml: a rig of one plane with its modes, to be served, and what is known of it before it is measured."""
+    return to_toml(sheet_of_one_plane(known_datasheet()[1])), to_toml(sheet_of_one_plane(reference_datasheet()))
