@@ -15,18 +15,26 @@ from service.experiment import file
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_rig
 from tests.support import command
-from tests.support.commissioned import AXES, LAW
+from tests.support.commissioned import LAW
 from tests.support.processes import ROOT
-from tests.support.service import QUICK, SLOW, reference_sheet, rig_device, service
+from tests.support.service import QUICK, SLOW, rig_device, service
+from tests.support.two_axes import true_and_known
 
+TRUE, KNOWN = true_and_known()
 PROFILE = f"profile={json.dumps(QUICK)}"
+ENDLESS = f"profile={json.dumps({**SLOW, 'points': 200, 'rig_seconds': 400})}"
+"""Nobody waits for its end."""
 
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
-    rig = rig_device(tmp_path_factory.mktemp("rig"))
-    with service(tmp_path_factory.mktemp("home"), "sqlite", requests_per_s=10_000) as found:
-        found.rig = rig
+    home = tmp_path_factory.mktemp("home")
+    true = home / "controllers" / "true.toml"
+    true.parent.mkdir()
+    true.write_text(TRUE)
+    rig = rig_device(tmp_path_factory.mktemp("rig"), "rig", "--rig", str(true))
+    with service(home, "sqlite", requests_per_s=10_000) as found:
+        found.rig, found.inside = rig, f"simulated://?rig={true}&seed=1"
         yield found
     rig.device.end()
 
@@ -40,7 +48,7 @@ def ambit(running, monkeypatch):
 @pytest.fixture(scope="module")
 def sheet(tmp_path_factory):
     path = tmp_path_factory.mktemp("sheet") / "rig.toml"
-    path.write_text(reference_sheet())
+    path.write_text(KNOWN)
     return path
 
 
@@ -108,11 +116,12 @@ def test_the_readme_s_calls_of_the_main_job_by_http(running, tmp_path):
     readme = (ROOT / "README.md").read_text()
     (calls,) = re.findall(r"```sh\n(api=http.*?)```", readme, re.DOTALL)
     assert calls.count("curl") > 4
-    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
-    sweep = synthetic_sweep(models, AXES, LAW, np.geomspace(10, 1000, 40), 0.05, seed=1)
+    axes = ("xA", "xB")
+    models = {"x": plane_model_of(reference_rig(), "x")}
+    sweep = synthetic_sweep(models, axes, LAW, np.geomspace(10, 1000, 40), 0.05, seed=1)
     (tmp_path / "out" / "rig1").mkdir(parents=True)
-    file.write(tmp_path / "out" / "rig1" / "experiment.h5", synthetic_experiment(sweep, axes=AXES))
-    (tmp_path / "rig.toml").write_text(reference_sheet())
+    file.write(tmp_path / "out" / "rig1" / "experiment.h5", synthetic_experiment(sweep, axes=axes))
+    (tmp_path / "rig.toml").write_text(KNOWN)
     script = "set -eu\n" + calls.replace("http://127.0.0.1:8311", running.api.said)
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
@@ -123,7 +132,7 @@ def test_the_readme_s_calls_of_the_main_job_by_http(running, tmp_path):
 def test_a_rig_whose_controller_plays_waveforms_is_measured_by_multisines(ambit, running, sheet, tmp_path):
     few = {"lines": 40, "realisations": 2, "amplifier_lines": 16, "period_s": 0.25, "settle_s": 0.4}
     done = ambit(
-        *("submit", "experiment", "--rig", sheet, "--controller", "simulated://?seed=1", "--change"),
+        *("submit", "experiment", "--rig", sheet, "--controller", running.inside, "--change"),
         *("--excitation", "multisine"),
         *("--option", f"profile={json.dumps(few)}", "--option", "identify=false", "--out", tmp_path / "out"),
     )
@@ -141,9 +150,8 @@ def test_a_rig_whose_controller_plays_waveforms_is_measured_by_multisines(ambit,
 
 
 def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
-    slow = f"profile={json.dumps(SLOW)}"
     job = ambit(
-        "submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--option", slow
+        "submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--option", ENDLESS
     ).stdout.strip()
     running.wait(job, lambda j: j["progress"]["point"] > 5)
     assert ambit("cancel", job).stdout.strip() == job
@@ -167,8 +175,7 @@ def test_a_cancelled_job_is_a_failure_of_whoever_watches(ambit, running, sheet):
 
 
 def test_a_rig_is_seen_and_stopped_from_a_terminal(ambit, running, sheet):
-    slow = f"profile={json.dumps(SLOW)}"
-    submit = ("submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--change", "--option", slow)
+    submit = ("submit", "experiment", "--rig", sheet, "--controller", running.rig.url, "--change", "--option", ENDLESS)
     job = ambit(*submit).stdout.strip()
     running.wait(job, lambda j: j["progress"]["point"] > 5)
     listed = ambit("rigs").stdout
