@@ -19,7 +19,7 @@ pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they ta
 
 POLAR, COUPLING, SPEED = 2.4, 0.03, 300.0
 PROFILE = Profile(
-    accuracy=0.005, points=50, validation_points=12, amplifier_points=12, coarse_points=16, blocks=6, rig_seconds=120.0
+    accuracy=0.005, points=36, validation_points=8, amplifier_points=8, coarse_points=12, blocks=6, rig_seconds=100.0
 )
 
 
