@@ -28,7 +28,7 @@ from sim.reference import reference_datasheet, reference_rig
 SEED = 7
 FAULTS = ",".join(f"{kind}=0.0002" for kind in KINDS if kind not in ("corrupt", "stale")) + ",corrupt=1e-5,stale=1e-5"
 """Wrong values are rarer than lost ones: a raw record has thousands of frames, and one CRC."""
-SMALL = Profile(accuracy=0.005, points=24, validation_points=4, amplifier_points=4, coarse_points=8, rig_seconds=80.0)
+SMALL = Profile(accuracy=0.005, points=12, validation_points=2, amplifier_points=2, coarse_points=8, rig_seconds=40.0)
 
 
 def campaign(controller: Controller, folder: Path) -> Experiment:

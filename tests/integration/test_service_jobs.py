@@ -14,6 +14,8 @@ from tests.support.service import QUICK, SLOW, Running, free_port, reference_she
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
 
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
+TINY = {**QUICK, "points": 6, "validation_points": 2, "amplifier_points": 2, "rig_seconds": 15}
+"""For jobs of which only the beginning and the end matter."""
 on_sqlite = pytest.mark.parametrize("running", ["sqlite"], indirect=True)
 """For what no database can change."""
 on_postgresql = pytest.mark.parametrize("running", [DATABASES[1]], indirect=True)
@@ -173,7 +175,7 @@ def test_two_jobs_on_one_rig_never_overlap(running, rig, rig_id):
     wait_for(lambda: not rig.status().lease_holder, "the lease of the killed worker to lapse")
     seen = len(rig.events())
     try:
-        options = {"profile": QUICK, "identify": False}
+        options = {"profile": TINY, "identify": False}
         submitted = [running.submit("experiment", r, options=options) for r in (rig_id, same_rig, rig_id)]
         for job_id in submitted:
             running.done(job_id, s=120)
