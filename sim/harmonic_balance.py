@@ -95,7 +95,8 @@ class Responder:
         grid = np.concatenate([np.maximum(h * frequency_hz, STATIC_HZ) for h in self.harmonics])
         self._omega = 2 * np.pi * grid
         # The rig itself does not know of an offset of its log: the logged control signal is put right first.
-        self._model: LinearModel = linear_model(replace(rig, logging_offset_samples=0.0), grid)
+        ran = replace(rig, logging_offset_samples=0.0) if rig.logging_offset_samples else rig
+        self._model: LinearModel = linear_model(ran, grid)
         self._point: OperatingPoint = self._model.point
         late = np.exp(-1j * self._omega * rig.controller.sample_time_s * rig.logging_offset_samples)
         self._log_phase: Complex = late.reshape(len(self.harmonics), -1)[:, line].T[..., None]  # (P, H, 1)

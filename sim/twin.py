@@ -254,5 +254,8 @@ def _mixed_from(by: Array, matrices: Complex) -> Complex:
     return matrices if _is_identity(by) else np.asarray(by @ matrices)
 
 
+_EYES = {n: np.eye(n) for n in (1, 2, 4)}
+
+
 def _is_identity(matrix: Array) -> bool:
-    return not np.any(matrix - np.eye(len(matrix)))
+    return bool((matrix == _EYES[len(matrix)]).all())

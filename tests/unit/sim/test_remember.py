@@ -39,3 +39,24 @@ def test_a_rig_that_differs_in_one_value_has_its_own_response():
     heavier = replace(rig, rotor=replace(rig.rotor, mass_kg=rig.rotor.mass_kg * 1.001))
     assert not np.allclose(linear_model(heavier, f).y_per_u, before, rtol=1e-6)
     assert np.array_equal(linear_model(reference_rig(), f.copy()).y_per_u, before)
+
+
+def test_a_rig_that_a_response_is_kept_of_cannot_be_written_to():
+    """It would have that response from then on, whatever it had become."""
+    rig = reference_rig()
+    linear_model(rig, np.array([10.0, 100.0]))
+    with pytest.raises(ValueError, match="read-only"):
+        rig.magnets.ki[0] = 0.0
+
+
+def test_rigs_that_come_and_go_are_not_taken_for_each_other():
+    """An object that is gone leaves its place in memory to the next one."""
+    f = np.array([50.0])
+    first = reference_rig()
+
+    def gain(factor: float) -> float:
+        rig = replace(first, sensors=replace(first.sensors, gain=factor * first.sensors.gain))
+        return float(abs(linear_model(rig, f).y_per_u[0, 0, 0]))
+
+    gains = [gain(1 + k / 100) for k in range(50)]
+    assert np.allclose(np.diff(gains), gains[0] / 100)
