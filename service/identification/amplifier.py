@@ -83,16 +83,25 @@ def base_band(omega: Real, parameters: Real, delay_s: float, sample_time_s: floa
 @lru_cache(maxsize=64)
 def _base_band(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
     omega, parameters = np.frombuffer(omega_), np.frombuffer(parameters_)
-    s = 1j * omega
+    s, held = _at_lines(omega_, sample_time_s)
     poles, d_poles = poles_of(parameters)
-    away = s[:, None] - poles
-    response = parameters[0] * np.prod(-poles / away, axis=1) * np.exp(-s * delay_s) * hold(omega, sample_time_s)
-    relative = (1.0 / poles + 1.0 / away) @ d_poles
-    gradient = np.empty((len(omega), len(parameters) + 1), dtype=complex)
-    gradient[:, 0] = response / parameters[0]
-    gradient[:, 1:-1] = response[:, None] * relative
-    gradient[:, -1] = -s * response
-    return _frozen(response, gradient)
+    away = 1.0 / (s - poles[:, None])
+    response = held * np.exp(-s * delay_s)
+    for pole, share in zip(poles, away, strict=True):
+        response *= -pole * share
+    response *= parameters[0]
+    gradient = np.empty((len(parameters) + 1, len(omega)), dtype=complex)
+    gradient[0] = response / parameters[0]
+    gradient[1:-1] = response * (d_poles.T @ (1.0 / poles[:, None] + away))
+    gradient[-1] = -s * response
+    return _frozen(response, gradient.T)
+
+
+@lru_cache(maxsize=64)
+def _at_lines(omega_: bytes, sample_time_s: float) -> tuple[Complex, Complex]:
+    """s and the hold's gain at the lines, (P,) each: no fit moves them."""
+    omega = np.frombuffer(omega_)
+    return 1j * omega, hold(omega, sample_time_s)
 
 
 def sampled(omega: Real, parameters: Real, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:
@@ -111,26 +120,19 @@ def _sampled(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s: f
     omega, parameters = np.frombuffer(omega_), np.frombuffer(parameters_)
     poles, d_poles = poles_of(parameters)
     n = len(poles)
-    apart = poles[:, None] - poles + np.eye(n)
+    itself = np.eye(n)
+    apart = poles[:, None] - poles + itself
     residues = parameters[0] * np.prod(-poles) / np.prod(apart, axis=1)
-    response = np.zeros(len(omega), dtype=complex)
-    d_pole = np.zeros((len(omega), n), dtype=complex)
-    d_delay = np.zeros(len(omega), dtype=complex)
-    inverse = (1.0 - np.eye(n)) / apart
-    for k in range(n):
-        f, df, dt = sampled_pole(omega, complex(poles[k]), delay_s, sample_time_s)
-        response += residues[k] * f
-        d_delay += residues[k] * dt
-        d_pole[:, k] += residues[k] * df
-        # residue k moves with every pole
-        d_log = 1.0 / poles + inverse[k]
-        d_log[k] -= inverse[k].sum()
-        d_pole += np.outer(residues[k] * f, d_log)
-    gradient = np.empty((len(omega), len(parameters) + 1), dtype=complex)
-    gradient[:, 0] = response / parameters[0]
-    gradient[:, 1:-1] = d_pole @ d_poles
-    gradient[:, -1] = d_delay
-    return _frozen(response, gradient)
+    inverse = (1.0 - itself) / apart
+    f, d_f, d_delay = sampled_pole(omega, poles[:, None], delay_s, sample_time_s)
+    parts = residues[:, None] * f
+    response = parts.sum(axis=0)
+    d_log = 1.0 / poles + inverse - itself * inverse.sum(axis=1)  # residue k, its row, moves with every pole
+    gradient = np.empty((len(parameters) + 1, len(omega)), dtype=complex)
+    gradient[0] = response / parameters[0]
+    gradient[1:-1] = (d_poles.T * residues) @ d_f + (d_log @ d_poles).T @ parts
+    gradient[-1] = residues @ d_delay
+    return _frozen(response, gradient.T)
 
 
 def _bytes(values: Real) -> bytes:

@@ -21,19 +21,21 @@ def gradients(model: PlaneModel, points: Points, motion: Motion) -> tuple[Comple
     d_i = np.zeros((model.layout.size, 2, len(points.omega)), dtype=np.complex128)
     d_y = displacement_gradient(model, motion)
     amplifier_gradient(model, points, motion, d_i, d_y)
-    extended_gradient(model, points, motion, d_y)
-    return d_i, d_y
+    extended_gradient(model, motion, d_y)
+    return d_i, motion.folding.folded(d_y)
 
 
 def displacement_gradient(model: PlaneModel, motion: Motion) -> Complex:
-    """Derivatives of y to ki, ks and the modes, the others zero, (size, 2, P)."""
+    """Derivatives of y to ki, ks and the modes, the others zero, (size, 2, P + 2 K): not folded yet."""
     layout, loop = model.layout, motion.loop
-    d_y = np.zeros((layout.size, *motion.x.shape), dtype=np.complex128)
+    d_y = np.zeros((layout.size, *motion.moved.shape), dtype=np.complex128)
     per_force = loop.through.transpose(1, 0, 2)  # [force, output]
-    by_ki, by_ks = motion.coil, motion.x
+    by_ki, by_ks = motion.coils, motion.moved
     if motion.amplitude is not None:
-        slopes = motion.excess_slopes or excess(model, motion.amplitude)[1:]
-        by_ki, by_ks = by_ki + slopes[0], by_ks + slopes[1]
+        slopes, n = motion.excess_slopes or excess(model, motion.amplitude)[1:], motion.folding.n
+        by_ki, by_ks = by_ki.copy(), by_ks.copy()
+        by_ki[:, :n] += slopes[0]
+        by_ks[:, :n] += slopes[1]
     np.multiply(per_force, by_ki[:, None], d_y[0:2])
     np.multiply(per_force, by_ks[:, None], d_y[2:4])
     n = layout.n_modes
@@ -43,8 +45,6 @@ def displacement_gradient(model: PlaneModel, motion: Motion) -> Complex:
         by_square = _mode_gradient(model, motion, block)
         # w^2 = nu^2 + phi_b^T Ks phi_b moves with ks
         d_y[2:4] += combined(model.modes[:, 2:4].T ** 2, by_square.reshape(n, -1)).reshape(2, 2, -1)
-    for image in motion.images:
-        d_y[:, :, image.at] += displacement_gradient(model, image.motion)
     return d_y
 
 
@@ -68,34 +68,28 @@ def _mode_gradient(model: PlaneModel, motion: Motion, block: Complex) -> Complex
 
 
 def amplifier_gradient(model: PlaneModel, points: Points, motion: Motion, d_i: Complex, d_y: Complex) -> None:
-    """Fill the derivatives to the amplifiers' parameters and the delay."""
-    layout = model.layout
+    """Fill the derivatives to the amplifiers' parameters and the delay; d_i (size, 2, P), d_y (size, 2, P + 2 K)."""
+    layout, folding = model.layout, motion.folding
     delay, period = model.delay_s + model.known.computing_delay_s, model.known.sample_time_s
     for j, place in enumerate(layout.amplifiers):
         to_force = motion.loop.through[:, j] * model.ki[j]
-        u = points.u_rows[j]
-        d_now = amplifier.sampled(points.omega, model.theta[place], delay, period)[1].T * u
-        d_base = model.base_band(j, points.omega)[1].T * u
+        d_now = amplifier.sampled(points.omega, model.theta[place], delay, period)[1].T * points.u_rows[j]
+        d_base = model.base_band(j, folding.omega)[1].T * folding.u_rows[j]
         d_i[place, j], d_i[layout.delay, j] = d_now[:-1], d_now[-1]
         d_y[place] = to_force * d_base[:-1, None]
         d_y[layout.delay] += to_force * d_base[-1]
-    for image in motion.images:
-        shape = (layout.size, 2, len(image.at))
-        of_y = np.zeros(shape, dtype=np.complex128)
-        amplifier_gradient(model, image.points, image.motion, np.zeros_like(of_y), of_y)
-        d_y[:, :, image.at] += of_y
 
 
-def extended_gradient(model: PlaneModel, points: Points, motion: Motion, d_y: Complex) -> None:
-    """Fill the derivatives to mass, inertia, centre of gravity and sensor gains."""
+def extended_gradient(model: PlaneModel, motion: Motion, d_y: Complex) -> None:
+    """Fill the derivatives to mass, inertia, centre of gravity and sensor gains, (size, 2, P + 2 K)."""
     mass, inertia = model.theta[model.layout.extended][:2]
     loop, total = motion.loop, motion.total
     at = model.layout.extended.start
-    gain = -1.0 / points.omega**2
+    gain = loop.gain[0]
     feedback = loop.through * model.ks[:, None]
 
     def seen(bearing: Real, sensor: Real) -> Complex:
-        """Closed-loop shape at the sensors, (2, P)."""
+        """Closed-loop shape at the sensors, (2, P + 2 K)."""
         return np.asarray(sensor[:, None] * loop.sensor + feedback[:, 0] * bearing[0] + feedback[:, 1] * bearing[1])
 
     for k, value in enumerate((mass, inertia)):
@@ -107,8 +101,4 @@ def extended_gradient(model: PlaneModel, points: Points, motion: Motion, d_y: Co
     both: Real = np.ones(2)
     d_y[at + 2] = -(seen(both, both) * turn + seen(arm, arm_s) * push)
     for j in range(2):
-        d_y[at + 3 + j, j] = motion.y[j] / model.sensor_gain[j]
-    for image in motion.images:  # the sensors' gains have them in y
-        of_y = np.zeros((model.layout.size, 2, len(image.at)), dtype=np.complex128)
-        extended_gradient(model, image.points, image.motion, of_y)
-        d_y[at : at + 3, :, image.at] += of_y[at : at + 3]
+        d_y[at + 3 + j, j] = motion.seen[j] / model.sensor_gain[j]

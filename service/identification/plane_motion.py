@@ -11,13 +11,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification import amplifier
 from service.identification.force_law import excess_of_many, excess_of_waves, force_beyond_linear
 from service.identification.many_lines import excess_of_products
-from service.identification.prediction import Amplitude, Points
-from service.identification.zoh import Complex, Real, aliases
+from service.identification.prediction import Amplitude, Folding, Points
+from service.identification.zoh import Complex, Real
 
 if TYPE_CHECKING:
     from service.identification.plane_model import PlaneModel
@@ -81,85 +80,87 @@ def combined(weights: Real, rows: Complex) -> Complex:
 
 @dataclass(frozen=True)
 class Motion:
-    """Currents, forces and displacements at the points, (2, P) each."""
+    """Currents, forces and displacements at the points, and behind them at their aliases, (2, P + 2 K) each.
+
+    There only the part of the held u is that lies there: small, so the magnets are linear.
+    """
 
     model: PlaneModel
+    folding: Folding
     loop: Loop
     amplitude: Amplitude | None
     i: Complex
-    """Sampled current, A."""
-    coil: Complex
+    """(2, P) sampled current, A."""
+    coils: Complex
     """Base-band current that makes flux, A."""
     force: Complex
     """Of the currents, N."""
     total: Complex
     """The same with that of the position stiffness, N."""
-    x: Complex
+    moved: Complex
     """Displacement at the bearings, m."""
     excess_slopes: tuple[Complex, Complex] | None = None
-    """Of the force law's excess to ki and ks, where they were asked for."""
-    images: tuple[Image, ...] = ()
-    """What the sampler folds onto the lines that are high enough for it to count."""
+    """(2, P) of the force law's excess to ki and ks, where they were asked for."""
 
     @staticmethod
     def of(model: PlaneModel, points: Points, amplitude: Amplitude | None, slopes: bool = False) -> Motion:
         """At the points; ``amplitude``: see `PlaneModel.predict`; ``slopes``: with those of its excess."""
         delay, period = model.delay_s + model.known.computing_delay_s, model.known.sample_time_s
-        i, coil = np.empty_like(points.u_rows), np.empty_like(points.u_rows)
+        folding = points.folding(period)
+        i, coils = np.empty_like(points.u_rows), np.empty_like(folding.u_rows)
         for j, place in enumerate(model.layout.amplifiers):
             np.multiply(amplifier.sampled(points.omega, model.theta[place], delay, period)[0], points.u_rows[j], i[j])
-            np.multiply(model.base_band(j, points.omega)[0], points.u_rows[j], coil[j])
-        loop, images = loop_of(model, points.omega), _images(model, points)
+            np.multiply(model.base_band(j, folding.omega)[0], folding.u_rows[j], coils[j])
+        loop = loop_of(model, folding.omega)
         if amplitude is None or not slopes:
-            driven = _driven(model, loop, coil, _excess(model, amplitude))
-            return Motion(model, loop, amplitude, i, coil, *driven, images=images)
+            return Motion(model, folding, loop, amplitude, i, coils, *_driven(model, loop, coils, amplitude))
         more, *by = excess(model, amplitude)
-        return Motion(model, loop, amplitude, i, coil, *_driven(model, loop, coil, more), (by[0], by[1]), images)
+        return Motion(model, folding, loop, amplitude, i, coils, *_moved(model, loop, coils, more), (by[0], by[1]))
 
     def about(self, amplitude: Amplitude) -> Motion:
         """The same with the force law's excess at another amplitude."""
-        force, total, x = _driven(self.model, self.loop, self.coil, _excess(self.model, amplitude))
-        return replace(self, amplitude=amplitude, force=force, total=total, x=x, excess_slopes=None)
+        force, total, moved = _driven(self.model, self.loop, self.coils, amplitude)
+        return replace(self, amplitude=amplitude, force=force, total=total, moved=moved, excess_slopes=None)
+
+    @property
+    def coil(self) -> Complex:
+        """(2, P) A."""
+        return self.coils[:, : self.folding.n]
+
+    @property
+    def x(self) -> Complex:
+        """Displacement at the bearings, (2, P) m."""
+        return self.moved[:, : self.folding.n]
+
+    @cached_property
+    def seen(self) -> Complex:
+        """Displacement at the sensors, m."""
+        return np.asarray(self.loop.through[:, 0] * self.force[0] + self.loop.through[:, 1] * self.force[1])
 
     @cached_property
     def y(self) -> Complex:
-        """Sampled displacement at the sensors, m."""
-        y = np.asarray(self.loop.through[:, 0] * self.force[0] + self.loop.through[:, 1] * self.force[1])
-        for image in self.images:
-            y[:, image.at] += image.motion.y
-        return y
+        """Sampled displacement at the sensors, (2, P) m."""
+        return self.folding.folded(self.seen.copy())
 
     @property
     def x_of_modes(self) -> Complex:
         """What each flexible mode adds to the displacement at the bearings, (n, 2, P)."""
-        shapes = self.loop.bearings[2:]
-        return np.asarray(shapes[:, :, None] * (self.loop.gain[2:] * (shapes @ self.total))[:, None])
+        shapes, n = self.loop.bearings[2:], self.folding.n
+        return np.asarray(shapes[:, :, None] * (self.loop.gain[2:, :n] * (shapes @ self.total[:, :n]))[:, None])
 
 
-@dataclass(frozen=True)
-class Image:
-    """The motion at a line's alias, by the part of the held u that is there: small, so the magnets are linear."""
-
-    at: NDArray[np.int64]
-    """(K,) places of the lines."""
-    points: Points
-    """(K,) their aliases; |omega| is beyond half the sample rate."""
-    motion: Motion
-
-
-def _images(model: PlaneModel, points: Points) -> tuple[Image, ...]:
-    found = []
-    for at, omega in aliases(points.omega, model.known.sample_time_s):
-        there = Points(omega, points.u[at])
-        found.append(Image(at, there, Motion.of(model, there, None)))
-    return tuple(found)
-
-
-def _driven(model: PlaneModel, loop: Loop, coil: Complex, excess: Complex | None) -> tuple[Complex, Complex, Complex]:
+def _driven(
+    model: PlaneModel, loop: Loop, coils: Complex, amplitude: Amplitude | None
+) -> tuple[Complex, Complex, Complex]:
     """Force of the currents, all force, and the displacement at the bearings."""
-    force = model.ki[:, None] * coil
+    return _moved(model, loop, coils, _excess(model, amplitude))
+
+
+def _moved(model: PlaneModel, loop: Loop, coils: Complex, excess: Complex | None) -> tuple[Complex, Complex, Complex]:
+    """The same from the force law's excess at the points, (2, P)."""
+    force = model.ki[:, None] * coils
     if excess is not None:
-        force += excess
+        force[:, : excess.shape[1]] += excess
     total = loop.closed[:, 0] * force[0] + loop.closed[:, 1] * force[1]
     x = loop.h_bb[:2] * total[0] + loop.h_bb[1:] * total[1]
     return force, total, x

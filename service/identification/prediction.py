@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.force_law import Waves
-from service.identification.zoh import Complex, Real
+from service.identification.zoh import Complex, Real, aliases
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,49 @@ class Points:
     def u_rows(self) -> Complex:
         """(2, P) A: the points along memory."""
         return np.ascontiguousarray(self.u.T)
+
+    def folding(self, sample_time_s: float) -> Folding:
+        """The points with the aliases that the sampler folds onto them."""
+        if sample_time_s not in self._foldings:
+            self._foldings[sample_time_s] = Folding.of(self, sample_time_s)
+        return self._foldings[sample_time_s]
+
+    @cached_property
+    def _foldings(self) -> dict[float, Folding]:
+        return {}
+
+
+@dataclass(frozen=True)
+class Folding:
+    """P points and behind them the aliases of the K lines that are high enough for them to count, 2 K.
+
+    A model is evaluated at all of them at once: beside a hundred points a few more cost nothing, apart they cost as much.
+    """
+
+    omega: Real
+    """(P + 2 K,) rad/s; of the aliases |omega| is beyond half the sample rate."""
+    u_rows: Complex
+    """(2, P + 2 K) A."""
+    at: NDArray[np.int64]
+    """(K,) places of the lines."""
+    n: int
+    """P."""
+
+    @staticmethod
+    def of(points: Points, sample_time_s: float) -> Folding:
+        """Of points at a controller's sample time."""
+        found = list(aliases(points.omega, sample_time_s))
+        places = np.concatenate([np.arange(len(points.omega)), *(at for at, _ in found)])
+        omega = np.concatenate([points.omega, *(there for _, there in found)])
+        return Folding(omega, points.u_rows[:, places], found[0][0] if found else places[:0], len(points.omega))
+
+    def folded(self, values: Complex) -> Complex:
+        """What the sampler makes of (..., P + 2 K), (..., P): the same memory, the aliases added."""
+        out, k = values[..., : self.n], len(self.at)
+        if k:
+            out[..., self.at] += values[..., self.n : self.n + k]
+            out[..., self.at] += values[..., self.n + k :]
+        return out
 
 
 @dataclass(frozen=True)

@@ -178,11 +178,11 @@ def _whitened_slopes(
     of_currents = slice(layout.amplifiers[0].start, layout.delay + 1)
     d_i: Complex | None = None
     if wanted[of_currents].any():
-        d_i = np.zeros_like(d_y)
+        d_i = np.zeros((layout.size, *motion.i.shape), dtype=np.complex128)
         amplifier_gradient(model, points.at, motion, d_i, d_y)
     if wanted[layout.extended].any():
-        extended_gradient(model, points.at, motion, d_y)
-    d_y = d_y[wanted]
+        extended_gradient(model, motion, d_y)
+    d_y = motion.folding.folded(d_y[wanted])
     if points.i is None:
         return _real_rows(white.applied(d_y))
     out = np.zeros((len(d_y), 4, d_y.shape[2]), dtype=np.complex128)

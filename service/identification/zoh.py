@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,9 @@ def aliases(omega: Real, sample_time_s: float) -> Iterator[tuple[NDArray[np.int6
         yield at, omega[at] + rate
 
 
-def sampled_pole(omega: Real, pole: complex, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex, Complex]:
+def sampled_pole(
+    omega: Real, pole: complex | Complex, delay_s: float, sample_time_s: float
+) -> tuple[Complex, Complex, Complex]:
     """Held and sampled response of 1/(s - p) exp(-s tau), with its derivatives.
 
     The state obeys x+ = e^{pT} x + (e^{pT} - e^{p(T-tau)})/p u_old + (e^{p(T-tau)} - 1)/p u_new; a delay of
@@ -58,7 +61,7 @@ def sampled_pole(omega: Real, pole: complex, delay_s: float, sample_time_s: floa
     omega
         (P,) rad/s.
     pole
-        p, rad/s; not zero.
+        p, rad/s; not zero. Several as (n, 1).
     delay_s
         tau, s.
     sample_time_s
@@ -67,7 +70,7 @@ def sampled_pole(omega: Real, pole: complex, delay_s: float, sample_time_s: floa
     Returns
     -------
     response, d_response_d_pole, d_response_d_delay
-        (P,) each.
+        (P,) each, or (n, P).
 
     >>> w = np.array([100.0, 5000.0])
     >>> g, _, _ = sampled_pole(w, -2000.0, 0.0, 1e-4)
@@ -77,16 +80,21 @@ def sampled_pole(omega: Real, pole: complex, delay_s: float, sample_time_s: floa
     """
     whole = math.floor(delay_s / sample_time_s)
     rest = sample_time_s - (delay_s - whole * sample_time_s)
-    back = np.exp(-1j * omega * sample_time_s)
-    shift = back**whole
+    back = _one_sample_back(np.ascontiguousarray(omega, dtype=np.float64).tobytes(), sample_time_s)
     full, part = np.exp(pole * sample_time_s), np.exp(pole * rest)
-    over = shift / (1.0 / back - full)
-    numerator = (full - part) * back + part - 1.0
+    free = 1.0 / (1.0 / back - full)
+    over = free * back**whole if whole else free
+    response = ((full - part) * back + (part - 1.0)) * over / pole
     d_numerator = (sample_time_s * full - rest * part) * back + rest * part
-    response = numerator * over / pole
-    d_pole = d_numerator * over / pole - response / pole + response * sample_time_s * full / (1.0 / back - full)
+    d_pole = d_numerator * over / pole + response * (sample_time_s * full * free - 1.0 / pole)
     d_delay = part * (back - 1.0) * over
     return response, d_pole, d_delay
+
+
+@lru_cache(maxsize=64)
+def _one_sample_back(omega_: bytes, sample_time_s: float) -> Complex:
+    """exp(-jwT), (P,): a fit asks for the same lines at every step."""
+    return np.asarray(np.exp(-1j * np.frombuffer(omega_) * sample_time_s), dtype=np.complex128)
 
 
 def discrete_response(numerator: Real, denominator: Real, omega: Real, sample_time_s: float) -> Complex:
