@@ -86,7 +86,7 @@ def _base_band(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s:
     s, held = _at_lines(omega_, sample_time_s)
     poles, d_poles = poles_of(parameters)
     away = 1.0 / (s - poles[:, None])
-    response = held * np.exp(-s * delay_s)
+    response: Complex = held * np.exp(-s * delay_s)
     for pole, share in zip(poles, away, strict=True):
         response *= -pole * share
     response *= parameters[0]

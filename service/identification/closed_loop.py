@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag, expm
 from scipy.linalg import companion as companion_matrix
+from scipy.linalg import expm
 
 from service.identification.amplifier import Amplifier
 from service.identification.combine import physical_matrices
@@ -55,13 +55,23 @@ def continuous(model: PlaneModel) -> tuple[Real, Real, Real]:
 def driven(amplifiers: Sequence[Amplifier], chain: Chain) -> tuple[Real, Real, Real]:
     """A, B, C from the control signals to the flux-making currents; the amplifiers' own states first."""
     parts = [companion(amp.poles, amp.dc_gain) for amp in amplifiers]
-    a, b, c = (block_diag(*[p[k] for p in parts]) for k in range(3))
+    a, b, c = (block_diagonal([p[k] for p in parts]) for k in range(3))
     b = b @ chain.crosstalk
     if not chain.is_before_flux:
         return a, b, c
     fa, fb, fc, fd = chain.flux_states()
     whole = np.block([[a, np.zeros((len(a), len(fa)))], [fb @ c, fa]])
     return whole, np.vstack([b, np.zeros((len(fa), b.shape[1]))]), np.hstack([fd @ c, fc])
+
+
+def block_diagonal(parts: Sequence[Real]) -> Real:
+    """The blocks along the diagonal, zero beside them: a deviation asks for it hundreds of times."""
+    out = np.zeros((sum(len(p) for p in parts), sum(p.shape[1] for p in parts)))
+    row = column = 0
+    for p in parts:
+        out[row : row + len(p), column : column + p.shape[1]] = p
+        row, column = row + len(p), column + p.shape[1]
+    return out
 
 
 def with_known_sensors(a: Real, b: Real, c: Real, bandwidth_rad_s: Real, lag_s: Real) -> tuple[Real, Real, Real]:
@@ -138,7 +148,7 @@ def integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:
 
 def with_currents(model: PlaneModel, plant: Sampled) -> Sampled:
     """The same system with the sampled coil currents before the displacements among its outputs."""
-    seen = block_diag(*[companion(a.poles, a.dc_gain)[2] for a in model.amplifiers])
+    seen = block_diagonal([companion(a.poles, a.dc_gain)[2] for a in model.amplifiers])
     return replace(plant, C=np.vstack([np.pad(seen, ((0, 0), (0, len(plant.A) - seen.shape[1]))), plant.C]))
 
 
@@ -168,7 +178,7 @@ def loop_states(model: PlaneModel, controller: tuple[Real, Real]) -> LoopStates:
             f"the joint fit ended far from any rotor (a mode at {fastest:.2g} Hz): the points do not tell the modes; "
             "measure more of them, above all around the peaks"
         )
-    ca, cb, cc, cd = (block_diag(x, x) for x in controller_states(controller))
+    ca, cb, cc, cd = (block_diagonal([x, x]) for x in controller_states(controller))
     top = np.hstack([plant.A - plant.B @ cd @ plant.C, plant.B @ cc])
     bottom = np.hstack([-cb @ plant.C, ca])
     return LoopStates(np.vstack([top, bottom]), -np.vstack([plant.B @ cd, cb]))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr_multiply
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from service.identification.zoh import Real
 
@@ -141,22 +142,32 @@ def _triangle(matrix: Real, vector: Real, scale: Real) -> tuple[Real, Real]:
     By the columns' products where they are clear of one another, which costs a fraction; by reflections where not.
     """
     products = np.asarray((matrix.T @ matrix) / np.outer(scale, scale))
-    try:
-        lower = np.asarray(np.linalg.cholesky(products), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        lower = np.zeros_like(products)
-    if lower.diagonal().min(initial=1.0) > CLEAR:
-        return lower.T, np.asarray(np.linalg.solve(lower, (vector @ matrix) / scale))
+    clear = _factored(products, (vector @ matrix) / scale)
+    if clear is not None:
+        return clear
     qtr, upper = qr_multiply(matrix / scale, vector, mode="right")
     return np.asarray(upper), np.asarray(qtr)
+
+
+def _factored(products: Real, along: Real) -> tuple[Real, Real] | None:
+    """R and R^-T along, where products = R^T R; None where the columns are not clear of one another."""
+    if not len(products):
+        return products, along
+    upper, failed = dpotrf(products, lower=0, clean=1)
+    if failed or upper.diagonal().min() <= CLEAR:
+        return None
+    return np.asarray(upper), np.asarray(dtrtrs(upper, along, trans=1)[0])
 
 
 def _damped_step(upper: Real, qtr: Real, damping: float) -> Real:
     """Solution of min |R p + qtr|^2 + damping |p|^2."""
     n = upper.shape[1]
-    stacked = np.concatenate([upper, np.sqrt(damping) * np.eye(n)])
-    triangle, along = _triangle(stacked, np.concatenate([qtr, np.zeros(n)]), np.ones(n))
-    return np.asarray(-np.linalg.solve(triangle, along))
+    clear = _factored(upper.T @ upper + damping * np.eye(n), qtr @ upper)
+    if clear is None:
+        stacked = np.concatenate([upper, np.sqrt(damping) * np.eye(n)])
+        along, triangle = qr_multiply(stacked, np.concatenate([qtr, np.zeros(n)]), mode="right")
+        return np.asarray(-np.linalg.solve(triangle, along))
+    return np.asarray(-dtrtrs(*clear)[0]) if n else clear[1]
 
 
 def covariance_of(jacobian: Real) -> Real:

@@ -182,19 +182,21 @@ def _trend(own: Real, calm: Sequence[Real], rings: Sequence[Real] | Real, dof: i
     squares = [m**2 / np.maximum(np.mean(m**2, axis=0), 1e-300) for m in (*calm, *rings)]
     trend, quiet = np.ones_like(own), np.ones_like(own)
     for kept in range(1, len(squares) + 1):
-        parts = [np.ones_like(own), *squares[:kept]]
-        shares = [flat / len(parts)] * len(parts)
+        parts = np.stack([np.ones_like(own), *squares[:kept]])
+        shares = np.tile(flat / len(parts), (len(parts), 1))
+        v = np.einsum("kc,kpc->pc", shares, parts)
         for _ in range(rounds):  # multiplicative steps keep all positive and never lower the likelihood
-            before = list(shares)
+            before = shares.copy()
             for k, q in enumerate(parts):
-                v = sum(b * x for b, x in zip(shares, parts, strict=True))
-                shares[k] = shares[k] * np.sqrt(np.sum(own * q / v**2, axis=0) / np.sum(q / v, axis=0))
-            if all(np.all(abs(b - x) < SETTLED * flat) for b, x in zip(shares, before, strict=True)):
+                share = q / v
+                shares[k] *= np.sqrt(np.einsum("pc,pc->c", share, own / v) / share.sum(axis=0))
+                v += (shares[k] - before[k]) * q
+            if np.all(np.abs(shares - before) < SETTLED * flat):
                 break
-        v = np.asarray(sum(b * x for b, x in zip(shares, parts, strict=True)))
+        v = np.einsum("kc,kpc->pc", shares, parts)
         gain = 2 * dof * np.sum(np.log(flat * trend / v) + own / (flat * trend) - own / v, axis=0)
         clear = gain > 10.0 + np.log(len(own))
-        still = sum(b * x for b, x in list(zip(shares, parts, strict=True))[: 1 + len(calm)])
+        still = np.einsum("kc,kpc->pc", shares[: 1 + len(calm)], parts[: 1 + len(calm)])
         trend = np.where(clear, v / flat, trend)
         quiet = np.where(clear, still / v, quiet)
     return trend, quiet

@@ -41,7 +41,7 @@ class Points:
 class Folding:
     """P points and behind them the aliases of the K lines that are high enough for them to count, 2 K.
 
-    A model is evaluated at all of them at once: beside a hundred points a few more cost nothing, apart they cost as much.
+    A model is evaluated at all of them at once: a few more beside a hundred cost nothing, apart they cost as much.
     """
 
     omega: Real

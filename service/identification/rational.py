@@ -102,13 +102,21 @@ class _Problem:
     def polished(self, poles: _Poles, most: int = 10) -> _Poles:
         """Poles after a few steps of variable projection."""
         n = len(poles.nu)
+        at_z: dict[bytes, tuple[Real, Real, Real]] = {}  # a slope is asked for where the rest was just before
+
+        def solved(z: Real) -> tuple[Real, Real, Real]:
+            key = z.tobytes()
+            if key not in at_z:
+                at_z.clear()
+                at_z[key] = self.solved(poles.moved(z))
+            return at_z[key]
 
         def rest(z: Real) -> Real:
-            return np.asarray(self.solved(poles.moved(z))[1].T.ravel())
+            return np.asarray(solved(z)[1].T.ravel())
 
         def slope(z: Real) -> Real:
             at = poles.moved(z)
-            c, _, q = self.solved(at)
+            c, _, q = solved(z)
             s = 1j * self.omega
             out = np.empty((len(z), *self.target.shape))
             for k in range(2 + 2 * n):

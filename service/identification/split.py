@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.beyond import BEYOND_ROWS, beyond_rows
-from service.identification.plane_model import PlaneModel
+from service.identification.plane_model import N_MODE, PlaneModel
 from service.identification.zoh import Real
 
 HELD = 1e-3
@@ -71,11 +71,12 @@ class Knowledge:
     def of_modes(self, model: PlaneModel) -> Real:
         """ln(|phi_s|/|phi_b|) of each mode by the datasheet's mode near to it, nan without one, (n,)."""
         out = np.full(model.layout.n_modes, np.nan)
+        if not len(self.frequencies):
+            return out
         for k, w in enumerate(model.natural_frequencies):
-            if len(self.frequencies):
-                near = int(np.argmin(np.abs(self.frequencies - w)))
-                if abs(self.frequencies[near] - w) < 0.05 * w:
-                    out[k] = self.log_ratios[near]
+            near = int(np.argmin(np.abs(self.frequencies - w)))
+            if abs(self.frequencies[near] - w) < 0.05 * w:
+                out[k] = self.log_ratios[near]
         return out
 
 
@@ -97,21 +98,30 @@ class Split:
 
 def log_ratios(model: PlaneModel) -> Real:
     """ln(|phi_s|/|phi_b|) of each mode, (n,)."""
-    m = model.modes
-    tiny = 1e-12
-    return np.asarray(np.log((np.linalg.norm(m[:, 4:6], axis=1) + tiny) / (np.linalg.norm(m[:, 2:4], axis=1) + tiny)))
+    bearing, sensor = np.sqrt(_squares(model)) + 1e-12
+    return np.asarray(np.log(sensor / bearing))
+
+
+def _squares(model: PlaneModel) -> Real:
+    """|phi_b|^2 and |phi_s|^2 of each mode, (2, n)."""
+    shapes = model.modes[:, 2:6].reshape(-1, 2, 2)
+    return np.asarray(np.einsum("nja,nja->jn", shapes, shapes))
 
 
 def split_rows(model: PlaneModel, split: Split) -> tuple[Real, Real]:
     """Residuals that hold the splits, one per mode, and their Jacobian."""
     rows = (log_ratios(model) - split.log_ratios) / split.std
     jacobian = np.zeros((len(rows), model.layout.size))
-    for k, mode in enumerate(model.modes):
-        at = model.layout.mode(k).start
-        bearing, sensor = mode[2:4], mode[4:6]
-        jacobian[k, at + 2 : at + 4] = -bearing / max(float(bearing @ bearing), 1e-24) / split.std
-        jacobian[k, at + 4 : at + 6] = sensor / max(float(sensor @ sensor), 1e-24) / split.std
+    per_shape = np.array([[-1.0], [1.0]]) / np.maximum(_squares(model), 1e-24) / split.std
+    places = _shape_places(model)
+    jacobian[np.arange(len(rows))[:, None], places] = model.modes[:, 2:6] * np.repeat(per_shape.T, 2, axis=1)
     return rows, jacobian
+
+
+def _shape_places(model: PlaneModel) -> NDArray[np.int64]:
+    """Places of each mode's shapes at bearings and sensors among the parameters, (n, 4)."""
+    layout = model.layout
+    return layout.delay + 3 + N_MODE * np.arange(layout.n_modes)[:, None] + np.arange(4)
 
 
 def moved_along_splits(model: PlaneModel, step: Real) -> Real:
@@ -168,63 +178,63 @@ def held_rows(model: PlaneModel, held: Split | Knowledge) -> tuple[Real, Real]:
         beyond = model.modes[:, 0] > held.end_rad_s
         there = np.repeat(beyond, BEYOND_ROWS)
         more, slope = np.zeros(len(there)), np.zeros((len(there), model.layout.size))
-        more[there], slope[there] = beyond_rows(model, beyond, counting=True)
+        if beyond.any():
+            more[there], slope[there] = beyond_rows(model, beyond, counting=True)
     return np.concatenate([more, rows]), np.vstack([slope, jacobian])
 
 
 def knowledge_rows(model: PlaneModel, knowledge: Knowledge) -> tuple[Real, Real]:
     """Residuals whose squares are twice the negative log density of what is known, `ROWS` a mode, and their slope."""
-    known, ratios = knowledge.of_modes(model), log_ratios(model)
-    rows = np.zeros(ROWS * len(ratios))
-    jacobian = np.zeros((len(rows), model.layout.size))
-    order = split_rows(model, Split(np.zeros(len(ratios)), 1.0))[1]
-    scales, spread = _scales(model, knowledge), knowledge.order_of(model)
-    for k, mode in enumerate(model.modes):
-        if not np.isnan(known[k]):
-            rows[ROWS * k] = (ratios[k] - known[k]) / knowledge.std
-            jacobian[ROWS * k] = order[k] / knowledge.std
-            continue
-        rows[ROWS * k], jacobian[ROWS * k] = ratios[k] / spread[k], order[k] / spread[k]
-        if knowledge.closeness is not None:
-            place = slice(ROWS * k + 1, ROWS * k + 3)
-            at = model.layout.mode(k).start
-            rows[place], jacobian[place, at + 2 : at + 6] = _growth_rows(mode[2:4], mode[4:6], scales[k], knowledge)
-    return rows, jacobian
+    known = knowledge.of_modes(model)
+    ratios, order = split_rows(model, Split(np.zeros(len(known)), 1.0))
+    rows, jacobian = np.zeros((len(known), ROWS)), np.zeros((len(known), ROWS, model.layout.size))
+    open_ = np.isnan(known)
+    spread = np.where(open_, knowledge.order_of(model), knowledge.std)
+    rows[:, 0] = (ratios - np.where(open_, 0.0, known)) / spread
+    jacobian[:, 0] = order / spread[:, None]
+    if knowledge.closeness is not None and open_.any():
+        at = np.flatnonzero(open_)
+        shapes, scales = model.modes[at, 2:6], _scales(model, knowledge)[at]
+        rows[at, 1:], slope = _growth_rows(shapes[:, :2], shapes[:, 2:], scales, knowledge)
+        jacobian[at[:, None, None], [[1], [2]], _shape_places(model)[at][:, None]] = slope
+    return rows.ravel(), jacobian.reshape(-1, model.layout.size)
 
 
-def _growth_rows(bearing: Real, sensor: Real, scales: tuple[float, float], knowledge: Knowledge) -> tuple[Real, Real]:
-    """Residuals of the change at either bearing, (2,), and their slope to (b_A, b_B, s_A, s_B), (2, 4)."""
-    shape = np.concatenate([bearing, sensor])
-    top = int(np.argmax(np.abs(shape)))
+def _growth_rows(bearing: Real, sensor: Real, scales: Real, knowledge: Knowledge) -> tuple[Real, Real]:
+    """Residuals of n modes' change at either bearing, (n, 2), and their slope to (b_A, b_B, s_A, s_B), (n, 2, 4)."""
+    shape, modes = np.concatenate([bearing, sensor], axis=1), np.arange(len(bearing))
+    top = np.argmax(np.abs(shape), axis=1)
+    largest = shape[modes, top][:, None]
+    size = np.abs(largest) + 1e-12
     sign = np.where(bearing < 0, -1.0, 1.0)
-    growth = (sensor - bearing) * sign / (abs(shape[top]) + 1e-12)
-    steep = 1.0 / (abs(shape[top]) + 1e-12) / _scale(growth, scales, knowledge)
-    growth = (sensor - bearing) * sign * steep
-    slope = np.zeros((2, 4))
+    change = (sensor - bearing) * sign
+    steep = 1.0 / size / _scale(change / size, scales, knowledge)
+    growth = change * steep
+    slope = np.zeros((len(bearing), 2, 4))
     for j in range(2):
-        slope[j, j], slope[j, 2 + j] = -sign[j] * steep[j], sign[j] * steep[j]
-        slope[j, top] -= growth[j] * np.sign(shape[top]) / (abs(shape[top]) + 1e-12)
+        slope[:, j, j], slope[:, j, 2 + j] = -sign[:, j] * steep[:, j], sign[:, j] * steep[:, j]
+        slope[modes, j, top] -= (growth * np.sign(largest) / size)[:, j]
     rows = np.sign(growth) * np.sqrt((TAILS + 1) * np.log1p(growth**2 / TAILS))
     near = np.abs(growth) < 1e-6
     by_growth = np.where(
         near, np.sqrt((TAILS + 1) / TAILS), (TAILS + 1) * growth / (TAILS + growth**2) / np.where(near, 1.0, rows)
     )
-    return rows, by_growth[:, None] * slope
+    return rows, by_growth[..., None] * slope
 
 
-def _scales(model: PlaneModel, knowledge: Knowledge) -> list[tuple[float, float]]:
-    """`Knowledge.scales_of` each mode, in the model's order."""
+def _scales(model: PlaneModel, knowledge: Knowledge) -> Real:
+    """`Knowledge.scales_of` each mode, in the model's order, (n, 2)."""
     if knowledge.closeness is None:
-        return []
+        return np.zeros((model.layout.n_modes, 2))
     place = np.argsort(np.argsort(model.natural_frequencies))
-    return [knowledge.scales_of(int(k)) for k in place]
+    return np.array([knowledge.scales_of(int(k)) for k in place]).reshape(-1, 2)
 
 
-def _scale(growth: Real, scales: tuple[float, float], knowledge: Knowledge) -> Real:
+def _scale(growth: Real, scales: Real, knowledge: Knowledge) -> Real:
     """Scale of a change at bearings A and B, (..., 2): that of growth towards the shaft's end, or of fall."""
     outboard = np.array(knowledge.outboard)
     falls = outboard & (growth < 0) | ~outboard & (growth > 0)
-    return np.where(falls, scales[1], scales[0])
+    return np.where(falls, scales[..., 1:], scales[..., :1])
 
 
 def log_prior(model: PlaneModel, points: Real, knowledge: Knowledge) -> Real:

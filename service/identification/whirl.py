@@ -6,9 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, eig
+from scipy.linalg import eig
 
-from service.identification.closed_loop import controller_states, driven, integrated, with_known_sensors
+from service.identification.closed_loop import (
+    block_diagonal,
+    controller_states,
+    driven,
+    integrated,
+    with_known_sensors,
+)
 from service.identification.rotating_model import RotatingModel
 from service.identification.zoh import Complex, Real
 
@@ -91,7 +97,7 @@ def loop_matrix(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s
         for j in range(1, past[k]):
             big[at + 2 * j : at + 2 * j + 2, at + 2 * j - 2 : at + 2 * j] = np.eye(2)
         at += 2 * past[k]
-    ca, cb, cc, cd = (block_diag(*[x] * 4) for x in controller_states(controller))
+    ca, cb, cc, cd = (block_diagonal([x] * 4) for x in controller_states(controller))
     top = np.hstack([big - drive @ cd @ seen, drive @ cc])
     closed = np.vstack([top, np.hstack([-cb @ seen, ca])])
     return closed, np.hstack([seen, np.zeros((4, len(ca)))])
@@ -108,7 +114,7 @@ def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, R
     gain = np.concatenate([p.sensor_gain for p in model.planes])
     seen = np.hstack([gain[:, None] * m.sensors, np.zeros((4, n))])
     parts = [driven(p.amplifiers, p.known.chain) for p in model.planes]
-    a_amp, b_amp, c_amp = (block_diag(*[x[j] for x in parts]) for j in range(3))
+    a_amp, b_amp, c_amp = (block_diagonal([x[j] for x in parts]) for j in range(3))
     size = len(a_amp)
     a = np.block([[a_amp, np.zeros((size, 2 * n))], [push @ c_amp, rotor]])
     b = np.vstack([b_amp, np.zeros((2 * n, 4))])
