@@ -86,10 +86,7 @@ def _base_band(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s:
     s, held = _at_lines(omega_, sample_time_s)
     poles, d_poles = poles_of(parameters)
     away = 1.0 / (s - poles[:, None])
-    response: Complex = held * np.exp(-s * delay_s)
-    for pole, share in zip(poles, away, strict=True):
-        response *= -pole * share
-    response *= parameters[0]
+    response = np.asarray(parameters[0] * np.prod(-poles[:, None] * away, axis=0) * np.exp(-s * delay_s) * held)
     gradient = np.empty((len(parameters) + 1, len(omega)), dtype=complex)
     gradient[0] = response / parameters[0]
     gradient[1:-1] = response * (d_poles.T @ (1.0 / poles[:, None] + away))
@@ -101,7 +98,7 @@ def _base_band(omega_: bytes, parameters_: bytes, delay_s: float, sample_time_s:
 def _at_lines(omega_: bytes, sample_time_s: float) -> tuple[Complex, Complex]:
     """s and the hold's gain at the lines, (P,) each: no fit moves them."""
     omega = np.frombuffer(omega_)
-    return 1j * omega, hold(omega, sample_time_s)
+    return np.asarray(1j * omega, dtype=np.complex128), hold(omega, sample_time_s)
 
 
 def sampled(omega: Real, parameters: Real, delay_s: float, sample_time_s: float) -> tuple[Complex, Complex]:

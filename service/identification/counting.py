@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,8 @@ class Counted:
     number: int
     first: Refined
     """From which the count began."""
+    rejected: tuple[Refined, ...] = ()
+    """From which others began that need more words."""
 
     @property
     def best(self) -> Refined:
@@ -71,11 +73,13 @@ class Counting:
         """What was found, or what other starts lead to, whichever describes the data in fewer words."""
         if not starts:
             return found
-        first = self._begun(starts, beside)
-        if self._alike(first, found.first):  # and so would be what is counted from there
+        first, before = self._begun(starts, beside), (found.first, *found.rejected)
+        if any(self._alike(first, f) for f in before):  # and so would be what is counted from there
             return found
         other = self._counted(starts[0], first)
-        return other if self.fits.length(other.best) < self.fits.length(found.best) else found
+        if self.fits.length(other.best) < self.fits.length(found.best):
+            return replace(other, rejected=before)
+        return replace(found, rejected=(*found.rejected, first))
 
     def from_starts(self, starts: list[PlaneModel], beside: float = 0.0) -> Counted:
         """Count from the first of the starts that leads anywhere; ``beside``: see `JointFits.begun`."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.evidence import Evidence, leave_one_out
-from service.identification.plane_model import PlaneModel
+from service.identification.plane_model import Layout, PlaneModel
 from service.identification.refine import NEAR, Refined, refine
 from service.identification.residuals import Data, Weights, residuals
 from service.identification.split import Knowledge, held_rows, likeliest
@@ -28,6 +28,8 @@ class JointFits:
 
     data: Data
     knowledge: Knowledge
+    _begun: dict[tuple[Layout, bytes, float], Refined] = field(default_factory=dict, repr=False, compare=False)
+    """By where they began: where nothing fits, one search is led to the start of another."""
 
     def free(self, model: PlaneModel) -> NDArray[np.bool_]:
         """What a fit moves: without currents the delay stays as it is told, and amplifiers where no tolerance is."""
@@ -40,6 +42,12 @@ class JointFits:
 
     def begun(self, start: PlaneModel, beside: float) -> Refined:
         """Forgiving first, then in units of the noise, from splits so much beside the likeliest ones."""
+        key = (start.layout, start.theta.tobytes(), beside)
+        if key not in self._begun:
+            self._begun[key] = self._from(start, beside)
+        return self._begun[key]
+
+    def _from(self, start: PlaneModel, beside: float) -> Refined:
         free = self.free(start)
         model = with_split(start, likeliest(start, self.knowledge) + beside)
         # step 3 has the amplifiers: they wait until the rest has found its place
