@@ -14,6 +14,8 @@ SHEET = reference_datasheet()
 TRUTH = plane_model_of(reference_rig(), "x")
 CONTROLLER = (np.array(SHEET.numerator), np.array(SHEET.denominator))
 BLOCKS, RATE = 6, 10_000.0
+AT_ONCE = 1000
+"""Steps whose excitation and noise are made together."""
 AXES = ("xA", "xB")
 HZ = np.unique(np.concatenate([np.geomspace(12, 980, 26), 495 + np.linspace(-12, 12, 9), 907 + np.linspace(-9, 9, 7)]))
 
@@ -38,29 +40,35 @@ def run(settle_s: float, told: bool = True, seed: int = 0, truth: PlaneModel = T
     rng = np.random.default_rng(seed)
     x = np.zeros((len(plant.A), len(hz), 1))[:, :, 0]
     memory = np.zeros((len(a) - 1, 2, len(hz)))  # of the controller, transposed direct form
-    sums = {name: np.zeros((len(hz), BLOCKS, 2), dtype=complex) for name in "ruiy"}
-    for k in range(start + BLOCKS * int(n.max())):
-        y = plant.C @ x + noise[0] * rng.standard_normal((2, len(hz)))
-        i = see_i @ x + noise[1] * rng.standard_normal((2, len(hz)))
-        out = b[0] * -y + memory[0]
-        memory = np.concatenate([memory[1:], np.zeros((1, 2, len(hz)))]) + b[1:, None, None] * -y
-        memory -= a[1:, None, None] * out
-        r = np.zeros((2, len(hz)))
-        r[axis, np.arange(len(hz))] = size * np.cos(2 * np.pi * hz * k / RATE)
-        u = out + r
-        block = (k - start) // n
-        on = (k >= start) & (block < BLOCKS)
-        turn = 2 / n * np.exp(-2j * np.pi * hz * k / RATE)
-        for name, signal in (("r", r), ("u", u), ("i", i), ("y", y)):
-            sums[name][on, block[on]] += (turn * signal).T[on]
-        x = plant.A @ x + plant.B @ u
+    everyone, none = np.arange(len(hz)), np.zeros((1, 2, len(hz)))
+    steps = start + BLOCKS * int(n.max())
+    kept = np.empty((4, steps - start, 2, len(hz)))  # r, u, i, y
+    for first in range(0, steps, AT_ONCE):
+        now = np.arange(first, min(first + AT_ONCE, steps))
+        pushes = size * np.cos(2 * np.pi * hz * now[:, None] / RATE)
+        for k, push, heard in zip(now.tolist(), pushes, rng.standard_normal((len(now), 2, 2, len(hz))), strict=True):
+            y = plant.C @ x + noise[0] * heard[0]
+            out = b[0] * -y + memory[0]
+            memory = np.concatenate([memory[1:], none]) + b[1:, None, None] * -y
+            memory -= a[1:, None, None] * out
+            r = np.zeros((2, len(hz)))
+            r[axis, everyone] = push
+            u = out + r
+            if k >= start:
+                kept[:, k - start] = r, u, see_i @ x + noise[1] * heard[1], y
+            x = plant.A @ x + plant.B @ u
+    sums = np.empty((4, len(hz), BLOCKS, 2), dtype=complex)
+    for j, (f, count) in enumerate(zip(hz, n, strict=True)):
+        k = start + np.arange(BLOCKS * count)
+        turned = kept[:, : len(k), :, j] * (2 / count * np.exp(-2j * np.pi * f * k / RATE))[:, None]
+        sums[:, j] = turned.reshape(4, BLOCKS, count, 2).sum(axis=2)
     return Sweep(
         kind="stepped-sine",
         frequency_hz=hz,
         axis=axis,
         amplitude_a=size,
         harmonics=(1,),
-        **{name.upper(): value[:, :, None, :] for name, value in sums.items()},
+        **dict(zip("RUIY", sums[:, :, :, None], strict=True)),
         sample_rate_hz=RATE,
         block_samples=n if told else None,
     )
