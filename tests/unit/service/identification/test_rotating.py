@@ -197,15 +197,14 @@ def test_the_fit_is_at_the_noise_and_agrees_with_the_planes(turned: Turned) -> N
     assert rms < 1.4
 
 
-def test_standstill_alone_gives_the_planes_fits(datasheet: Datasheet) -> None:
+def test_standstill_alone_gives_the_planes_fits(datasheet: Datasheet, turning_result: CommissioningResult) -> None:
     """The two-by-two fits are the special case of no speed."""
-    experiment = Experiment("reference", datasheet.axes, (sweep_at(0.0, 0),))
-    planes = identify(experiment, datasheet).planes
+    planes = turning_result.planes  # of the sweep at standstill
     x, y = planes["x"].model, planes["y"].model
     start = joined(x, y, paired(x, y), POLAR)
     free = start.layout.free()
     free[start.layout.rigid] = False  # known, as the planes have it
-    data = (speed_points(experiment.main, datasheet.axes, "main"),)
+    data = (speed_points(sweep_at(0.0, 0), datasheet.axes, "main"),)
     found = fit_rotating(start, data, (Split(log_ratios(x)), Split(log_ratios(y))), free)
     for k, plane in enumerate((planes["x"], planes["y"])):
         names = plane.model.layout.names

@@ -7,7 +7,7 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.identification.closed_loop import closed_loop_poles
-from service.identification.fit import fit_plane, identify
+from service.identification.fit import FittedPlane, fit_plane, identify
 from service.identification.leakage import leakage
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
@@ -80,17 +80,25 @@ def test_what_lasts_is_not_taken_for_what_dies_within_the_first_block() -> None:
     assert any("500.5 Hz mode of the closed loop still rang" in w for w in plane.warnings)
 
 
-def test_of_settled_points_nobody_is_told_anything() -> None:
-    found = fit_plane(run(2.0, seed=1), None, None, AXES, "x", sheet())
-    assert found.transients == ()
+@pytest.fixture(scope="module")
+def patient() -> tuple[Sweep, FittedPlane]:
+    """Points that had settled, and what is found in them."""
+    sweep = run(2.0, seed=1)
+    return sweep, fit_plane(sweep, None, None, AXES, "x", sheet())
 
 
-def test_starts_that_may_be_there_cost_settled_points_no_stiffness(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_settled_points_nobody_is_told_anything(patient: tuple[Sweep, FittedPlane]) -> None:
+    assert patient[1].transients == ()
+
+
+def test_starts_that_may_be_there_cost_settled_points_no_stiffness(
+    patient: tuple[Sweep, FittedPlane], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A mode's start may be there where noise keeps the loop ringing; the suspension's must show beyond doubt."""
-    experiment = synthetic_experiment(run(2.0, seed=1), axes=AXES)
-    found = identify(experiment, sheet()).planes["x"].stiffness["ksB"].std_from_data
+    sweep, plane = patient
+    found = plane.result(sheet()).stiffness["ksB"].std_from_data
     monkeypatch.setattr("service.identification.transient._rings_on", lambda *_: False)
-    otherwise = identify(experiment, sheet()).planes["x"].stiffness["ksB"].std_from_data
+    otherwise = fit_plane(sweep, None, None, AXES, "x", sheet()).result(sheet()).stiffness["ksB"].std_from_data
     assert found is not None
     assert otherwise is not None
     assert found < 1.01 * otherwise

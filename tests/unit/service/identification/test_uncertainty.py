@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.identification.fit import fit_plane, identify
+from service.identification.fit import fit_plane
 from service.identification.plane_model import Points
 from service.identification.points import plane_points
 from service.identification.refine import refine
 from service.identification.residuals import Data, Weights
 from service.identification.split import Posterior, Split, log_ratios
-from service.identification.synthetic import synthetic_experiment, synthetic_sweep
+from service.identification.synthetic import synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
 from service.identification.whitening import whitener
 from tests.support.ringing import AXES, CONTROLLER, HZ, TRUTH, sheet
@@ -49,11 +49,10 @@ def test_weights_that_six_blocks_tell_leave_deviations_as_large_as_the_scatter()
 
 
 def test_a_plane_reports_deviations_in_units_of_its_residuals() -> None:
-    sweep = measured(4)
-    selected = fit_plane(sweep, None, None, AXES, "x", sheet()).selected
-    u = uncertainty_of(selected.refined, selected.splits)
+    found = fit_plane(measured(4), None, None, AXES, "x", sheet())
+    u = uncertainty_of(found.selected.refined, found.selected.splits)
     assert u.adequate
     assert u.scale > 1.01
-    plane = identify(synthetic_experiment(sweep, axes=AXES), sheet()).planes["x"]
+    plane = found.result(sheet())
     for k, name in enumerate(("kiA", "kiB", "ksA", "ksB")):
         assert plane.stiffness[name].std_from_data == pytest.approx(u.scale * np.sqrt(u.from_data[k, k]), rel=1e-6)

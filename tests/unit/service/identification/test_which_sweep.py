@@ -9,11 +9,15 @@ from service.experiment.data import Sweep
 from service.identification.fit import identify
 from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_rig
-from tests.support.commissioned import AXES, LAW, SHEET
+from tests.support import commissioned
+from tests.support.commissioned import LAW
+from tests.support.two_axes import sheet_of_one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines
 
-MODELS = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+SHEET = sheet_of_one_plane(commissioned.SHEET)  # sweeps are chosen for all planes alike
+AXES = SHEET.axes
+MODELS = {"x": plane_model_of(reference_rig(), "x")}
 NOISE = {"relative_noise": 1e-3, "current_noise_a": 1e-6, "displacement_noise_m": 1e-12}
 
 
@@ -33,5 +37,5 @@ def test_a_sweep_of_single_blocks_is_no_check_and_no_end_of_the_identification()
     poor = swept("validation", 12, 3)
     poor = replace(poor, **{k: getattr(poor, k)[:, :1] for k in "RUIY"})
     found = identify(synthetic_experiment(swept("main", 40, 2), poor, axes=AXES, rig="reference"), SHEET)
-    assert all(p.cross_validation_fit_percent is None for p in found.planes.values())
+    assert found.planes["x"].cross_validation_fit_percent is None
     assert any("cross-validation cannot be used" in warning for warning in found.warnings)
