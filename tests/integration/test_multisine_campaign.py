@@ -211,6 +211,48 @@ def test_a_rig_that_trips_is_measured_at_a_lower_level(tmp_path, short):
     assert experiment.main.n_points == short.main.n_points
 
 
+def test_a_sweep_that_trips_is_played_on_at_half_its_level(tmp_path, short):
+    """The pilot moves the rotor too little to trip it; what is designed from that may be too much."""
+
+    class Weak(Counted):
+        pilot_a = most_a = np.inf
+        tripped = 0
+
+        def measure_periodic(self, waveform):
+            if 1.5 * self.pilot_a < waveform.peak_a < np.inf == self.most_a:
+                self.most_a = 0.9 * waveform.peak_a
+            if waveform.peak_a > self.most_a:
+                self.tripped += 1
+                raise TripError("displacement", "displacement of axis xA reached its limit")
+            self.pilot_a = min(self.pilot_a, waveform.peak_a or np.inf)
+            return self.inner.measure_periodic(waveform)
+
+    rig = Weak(lambda k: None)
+    experiment = campaign(tmp_path, rig)
+    assert 1 <= rig.tripped <= 3  # once a sweep: what follows within it begins lower
+    assert set(experiment.main.flags) == {"repeated at lower amplitude after a displacement trip"}
+    ratio = np.linalg.norm(experiment.main.R) / np.linalg.norm(short.main.R)
+    assert ratio == pytest.approx(0.5, rel=0.02)
+    assert experiment.main.n_points == short.main.n_points
+
+
+def test_a_pilot_that_trips_is_repeated_at_a_quarter_of_its_level(tmp_path):
+    peaks = []
+
+    class Touchy(Counted):
+        def measure_periodic(self, waveform):
+            if waveform.peak_a:
+                peaks.append(waveform.peak_a)
+                if len(peaks) == 1:
+                    raise TripError("displacement", "displacement of axis xA reached its limit")
+                raise KeyboardInterrupt  # the rest is another test's
+            return self.inner.measure_periodic(waveform)
+
+    with pytest.raises(CancelledError):
+        campaign(tmp_path, Touchy(lambda k: None))
+    assert peaks[1] == pytest.approx(peaks[0] / 4, rel=0.01)
+
+
 def test_a_rig_that_trips_at_every_level_is_given_up_with_the_excitation_off(tmp_path):
     class Tripping(Counted):
         def measure_periodic(self, waveform):
