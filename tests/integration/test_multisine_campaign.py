@@ -219,7 +219,7 @@ def test_a_sweep_that_trips_is_played_on_at_half_its_level(tmp_path, short):
         tripped = 0
 
         def measure_periodic(self, waveform):
-            if 1.5 * self.pilot_a < waveform.peak_a < np.inf == self.most_a:
+            if self.most_a == np.inf and waveform.peak_a > 1.5 * self.pilot_a:  # the first one after the pilot
                 self.most_a = 0.9 * waveform.peak_a
             if waveform.peak_a > self.most_a:
                 self.tripped += 1

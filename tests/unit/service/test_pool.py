@@ -102,12 +102,12 @@ def gone(process: str) -> bool:
         return True
 
 
-def end_soon(begun: Path) -> None:
-    """See the processes end that have left their number in a folder."""
+def end_soon(begun: Path) -> bool:
+    """Whether the processes end that have left their number in a folder."""
     deadline = time.monotonic() + 20
-    while not all(map(gone, os.listdir(begun))):
-        assert time.monotonic() < deadline
+    while not (ended := all(map(gone, os.listdir(begun)))) and time.monotonic() < deadline:
         time.sleep(0.01)
+    return ended
 
 
 def test_ctrl_c_while_processes_load_ends_them_all_without_a_traceback(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_ctrl_c_while_processes_load_ends_them_all_without_a_traceback(tmp_path:
         _, said = command.communicate(timeout=60)
     assert said == "interrupted\n"
     assert command.returncode == 1
-    end_soon(loading)
+    assert end_soon(loading)
 
 
 def test_what_is_said_in_advance_is_loaded_once(tmp_path: Path) -> None:
@@ -145,4 +145,4 @@ def test_processes_end_with_a_command_that_was_killed(number: signal.Signals, tm
     with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy")) as command:
         command.send_signal(number)
         command.wait(20)
-        end_soon(tmp_path / "busy")
+        assert end_soon(tmp_path / "busy")
