@@ -80,6 +80,8 @@ NOT_IN_MODEL = {
     "acts within a plane, and the margins those of planes by themselves",
     "seal_cross_stiffness_n_per_m": "it couples the planes, which are identified one by one: the damping that it takes "
     "from a whirl is not in the margins",
+    "seal_cross_stiffness_by_speed_ns_per_m": "it couples the planes, which are identified one by one: the damping "
+    "that it takes from a whirl is not in the margins",
     "drift": "the model's magnets do not change with time: ki and ks are means over the experiment, and residuals grow "
     "with what they changed meanwhile",
     "contact": "the model's rotor is free: where it touches, ki, ks and damping ratios are wrong; keep displacements "

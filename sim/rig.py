@@ -226,8 +226,10 @@ class Rig:
     linear_range_m: float
     support: Support | None = None
     contact: Contact | None = None
-    seal_cross_stiffness_n_per_m: Array = field(default_factory=lambda: np.zeros(2))
-    """k of fx = -k y, fy = +k x at the bearings A and B, (2,)."""
+    seal_cross_stiffness_n_per_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    """K of fx = -K y, fy = +K x, displacements at the bearings A and B, (2, 2); diagonal for seals that are there."""
+    seal_cross_stiffness_by_speed_ns_per_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    """What the speed adds to it, as the rotor carries the fluid round: K per rad/s, (2, 2)."""
     disturbances: tuple[Disturbance, ...] = ()
     noise: Noise = field(default_factory=Noise)
     logging_offset_samples: float = 0.0

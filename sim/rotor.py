@@ -78,14 +78,24 @@ def mechanics(rig: Rig) -> Mechanics:
         for k, (ends, of_housing) in enumerate(housings, start=n_rotor + plane * len(housings)):
             mass[k, k], damping[k, k], stiffness[k, k] = of_housing
             bearing_map[2 * plane + ends, k] = sensor_map[2 * plane + ends, k] = -1.0
-    if np.any(rig.seal_cross_stiffness_n_per_m) and rig.n_planes == 2:
+    if sealed(rig):
         stiffness += bearing_map.T @ seal_stiffness(rig) @ bearing_map
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
 
 
+def sealed(rig: Rig) -> bool:
+    """Whether seals couple the planes of a rig, at its speed."""
+    return rig.n_planes == 2 and bool(np.any(_cross_stiffness(rig)))
+
+
 def seal_stiffness(rig: Rig) -> Array:
     """Stiffness of seals at the bearings of two planes, (4, 4): fx = -k y, fy = +k x on the right-hand side."""
-    return np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.diag(rig.seal_cross_stiffness_n_per_m))
+    return np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), _cross_stiffness(rig))
+
+
+def _cross_stiffness(rig: Rig) -> Array:
+    """K of the seals at the rig's speed, N/m, (2, 2)."""
+    return rig.seal_cross_stiffness_n_per_m + rig.seal_cross_stiffness_by_speed_ns_per_m * rig.speed_rad_s
 
 
 def _housings(support: Support) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:

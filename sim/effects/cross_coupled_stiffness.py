@@ -1,4 +1,4 @@
-"""Cross-coupled stiffness of a seal or an impeller at the bearings, the same at both or more at one of them."""
+"""Cross-coupled stiffness of a seal or an impeller, at the bearings or between them, nearer to one or alike."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,9 +11,16 @@ from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    end = p["end_imbalance"]
-    added = p["stiffness_n_per_m"] * np.array([1 + end, 1 - end])
-    return replace(rig, seal_cross_stiffness_n_per_m=rig.seal_cross_stiffness_n_per_m + added)
+    end, between = p["end_imbalance"], p["between"]
+    of_ends = np.array([1 + end, 1 - end])
+    # between the bearings one of the same stiffness in all: y there is the mean of the ends', so weighted
+    shape = (1 - between) * np.diag(of_ends) + between * np.outer(of_ends, of_ends) / 2
+    return replace(
+        rig,
+        seal_cross_stiffness_n_per_m=rig.seal_cross_stiffness_n_per_m + p["stiffness_n_per_m"] * shape,
+        seal_cross_stiffness_by_speed_ns_per_m=rig.seal_cross_stiffness_by_speed_ns_per_m
+        + p["by_speed_ns_per_m"] * shape,
+    )
 
 
 EFFECT = Effect(
@@ -29,10 +36,34 @@ EFFECT = Effect(
             0.0,
             description="at each bearing, mean of both, sign of the whirl",
         ),
+        Parameter(
+            "by_speed_ns_per_m",
+            "N s/m",
+            -1e5,
+            1e5,
+            0.0,
+            0.0,
+            description="what each rad/s adds to it, as the rotor carries the fluid round; told by two speeds alone",
+            strength=False,
+            optional=True,
+            dormant=True,
+        ),
         of_end("the seal"),
+        Parameter(
+            "between",
+            "1",
+            0.0,
+            1.0,
+            0.0,
+            0.0,
+            description="share of it that is between the bearings, nearer to one as the imbalance tells, not at each",
+            strength=False,
+            optional=True,
+        ),
     ),
     apply=_apply,
-    law="f_x = -k (1 +- e) y, f_y = +k (1 +- e) x, + at A",
+    law="f_x = -(k + k' W) (1 +- e) y, f_y = +(k + k' W) (1 +- e) x, + at A; between the bearings 2 (k + k' W) at "
+    "the mean of both displacements, weighted by 1 +- e",
     signature="antisymmetric off-diagonal x-y of y/i at low frequency; takes damping from one whirl",
     aliases=("gyroscopic_coupling", "magnetic_cross_coupling"),
     separated_by="low frequency: gyroscopic coupling grows with frequency and speed; a rotation of the magnets stays "

@@ -82,6 +82,8 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
             "sensor_A_per_sqrt_kg": float(at_s[0]),
             "sensor_B_per_sqrt_kg": float(at_s[1]),
         }
+    if name == "cross_coupled_stiffness":  # one speed cannot tell what part goes with it
+        return {"by_speed_ns_per_m": 0.0, "between": float(g.choice([0.0, 0.0, 1.0]))}
     if name == "eddy_currents":
         return {"corner_rad_s": float(g.choice([1.0, 10.0, 300.0]))}
     return {}

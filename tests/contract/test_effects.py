@@ -170,8 +170,8 @@ def test_each_of_its_parameters_counts(one):
         record = Simulation(replace(rig, noise=Noise())).advance(shaking(1500), check_limits=False)
         return np.stack([model.i_per_u, model.y_per_u, model.u_per_r]), np.stack([record.u, record.i, record.y])
 
-    rig = rig_for(one)
     for p in one.parameters:
+        rig = reference_rig(speed_rad_s=SPEED_RAD_S) if p.name.startswith("by_speed") else rig_for(one)
         others = beside.get(p.name, {})
         typical = answer(one.on(rig, **others))
         # shapes only a little: what one axis alone has is four times as strong there, and the loop need not hold it

@@ -17,7 +17,7 @@ from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, Values
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, Stage
-from service.gap.fitting.unknowns import asleep, slow_to_compute
+from service.gap.fitting.unknowns import BY_SPEED, asleep, slow_to_compute
 from service.pool import Workers, workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
@@ -94,6 +94,8 @@ def fit_task(task: Task) -> Candidate:
 
 def _fitted(task: Task) -> Candidate:
     dormant = frozenset.intersection(*(asleep(task.effects, values) for values in task.starts))
+    if len({o.speed_rad_s for o in task.ground.observations}) > 1:
+        dormant -= BY_SPEED
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.plain | dormant)
     active, rough = problem.active, [s for s in task.stages if s.closed]
     begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]

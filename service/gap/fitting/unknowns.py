@@ -24,6 +24,8 @@ LONGEST_LOG = 1.5
 IN_BAND = ("extra_flexible_mode", "frequency_hz")
 """An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
 any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
+BY_SPEED = frozenset({("cross_coupled_stiffness", "by_speed_ns_per_m")})
+"""Dormant parameters, by effect and name, that sweeps at several speeds wake: at one they say what another one does."""
 OFF_CENTRE, ECCENTRIC = "off_centre_rotor", 0.45
 """An effect, and the share of the smallest air gap that its offsets reach at most: at the pole there is no force law,
 and magnets do not levitate a rotor much farther off than 0.3."""

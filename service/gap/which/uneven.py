@@ -71,7 +71,7 @@ def uneven(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Cand
 
 def _uneven_by(c: Candidate) -> list[str]:
     """Effects of an explanation that may differ from axis to axis, and do not yet."""
-    may = {name for name, _ in asleep(c.effects, c.fit.values)}
+    may = {name for name, p in asleep(c.effects, c.fit.values) if p in imbalance.NAMES}
     return [name for name in c.effects if name in may]
 
 

@@ -34,6 +34,17 @@ def test_one_slow_amplifier_is_told_from_the_others() -> None:
     assert found["frequency_change"] == pytest.approx(-0.15, rel=0.1)
 
 
+def test_a_seal_between_the_bearings_is_told_as_one() -> None:
+    """An impeller's: it pushes where the rotor is neither bearing's displacement."""
+    datasheet, truth = known_datasheet(seed=62)
+    values = {"stiffness_n_per_m": 5e4, "end_imbalance": 0.3, "between": 1.0}
+    d = diagnose(experiment(with_effects(true_rig(truth), {"cross_coupled_stiffness": values})), datasheet)
+    assert d.verdict.effects == ("cross_coupled_stiffness",)
+    found = d.chosen.fit.values[0]
+    assert (found["stiffness_n_per_m"], found["end_imbalance"]) == pytest.approx((5e4, 0.3), rel=0.1)
+    assert found["between"] == pytest.approx(1.0, abs=0.05)
+
+
 def test_the_bearing_with_the_seal_is_told() -> None:
     datasheet, truth = known_datasheet(seed=5)
     values = {"stiffness_n_per_m": -1e5, "end_imbalance": -1.0}
