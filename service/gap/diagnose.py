@@ -12,7 +12,7 @@ from service.gap.diagnosis import Diagnosis, closures_of, listed
 from service.gap.doubts.swings import swinging
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.predict import at_speed_of
-from service.gap.heard import scatter_shrinkage, with_interference
+from service.gap.heard import once_a_turn, scatter_shrinkage, with_interference
 from service.gap.interference import measured_by
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
@@ -59,7 +59,7 @@ def diagnose(
 def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter) -> Diagnosis:
     """What was found, judged and measured on data that no fit has seen."""
     nu, o, unseen = data.nuisance, data.o, found.unseen
-    notes = [*data.notes, *found.notes, *not_weighed(fitter.lost, found.parts)]
+    notes = [*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts)]
     whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
     fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
     sources = [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]

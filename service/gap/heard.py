@@ -47,6 +47,16 @@ def heard_too(verdict: Verdict, sources: Sequence[Interference], found: Sequence
     return Verdict("effect" if len(names) == 1 else "effects", names, classes, ALONE, ())
 
 
+def once_a_turn(sources: Sequence[Interference]) -> list[str]:
+    """What is said where runout was heard: at one speed an unbalance sounds the same."""
+    return [
+        f"the runout heard at {s.frequency_hz:.4g} Hz may as well be an unbalance, which pushes the rotor once a turn: "
+        "at another speed that grows with the speed's square, and runout does not"
+        for s in sources
+        if s.effect == "runout"
+    ]
+
+
 def _near(e: Explained, sources: Sequence[Interference]) -> bool:
     """Whether what the best explanation of a part leaves lies near the interference, and nothing of it elsewhere."""
     for z, o in zip(e.left, e.ground.observations, strict=True):

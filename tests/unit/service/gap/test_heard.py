@@ -10,7 +10,7 @@ from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.heard import heard_too, with_interference
+from service.gap.heard import heard_too, once_a_turn, with_interference
 from service.gap.interference import Interference
 from service.gap.weighing.verdict import Ranked, Verdict
 from service.gap.which.rivals import left_together
@@ -110,3 +110,11 @@ def test_the_twin_that_the_verdict_names_is_listed_also_where_another_is_likelie
         listed = with_interference(Composition(order), ("mains_interference",), [LOUD]).order
         assert listed[0].candidate.effects == ("mains_interference",)
         assert {r.candidate.effects for r in listed[1:]} == {("sensor_lag",), ()}
+
+
+def test_runout_is_told_with_what_else_goes_once_a_turn_and_a_hum_is_not() -> None:
+    turning = replace(BY_PHASE, effect="runout", frequency_hz=60.0, parameters={"amplitude_m": 2e-7})
+    assert once_a_turn([BY_PHASE]) == []
+    (note,) = once_a_turn([BY_PHASE, turning])
+    assert "60 Hz" in note
+    assert "unbalance" in note
