@@ -16,7 +16,7 @@ from service.gap.observed import Observed
 from service.gap.telling import Telling
 from service.gap.weighing.another_rig import hopeless
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
-from service.gap.weighing.verdict import VISIBLE, rejected
+from service.gap.weighing.verdict import UNEXPLAINED, VISIBLE, rejected
 from service.gap.which.between import between
 from service.gap.which.held_out import held_out, on_sweep
 from service.gap.which.search import MOST, Explained, explain, plain_twin
@@ -183,6 +183,14 @@ def _left(e: Explained, candidate: Candidate, unseen: Observation) -> float:
 
 
 def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
-    """The line of the other sweep that alone shows a gap that amplifiers at their voltage limit may make, Hz."""
+    """The line of the other sweep that alone shows a gap that a limit may make, Hz; None where there is none.
+
+    Nor where an effect explains as much of that line as its law in another program would.
+    """
     o, z = on_sweep(e, e.chosen, unseen)
-    return alone_hz(e.part, z, o)
+    hz = alone_hz(e.part, z, o)
+    if hz is None or e.part.path == "amplifier" or not e.chosen.effects:
+        return hz
+    at = o.points_hz == hz
+    _, plain = on_sweep(e, e.null.candidate, unseen)
+    return hz if np.sum(np.abs(z[at]) ** 2) > UNEXPLAINED * np.sum(np.abs(plain[at]) ** 2) else None

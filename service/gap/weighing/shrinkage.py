@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.predict import measured, residual, weights
 from service.gap.measured.observation import Observation
-from service.gap.weighing.significance import SIGNIFICANT, fastest_alone_hz, overall, shows_alone_hz, significance
+from service.gap.weighing.significance import (
+    SIGNIFICANT,
+    fastest_alone_hz,
+    furthest_alone_hz,
+    overall,
+    shows_alone_hz,
+    significance,
+)
 from sim.rig import Rig
 
 Real = NDArray[np.float64]
@@ -69,12 +76,12 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
     drawn = _drawn(len(o.frequency_hz), seed)
 
     of_i, of_y = slice(n, 2 * n), slice(2 * n, 3 * n)
-    limited, in_line = (of_y, fastest_alone_hz) if o.I is None else (of_i, shows_alone_hz)
-    alone = in_line(z_b[..., limited], o) is not None
+    tests = [(of_i, shows_alone_hz), (of_y, furthest_alone_hz), *([(of_y, fastest_alone_hz)] if o.I is None else [])]
+    alone = [signal for signal, shown_hz in tests if shown_hz(z_b[..., signal], o) is not None]
 
     def closed(rows: NDArray[np.bool_], columns: slice) -> Closed:
         b, a, known = z_b[rows][..., columns], z_a[rows][..., columns], w[rows][..., columns]
-        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows])) or (alone and columns == limited)
+        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows])) or columns in alone
         return _closed(_per_point(b, known), _per_point(a, known), o.line[rows], drawn, shown)
 
     everywhere = np.ones(len(o.axis), dtype=bool)
@@ -90,7 +97,7 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
         np.mean([_per_point(z[..., k * n : (k + 1) * n], w[..., k * n : (k + 1) * n]) for k in noisy], axis=0)
         for z in (z_b, z_a)
     )
-    whole = _closed(b, a, o.line, drawn, shows(z_b, o) or alone)
+    whole = _closed(b, a, o.line, drawn, shows(z_b, o) or bool(alone))
     return Shrinkage(whole.before, whole.after, whole.closure, whole.closure_95, name, NOISE, paths, channels)
 
 

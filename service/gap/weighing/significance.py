@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above, normal_tail
 from service.gap.fitting.part import Part
+from service.gap.fitting.predict import weight
 from service.gap.measured.observation import Observation
 
 Complex = NDArray[np.complex128]
@@ -24,6 +25,9 @@ FEW = 32
 heavy, at 32 twice."""
 ALONE = 2 * OUTLIER
 """Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap."""
+PEAKED = 0.01
+"""Share of a line's displacement that another program's peak may be off by: its frequency by some 1e-5, where a mode
+has a quality of 500."""
 BY_CHANCE = 1e-19
 """Probability that noise does so in one line of some dozen values."""
 
@@ -75,15 +79,15 @@ def mean_power(z: Complex) -> float:
     return float(power.mean()) if power.size else 0.0
 
 
-def shows_alone_hz(z: Complex, o: Observation) -> float | None:
+def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = None) -> float | None:
     """The line that alone shows a gap, Hz: of all the one where two values are furthest off; None where none is so far.
 
     For amplifiers, which reach a voltage limit in the highest line alone, perhaps, where it drowns in a band. Other
-    parts have peaks that look so. One value alone may be a transient.
+    parts have peaks that look so, but for some ``lines``. One value alone may be a transient.
     """
     off = np.abs(z) ** 2 / 2
     at, largest = 0, 0.0
-    for line in range(len(o.frequency_hz)):
+    for line in range(len(o.frequency_hz)) if lines is None else lines:
         values = np.sort(off[o.line == line][:, [k for k, h in enumerate(o.harmonics) if h > 0]], axis=None)
         if len(values) > 1 and values[-2] > largest:
             at, largest = line, float(values[-2])
@@ -96,15 +100,31 @@ def fastest_alone_hz(z: Complex, o: Observation) -> float | None:
     For the plant driven by the control signal, its currents not logged: a voltage limit is met in that line first.
     """
     steepness = np.abs(o.U[:, o.fundamental]).max(axis=1) * o.points_hz
-    line = int(o.line[np.argmax(steepness)])
-    return shows_alone_hz(np.where((o.line == line)[:, None, None], z, 0), o)
+    return shows_alone_hz(z, o, [int(o.line[np.argmax(steepness)])])
+
+
+def furthest_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line in which an axis swings furthest, Hz, where its fundamentals show a gap as in `shows_alone_hz`, or None.
+
+    For the plant: a stop is met there first, and perhaps in no other line. What is less than `PEAKED` of the line's
+    displacement does not count: that could be a peak.
+    """
+    size = np.abs(o.Y[:, o.fundamental])
+    of_line = np.array([size[o.line == line].max() for line in range(len(o.frequency_hz))])
+    least = PEAKED * of_line[o.line, None] * weight(o, "y")[:, o.fundamental]
+    counted = np.zeros_like(z)
+    counted[:, o.fundamental] = np.where(np.abs(z[:, o.fundamental]) > least, z[:, o.fundamental], 0)
+    return shows_alone_hz(counted, o, sorted({int(o.line[k]) for k in size.argmax(axis=0)}))
 
 
 def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
-    """The line that alone shows a gap that amplifiers at their voltage limit may make, Hz; other parts have peaks."""
+    """The line that alone shows a gap that a limit may make, Hz: amplifiers' of voltage, or a stop's."""
     if part.path == "amplifier":
         return shows_alone_hz(z, o)
-    return fastest_alone_hz(z, o) if part.from_control else None
+    if part.path != "plant":
+        return None
+    steepest = fastest_alone_hz(z, o) if part.from_control else None
+    return furthest_alone_hz(z, o) if steepest is None else steepest
 
 
 def overall(z: Complex) -> float:
