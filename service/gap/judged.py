@@ -9,7 +9,9 @@ import numpy as np
 
 from service.gap.compose import excess_of
 from service.gap.doubts.across import Across, across_alike
-from service.gap.doubts.curved import Seen, curved, curved_instead
+from service.gap.doubts.changing import changing_instead
+from service.gap.doubts.curved import Seen, curved
+from service.gap.doubts.curved_instead import curved_instead
 from service.gap.doubts.loss import lag_missing
 from service.gap.fitting.part import STANDSTILL
 from service.gap.heard import heard_too
@@ -17,7 +19,7 @@ from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import astray, far_off
-from service.gap.weighing.significance import significance
+from service.gap.weighing.significance import furthest_alone_hz, significance
 from service.gap.weighing.verdict import SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.which.search import Explained
@@ -74,19 +76,10 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     """One verdict from the parts': what nothing explains in one part outweighs what is explained in others."""
     own = {}
     for e in found:
-        seen, z = on_sweep(e, e.null.candidate, unseen)
-        significant = max(e.significance, significance(z, seen))
-        own[e.part.path] = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
-        explained = own[e.part.path].kind in ("effect", "effects")
-        # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
-        if (explained or (e.part.path == "plant" and own["plant"].kind != "no_gap")) and (
-            away := far_off(e.ground, e.chosen.fit)
-        ):
-            own[e.part.path] = astray(own[e.part.path], away, e.relative_gap)
-        elif explained and (reason := lag_missing(e)):
-            own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
-        elif (explained or own[e.part.path].kind == "no_gap") and (reason := _bent(e, explained, (seen, z), unseen)):
-            own[e.part.path] = Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), bent=True)
+        plain = on_sweep(e, e.null.candidate, unseen)
+        significant = max(e.significance, significance(plain[1], plain[0]))
+        verdict = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
+        own[e.part.path] = _doubted(e, verdict, plain, unseen)
     by_size = sorted(found, key=lambda e: -excess_of(e))
     total = sum(excess_of(e) for e in found)
     unknown = [
@@ -117,13 +110,41 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     return Verdict(kind, effects, (), probability, (), also_alike=also).with_classes(classes)
 
 
-def _bent(e: Explained, explained: bool, plain: Seen, unseen: Observation) -> str | None:
-    """What curved signal stands behind a part's gap, in words; ``plain`` is the unseen sweep by the plain twin."""
+def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> Verdict:
+    """A part's verdict, or none of these where something speaks against it; ``plain`` as in `_bent`."""
+    if reason := _bent(e, verdict, plain, unseen):
+        return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), bent=True)
+    explained = bool(verdict.effects)
+    # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
+    asked = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
+    if asked and (away := far_off(e.ground, e.chosen.fit)):
+        return astray(verdict, away, e.relative_gap)
+    reason = lag_missing(e) if explained else _far_out(e, plain) if verdict.kind == "no_gap" else None
+    return verdict if reason is None else Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
+
+
+def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> str | None:
+    """What stands behind a part's gap that is not in proportion to the excitation, and no effect, in words.
+
+    ``plain`` is the unseen sweep by the plain twin.
+    """
     best = on_sweep(e, e.chosen, unseen)
-    if explained and (reason := curved_instead(e, plain, best)):
-        return reason
+    if verdict.kind != "no_gap":
+        for instead in (curved_instead, changing_instead):
+            if reason := instead(e, plain, best):
+                return reason
     # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
-    return curved(e, best) if not explained or e.order[0].unexplained > UNEXPLAINED else None
+    blunt = verdict.kind == "no_gap" or (verdict.effects and e.order[0].unexplained > UNEXPLAINED)
+    return curved(e, best) if blunt else None
+
+
+def _far_out(e: Explained, plain: Seen) -> str | None:
+    """What a plant without an effect leaves in a line where the rotor swings furthest, in words."""
+    if e.part.path != "plant":
+        return None
+    sweeps = [plain, *zip(e.ground.observations, e.plain, strict=True)]
+    at_hz = next((hz for o, z in sweeps if (hz := furthest_alone_hz(z, o)) is not None), None)
+    return None if at_hz is None else f"no effect explains the gap at {at_hz:.3g} Hz, where the rotor swings furthest"
 
 
 def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.fitted import Fit, Linearised
+from service.gap.fitting.fitted import OUT_OF_STEPS, Fit, Linearised
 from service.gap.fitting.jacobian import current_jacobian, displacement_jacobian, stacked
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import (
@@ -229,7 +229,7 @@ class Problem(Unknowns):
         begun = self.build(x)
         carried = self._carried(begun)
         state = self._state(x, stage, w, carried)
-        damping, status = 1e-3, "reached the largest number of iterations"
+        damping, status = 1e-3, OUT_OF_STEPS
         own, theirs = range(self.n_own), range(self.n_own, len(self.scale))
         rows, inherited, age = [], [], CHORD
         curvature = np.zeros((len(x), len(x)))

@@ -14,6 +14,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+OUT_OF_STEPS = "reached the largest number of iterations"
+"""Status of a fit that could go on."""
+
+
 @dataclass(frozen=True)
 class Fit:
     """A fitted twin, or one part of it."""
@@ -38,6 +42,11 @@ class Fit:
     """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
     across: tuple[tuple[float, int], ...] = ()
     """as ``groups``, of the fundamental in the plane that was not excited alone, sweep by sweep; part of those"""
+
+    @property
+    def out_of_steps(self) -> bool:
+        """Whether it ended before it settled."""
+        return self.status == OUT_OF_STEPS
 
     @property
     def chi_square(self) -> float:

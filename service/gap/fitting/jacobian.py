@@ -39,6 +39,8 @@ class _Motion:
     """(P, n) sensor response"""
     s: Complex
     """(P,)"""
+    receptance: Complex
+    """(P, q, q) coordinates per generalised force, the magnets' stiffness closed"""
 
 
 def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
@@ -126,7 +128,42 @@ def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> 
     total = (magnetic + point.ks * (q @ m.bearing_map.T)) @ rotation.T
     response = sensor.response(rig.sensors, omega)[o.line]
     push = response[:, :, None] * (m.sensor_map @ closed)[o.line]
-    return _Motion(q, total, push, response, np.asarray(s[o.line]))
+    return _Motion(q, total, push, response, np.asarray(s[o.line]), np.asarray(closed[o.line]))
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A flexible mode at the points of an observation, in each plane."""
+
+    coordinate: Complex
+    """(P, planes) of the small-signal twin, m sqrt(kg)"""
+    own: Complex
+    """(P, planes) coordinate per generalised force on it"""
+    seen: Complex
+    """(P, n, planes) sensor signals per generalised force on it"""
+
+
+def swing_of(rig: Rig, o: Observation, mode: int) -> Swing:
+    """How the twin's flexible mode number ``mode`` swings at the points of an observation, the loop at the rotor open.
+
+    Its input is the measured control signal, as in `displacement_jacobian`.
+    """
+    rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
+    m = rotor.mechanics(rig)
+    motion = _motion(rig, m, _magnetic(rig, o), o)
+    starts = np.cumsum([0, *(2 + len(plane) for plane in rig.rotor.modes[:-1])])
+    at = starts + 2 + mode
+    return Swing(motion.q[:, at], motion.receptance[:, at, at], motion.y_per_push[:, :, at])
+
+
+def _magnetic(rig: Rig, o: Observation) -> Complex:
+    """Force of the coil currents alone at each bearing, (P, n)."""
+    omega = 2 * np.pi * o.frequency_hz
+    base = (linear_model(rig, o.frequency_hz).baseband[o.line] @ o.U[:, o.fundamental, :, None])[..., 0]
+    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
+    return np.asarray(
+        actuator.operating_point(rig).ki * actuator.eddy_factor(rig.magnets, omega)[o.line] * base * early
+    )
 
 
 def residue_columns(rig: Rig, o: Observation) -> Complex:
@@ -136,11 +173,9 @@ def residue_columns(rig: Rig, o: Observation) -> Complex:
     alike, for a force at end A or B.
     """
     rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
-    n, omega, m = rig.n_axes, 2 * np.pi * o.frequency_hz, rotor.mechanics(rig)
+    n, m = rig.n_axes, rotor.mechanics(rig)
     point, rotation = actuator.operating_point(rig), force_rotation(rig)
-    base = (linear_model(rig, o.frequency_hz).baseband[o.line] @ o.U[:, o.fundamental, :, None])[..., 0]
-    early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
-    motion = _motion(rig, m, point.ki * actuator.eddy_factor(rig.magnets, omega)[o.line] * base * early, o)
+    motion = _motion(rig, m, _magnetic(rig, o), o)
     per_displacement = motion.y_per_push @ m.force_map @ (rotation * point.ks)
     per_displacement[:, np.arange(n), np.arange(n)] += motion.sensor
     planes = (len(motion.s), n, n // 2, 2)
@@ -196,7 +231,7 @@ def _mechanical_columns(
     c, r = 6 * rig.n_axes, rig.rotor
     s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
     per_displacement, force = magnets, motion.force
-    if np.any(rig.seal_cross_stiffness_n_per_m) and rig.n_planes == 2:  # pushes at the bearings too
+    if rotor.sealed(rig):  # pushes at the bearings too
         seal = rotor.seal_stiffness(rig)
         per_displacement, force = magnets - seal, force - (motion.q @ m.bearing_map.T) @ seal.T
 

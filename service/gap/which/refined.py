@@ -19,6 +19,8 @@ WITHIN = 30.0
 """Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
 ALIASES = 2
 """Known aliases of the best that are fitted to the end whatever a probe makes of them: to be told apart takes both."""
+GOES_ON = 3
+"""Times that a fit whose steps ran out goes on."""
 LOST = 2.0
 """Cost above the plain twin's from which a probe has not found its valley."""
 
@@ -41,6 +43,22 @@ def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Ca
         other = lent.pop(frozenset(c.effects), c)
         kept.append(c if cost(c) <= cost(other) else other)
     return [*kept, *lent.values()]
+
+
+def settled(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
+    """What was found, the one that leaves least fitted on where its steps ran out: mixtures would seem to explain more.
+
+    A force law that bends much takes many steps; another effect beside it would only go on from there, for minutes.
+    """
+    best = min(found, key=cost, default=None)
+    for _ in range(GOES_ON):
+        if best is None or not best.fit.out_of_steps:
+            break
+        (again,) = fitter.run(to_the_end(ground, [best])) or [best]
+        if cost(again) > cost(best) - LOST:
+            break
+        found, best = [again if c is best else c for c in found], again
+    return list(found)
 
 
 def _lent(ground: Ground, lenders: Sequence[Candidate], known: Sequence[Candidate]) -> Iterable[Task]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,12 +15,13 @@ from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError, Observation
 from service.gap.weighing.significance import significance
-from service.gap.weighing.verdict import Ranked, ranked
+from service.gap.weighing.verdict import UNEXPLAINED, Ranked, noise_levels, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
+from service.gap.which.curved_signal import SHOWN, curved_signal
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
-from service.gap.which.refined import best_of_each, contained, cost, refined
+from service.gap.which.refined import best_of_each, contained, cost, refined, settled
 from service.gap.which.uneven import uneven
 from sim.effects import CATALOGUE
 
@@ -29,6 +30,8 @@ Complex = NDArray[np.complex128]
 
 MOST = 3
 """Largest mixture within one part."""
+HELD = 0.05
+"""Share of a gap that an explanation of fewer sweeps may leave of more, to be the same valley for sure."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,7 @@ def explain(
     most
         Largest mixture to look at.
     before
-        What was found on fewer sweeps: effects in proportion to the excitation go on from there.
+        What was found on fewer sweeps: effects in proportion to the excitation go on from there, others also.
     """
     null, plain = plain_fit or plain_twin(fitter, ground)
     known = {} if before is None else {c.effects: c for c in (r.candidate for r in before.order)}
@@ -139,17 +142,23 @@ def explain(
     def theta(name: str) -> Real:
         return null.fit.theta if near and (slow_to_compute(name) or name in LOOKED_FOR) else ground.theta
 
+    kept = [] if before is None else fitter.run(_gone_on_with(ground, before))
     probed = fitter.run(
         Task(ground, (name,), (known[name,].fit.values,), known[name,].fit.theta, (PROBE,))
         if (name,) in known and not CATALOGUE[name].nonlinear
         else beside(name, null, null, plain, ground, theta(name), rough)
         for name in ground.part.effects
+        if name not in {c.effects[0] for c in kept if _holds(c, null)}
     )
+    probed = _better_of([*probed, *kept])
     found = refined(fitter, ground, null, probed)
     if plainer := contained(fitter, ground, null, min(found, key=cost, default=null)):
         null, plain = plainer[0], residuals(ground, plainer[0])
         found = refined(fitter, ground, null, found)
+    found = settled(fitter, ground, found)
     order, left = ranked(null, found), plain
+    if _curved(ground, null, plain, order):
+        most = 1
     if most > 1:
         found, order = _with_uneven(fitter, ground, null, found, order)
     fewer = next(r for r in order if r.candidate is null)
@@ -171,6 +180,43 @@ def explain(
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     left = residuals(ground, order[0].candidate)
     return Explained(ground, tuple(order), plain, left)
+
+
+def _gone_on_with(ground: Ground, before: Explained) -> Iterable[Task]:
+    """Nonlinear effects that explained most of fewer sweeps, from where they did: their valleys are narrow.
+
+    Where one does not hold, it is begun anew as well: a louder sweep may show that it was another valley.
+    """
+    null = before.null.candidate
+    noise = sum(noise_levels(null, [r.candidate for r in before.order]))
+    for c in (r.candidate for r in before.order):
+        alone = len(c.effects) == 1 and CATALOGUE[c.effects[0]].nonlinear
+        if alone and cost(c) - noise < 0.5 * (cost(null) - noise):
+            yield Task(ground, c.effects, (c.fit.values,), c.fit.theta, (PROBE,))
+
+
+def _holds(c: Candidate, null: Candidate) -> bool:
+    """Whether an explanation leaves next to nothing of what the plain twin does."""
+    return cost(c) - c.fit.n_residuals < HELD * (cost(null) - c.fit.n_residuals)
+
+
+def _better_of(probed: Sequence[Candidate]) -> list[Candidate]:
+    """Of fits of the same effects the one that leaves least."""
+    least: dict[tuple[str, ...], Candidate] = {}
+    for c in probed:
+        if c.effects not in least or cost(c) < cost(least[c.effects]):
+            least[c.effects] = c
+    return list(least.values())
+
+
+def _curved(ground: Ground, null: Candidate, plain: Sequence[Complex], order: Sequence[Ranked]) -> bool:
+    """Whether a curved signal explains most of a part, and more than any effect does: mixtures would bend to it."""
+    bent = curved_signal(ground, null, plain)
+    if bent is None or bent.explained < SHOWN:
+        return False
+    excess = cost(null) - sum(noise_levels(null, [r.candidate for r in order]))
+    by_effects = cost(null) - min(cost(r.candidate) for r in order)
+    return bent.explained > max(by_effects, (1 - UNEXPLAINED) * excess)
 
 
 def _with_uneven(

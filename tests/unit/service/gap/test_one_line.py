@@ -1,4 +1,4 @@
-"""A voltage limit that the amplifiers reach in one line alone is found, wherever that line is."""
+"""A voltage limit or a stop that is reached in one line alone is found, wherever that line is."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import Observation, observe
 from service.gap.measured.sweeps import halves
-from service.gap.weighing.significance import alone_hz, fastest_alone_hz, shows_alone_hz
+from service.gap.weighing.significance import alone_hz, fastest_alone_hz, furthest_alone_hz, shows_alone_hz
 from service.gap.weighing.verdict import ranked
 from service.gap.where.dependence import dependence
 from service.gap.which.held_out import on_sweep
@@ -143,3 +143,77 @@ def test_of_a_plant_only_the_line_with_the_steepest_current_shows_a_limit(
     assert fastest_alone_hz(z, o) is None
     z[steepest, o.fundamental, :] = 50.0
     assert fastest_alone_hz(z, o) == o.points_hz[steepest]
+
+
+def furthest(o: Observation) -> int:
+    """A point of the line in which an axis swings furthest."""
+    return int(np.abs(o.Y[:, o.fundamental]).max(axis=1).argmax())
+
+
+def test_of_a_plant_the_line_in_which_the_rotor_swings_furthest_shows_a_stop(
+    quiet: tuple[Observation, np.ndarray],
+) -> None:
+    o, z = quiet
+    assert furthest_alone_hz(z, o) is None
+    far, f = furthest(o), o.fundamental
+    swing = np.abs(o.Y[far, f]).max()
+    near = next(k for k in range(len(o.line)) if np.abs(o.Y[o.line == o.line[k], f]).max() < 0.5 * swing)
+    z[near, f] = 1000.0
+    assert furthest_alone_hz(z, o) is None, "a mode's peak looks the same in any other line"
+    z[far, f] = 0.03 * swing * np.sqrt(2) / o.sd_y[far, f]
+    assert furthest_alone_hz(z, o) == o.points_hz[far]
+
+
+def test_what_another_program_s_peak_may_be_off_by_is_no_stop_however_little_noise(
+    quiet: tuple[Observation, np.ndarray],
+) -> None:
+    o, z = quiet
+    o = replace(o, sd_y=o.sd_y / 1000)
+    far, f = furthest(o), o.fundamental
+    z[far, f] = 0.005 * np.abs(o.Y[far, f]).max() * np.sqrt(2) / o.sd_y[far, f]
+    assert np.abs(z[far, f]).min() > 100
+    assert furthest_alone_hz(z, o) is None
+
+
+@pytest.fixture(scope="module")
+def stopped() -> tuple[Experiment, Datasheet]:
+    """Two axes with a stop that the rotor reaches in the lowest line of the other, larger sweep alone."""
+    datasheet, truth = known_datasheet(seed=3)
+    plain = true_rig(truth)
+    hz = np.array([13.0, 25.0, *np.geomspace(60.0, 900.0, 14)])
+    free = sweep(plain, hz, 0.3, 2)
+    swing = np.abs(free.Y[:, 0, free.harmonics.index(1), :2]).max(axis=1).reshape(len(hz), -1)[:, :2].max(axis=1)
+    clearance = 0.85 * float(swing[0])
+    assert clearance > 1.05 * swing[1:].max()
+    axes = {f"clearance_{axis}_m": clearance for axis in plain.axes}
+    rig = with_effects(plain, {"touchdown_contact": {"stiffness_n_per_m": 6e5, **axes}})
+    sweeps = (
+        replace(sweep(rig, np.geomspace(10.0, 1000.0, 30), 0.1, 1), comment="main"),
+        replace(sweep(rig, hz, 0.3, 2, during=(0.8, 1.0)), comment="other amplitude"),
+    )
+    return one_plane(Experiment(rig.name, rig.axes, sweeps), datasheet)
+
+
+def test_a_stop_that_one_line_of_the_louder_sweep_reaches_is_named(stopped: tuple[Experiment, Datasheet]) -> None:
+    d = diagnose(*stopped)
+    assert d.verdict.effects == ("touchdown_contact",)
+    report = gap_document(d)
+    found = report["candidates"][0]["parameters"]["stiffness_n_per_m"]
+    assert abs(found["value"] - 6e5) < 3 * found["std"]
+    assert report["where"]["amplitude_dependent"] is True
+
+
+def test_a_gap_of_the_furthest_line_that_no_effect_explains_is_no_clean_rig(
+    stopped: tuple[Experiment, Datasheet],
+) -> None:
+    """An answer to one axis' excitation that is late there by what is nothing in any other line."""
+    measured, datasheet = stopped
+    main, other = measured.sweeps
+    plain = true_rig(known_datasheet(seed=3)[1])
+    far = float(other.frequency_hz[np.abs(other.Y[:, 0, 1]).max(axis=1).argmax()])
+    hz = np.unique(other.frequency_hz)
+    free = one_plane(Experiment(plain.name, plain.axes, (sweep(plain, hz, 0.3, 2),)), datasheet)[0].sweeps[0]
+    Y = free.Y.copy()
+    Y[(free.frequency_hz == far) & (free.axis == 0)] *= np.exp(0.06j)
+    verdict = diagnose(replace(measured, sweeps=(main, replace(free, Y=Y, comment=other.comment))), datasheet).verdict
+    assert verdict.kind == "none_of_these"

@@ -1,0 +1,47 @@
+"""Whether a mode that changes with its own swing explains a plant better than the effects that do so best."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.gap.doubts.curved import Seen
+from service.gap.weighing.verdict import UNEXPLAINED, noise_levels
+from service.gap.which.changing_mode import ChangingMode, changing_mode
+from service.gap.which.search import Explained
+
+BEYOND = 36.0
+"""Chi-square by which it has to explain more, and that it has to explain at all: as a curvature is proven from."""
+SAID = 0.2
+"""Share of the larger change, of frequency or damping in half widths of the peak, from which the other is told too."""
+
+
+def changing_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
+    """Which mode's change, in words, explains a plant better than the best effects do; None where none does.
+
+    ``plain`` and ``best`` are the sweep that no fit saw and what the plain twin and the best explanation leave there,
+    weighted, (P, H, n); of it the excited frequency counts.
+    """
+    null, named = e.null.candidate, e.order[0].candidate
+    noise, f = sum(noise_levels(null, [r.candidate for r in e.order])), plain[0].fundamental
+    there, left_there = (float(np.sum(np.abs(z[:, f]) ** 2)) for z in (plain[1], best[1]))
+    excess = null.fit.cost - noise
+    if e.part.path != "plant" or excess < BEYOND:
+        return None
+    changing = changing_mode(e.ground, null)
+    if changing is None or changing.explained < max(BEYOND, (1 - UNEXPLAINED) * excess):
+        return None
+    by_named = null.fit.cost - named.fit.cost + there - left_there
+    better = changing.explained + changing.explained_on(*plain) > by_named + BEYOND
+    return _in_words(changing) if better else None
+
+
+def _in_words(c: ChangingMode) -> str:
+    changes = {
+        f"its frequency by {100 * c.frequency_change:+.2g} %": abs(c.frequency_change) / c.damping_ratio,
+        f"its damping ratio by {c.damping_change:+.2g}": abs(c.damping_change) / c.damping_ratio,
+    }
+    told = [words for words, size in changes.items() if size >= SAID * max(changes.values())]
+    return (
+        f"the mode at {c.frequency_hz:.4g} Hz changes with its own swing, as where a joint slips or opens: "
+        f"{' and '.join(told)} at the largest"
+    )

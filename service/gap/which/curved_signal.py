@@ -1,0 +1,148 @@
+"""A displacement or current that is curved, y = x + c2 x^2 + c3 x^3 + .., fitted to a part as an effect would be.
+
+No law of the catalogue bends the characteristic of a sensor, or of an amplifier but at its voltage limit; effects that
+bend a force make harmonics too, and change the answer with the amplitude, so they may stand for it. Of an amplitude Y
+at the excited frequency c3 adds 3/4 |Y|^2 Y there, three times what it adds at harmonic 3. All of it is linear in the
+curvatures, and so are small changes of the datasheet's values beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fit import TOLERANCE_BOUND, Problem
+from service.gap.fitting.jacobian import stacked
+from service.gap.fitting.part import Ground
+from service.gap.fitting.predict import measured_signal, weight
+from service.gap.measured.observation import Observation
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+BENT = ("y", "i")
+"""Signals whose characteristic may be curved."""
+POWERS = (2, 3)
+NEXT_POWER = 5
+"""Harmonics above 3 are not measured, but of a cubic term that is a third of the signal the next one is a tenth of it
+and shows at the excited frequency."""
+NOTHING = 1e-12
+"""Share of the largest eigenvalue below which data tell nothing of a direction."""
+SHOWN = 36.0
+"""Chi-square that the next power takes off where it is there; else it would only blur what is known of the third."""
+
+
+@dataclass(frozen=True)
+class CurvedSignal:
+    """A part's curved signal, the datasheet's values fitted beside it."""
+
+    ground: Ground
+    null: Candidate
+    """the plain twin"""
+    powers: tuple[int, ...]
+    solution: Real
+    """changes of the plain twin's values, then curvatures, (a + powers * n,)"""
+    deviation: Real
+    """standard deviation of each, (a + powers * n,); infinite where no signal tells it"""
+    explained: float
+    """of the plain twin's cost on the fitted sweeps"""
+
+    @property
+    def value(self) -> Real:
+        """Curvatures of `POWERS`, (powers, n), 1/m, 1/A and their squares."""
+        return self._curvatures(self.solution)
+
+    @property
+    def std(self) -> Real:
+        """Their standard deviations, (powers, n)."""
+        return self._curvatures(self.deviation)
+
+    def explained_on(self, o: Observation, plain: Complex) -> float:
+        """Chi-square that it takes off a sweep no fit has seen; ``plain`` is what the plain twin leaves, (P, H, n)."""
+        rows, left, *_ = _system(self.ground, self.null, [(o, plain)], self.powers)
+        return float(left @ left - np.sum((left - rows @ self.solution) ** 2))
+
+    def _curvatures(self, x: Real) -> Real:
+        n = self.ground.nuisance.rig.n_axes
+        return x[len(x) - len(self.powers) * n :].reshape(len(self.powers), n)[: len(POWERS)]
+
+
+def curved_signal(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> CurvedSignal | None:
+    """The curved signal that explains most of what the plain twin leaves, (P, H, n) per sweep; None for a controller.
+
+    The next power is there only where it shows.
+    """
+    if ground.part.signal not in BENT:
+        return None
+    few, more = (_fitted(ground, null, plain, powers) for powers in (POWERS, (*POWERS, NEXT_POWER)))
+    return more if more.explained > few.explained + SHOWN else few
+
+
+def _fitted(ground: Ground, null: Candidate, plain: Sequence[Complex], powers: tuple[int, ...]) -> CurvedSignal:
+    sweeps = list(zip(ground.observations, plain, strict=True))
+    rows, left, prior, pull = _system(ground, null, sweeps, powers)
+    hessian = rows.T @ rows + prior
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))  # a curvature is per m^2, a deviation per tolerance
+    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    gradient = rows.T @ left + pull
+    # To first order a value could make up for anything, many tolerances away.
+    now = null.fit.theta[ground.part.active]
+    low, high = (np.full(len(scale), far) for far in (-np.inf, np.inf))
+    low[: len(now)], high[: len(now)] = -TOLERANCE_BOUND - now, TOLERANCE_BOUND - now
+    x = _within(hessian / np.outer(scale, scale), gradient / scale, low * scale, high * scale) / scale
+    variance = np.diag(inverse)
+    std = np.where(variance > 0, np.sqrt(np.maximum(variance, 0)), np.inf)
+    return CurvedSignal(ground, null, powers, x, std, float(2 * gradient @ x - x @ hessian @ x))
+
+
+def _within(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
+    """Where a quadratic is least between bounds."""
+    values, along = np.linalg.eigh(hessian)
+    kept = values > NOTHING * values[-1]
+    root = np.sqrt(values[kept])
+    rows, target = root[:, None] * along[:, kept].T, along[:, kept].T @ gradient / root
+    return np.asarray(lsq_linear(rows, target, (low - NOTHING, high + NOTHING)).x)
+
+
+def _system(
+    ground: Ground, null: Candidate, sweeps: Sequence[tuple[Observation, Complex]], powers: Sequence[int]
+) -> tuple[Real, Real, Real, Real]:
+    """The plain twin's values and the curvatures as a linear problem: rows (m, u) and what the twin leaves, (m,).
+
+    Then what is known of the u unknowns beforehand, their precision (u, u) and what pulls them to their mean, (u,).
+    """
+    problem = Problem.of(replace(ground, observations=tuple(o for o, _ in sweeps)), null.fit)
+    linear = problem.linearised(null.fit)
+    known = len(linear.pull)
+    rows = []
+    for (o, z), J in zip(sweeps, linear.columns, strict=True):
+        of_values = np.zeros((*z.shape, known), dtype=complex)
+        of_values[:, o.fundamental] = J
+        rows.append(stacked(np.concatenate([of_values, _laws(o, ground.part.signal, powers)], axis=-1)))
+    size = rows[0].shape[1]
+    prior, pull = np.zeros((size, size)), np.zeros(size)
+    prior[:known, :known], pull[:known] = problem.prior, linear.pull
+    return np.concatenate(rows), np.concatenate([stacked(z[..., None])[:, 0] for _, z in sweeps]), prior, pull
+
+
+def _laws(o: Observation, signal: str, powers: Sequence[int]) -> Complex:
+    """Weighted change of a signal per curvature, (P, H, n, powers * n): each channel's own powers only.
+
+    Means are left out: they are nobody's effect.
+    """
+    x, w = measured_signal(o, signal)[:, o.fundamental], weight(o, signal)
+    n = x.shape[1]
+    out = np.zeros((*w.shape, len(powers), n), dtype=complex)
+    for row, power in enumerate(powers):
+        for k, harmonic in enumerate(o.harmonics):
+            if harmonic and harmonic <= power and (power - harmonic) % 2 == 0:
+                pairs = (power - harmonic) // 2
+                law = comb(power, pairs) / 2 ** (power - 1) * np.abs(x) ** (2 * pairs) * x**harmonic
+                out[:, k, np.arange(n), row, np.arange(n)] = law * w[:, k]
+    return out.reshape(*w.shape, len(powers) * n)
