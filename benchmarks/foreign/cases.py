@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from foreign.detect import detectability
-from foreign.effects import CATALOGUE, PATH, UNKNOWN
+from foreign.effects import CATALOGUE, PATH, TURNING, UNKNOWN
 from foreign.measure import LeftLimits, measure, plan
 from foreign.rig import CONTROLLERS, TS, Truth, pid, slowest, small_signal
 
@@ -41,9 +42,12 @@ PRACTICE = {
 }
 
 
-def levitates(t: Truth) -> bool:
-    """Eigenvalues of the small-signal loop inside the circle, with some damping left for the fast ones."""
-    return slowest(small_signal(*t.build()).a) < 1 - 1e-5
+def levitates(t: Truth, *spins: float) -> bool:
+    """Eigenvalues of the small-signal loop inside the circle, with some damping left for the fast ones.
+
+    At its own speed and at other ``spins``, rad/s.
+    """
+    return all(slowest(small_signal(*replace(t, spin=w).build()).a) < 1 - 1e-5 for w in (t.spin, *spins))
 
 
 def other_rotor(rng: np.random.Generator) -> Truth:
@@ -51,7 +55,7 @@ def other_rotor(rng: np.random.Generator) -> Truth:
     while True:
         t = Truth()
         scale = float(np.exp(rng.uniform(np.log(0.08), np.log(3.0))))
-        t.mass, t.inertia = 280.0 * scale, 10.87 * scale * float(rng.uniform(0.7, 1.4))
+        t.mass, t.polar, t.inertia = 280.0 * scale, 1.9 * scale, 10.87 * scale * float(rng.uniform(0.7, 1.4))
         stretch = float(rng.uniform(0.9, 1.1))
         t.d = (0.418 * stretch, 0.404 * stretch * float(rng.uniform(0.9, 1.1)))
         t.s = (t.d[0] + float(rng.uniform(0.03, 0.07)), t.d[1] + float(rng.uniform(0.03, 0.07)))
@@ -99,7 +103,7 @@ def datasheet(t: Truth, rng: np.random.Generator, sigma: dict) -> dict:
         "rotor": {
             "mass_kg": off("mass", t.mass)[0],
             "transverse_inertia_kgm2": off("transverse_inertia", t.inertia)[0],
-            "polar_inertia_kgm2": 1.9 * t.mass / 280.0,
+            "polar_inertia_kgm2": t.polar,
             "bearing_from_cog_m": list(t.d),
             "sensor_from_cog_m": [t.s[0] + float(p[0]), t.s[1] + float(p[1])],
         },
@@ -165,12 +169,24 @@ def draw_kind(index: int, rng: np.random.Generator) -> tuple[list[str], str]:
     return [], kind
 
 
+def draw_speeds(names: list[str], rng: np.random.Generator) -> tuple[float, float | None]:
+    """Speed of the main sweep, rad/s, and that of the other one where it is another.
+
+    What shows by speed turns, and some others.
+    """
+    if not set(names) & TURNING and rng.random() > 0.15:
+        return 0.0, None
+    spin = float(rng.uniform(60.0, 500.0))
+    return spin, None if rng.random() < 0.5 else float(np.clip(spin * rng.choice([0.0, 0.5, 1.6]), 0.0, 500.0))
+
+
 def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> dict:
     """Write case ``index`` into ``out``; the truth."""
     rng = np.random.default_rng([seed, index])
     names, kind = draw_kind(index, rng)
     if effects is not None:
         names, kind = effects, "single" if set(effects) <= set(CATALOGUE) else "unknown"
+    spin, other_spin = draw_speeds(names, np.random.default_rng([seed, index, 1]))
     level_cap, tries = 1.0, 0
     while True:
         tries += 1
@@ -181,9 +197,10 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         noise = float(np.exp(rng.uniform(0, np.log(10)))) if rng.random() < 0.3 else 1.0
         nominal.noise_y *= noise
         nominal.noise_i *= noise
+        nominal.spin = spin
         plain = copy.deepcopy(nominal)
         factor = float(rng.uniform(1.5, 4.0)) if rng.random() < 0.8 else float(rng.uniform(0.4, 0.7))
-        sweeps = plan(nominal, rng, factor)
+        sweeps = plan(nominal, rng, factor, other_spin=other_spin)
         levels = [float(rng.uniform(0, level_cap)) for _ in names]
         changes, without = {}, {n: copy.deepcopy(nominal) for n in names if len(names) > 1}
         for n, x in zip(names, levels, strict=True):
@@ -194,7 +211,7 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         level_cap = max(0.3, level_cap * 0.93)  # what does not levitate comes back smaller
         if tries > 200:
             raise RuntimeError(f"case {index} with {names}: no rig that levitates")
-        if not levitates(nominal):
+        if not levitates(nominal, *([] if other_spin is None else [other_spin])):
             continue
         before = copy.deepcopy(rng)
         try:
@@ -221,6 +238,7 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         "detectability": seen,
         "each": each,
         "amplitude_factor": factor,
+        "speeds_rad_s": [spin, spin if other_spin is None else other_spin],
         "path": sorted({PATH.get(n, "plant") for n in names}) if kind in ("single", "mixture") else [],
     }
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
@@ -228,7 +246,8 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
         f.attrs.update(format="amb-experiment", version=1, rig=name, axes=json.dumps(AXES))
         for k, (sweep, comment) in enumerate(zip(data, ("main", "other amplitude"), strict=True)):
             g = f.create_group(f"sweeps/{k}")
-            g.attrs.update(kind="stepped-sine", comment=comment, sample_rate_hz=1 / TS, speed_rad_s=0.0)
+            spun = sweep.pop("speed_rad_s")
+            g.attrs.update(kind="stepped-sine", comment=comment, sample_rate_hz=1 / TS, speed_rad_s=spun)
             g["harmonics"] = np.arange(4, dtype=np.int8)
             for key, value in sweep.items():
                 g.create_dataset(key, data=value, compression="gzip")

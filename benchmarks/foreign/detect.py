@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,9 +70,10 @@ def _linear(t: Truth, parts: list[tuple[Setter, float]], theta: np.ndarray, data
     t = copy.deepcopy(t)
     for (apply, sigma), x in zip(parts, theta, strict=True):
         apply(t, sigma * x)
-    closed = small_signal(*t.build())
+    loops = {spin: small_signal(*replace(t, spin=spin).build()) for spin in {d["speed_rad_s"] for d in data}}
     out = []
     for d, ck in zip(data, c, strict=True):
+        closed = loops[d["speed_rad_s"]]
         lines = len(d["axis"]) // 4
         g = closed.response(d["frequency_hz"][:lines])
         g[:, :4] += ck[:lines, None, None] * g[:, 8:] - np.eye(4)

@@ -261,6 +261,51 @@ def mains_interference(t: Truth, rng: Rng, level: float) -> Change:
     return {"sensor_m": a, "hz": hz}
 
 
+def gyroscopic_coupling(t: Truth, rng: Rng, level: float) -> Change:
+    if rng.random() < 0.5:
+        ratio = 1 + size(level, 0.15, 4.0)
+        t.polar *= ratio
+        return {"kind": "polar inertia", "ratio": ratio}
+    # a disc where the modes have a slope: it couples all that tilts there
+    slope = np.zeros(7)
+    slope[1], slope[2:4] = 1.0, rng.choice([-1.0, 1.0], 2) * rng.uniform(0.1, 1.0, 2)
+    disc = size(level, 0.02, 0.6) * t.mass / 280.0
+    t.plant["gyro"] = lambda g: g + disc * np.outer(slope, slope)
+    return {"kind": "disc", "polar_inertia_kgm2": disc, "slopes": slope[1:4].tolist()}
+
+
+def internal_damping(t: Truth, rng: Rng, level: float) -> Change:
+    zeta, which = size(level, 5e-4, 8e-3), int(rng.choice([0, 1, 2]))
+    inner = np.zeros(7)
+    for k in (0, 1):
+        inner[2 + k] = 2 * zeta * t.modes[k][0] * (which in (2, k))
+    t.plant["inner"] = inner
+    return {"damping_ratio": zeta, "modes": [0, 1] if which == 2 else [which]}
+
+
+def cross_coupled_stiffness(t: Truth, rng: Rng, level: float) -> Change:
+    k = size(level, 2e3, 3e5) * sign(rng) * t.mass / 280.0
+    at = str(rng.choice(["both", "A", "B", "between"]))
+    where = np.array([at in ("both", "A"), at in ("both", "B"), at == "between"], dtype=float)
+    by_speed = bool(t.spin and rng.random() < 0.5)
+    if by_speed:  # the fluid is carried round
+        t.plant["seal_by_speed"] = k / t.spin * where
+    else:
+        t.plant["seal"] = k * where
+    return {"k_n_per_m": k, "at": at, "by_speed": by_speed}
+
+
+def runout(t: Truth, rng: Rng, level: float) -> Change:
+    a = size(level, 30e-9, 5e-6)
+    twice = a * float(rng.choice([0.0, 0.3]))
+    uneven = rng.uniform(0.7, 1.3, 4) if rng.random() < 0.3 else np.ones(4)
+    t.loop.update(runout=np.stack([a * uneven, twice * uneven]), runout_phase=float(rng.uniform(0, 6)))
+    return {"once_m": a, "twice_m": twice, "of_sensors": uneven.tolist()}
+
+
+TURNING = {"gyroscopic_coupling", "internal_damping", "runout"}
+"""Effects that a rotor at rest does not show, or not apart from others."""
+
 CATALOGUE = {
     f.__name__: f
     for f in (
@@ -285,6 +330,10 @@ CATALOGUE = {
         sensor_gain,
         sensor_position,
         mains_interference,
+        gyroscopic_coupling,
+        internal_damping,
+        cross_coupled_stiffness,
+        runout,
     )
 }
 
@@ -296,6 +345,7 @@ PATH = {
     "amplifier_voltage_limit": "amplifier",
     "channel_crosstalk": "amplifier",
     "mains_interference": "additive",
+    "runout": "additive",
 }
 """The rest act in the plant."""
 

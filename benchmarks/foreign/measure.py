@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class Tones:
     periods: np.ndarray
     samples: np.ndarray
     amplitude: np.ndarray
+    spin: float = 0.0
+    """rad/s"""
 
     @property
     def frequency(self) -> np.ndarray:
@@ -48,8 +50,13 @@ def profile(frequency: np.ndarray, modes_hz: list[float]) -> np.ndarray:
     return a
 
 
-def plan(truth: Truth, rng: np.random.Generator, factor: float, peak_m: float = 15e-6) -> tuple[Tones, Tones]:
-    """Main sweep (62 lines, dense beside the modes) and another of 18 lines at ``factor`` times its amplitude."""
+def plan(
+    truth: Truth, rng: np.random.Generator, factor: float, peak_m: float = 15e-6, other_spin: float | None = None
+) -> tuple[Tones, Tones]:
+    """Main sweep (62 lines, dense beside the modes) and another of 18 lines at ``factor`` times its amplitude.
+
+    Both at the rotor's own speed, but for ``other_spin``, rad/s.
+    """
     modes = [m[0] / (2 * np.pi) for m in truth.modes[:2]]
     dense = [f * (1 + x) for f in modes for x in np.linspace(-0.021, 0.021, 10)]
     lines = np.unique(np.concatenate([np.geomspace(9.0, 1050.0, 42), dense]))
@@ -63,7 +70,8 @@ def plan(truth: Truth, rng: np.random.Generator, factor: float, peak_m: float = 
     top = a / profile(f, modes)
     k2, n2 = _grid(np.sort(np.exp(rng.uniform(np.log(10), np.log(1000), 18))))
     f2 = k2 * FS / n2
-    return Tones(k, n, a), Tones(k2, n2, profile(f2, modes) * top[0] * factor)
+    there = truth.spin if other_spin is None else other_spin
+    return Tones(k, n, a, truth.spin), Tones(k2, n2, profile(f2, modes) * top[0] * factor, there)
 
 
 def spoil(log: dict, u: np.ndarray, i: np.ndarray, y: np.ndarray, share: float) -> tuple:
@@ -119,16 +127,18 @@ def measure(
     LeftLimits
         A tone went past a limit.
     """
-    plant, loop = truth.build()
+    plant, _ = truth.build()
     fastest = max(plant["amp_extra"].max(), plant["sensor_w"].max())
     substeps = max(substeps, int(np.ceil(fastest * TS / 2.2)))  # RK4 is stable up to 2.78
     limits = np.array([truth.limit_y, truth.limit_i])
     total = sum(4 * len(t.samples) for t in sweeps)
     done, clock, out = 0, 0.0, []
     for tones in sweeps:
+        plant, loop = replace(truth, spin=tones.spin).build()
         p = 4 * len(tones.samples)
-        data: dict[str, np.ndarray] = {name: np.empty((p, BLOCKS, HARMONICS, 4), dtype=np.complex64) for name in "RUIY"}
+        data: dict = {name: np.empty((p, BLOCKS, HARMONICS, 4), dtype=np.complex64) for name in "RUIY"}
         logged: dict[str, list[np.ndarray]] = {name: [] for name in "ruiy"}
+        data["speed_rad_s"] = tones.spin
         data["axis"] = np.repeat(np.arange(4), len(tones.samples)).astype(np.int8)
         data["frequency_hz"], data["amplitude_a"] = np.tile(tones.frequency, 4), np.tile(tones.amplitude, 4)
         for row in range(p):

@@ -68,6 +68,12 @@ PLANT = np.dtype(
         ("hum_hz", "f8"),
         ("hum_phase", "f8"),
         ("sensor_w", "f8", (4,)),  # rad/s, 0 none
+        ("spin", "f8"),  # rad/s, from x to y
+        ("gyro", "f8", (7, 7)),  # kg m^2 per squared slope of the coordinates
+        ("inner", "f8", (7,)),  # generalised damping that turns with the shaft
+        ("seal", "f8", (3,)),  # N/m of cross-coupled stiffness at A, B and between them
+        ("seal_by_speed", "f8", (3,)),  # N s/m, the same in proportion to the speed
+        ("seal_at", "f8", (3, 7)),  # displacement there per coordinate
     ]
 )
 
@@ -148,6 +154,35 @@ def _restoring(p, s, ds):
                 ds[14 + n] -= 2.0 * p.zeta[plane, j] * w * v * (1.0 + p.square_damping[plane, j] * q * q)
 
 
+@njit(cache=True, fastmath=FAST, inline="always")
+def _turning(p, s, ds):
+    """What couples the planes of a rotor that turns, and what turns with it.
+
+    Complex r = x + i y: I r'' - i W G r' of the tilting rotor, -c (r' - i W r) of damping that turns with the shaft,
+    i k r of a seal. The rotor is balanced.
+    """
+    w = p.spin
+    for j in range(p.nq):
+        x, y, vx, vy = s[j], s[NQ + j], s[14 + j], s[14 + NQ + j]
+        fx = -p.inner[j] * (vx + w * y)
+        fy = -p.inner[j] * (vy - w * x)
+        for k in range(p.nq):
+            fx -= w * p.gyro[j, k] * s[14 + NQ + k]
+            fy += w * p.gyro[j, k] * s[14 + k]
+        ds[14 + j] += p.minv[0, j] * fx
+        ds[14 + NQ + j] += p.minv[1, j] * fy
+    for m in range(3):
+        xs = 0.0
+        ys = 0.0
+        for j in range(p.nq):
+            xs += p.seal_at[m, j] * s[j]
+            ys += p.seal_at[m, j] * s[NQ + j]
+        k = p.seal[m] + w * p.seal_by_speed[m]
+        for j in range(p.nq):
+            ds[14 + j] -= p.minv[0, j] * p.seal_at[m, j] * k * ys
+            ds[14 + NQ + j] += p.minv[1, j] * p.seal_at[m, j] * k * xs
+
+
 @njit(cache=True, fastmath=FAST)
 def derivative(p, t, s, u, plays, drift_k, drift_gap, ds):
     """ds/dt of the whole plant for a constant u (4,)."""
@@ -208,6 +243,8 @@ def derivative(p, t, s, u, plays, drift_k, drift_gap, ds):
             ds[S0 + a] = p.sensor_w[a] * (xs - s[S0 + a])
         _amplifier(p, a, t, s, u, ds)
     _restoring(p, s, ds)
+    if p.spin != 0.0 or p.seal.any() or p.inner.any():
+        _turning(p, s, ds)
 
 
 @njit(cache=True, fastmath=FAST, inline="always")
@@ -261,6 +298,9 @@ class Loop(NamedTuple):
     hum_m: np.ndarray  # (4,) m
     hum_hz: float
     hum_phase: float
+    runout: np.ndarray  # (2, 4) m once and twice a turn
+    runout_phase: float
+    spin: float  # rad/s
 
 
 @njit(cache=True, fastmath=FAST)
@@ -316,6 +356,9 @@ def run_tone(
             y = c.sensor_gain[a] * (x + c.sensor_cubic[a] * x**3) + noise_y[k, a]
             if c.hum_m[a] != 0.0:
                 y += c.hum_m[a] * np.cos(2 * np.pi * c.hum_hz * (t_start + t) + c.hum_phase + 0.9 * a)
+            if c.spin != 0.0:  # a y sensor sees the same mark a quarter of a turn later
+                turned = c.spin * (t_start + t) + c.runout_phase - 0.5 * np.pi * (a // 2)
+                y += c.runout[0, a] * np.cos(turned) + c.runout[1, a] * np.cos(2 * turned)
             if c.sensor_step > 0.0:
                 y = c.sensor_step * np.round(y / c.sensor_step)
             r = 0.0

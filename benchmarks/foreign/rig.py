@@ -68,6 +68,9 @@ def _absent() -> dict:
         "hum_hz": 50.0,
         "hum_phase": 0.0,
         "sensor_w": np.zeros(4),
+        "inner": np.zeros(7),
+        "seal": np.zeros(3),
+        "seal_by_speed": np.zeros(3),
     }
 
 
@@ -83,6 +86,8 @@ def _plain_loop() -> dict:
         "hum_m": np.zeros(4),
         "hum_hz": 50.0,
         "hum_phase": 0.0,
+        "runout": np.zeros((2, 4)),
+        "runout_phase": 0.0,
     }
 
 
@@ -122,10 +127,14 @@ class Truth:
     drifting: np.ndarray = field(default_factory=lambda: np.ones(4))
     """Share of that in each axis."""
     log: dict = field(default_factory=dict)
+    polar: float = 1.9
+    """kg m^2, all of it where the rotor is rigid"""
+    spin: float = 0.0
+    """rad/s"""
 
     def build(self) -> tuple[np.ndarray, Loop]:
         """Plant and loop for the integrator."""
-        values = self._coordinates() | self._magnets() | _absent()
+        values = self._coordinates() | self._magnets() | _absent() | {"spin": self.spin}
         for name, value in self.plant.items():
             values[name] = value(values[name]) if callable(value) else value
         plant = np.zeros(1, dtype=PLANT)
@@ -133,7 +142,7 @@ class Truth:
             plant[name] = value
         ba = [pid(**(self.running or self.control))] * 4
         filters = {"b": np.array([b for b, _ in ba]), "a": np.array([a for _, a in ba])}
-        return plant, Loop(**(filters | _plain_loop() | self.loop))
+        return plant, Loop(**(filters | _plain_loop() | {"spin": self.spin} | self.loop))
 
     def _coordinates(self) -> dict:
         """What bearings and sensors see of rigid body, modes and housings, and how these are sprung."""
@@ -156,7 +165,10 @@ class Truth:
                     seen = slice(end, end + 1) if h["each"] else slice(0, 2)
                     tb[plane, seen, first + end] = ts[plane, seen, first + end] = -1.0
         nq = 2 + len(self.modes) + ((2 if self.housing["each"] else 1) if self.housing else 0)
-        return {"nq": nq, "tb": tb, "ts": ts, "minv": minv, "w": w, "zeta": zeta}
+        gyro = np.zeros((7, 7))
+        gyro[1, 1] = self.polar
+        seal_at = np.stack([tb[0, 0], tb[0, 1], (tb[0, 0] + tb[0, 1]) / 2])
+        return {"nq": nq, "tb": tb, "ts": ts, "minv": minv, "w": w, "zeta": zeta, "gyro": gyro, "seal_at": seal_at}
 
     def _magnets(self) -> dict:
         gap = self.bias * self.ki / self.ks
