@@ -64,6 +64,9 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
         found = resonances(rig, z, o, ground, effect.id == "extra_flexible_mode")
         others = (peaks_of_failure(z, o, 1)[0], base["frequency_hz"])
         return [{**base, **f} for f in (*found, *({"frequency_hz": f} for f in dict.fromkeys(others)))]
+    if effect.id == "amplifier_bandwidth":  # the largest change is stated: on which side that is, is another valley
+        sides = product(*((0.0, -0.5) for name in imbalance.NAMES[: rig.n_planes]))
+        return [{**base, **dict(zip(imbalance.NAMES, side, strict=False))} for side in sides]
     if effect.id == "eddy_currents":
         return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
     if effect.id == "touchdown_contact":

@@ -72,3 +72,15 @@ def test_what_one_bearing_alone_has_is_told_by_the_bearing(effect: str, values: 
     assert found["end_imbalance"] == pytest.approx(1.0, abs=0.1)
     strength = next(iter(values))
     assert found[strength] == pytest.approx(values[strength], rel=0.15)
+
+
+def test_amplifiers_that_are_faster_in_y_alone_are_told_with_the_plane() -> None:
+    """The largest change is what is stated: on which side that is are valleys apart, and from x none leads to y."""
+    datasheet, truth = known_datasheet(seed=64)
+    values = {"frequency_change": 0.115, "damping_change": -0.03, "lag_s": 0.0, "plane_imbalance": -1.0}
+    rig = with_effects(true_rig(truth), {"amplifier_bandwidth": values})
+    d = diagnose(experiment(rig, noise=10.0), datasheet)
+    assert d.verdict.effects == ("amplifier_bandwidth",)
+    found = d.chosen.fit.values[0]
+    assert found["plane_imbalance"] == pytest.approx(-1.0, abs=0.1)
+    assert found["frequency_change"] == pytest.approx(0.115, rel=0.1)
