@@ -12,7 +12,8 @@ from service.gap.which.search import Explained
 BEYOND = 36.0
 """Chi-square by which it has to explain more, and that it has to explain at all: as a curvature is proven from."""
 SAID = 0.2
-"""Share of the larger change, of frequency or damping in half widths of the peak, from which the other is told too."""
+"""Share of the larger change, of frequency or damping in half widths of the peak, from which the other is told after
+it."""
 
 
 def changing_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
@@ -40,7 +41,8 @@ def _in_words(c: ChangingMode) -> str:
         f"its frequency by {100 * c.frequency_change:+.2g} %": abs(c.frequency_change) / c.damping_ratio,
         f"its damping ratio by {c.damping_change:+.2g}": abs(c.damping_change) / c.damping_ratio,
     }
-    told = [words for words, size in changes.items() if size >= SAID * max(changes.values())]
+    by_size = sorted(changes, key=lambda words: -changes[words])
+    told = [words for words in by_size if changes[words] >= SAID * max(changes.values())]
     return (
         f"the mode at {c.frequency_hz:.4g} Hz changes with its own swing, as where a joint slips or opens: "
         f"{' and '.join(told)} at the largest"
