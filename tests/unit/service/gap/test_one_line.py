@@ -20,7 +20,7 @@ from service.gap.which.held_out import on_sweep
 from service.gap.which.search import Explained, plain_twin
 from sim.datasheet import Datasheet
 from sim.rig import Rig
-from sim.twin import with_effects
+from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 from tests.support.two_axes import one_plane
 
@@ -151,9 +151,10 @@ def furthest(o: Observation) -> int:
 
 
 def test_of_a_plant_the_line_in_which_the_rotor_swings_furthest_shows_a_stop(
-    quiet: tuple[Observation, np.ndarray],
+    quiet: tuple[Observation, np.ndarray], limited: tuple[Experiment, Datasheet]
 ) -> None:
     o, z = quiet
+    plant = next(p for p in parts(nuisance(limited[1]), (o,)) if p.path == "plant")
     assert furthest_alone_hz(z, o) is None
     far, f = furthest(o), o.fundamental
     swing = np.abs(o.Y[far, f]).max()
@@ -162,6 +163,7 @@ def test_of_a_plant_the_line_in_which_the_rotor_swings_furthest_shows_a_stop(
     assert furthest_alone_hz(z, o) is None, "a mode's peak looks the same in any other line"
     z[far, f] = 0.03 * swing * np.sqrt(2) / o.sd_y[far, f]
     assert furthest_alone_hz(z, o) == o.points_hz[far]
+    assert alone_hz(plant, z, o) == o.points_hz[far]
 
 
 def test_what_another_program_s_peak_may_be_off_by_is_no_stop_however_little_noise(
@@ -180,7 +182,7 @@ def stopped() -> tuple[Experiment, Datasheet]:
     """Two axes with a stop that the rotor reaches in the lowest line of the other, larger sweep alone."""
     datasheet, truth = known_datasheet(seed=3)
     plain = true_rig(truth)
-    hz = np.array([13.0, 25.0, *np.geomspace(60.0, 900.0, 14)])
+    hz = np.array([13.0, 25.0, *np.geomspace(60.0, 900.0, 46)])  # so many that one drowns in a band
     free = sweep(plain, hz, 0.3, 2)
     swing = np.abs(free.Y[:, 0, free.harmonics.index(1), :2]).max(axis=1).reshape(len(hz), -1)[:, :2].max(axis=1)
     clearance = 0.85 * float(swing[0])
@@ -213,7 +215,15 @@ def test_a_gap_of_the_furthest_line_that_no_effect_explains_is_no_clean_rig(
     far = float(other.frequency_hz[np.abs(other.Y[:, 0, 1]).max(axis=1).argmax()])
     hz = np.unique(other.frequency_hz)
     free = one_plane(Experiment(plain.name, plain.axes, (sweep(plain, hz, 0.3, 2),)), datasheet)[0].sweeps[0]
-    Y = free.Y.copy()
-    Y[(free.frequency_hz == far) & (free.axis == 0)] *= np.exp(0.06j)
-    verdict = diagnose(replace(measured, sweeps=(main, replace(free, Y=Y, comment=other.comment))), datasheet).verdict
+    assert free.I is not None
+    U, I, Y, f = free.U.copy(), free.I.copy(), free.Y.copy(), free.harmonics.index(1)
+    there, model = (free.frequency_hz == far) & (free.axis == 0), linear_model(plain, np.array([far]))
+    added = (np.exp(0.06j) - 1) * Y[there, :, f]
+    through = model.i_per_u[0, :2, :2]
+    Y[there, :, f] += added
+    U[there, :, f] -= model.controller[0] * added
+    I[there, :, f] -= model.controller[0] * added @ through.T
+    late = replace(free, U=U, I=I, Y=Y, comment=other.comment)
+    verdict = diagnose(replace(measured, sweeps=(main, late)), datasheet).verdict
     assert verdict.kind == "none_of_these"
+    assert verdict.unexplained == "plant"
