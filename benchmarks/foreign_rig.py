@@ -1,7 +1,8 @@
 """Cases from a program that is not this project: `python benchmarks/foreign_rig.py --cases N --seed S --out DIR`.
 
 Each case is a folder with experiment.h5, rig.toml and truth.json in the layout of the practice cases. See
-benchmarks/foreign for the physics, the effects and their laws.
+benchmarks/foreign for the physics, the effects and their laws. `--effects contact,delay+sensor_lag,none` has the cases
+take these sets of effects in turn, in place of drawn ones; `gap.py --foreign DIR` diagnoses and scores them.
 """
 
 from __future__ import annotations
@@ -13,6 +14,18 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from foreign.cases import make
+from foreign.effects import CATALOGUE, UNKNOWN
+
+
+def effect_sets(parser: argparse.ArgumentParser, text: str | None) -> list[list[str] | None]:
+    """Effects of the cases in turn; ``None`` has a case draw its own."""
+    if text is None:
+        return [None]
+    sets = [[] if s == "none" else s.split("+") for s in text.split(",")]
+    known = [*CATALOGUE, *UNKNOWN]
+    if wrong := {name for s in sets for name in s} - set(known):
+        parser.error(f"no effect {', '.join(sorted(wrong))}; there are {', '.join(known)}, and none")
+    return [*sets]
 
 
 def main() -> None:
@@ -21,13 +34,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="folder of the cases; a temporary one when not given")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--effects", help="comma-separated: every case gets these")
+    parser.add_argument("--effects", help="sets of effects for the cases in turn, as a,b+c,none")
     args = parser.parse_args()
-    effects = args.effects.split(",") if args.effects else None
+    sets = effect_sets(parser, args.effects)
     out = args.out or Path(tempfile.mkdtemp(prefix="foreign-"))
     start = time.perf_counter()
     with ProcessPoolExecutor(args.jobs) as pool:
-        waiting = [pool.submit(make, k, args.seed, out, effects) for k in range(args.cases)]
+        waiting = [pool.submit(make, k, args.seed, out, sets[k % len(sets)]) for k in range(args.cases)]
         for k, case in enumerate(waiting):
             truth = case.result()
             print(

@@ -169,6 +169,14 @@ def draw_kind(index: int, rng: np.random.Generator) -> tuple[list[str], str]:
     return [], kind
 
 
+def named_kind(names: list[str]) -> str:
+    if not names:
+        return "clean"
+    if not set(names) <= set(CATALOGUE):
+        return "unknown"
+    return "single" if len(names) == 1 else "mixture"
+
+
 def draw_speeds(names: list[str], rng: np.random.Generator) -> tuple[float, float | None]:
     """Speed of the main sweep, rad/s, and that of the other one where it is another.
 
@@ -185,7 +193,7 @@ def make(index: int, seed: int, out: Path, effects: list[str] | None = None) -> 
     rng = np.random.default_rng([seed, index])
     names, kind = draw_kind(index, rng)
     if effects is not None:
-        names, kind = effects, "single" if set(effects) <= set(CATALOGUE) else "unknown"
+        names, kind = effects, named_kind(effects)
     spin, other_spin = draw_speeds(names, np.random.default_rng([seed, index, 1]))
     level_cap, tries = 1.0, 0
     while True:

@@ -428,6 +428,40 @@ def filtered_current_log(t: Truth, rng: Rng, level: float) -> Change:
     return {"current_log_hz": hz}
 
 
+def limited_drive(t: Truth, rng: Rng, level: float) -> Change:
+    """The current's command is cut off, at each amplifier."""
+    limit = size(level, 0.6, 0.12)
+    t.plant["drive_limit"] = four(limit)
+    return {"limit_a": limit}
+
+
+def coarse_drive(t: Truth, rng: Rng, level: float) -> Change:
+    step = size(level, 2e-3, 0.1)
+    t.plant["drive_step"] = four(step)
+    return {"step_a": step}
+
+
+def cable_resonance(t: Truth, rng: Rng, level: float) -> Change:
+    """A share of each amplifier's drive goes through a resonant filter."""
+    share, hz = size(level, 1e-3, 0.1), float(np.exp(rng.uniform(np.log(150), np.log(900))))
+    t.plant.update(cable_share=four(share), cable_w=2 * np.pi * hz, cable_zeta=float(rng.uniform(0.02, 0.2)))
+    return {"share": share, "hz": hz, "damping_ratio": t.plant["cable_zeta"]}
+
+
+def rubber_ring(t: Truth, rng: Rng, level: float) -> Change:
+    """A soft ring around the shaft at some bearings: a stiffness that grows by the square of the swing."""
+    cubic = size(level, 1e-3, 0.3) * float(np.mean(t.ks)) / 1e-5**2
+    t.plant["ring_cubic"] = on_axes(some_axes(rng), cubic)
+    return {"cubic_n_per_m3": t.plant["ring_cubic"].tolist()}
+
+
+def ring_damping(t: Truth, rng: Rng, level: float) -> Change:
+    """A damper beside some bearings, as a fluid in the gap would be."""
+    damping = size(level, 0.003, 0.3) * np.sqrt(float(np.mean(t.ks)) * t.mass)
+    t.plant["ring_damping"] = on_axes(some_axes(rng), damping)
+    return {"damping_ns_per_m": t.plant["ring_damping"].tolist()}
+
+
 UNKNOWN = {
     f.__name__: f
     for f in (
@@ -443,5 +477,10 @@ UNKNOWN = {
         demodulation_phase,
         loose_connector,
         filtered_current_log,
+        limited_drive,
+        coarse_drive,
+        cable_resonance,
+        rubber_ring,
+        ring_damping,
     )
 }

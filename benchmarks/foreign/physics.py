@@ -18,7 +18,7 @@ from numba import njit
 NQ = 7
 N_LADDER = 9
 N_PLAYS = 6
-I0, V0, P0, S0, Z0, L0 = 28, 32, 36, 40, 44, 48
+I0, V0, P0, S0, Z0, C0, L0 = 28, 32, 36, 40, 44, 48, 56
 N_STATES = L0 + 8 * N_LADDER
 FAST = {"contract", "reassoc", "arcp", "nsz"}
 
@@ -56,10 +56,17 @@ PLANT = np.dtype(
         ("slew_resistive", "f8", (4,)),  # 1/s, R/L
         ("u_mix", "f8", (4, 4)),
         ("dead_band", "f8", (4,)),  # A
+        ("drive_limit", "f8", (4,)),  # A, inf none
+        ("drive_step", "f8", (4,)),  # A, 0 none
+        ("cable_share", "f8", (4,)),  # of the drive, through a resonant filter
+        ("cable_w", "f8"),  # rad/s
+        ("cable_zeta", "f8"),
         ("stop_gap", "f8", (4,)),  # m, inf none
         ("stop_stiffness", "f8"),
         ("stop_damping", "f8"),
         ("stop_both", "i8"),
+        ("ring_cubic", "f8", (4,)),  # N/m^3
+        ("ring_damping", "f8", (4,)),  # N s/m
         ("friction", "f8", (4,)),  # N
         ("friction_stiffness", "f8"),
         ("ks_swing", "f8"),
@@ -120,15 +127,27 @@ def magnet_force(p, a, i, x, drift_k, drift_gap, swing):
 
 @njit(cache=True, fastmath=FAST, inline="always")
 def _amplifier(p, a, t, s, u, ds):
-    """Current of axis a, driven by what u becomes on its way: crosstalk, hum, dead band, a third pole, a slew limit."""
+    """Current of axis a, driven by what u becomes on its way.
+
+    Crosstalk, hum, a converter's steps, dead band and limit, a cable's resonance, a third pole, a slew limit.
+    """
     i = s[I0 + a]
     drive = 0.0
     for b in range(4):
         drive += p.u_mix[a, b] * u[b]
     if p.hum_a[a] != 0.0:
         drive += p.hum_a[a] * np.cos(2 * np.pi * p.hum_hz * t + p.hum_phase + 0.7 * a)
+    if p.drive_step[a] > 0.0:
+        drive = p.drive_step[a] * np.round(drive / p.drive_step[a])
     if p.dead_band[a] > 0.0:
         drive = np.sign(drive) * max(0.0, abs(drive) - p.dead_band[a])
+    drive = min(max(drive, -p.drive_limit[a]), p.drive_limit[a])
+    ds[C0 + a] = ds[C0 + 4 + a] = 0.0
+    if p.cable_share[a] > 0.0:
+        c, v = s[C0 + a], s[C0 + 4 + a]
+        ds[C0 + a] = v
+        ds[C0 + 4 + a] = p.cable_w**2 * (drive - c) - 2.0 * p.cable_zeta * p.cable_w * v
+        drive += p.cable_share[a] * (c - drive)
     drive *= p.amp_gain[a]
     ds[P0 + a] = 0.0
     if p.amp_extra[a] > 0.0:
@@ -224,6 +243,7 @@ def derivative(p, t, s, u, plays, drift_k, drift_gap, ds):
             depth = x + p.stop_gap[a]
         if depth != 0.0:  # Hunt-Crossley: no glue when it leaves
             f -= p.stop_stiffness * depth * max(0.0, 1.0 + p.stop_damping * v * np.sign(depth))
+        f -= p.ring_cubic[a] * x**3 + p.ring_damping[a] * v
         ds[Z0 + a] = 0.0
         if p.friction[a] > 0.0:  # Dahl's presliding friction: sticks below its force, slips at it
             pull = p.friction_stiffness * s[Z0 + a]

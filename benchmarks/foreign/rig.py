@@ -10,7 +10,7 @@ from numba import njit
 from scipy.linalg import expm
 from scipy.signal import bilinear
 
-from foreign.physics import I0, N_LADDER, N_PLAYS, N_STATES, PLANT, S0, Loop, derivative
+from foreign.physics import C0, I0, L0, N_LADDER, N_PLAYS, N_STATES, P0, PLANT, S0, Z0, Loop, derivative
 
 TS = 1e-4
 
@@ -56,6 +56,13 @@ def _absent() -> dict:
         "slew_resistive": np.zeros(4),
         "u_mix": np.eye(4),
         "dead_band": np.zeros(4),
+        "drive_limit": four(np.inf),
+        "drive_step": np.zeros(4),
+        "cable_share": np.zeros(4),
+        "cable_w": 1.0,
+        "cable_zeta": 0.1,
+        "ring_cubic": np.zeros(4),
+        "ring_damping": np.zeros(4),
         "stop_gap": four(np.inf),
         "stop_stiffness": 0.0,
         "stop_damping": 0.0,
@@ -185,10 +192,11 @@ def _in_use(plant: np.ndarray | np.void) -> np.ndarray:
     """(N_STATES,) states that belong to something: the rest would show as eigenvalues at 1."""
     used = np.zeros(N_STATES, dtype=bool)
     used[:14] = used[14:28] = (plant["minv"] > 0).ravel()
-    used[28:36] = True
-    used[36:40], used[40:44] = plant["amp_extra"] > 0, plant["sensor_w"] > 0  # friction keeps a position: eigenvalue 1
-    used[48:84] = plant["ladder"] > 0
-    used[84:] = plant["ladder"] == 2
+    used[I0:P0] = True
+    used[P0:S0], used[S0:Z0] = plant["amp_extra"] > 0, plant["sensor_w"] > 0  # friction keeps a position: eigenvalue 1
+    used[C0:L0] = np.tile(plant["cable_share"] > 0, 2)
+    half = L0 + 4 * N_LADDER
+    used[L0:half], used[half:] = plant["ladder"] > 0, plant["ladder"] == 2
     return used
 
 
@@ -220,12 +228,12 @@ class Closed(NamedTuple):
 def small_signal(plant: np.ndarray, loop: Loop) -> Closed:
     """Closed loop over one sample by finite differences; a sensor's delay is counted with the drive's."""
     plants = plant.copy()
-    plants["dead_band"] = 0.0
+    plants["dead_band"] = plants["drive_step"] = 0.0
     plant = plants[0]
     n = N_STATES
     plays, zero, u0 = np.zeros((4, N_PLAYS)), np.zeros(n), np.zeros(4)
     scale = np.full(n, 1e-8)
-    scale[28:40] = 1e-5
+    scale[I0:S0] = scale[C0:L0] = 1e-5
 
     def slope(s: np.ndarray, u: np.ndarray) -> np.ndarray:
         ds = np.zeros(n)

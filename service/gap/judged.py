@@ -19,7 +19,7 @@ from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import astray, far_off
-from service.gap.weighing.significance import furthest_alone_hz, significance
+from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.which.search import Explained
@@ -30,6 +30,11 @@ NEGLIGIBLE = 0.02
 TELLS_NOTHING = 0.05
 """Relative change of most points from first block to last from which "no gap" would say nothing: a small one that low
 noise shows is no reason to withhold it."""
+SHOWS_FIRST = {
+    "amplifier": "which stands out there alone",
+    "plant": "where the rotor swings furthest or its currents are steepest",
+}
+"""Why a line may show alone what no band shows."""
 UNDECIDED = 0.5
 """Probability of a verdict that says nothing either way."""
 
@@ -112,15 +117,17 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
 
 def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> Verdict:
     """A part's verdict, or none of these where something speaks against it; ``plain`` as in `_bent`."""
-    if reason := _bent(e, verdict, plain, unseen):
-        return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), bent=True)
     explained = bool(verdict.effects)
+    late = lag_missing(e) if explained else None
+    if reason := _bent(e, verdict, plain, unseen):
+        reasons = (reason,) if late is None else (reason, late)
+        return Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, bent=True)
     # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
     asked = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
     if asked and (away := far_off(e.ground, e.chosen.fit)):
         return astray(verdict, away, e.relative_gap)
-    reason = lag_missing(e) if explained else _far_out(e, plain) if verdict.kind == "no_gap" else None
-    return verdict if reason is None else Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
+    doubt = _alone(e, plain) if verdict.kind == "no_gap" else late
+    return verdict if doubt is None else Verdict("none_of_these", (), (), SURE_OF_NONE, (doubt,))
 
 
 def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> str | None:
@@ -138,13 +145,11 @@ def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> s
     return curved(e, best) if blunt else None
 
 
-def _far_out(e: Explained, plain: Seen) -> str | None:
-    """What a plant without an effect leaves in a line where the rotor swings furthest, in words."""
-    if e.part.path != "plant":
-        return None
+def _alone(e: Explained, plain: Seen) -> str | None:
+    """What a part without an effect leaves in one line, where a limit shows first, in words."""
     sweeps = [plain, *zip(e.ground.observations, e.plain, strict=True)]
-    at_hz = next((hz for o, z in sweeps if (hz := furthest_alone_hz(z, o)) is not None), None)
-    return None if at_hz is None else f"no effect explains the gap at {at_hz:.3g} Hz, where the rotor swings furthest"
+    at_hz = next((hz for o, z in sweeps if (hz := alone_hz(e.part, z, o)) is not None), None)
+    return None if at_hz is None else f"no effect explains the gap at {at_hz:.3g} Hz, {SHOWS_FIRST[e.part.path]}"
 
 
 def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above
 from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.predict import at_speed_of, measured_signal, weight, whole_displacement
+from service.gap.fitting.predict import NOTHING_SEEN, at_speed_of, measured_signal, weight, whole_displacement
 from service.gap.measured.observation import HARMONIC_ERROR, MODEL_FLOOR, Observation
 from service.gap.weighing.significance import SIGNIFICANT
-from service.gap.which.curved_signal import BENT, POWERS
+from service.gap.which.curved_laws import POWERS, PROBE, SENSOR, CurvedLaw
 from service.gap.which.search import Explained
 from sim.harmonic_balance import STATIC_HZ
 from sim.rig import Rig
@@ -27,10 +27,6 @@ Complex = NDArray[np.complex128]
 Seen = tuple[Observation, Complex]
 """A sweep, and what a twin leaves of it, weighted, (P, H, n)."""
 
-WORDS = {
-    "y": ("the displacement is curved, as by a sensor that is not linear:", "m"),
-    "i": ("the current is curved, as by an amplifier or a probe that is not linear:", "A"),
-}
 FLOOR_HZ = 1000.0
 """Frequency at which two programs differ by `MODEL_FLOOR`; of first order at least, they differ in proportion to it."""
 OF_THE_MAGNETS = 2 * HARMONIC_ERROR
@@ -42,52 +38,51 @@ def curved(e: Explained, unseen: Seen) -> str | None:
 
     ``unseen`` is the sweep that no fit saw and what the explanation leaves there, weighted, (P, H, n).
     """
-    if e.part.signal not in BENT:
+    law = {"y": SENSOR, "i": PROBE}.get(e.part.signal)
+    if law is None:
         return None
     sweeps = [*zip(e.ground.observations, e.left, strict=True), unseen]
-    along, size = _along(sweeps, e.part.signal)
-    allowed = systematic(sweeps, e.order[0].candidate, e.part.signal)
+    twin = e.order[0].candidate
+    along, size = _along(sweeps, law, twin.fit.rig)
+    allowed = systematic(sweeps, twin, law)
     known = size > 0
     value = along / np.where(known, size, 1.0)
     std = np.hypot(np.where(known, 1 / np.sqrt(np.where(known, size, 1.0)), np.inf), allowed)
-    return in_words(e.part.signal, e.ground.nuisance.rig.axes, value, std)
+    return in_words(law, e.ground.nuisance.rig.axes, value, std)
 
 
-def in_words(signal: str, axes: Sequence[str], value: Real, std: Real) -> str | None:
+def in_words(law: CurvedLaw, axes: Sequence[str], value: Real, std: Real) -> str | None:
     """Curvatures of `POWERS`, (powers, n), and their standard deviations in words; None where none of them is sure."""
-    words, unit = WORDS[signal]
     told = []
     for power, c, sd in zip(POWERS, value, std, strict=True):
         n, chi_square = int(np.isfinite(sd).sum()), float(np.sum((c / sd) ** 2))
         if n and float(normal_above(chi2_tail(chi_square, n))) > SIGNIFICANT:
             k = int(np.argmax(np.abs(c / sd)))
-            size = f"{c[k]:.2g} per {unit}{'' if power == 2 else '^2'} (standard deviation {sd[k]:.1g})"
-            told.append(f"in {axes[k]} {signal} = x + c x^{power} with c = {size}")
-    return f"{words} {' and '.join(told)}" if told else None
+            told.append(law.told(axes[k], power, float(c[k]), float(sd[k])))
+    return f"{law.introduced} {' and '.join(told)}" if told else None
 
 
-def _along(sweeps: Sequence[Seen], signal: str) -> tuple[Real, Real]:
-    """What is left along the harmonic of each curvature, and that law's own square, both weighted, (powers, n)."""
+def _along(sweeps: Sequence[Seen], law: CurvedLaw, rig: Rig) -> tuple[Real, Real]:
+    """What is left along the harmonic of each curvature, and that harmonic's own square, both weighted, (powers, n)."""
     n = sweeps[0][0].Y.shape[2]
     along, size = np.zeros((len(POWERS), n)), np.zeros((len(POWERS), n))
     for o, z in sweeps:
         for row, power in enumerate(POWERS):
             if power in o.harmonics:
                 k = o.harmonics.index(power)
-                law = _law(o, signal, power)
-                along[row] += np.sum((z[:, k] * law.conj()).real, axis=0)
-                size[row] += np.sum(np.abs(law) ** 2, axis=0)
+                own = _harmonic(law, rig, o, power)
+                along[row] += np.sum((z[:, k, :, None] * own.conj()).real, axis=(0, 1))
+                size[row] += np.sum(np.abs(own) ** 2, axis=(0, 1))
     return along, size
 
 
-def _law(o: Observation, signal: str, power: int) -> Complex:
-    """Weighted harmonic of a signal's own power, (P, n), per curvature."""
-    k = o.harmonics.index(power)
-    x = measured_signal(o, signal)[:, o.fundamental]
-    return np.asarray(x**power / 2 ** (power - 1) * weight(o, signal)[:, k])
+def _harmonic(law: CurvedLaw, rig: Rig, o: Observation, power: int) -> Complex:
+    """Weighted harmonic that a power makes by the same number, (P, n signals, n axes), per curvature."""
+    w = weight(o, law.signal)[:, o.harmonics.index(power)]
+    return np.asarray(law.change(rig, o, power, power) * w[..., None])
 
 
-def systematic(sweeps: Sequence[Seen], twin: Candidate, signal: str) -> Real:
+def systematic(sweeps: Sequence[Seen], twin: Candidate, law: CurvedLaw) -> Real:
     """Curvature that is no proof however little noise there is, (powers, n).
 
     A harmonic of less than `MODEL_FLOOR` of the largest signal is none: two programs' integrators bend as much. Of
@@ -95,22 +90,26 @@ def systematic(sweeps: Sequence[Seen], twin: Candidate, signal: str) -> Real:
     slower the swing, so what swings far at low frequency shows a small curvature. Its second may also be that of a
     rotor off its centre by less than shows otherwise.
     """
-    n = sweeps[0][0].Y.shape[2]
-    _, size = _along(sweeps, signal)
-    own, moved, largest = np.zeros_like(size), np.zeros_like(size), np.full(n, 1e-30)
+    _, size = _along(sweeps, law, twin.fit.rig)
+    own, moved, bends = np.zeros_like(size), np.zeros_like(size), np.full_like(size, NOTHING_SEEN)
+    largest = np.max([np.abs(measured_signal(o, law.signal)[:, o.fundamental]).max(axis=0) for o, _ in sweeps], axis=0)
     for o, _ in sweeps:
         rig = at_speed_of(twin.fit.rig, o)
-        largest = np.maximum(largest, np.abs(measured_signal(o, signal)[:, o.fundamental]).max(axis=0))
         for row, power in enumerate(POWERS):
-            if power not in o.harmonics or signal != "y":
+            if power not in o.harmonics:
                 continue
             k = o.harmonics.index(power)
-            law, w = _law(o, signal, power), weight(o, signal)[:, k]
-            own[row] += np.sum((_beyond_linear(rig, o, k, power) * w * law.conj()).real, axis=0)
-            moved[row] += np.sum(np.abs(_moved_by_currents(rig, o, power) * w * law), axis=0)
+            own_harmonic, w = law.change(rig, o, power, power), weight(o, law.signal)[:, k]
+            bends[row] = np.maximum(bends[row], np.abs(own_harmonic).max(axis=(0, 1)))
+            if law.signal == "y":
+                bent, beyond = own_harmonic * w[..., None], _beyond_linear(rig, o, k, power) * w
+                own[row] += np.sum((beyond[..., None] * bent.conj()).real, axis=(0, 1))
+                moved[row] += np.sum(
+                    np.abs(_moved_by_currents(rig, o, power) * w)[..., None] * np.abs(bent), axis=(0, 1)
+                )
     size = np.where(size > 0, size, 1.0)
-    floor = np.stack([MODEL_FLOOR * (2 / largest) ** (power - 1) for power in POWERS])
-    if signal == "y":
+    floor = MODEL_FLOOR * largest / bends
+    if law.signal == "y":
         odd = np.array(POWERS) % 2 == 1
         floor[odd] = (moved / size)[odd]
     return np.asarray(np.hypot(OF_THE_MAGNETS * own / size, floor))

@@ -1,4 +1,4 @@
-"""Whether a curved displacement or current explains a part better than the effects that do so best."""
+"""Whether a curved characteristic explains a part better than the effects that do so best."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.gap.doubts.curved import Seen, in_words, systematic
 from service.gap.weighing.verdict import UNEXPLAINED, noise_levels
-from service.gap.which.curved_signal import curved_signal
+from service.gap.which.curvature import curvatures
 from service.gap.which.search import Explained
 
 Complex = NDArray[np.complex128]
@@ -21,18 +21,17 @@ def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
     best explanation leave there, weighted, (P, H, n).
     """
     null, named = e.null.candidate, e.order[0].candidate
-    bent = curved_signal(e.ground, null, e.plain)
-    if bent is None:
-        return None
     noise = sum(noise_levels(null, [r.candidate for r in e.order]))
-    if bent.explained < (1 - UNEXPLAINED) * (null.fit.cost - noise):
-        return None
+    enough = (1 - UNEXPLAINED) * (null.fit.cost - noise)
+    bent = [c for c in curvatures(e.ground, null, e.plain) if c.explained >= enough]
+    by_all = sorted(((c.explained + c.explained_on(*plain), c) for c in bent), key=lambda one: -one[0])
     by_named = null.fit.cost - named.fit.cost + _power(plain[1]) - _power(best[1])
-    if bent.explained + bent.explained_on(*plain) <= by_named:
-        return None
     sweeps = [*zip(e.ground.observations, e.plain, strict=True), plain]
-    std = np.hypot(bent.std, systematic(sweeps, null, e.part.signal))
-    return in_words(e.part.signal, e.ground.nuisance.rig.axes, bent.value, std)
+    for explained, c in by_all:
+        std = np.hypot(c.std, systematic(sweeps, null, c.law))
+        if explained > by_named and (reason := in_words(c.law, e.ground.nuisance.rig.axes, c.value, std)):
+            return reason
+    return None
 
 
 def _power(z: Complex) -> float:

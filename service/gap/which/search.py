@@ -18,7 +18,7 @@ from service.gap.weighing.significance import significance
 from service.gap.weighing.verdict import UNEXPLAINED, Ranked, noise_levels, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
-from service.gap.which.curved_signal import SHOWN, curved_signal
+from service.gap.which.curvature import SHOWN, curvatures
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
 from service.gap.which.refined import best_of_each, contained, cost, refined, settled
@@ -210,13 +210,13 @@ def _better_of(probed: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _curved(ground: Ground, null: Candidate, plain: Sequence[Complex], order: Sequence[Ranked]) -> bool:
-    """Whether a curved signal explains most of a part, and more than any effect does: mixtures would bend to it."""
-    bent = curved_signal(ground, null, plain)
-    if bent is None or bent.explained < SHOWN:
+    """Whether a curved characteristic explains most of a part, more than any effect: mixtures would bend to it."""
+    explained = max((c.explained for c in curvatures(ground, null, plain)), default=0.0)
+    if explained < SHOWN:
         return False
     excess = cost(null) - sum(noise_levels(null, [r.candidate for r in order]))
     by_effects = cost(null) - min(cost(r.candidate) for r in order)
-    return bent.explained > max(by_effects, (1 - UNEXPLAINED) * excess)
+    return explained > max(by_effects, (1 - UNEXPLAINED) * excess)
 
 
 def _with_uneven(

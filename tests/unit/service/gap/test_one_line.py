@@ -227,3 +227,27 @@ def test_a_gap_of_the_furthest_line_that_no_effect_explains_is_no_clean_rig(
     verdict = diagnose(replace(measured, sweeps=(main, late)), datasheet).verdict
     assert verdict.kind == "none_of_these"
     assert verdict.unexplained == "plant"
+
+
+def test_a_current_that_one_line_of_many_shows_to_be_cut_off_is_no_clean_rig(
+    stopped: tuple[Experiment, Datasheet],
+) -> None:
+    """As an amplifier that takes no larger command does: less current, and no later."""
+    measured, datasheet = stopped
+    plain = true_rig(known_datasheet(seed=3)[1])
+    less = replace(plain, amplifiers=replace(plain.amplifiers, gain=0.97 * plain.amplifiers.gain))
+    hz = np.unique(measured.sweeps[1].frequency_hz)
+    free, cut = (
+        one_plane(Experiment(plain.name, plain.axes, (sweep(rig, hz, 0.3, 2),)), datasheet)[0].sweeps[0]
+        for rig in (plain, less)
+    )
+    assert free.I is not None
+    assert cut.I is not None
+    there = (free.frequency_hz == hz[30])[:, None, None, None]
+    signals = {"U": (cut.U, free.U), "I": (cut.I, free.I), "Y": (cut.Y, free.Y)}
+    one = replace(free, comment="other amplitude", **{k: np.where(there, a, b) for k, (a, b) in signals.items()})
+    main = sweep(plain, np.geomspace(10.0, 1000.0, 30), 0.1, 1)
+    main = one_plane(Experiment(plain.name, plain.axes, (main,)), datasheet)[0].sweeps[0]
+    verdict = diagnose(replace(measured, sweeps=(main, one)), datasheet).verdict
+    assert verdict.kind == "none_of_these"
+    assert f"{hz[30]:.3g} Hz" in verdict.reasons[0]

@@ -212,3 +212,44 @@ def test_a_bent_sensor_is_told_with_its_curvature_and_not_as_the_force_that_bend
     assert float(told[1]) == pytest.approx(cubic_per_m2, rel=0.1)
     of_plant = [c for c in report["candidates"] if len(c["effects"]) > 1 and c["effects"][1] in PLANT]
     assert not of_plant
+
+
+@pytest.mark.parametrize("stiffer", [0.01, 0.1])
+def test_a_ring_s_force_is_told_with_its_curvature_and_not_as_a_stop(stiffer: float) -> None:
+    """``stiffer``: what it adds to the magnets' stiffness at the largest swing; a stop bends to all that stiffens."""
+    datasheet, truth = known_datasheet(seed=46)
+    rig = true_rig(truth)
+    measured = experiment(rig)
+    largest = max(float(np.abs(s.Y[:, :, HARMONICS.index(1)]).max()) for s in measured.sweeps)
+    cubic = stiffer * truth.position_stiffness_n_per_m[0] / largest**2
+    ringed = replace(measured, sweeps=tuple(with_ring(rig, s, cubic) for s in measured.sweeps))
+    report = gap_document(diagnose(*one_plane(ringed, datasheet)))
+    assert report["verdict"]["kind"] == "none_of_these"
+    told = re.search(r"-k x\^3 with k = ([\d.e+-]+) N/m\^3", report["verdict"]["sentence"])
+    assert told is not None, report["verdict"]["sentence"]
+    assert float(told[1]) == pytest.approx(cubic, rel=0.1)
+
+
+def with_ring(rig: Rig, s: Sweep, cubic: float) -> Sweep:
+    """The sweep in a loop whose bearings add a force -k x^3, what it makes of harmonics 1 and 3 carried round."""
+    frequency, line = np.unique(s.frequency_hz, return_inverse=True)
+    f, k = HARMONICS.index(1), HARMONICS.index(3)
+    once, thrice = (_pushed(rig, harmonic * frequency) for harmonic in (1, 3))
+    free = linear_model(rig, frequency)
+    x0 = np.einsum("pij,pbj->pbi", free.bearing_per_u[line], s.U[:, :, f])
+    x = x0
+    for _ in range(100):
+        x = 0.5 * x + 0.5 * (x0 + np.einsum("pij,pbj->pbi", once[0][line], -0.75 * cubic * np.abs(x) ** 2 * x))
+    out = {name: getattr(s, name).copy() for name in ("U", "I", "Y")}
+    for passed, force, at in ((once, -0.75 * cubic * np.abs(x) ** 2 * x, f), (thrice, -cubic / 4 * x**3, k)):
+        for name, per_force in zip(("Y", "U", "I"), passed[1:], strict=True):
+            out[name][:, :, at] += np.einsum("pij,pbj->pbi", per_force[line], force)
+    return replace(s, **out)
+
+
+def _pushed(rig: Rig, frequency_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Change of the bearings' displacement, y, u and i in the closed loop per force at the bearings, (F, n, n) each."""
+    m = linear_model(rig, frequency_hz)
+    y = np.linalg.solve(np.eye(rig.n_axes) + m.y_per_u * m.controller[:, None, None], m.y_per_force)
+    u = -m.controller[:, None, None] * y
+    return m.bearing_per_force + m.bearing_per_u @ u, y, u, m.i_per_u @ u

@@ -1,16 +1,15 @@
-"""A displacement or current that is curved, y = x + c2 x^2 + c3 x^3 + .., fitted to a part as an effect would be.
+"""A characteristic that is curved, c2 x^2 + c3 x^3 + .., fitted to a part of the loop as an effect would be.
 
-No law of the catalogue bends the characteristic of a sensor, or of an amplifier but at its voltage limit; effects that
-bend a force make harmonics too, and change the answer with the amplitude, so they may stand for it. Of an amplitude Y
-at the excited frequency c3 adds 3/4 |Y|^2 Y there, three times what it adds at harmonic 3. All of it is linear in the
-curvatures, and so are small changes of the datasheet's values beside them.
+No law of the catalogue bends the characteristic of a sensor, or of an amplifier but at its voltage limit, nor has it a
+force at the bearings that grows smoothly; effects that bend a force make harmonics too, and change the answer with the
+amplitude, so they may stand for one. All of it is linear in the curvatures, and so are small changes of the datasheet's
+values beside them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +19,14 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fit import TOLERANCE_BOUND, Problem
 from service.gap.fitting.jacobian import stacked
 from service.gap.fitting.part import Ground
-from service.gap.fitting.predict import measured_signal, weight
+from service.gap.fitting.predict import weight
 from service.gap.measured.observation import Observation
+from service.gap.which.curved_laws import POWERS, CurvedLaw, curved_laws
+from sim.rig import Rig
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-BENT = ("y", "i")
-"""Signals whose characteristic may be curved."""
-POWERS = (2, 3)
 NEXT_POWER = 5
 """Harmonics above 3 are not measured, but of a cubic term that is a third of the signal the next one is a tenth of it
 and shows at the excited frequency."""
@@ -39,12 +37,13 @@ SHOWN = 36.0
 
 
 @dataclass(frozen=True)
-class CurvedSignal:
-    """A part's curved signal, the datasheet's values fitted beside it."""
+class Curvature:
+    """A part's curved characteristic, the datasheet's values fitted beside it."""
 
     ground: Ground
     null: Candidate
     """the plain twin"""
+    law: CurvedLaw
     powers: tuple[int, ...]
     solution: Real
     """changes of the plain twin's values, then curvatures, (a + powers * n,)"""
@@ -65,7 +64,7 @@ class CurvedSignal:
 
     def explained_on(self, o: Observation, plain: Complex) -> float:
         """Chi-square that it takes off a sweep no fit has seen; ``plain`` is what the plain twin leaves, (P, H, n)."""
-        rows, left, *_ = _system(self.ground, self.null, [(o, plain)], self.powers)
+        rows, left, *_ = _system(self.ground, self.null, [(o, plain)], self.law, self.powers)
         return float(left @ left - np.sum((left - rows @ self.solution) ** 2))
 
     def _curvatures(self, x: Real) -> Real:
@@ -73,20 +72,23 @@ class CurvedSignal:
         return x[len(x) - len(self.powers) * n :].reshape(len(self.powers), n)[: len(POWERS)]
 
 
-def curved_signal(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> CurvedSignal | None:
-    """The curved signal that explains most of what the plain twin leaves, (P, H, n) per sweep; None for a controller.
+def curvatures(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> list[Curvature]:
+    """What each curved characteristic of a part explains of what the plain twin leaves, (P, H, n) per sweep.
 
     The next power is there only where it shows.
     """
-    if ground.part.signal not in BENT:
-        return None
-    few, more = (_fitted(ground, null, plain, powers) for powers in (POWERS, (*POWERS, NEXT_POWER)))
-    return more if more.explained > few.explained + SHOWN else few
+    out = []
+    for law in curved_laws(ground.part):
+        few, more = (_fitted(ground, null, plain, law, powers) for powers in (POWERS, (*POWERS, NEXT_POWER)))
+        out.append(more if more.explained > few.explained + SHOWN else few)
+    return out
 
 
-def _fitted(ground: Ground, null: Candidate, plain: Sequence[Complex], powers: tuple[int, ...]) -> CurvedSignal:
+def _fitted(
+    ground: Ground, null: Candidate, plain: Sequence[Complex], law: CurvedLaw, powers: tuple[int, ...]
+) -> Curvature:
     sweeps = list(zip(ground.observations, plain, strict=True))
-    rows, left, prior, pull = _system(ground, null, sweeps, powers)
+    rows, left, prior, pull = _system(ground, null, sweeps, law, powers)
     hessian = rows.T @ rows + prior
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))  # a curvature is per m^2, a deviation per tolerance
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
@@ -98,7 +100,7 @@ def _fitted(ground: Ground, null: Candidate, plain: Sequence[Complex], powers: t
     x = _within(hessian / np.outer(scale, scale), gradient / scale, low * scale, high * scale) / scale
     variance = np.diag(inverse)
     std = np.where(variance > 0, np.sqrt(np.maximum(variance, 0)), np.inf)
-    return CurvedSignal(ground, null, powers, x, std, float(2 * gradient @ x - x @ hessian @ x))
+    return Curvature(ground, null, law, powers, x, std, float(2 * gradient @ x - x @ hessian @ x))
 
 
 def _within(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
@@ -111,7 +113,11 @@ def _within(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
 
 
 def _system(
-    ground: Ground, null: Candidate, sweeps: Sequence[tuple[Observation, Complex]], powers: Sequence[int]
+    ground: Ground,
+    null: Candidate,
+    sweeps: Sequence[tuple[Observation, Complex]],
+    law: CurvedLaw,
+    powers: Sequence[int],
 ) -> tuple[Real, Real, Real, Real]:
     """The plain twin's values and the curvatures as a linear problem: rows (m, u) and what the twin leaves, (m,).
 
@@ -124,25 +130,20 @@ def _system(
     for (o, z), J in zip(sweeps, linear.columns, strict=True):
         of_values = np.zeros((*z.shape, known), dtype=complex)
         of_values[:, o.fundamental] = J
-        rows.append(stacked(np.concatenate([of_values, _laws(o, ground.part.signal, powers)], axis=-1)))
+        bent = _columns(law, null.fit.rig, o, powers) * weight(o, ground.part.signal)[..., None]
+        rows.append(stacked(np.concatenate([of_values, bent], axis=-1)))
     size = rows[0].shape[1]
     prior, pull = np.zeros((size, size)), np.zeros(size)
     prior[:known, :known], pull[:known] = problem.prior, linear.pull
     return np.concatenate(rows), np.concatenate([stacked(z[..., None])[:, 0] for _, z in sweeps]), prior, pull
 
 
-def _laws(o: Observation, signal: str, powers: Sequence[int]) -> Complex:
-    """Weighted change of a signal per curvature, (P, H, n, powers * n): each channel's own powers only.
-
-    Means are left out: they are nobody's effect.
-    """
-    x, w = measured_signal(o, signal)[:, o.fundamental], weight(o, signal)
-    n = x.shape[1]
-    out = np.zeros((*w.shape, len(powers), n), dtype=complex)
+def _columns(law: CurvedLaw, rig: Rig, o: Observation, powers: Sequence[int]) -> Complex:
+    """Change of a part's signal per curvature, (P, H, n, powers * n). Means are left out: they are nobody's effect."""
+    n = rig.n_axes
+    out = np.zeros((len(o.axis), len(o.harmonics), n, len(powers), n), dtype=complex)
     for row, power in enumerate(powers):
         for k, harmonic in enumerate(o.harmonics):
             if harmonic and harmonic <= power and (power - harmonic) % 2 == 0:
-                pairs = (power - harmonic) // 2
-                law = comb(power, pairs) / 2 ** (power - 1) * np.abs(x) ** (2 * pairs) * x**harmonic
-                out[:, k, np.arange(n), row, np.arange(n)] = law * w[:, k]
-    return out.reshape(*w.shape, len(powers) * n)
+                out[:, k, :, row] = law.change(rig, o, power, harmonic)
+    return out.reshape(*out.shape[:3], len(powers) * n)

@@ -1,0 +1,106 @@
+"""Characteristics that may be curved: a sensor's, a current probe's or amplifier's, and a force at the bearings.
+
+Of an amplitude X at the excited frequency c3 x^3 is 3/4 |X|^2 X there, three times what it is at harmonic 3.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.part import Part
+from service.gap.fitting.predict import at_speed_of, measured_signal
+from service.gap.measured.observation import Observation
+from sim.harmonic_balance import bearings_per_sensors
+from sim.rig import Rig
+from sim.twin import linear_model
+
+Complex = NDArray[np.complex128]
+
+POWERS = (2, 3)
+"""Those that harmonics show."""
+
+
+class CurvedLaw(ABC):
+    """What a characteristic's curvature makes of a part's signal."""
+
+    signal: str
+    """that of the part"""
+    introduced: str
+    """what is curved, in words"""
+
+    @abstractmethod
+    def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
+        """Amplitudes that the signals have more at a harmonic per curvature of each axis, (P, n signals, n axes)."""
+
+    @abstractmethod
+    def told(self, axis: str, power: int, value: float, deviation: float) -> str:
+        """A curvature and its standard deviation in words."""
+
+
+@dataclass(frozen=True)
+class CurvedSignal(CurvedLaw):
+    """Displacement or current x + c x^p, of each channel for itself."""
+
+    signal: str
+    unit: str
+    introduced: str
+
+    def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
+        """Each signal's own power."""
+        x = measured_signal(o, self.signal)[:, o.fundamental]
+        return np.asarray(_power(x, power, harmonic)[:, :, None] * np.eye(x.shape[1]))
+
+    def told(self, axis: str, power: int, value: float, deviation: float) -> str:
+        """As "in xA y = x + c x^3 with c = .."."""
+        size = f"{value:.2g} per {self.unit}{'' if power == 2 else '^2'} (standard deviation {deviation:.1g})"
+        return f"in {axis} {self.signal} = x + c x^{power} with c = {size}"
+
+
+@dataclass(frozen=True)
+class CurvedForce(CurvedLaw):
+    """A force -k x^p at each bearing, of the displacement there that sensors and currents tell of."""
+
+    signal = "y"
+    introduced = "a force at the bearings grows faster than the displacement, as of a ring or an elastic stop:"
+
+    def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
+        """How the force moves the rotor, the magnets' stiffness closed."""
+        rig = at_speed_of(rig, o)
+        through = linear_model(rig, harmonic * o.frequency_hz).y_per_force[o.line]
+        return np.asarray(-through * _power(_at_bearings(rig, o), power, harmonic)[:, None, :])
+
+    def told(self, axis: str, power: int, value: float, deviation: float) -> str:
+        """As "in xA -k x^3 with k = .."."""
+        return f"in {axis} -k x^{power} with k = {value:.2g} N/m^{power} (standard deviation {deviation:.1g})"
+
+
+SENSOR = CurvedSignal("y", "m", "the displacement is curved, as by a sensor that is not linear:")
+PROBE = CurvedSignal("i", "A", "the current is curved, as by an amplifier or a probe that is not linear:")
+LAWS: tuple[CurvedLaw, ...] = (SENSOR, CurvedForce(), PROBE)
+
+
+def curved_laws(part: Part) -> tuple[CurvedLaw, ...]:
+    """What may be curved in a part of the loop; of a controller nothing."""
+    return tuple(law for law in LAWS if law.signal == part.signal)
+
+
+def _power(x: Complex, power: int, harmonic: int) -> Complex:
+    """Amplitude at a harmonic of x(t)^power, x of amplitude x at harmonic 1."""
+    pairs = (power - harmonic) // 2
+    return np.asarray(comb(power, pairs) / 2 ** (power - 1) * np.abs(x) ** (2 * pairs) * x**harmonic)
+
+
+def _at_bearings(rig: Rig, o: Observation) -> Complex:
+    """Displacement at the bearings at the excited frequency, (P, n).
+
+    The model's, put right by what the sensors see beyond it as of a rigid rotor.
+    """
+    m, U = linear_model(rig, o.frequency_hz), o.U[:, o.fundamental, :, None]
+    own, to_bearings = bearings_per_sensors(rig, m.omega_rad_s)
+    beyond = o.Y[:, o.fundamental] - (m.y_per_u[o.line] @ U)[..., 0]
+    return np.asarray((m.bearing_per_u[o.line] @ U)[..., 0] + (beyond * own[o.line]) @ to_bearings)
