@@ -11,7 +11,7 @@ from service.gap.compose import excess_of
 from service.gap.doubts.across import Across, across_alike
 from service.gap.doubts.changing import changing_instead
 from service.gap.doubts.curved import Seen, curved
-from service.gap.doubts.curved_instead import curved_instead
+from service.gap.doubts.curved_instead import curved_alike, curved_instead
 from service.gap.doubts.loss import lag_missing
 from service.gap.fitting.part import STANDSTILL
 from service.gap.heard import heard_too
@@ -126,8 +126,12 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -
     asked = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
     if asked and (away := far_off(e.ground, e.chosen.fit)):
         return astray(verdict, away, e.relative_gap)
-    doubt = _alone(e, plain) if verdict.kind == "no_gap" else late
-    return verdict if doubt is None else Verdict("none_of_these", (), (), SURE_OF_NONE, (doubt,))
+    if doubt := _alone(e, plain) if verdict.kind == "no_gap" else late:
+        return Verdict("none_of_these", (), (), SURE_OF_NONE, (doubt,))
+    if not explained:
+        return verdict
+    alike = curved_alike(e, plain, on_sweep(e, e.chosen, unseen))
+    return replace(verdict, also_alike=(*verdict.also_alike, *alike))
 
 
 def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> str | None:

@@ -31,7 +31,9 @@ class CurvedLaw(ABC):
     signal: str
     """that of the part"""
     introduced: str
-    """what is curved, in words"""
+    """what is curved, in words, before what `told` says"""
+    cause: str
+    """what would do so, as a rival of an effect"""
 
     @abstractmethod
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
@@ -49,6 +51,7 @@ class CurvedSignal(CurvedLaw):
     signal: str
     unit: str
     introduced: str
+    cause: str
 
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
         """Each signal's own power."""
@@ -67,6 +70,7 @@ class CurvedForce(CurvedLaw):
 
     signal = "y"
     introduced = "a force at the bearings grows faster than the displacement, as of a ring or an elastic stop:"
+    cause = "a ring whose force grows smoothly"
 
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
         """How the force moves the rotor, the magnets' stiffness closed."""
@@ -79,8 +83,15 @@ class CurvedForce(CurvedLaw):
         return f"in {axis} -k x^{power} with k = {value:.2g} N/m^{power} (standard deviation {deviation:.1g})"
 
 
-SENSOR = CurvedSignal("y", "m", "the displacement is curved, as by a sensor that is not linear:")
-PROBE = CurvedSignal("i", "A", "the current is curved, as by an amplifier or a probe that is not linear:")
+SENSOR = CurvedSignal(
+    "y", "m", "the displacement is curved, as by a sensor that is not linear:", "a sensor that is not linear"
+)
+PROBE = CurvedSignal(
+    "i",
+    "A",
+    "the current is curved, as by an amplifier or a probe that is not linear:",
+    "an amplifier or a probe that is not linear",
+)
 LAWS: tuple[CurvedLaw, ...] = (SENSOR, CurvedForce(), PROBE)
 
 

@@ -230,6 +230,18 @@ def test_a_ring_s_force_is_told_with_its_curvature_and_not_as_a_stop(stiffer: fl
     assert float(told[1]) == pytest.approx(cubic, rel=0.1)
 
 
+def test_a_ring_too_faint_to_be_told_from_a_stop_is_told_beside_it() -> None:
+    datasheet, truth = known_datasheet(seed=46)
+    rig = true_rig(truth)
+    measured = experiment(rig)
+    largest = max(float(np.abs(s.Y[:, :, HARMONICS.index(1)]).max()) for s in measured.sweeps)
+    cubic = 0.003 * truth.position_stiffness_n_per_m[0] / largest**2
+    ringed = replace(measured, sweeps=tuple(with_ring(rig, s, cubic) for s in measured.sweeps))
+    d = diagnose(*one_plane(ringed, datasheet))
+    assert d.verdict.effects == ("touchdown_contact",)
+    assert any("not told apart either: a ring whose force grows smoothly" in note for note in d.notes)
+
+
 def with_ring(rig: Rig, s: Sweep, cubic: float) -> Sweep:
     """The sweep in a loop whose bearings add a force -k x^3, what it makes of harmonics 1 and 3 carried round."""
     frequency, line = np.unique(s.frequency_hz, return_inverse=True)
