@@ -13,6 +13,7 @@ from service.gap.doubts.swings import swinging
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.predict import at_speed_of
 from service.gap.heard import once_a_turn, scatter_shrinkage, with_interference
+from service.gap.hints import hints, one_point
 from service.gap.interference import measured_by
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
@@ -83,8 +84,13 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     if verdict.also_alike:
         told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
         notes.append(f"not told apart either: {told}")
-    if verdict.kind != "none_of_these" and (far := nu.far_off(chosen.fit.theta)):
-        notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}")
+    if verdict.effects:
+        notes += hints(chosen, nu.rig, o, (o, unseen))
+    elif not data.o.together:
+        notes += one_point(found.parts, unseen, (data.main_name, found.name))
+    if far := nu.far_off(chosen.fit.theta):
+        drawn = " (what nothing explains may have drawn it there)" if verdict.kind == "none_of_these" else ""
+        notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}{drawn}")
     figures = loop_figures(
         null.fit.rig, chosen.fit.rig, o, {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
     )

@@ -15,6 +15,9 @@ from service.gap.weighing.verdict import ALIKE, Ranked
 from sim.effect import End
 from sim.effects import CATALOGUE
 
+FEW_POINTS = 10.0
+"""Times the noise that a gap is where it cannot be noise, though no band and no channel shows one."""
+
 
 def verdict_path(d: Diagnosis) -> str:
     """Path of the block that the verdict blames: the effect's own where there is one, else where the gap is."""
@@ -188,6 +191,11 @@ def sentence(d: Diagnosis) -> str:
     """The diagnosis in one sentence: where, which, how far, how sure."""
     v, s = d.verdict, d.shrinkage
     gap, sure = f"{100 * d.gap_before:.2g} %", f"probability {100 * v.probability:.0f} %"
+    if v.kind == "no_gap" and d.gap_before > FEW_POINTS * d.noise_floor:
+        return (
+            f"No gap ({sure}): the twin explains the rig but for a few points, which make {gap} where noise makes "
+            f"{100 * d.noise_floor:.2g} %."
+        )
     if v.kind == "no_gap":
         return f"No gap ({sure}): the twin explains the rig to {gap}, which is noise and the datasheet's tolerances."
     if not v.settled:

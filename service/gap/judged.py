@@ -31,10 +31,12 @@ TELLS_NOTHING = 0.05
 """Relative change of most points from first block to last from which "no gap" would say nothing: a small one that low
 noise shows is no reason to withhold it."""
 SHOWS_FIRST = {
-    "amplifier": "which stands out there alone",
+    "amplifier": "which stands out there alone, as where a limit of voltage or current is met",
     "plant": "where the rotor swings furthest or its currents are steepest",
 }
 """Why a line may show alone what no band shows."""
+NO_MOMENT = 0.1
+"""Share of the datasheet's polar inertia below which a rotor is none that turns so fast: inertias are known better."""
 UNDECIDED = 0.5
 """Probability of a verdict that says nothing either way."""
 
@@ -86,16 +88,10 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         verdict = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
         own[e.part.path] = _doubted(e, verdict, plain, unseen)
     by_size = sorted(found, key=lambda e: -excess_of(e))
-    total = sum(excess_of(e) for e in found)
     unknown = [
         e
         for e in by_size
-        if own[e.part.path].kind == "none_of_these"
-        # a controller, which has hardly any noise, dwarfs what the rotor of another datasheet leaves
-        and (
-            (e.part.path == "plant" and own["plant"].another_rig)
-            or e.null.candidate.fit.chi_square > NEGLIGIBLE * total
-        )
+        if own[e.part.path].kind == "none_of_these" and (own[e.part.path].another_rig or not _dwarfed(e, found))
     ]
     if unknown:
         strange = [e for e in unknown if own[e.part.path].another_rig]
@@ -115,23 +111,51 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     return Verdict(kind, effects, (), probability, (), also_alike=also).with_classes(classes)
 
 
+def _dwarfed(e: Explained, found: Sequence[Explained]) -> bool:
+    """Whether a part's chi-square is nothing beside that of all: what leaks there from others needs no explanation.
+
+    A controller has hardly any noise, and dwarfs every other part whatever is wrong there: it does not count.
+    """
+    total = sum(excess_of(other) for other in found if other.part.path != "controller" or other is e)
+    return e.null.candidate.fit.chi_square <= NEGLIGIBLE * total
+
+
 def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> Verdict:
     """A part's verdict, or none of these where something speaks against it; ``plain`` as in `_bent`."""
     explained = bool(verdict.effects)
     late = lag_missing(e) if explained else None
     if reason := _bent(e, verdict, plain, unseen):
         reasons = (reason,) if late is None else (reason, late)
-        return Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, bent=True)
+        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, bent=True)
     # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
     asked = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
     if asked and (away := far_off(e.ground, e.chosen.fit)):
+        if not explained:  # no effect draws them where they are
+            away = far_off(e.ground, e.null.candidate.fit) or away
         return astray(verdict, away, e.relative_gap)
-    if doubt := _alone(e, plain) if verdict.kind == "no_gap" else late:
+    if verdict.bent:
+        return verdict
+    if doubt := _alone(e, plain) if verdict.kind == "no_gap" else late or _stands(e, verdict):
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (doubt,))
     if not explained:
         return verdict
     alike = curved_alike(e, plain, on_sweep(e, e.chosen, unseen))
     return replace(verdict, also_alike=(*verdict.also_alike, *alike))
+
+
+def _stands(e: Explained, verdict: Verdict) -> str | None:
+    """That a rotor shows no gyroscopic moment at a speed at which its datasheet's has one, in words, or None."""
+    stated = e.ground.nuisance.rig.rotor.polar_inertia_kgm2
+    if "gyroscopic_coupling" not in verdict.effects or not stated:
+        return None
+    share = e.chosen.fit.rig.rotor.polar_inertia_kgm2 / stated
+    speed = max((o.speed_rad_s for o in e.ground.observations), key=abs)
+    if share > NO_MOMENT:
+        return None
+    return (
+        f"the rotor shows {share:.2g} times the gyroscopic moment of its datasheet at the stated {speed:.4g} rad/s, "
+        "which no rotor has: does it turn, and is speed_rad_s in rad/s, positive from x to y?"
+    )
 
 
 def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> str | None:

@@ -96,7 +96,7 @@ def loop_figures(
     twins = {"before": before, "after": after}
     force = Force(at_speed_of(before, o))
     measured = force.figures(S, y_per_r, frequency)
-    noise = _noise(o, usable, lines, measured)
+    noise = _noise(after, o, usable, lines, measured)
     at_lines = {name: _of_twin(rig, o, frequency, force) for name, rig in twins.items()}
     dense = _dense(frequency, [before, after])
     predicted = {name: _of_twin(rig, o, dense, force) for name, rig in twins.items()}
@@ -177,16 +177,27 @@ def _own(of: Complex) -> Complex:
 
 
 def _noise(
-    o: Observation, usable: NDArray[np.bool_], lines: NDArray[np.int64], measured: dict[str, Real]
+    rig: Rig, o: Observation, usable: NDArray[np.bool_], lines: NDArray[np.int64], measured: dict[str, Real]
 ) -> dict[str, Real]:
-    """Standard deviation of the measured figures, (F, n) each, of the points that they are of."""
+    """Standard deviation of the measured figures, (F, n) each, of the points that they are of.
+
+    The noise of u and y is of what their parts of the loop leave; ``rig`` carries it round: u = S (e_u - C e_y),
+    y = P S e_u + (I + P C)^-1 e_y.
+    """
     f, n = o.fundamental, o.U.shape[2]
     of_u, of_y = np.zeros((len(lines), n)), np.zeros((len(lines), n))
+    model = linear_model(at_speed_of(rig, o), o.frequency_hz[lines])
+    S, C = model.sensitivity, model.controller[:, None, None]
+    u_per, y_per = (S, C * S), (model.y_per_u @ S, np.linalg.inv(np.eye(n) + model.y_per_u * C))
     for row, k in enumerate(lines):
         for point in np.flatnonzero((o.line == k) & usable):
-            a = o.axis[point]
-            of_u[row, a] = o.sd_u[point, f, a] / abs(o.R[point, f, a])
-            of_y[row, a] = o.sd_y[point, f, a] / max(abs(o.Y[point, f, a]), NOTHING_SEEN)
+            a, e = o.axis[point], (o.sd_u[point, f], o.sd_y[point, f])
+            scatter_u, scatter_y = (
+                np.sqrt(sum(np.abs(G[row, a]) ** 2 @ sd**2 for G, sd in zip(per, e, strict=True)))
+                for per in (u_per, y_per)
+            )
+            of_u[row, a] = scatter_u / abs(o.R[point, f, a])
+            of_y[row, a] = scatter_y / max(abs(o.Y[point, f, a]), NOTHING_SEEN)
     # of the size of a complex mean: half of its variance
     root = np.sqrt(0.5)
     return dict(zip(QUANTITIES, (root * of_u, root * of_u, root * of_y * measured["dynamic_stiffness"]), strict=True))

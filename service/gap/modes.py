@@ -46,7 +46,11 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
         _apart([m for m in plane.modes if m.kind == "rotor" and not _among(m, named)])
         for plane in result.planes.values()
     ]
-    shown = [_mean([mode, *_same(mode, of_planes[1:])]) for mode in of_planes[0]]
+    shown: list[Mode] = []
+    for k, plane in enumerate(of_planes):  # what one plane alone shows is a mode as well
+        first = (mode for mode in plane if not _same(mode, of_planes[:k]))
+        shown += [_mean([mode, *_same(mode, of_planes[k + 1 :])]) for mode in first]
+    shown.sort(key=lambda mode: mode.frequency_hz)
     if not shown:
         return datasheet, "the datasheet knows no flexible mode, and the experiment shows none"
     support = move_as_supports(np.array([(mode.shape_at_bearings, mode.shape_at_sensors) for mode in shown]))

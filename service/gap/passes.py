@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.gap.doubts.log import faint_log_fault, log_fault
 from service.gap.fitting.candidates import Candidate, Fitter
@@ -17,10 +18,13 @@ from service.gap.telling import Telling
 from service.gap.weighing.another_rig import hopeless
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
 from service.gap.weighing.verdict import UNEXPLAINED, VISIBLE, rejected
+from service.gap.which.begun import residuals
 from service.gap.which.between import between
 from service.gap.which.held_out import held_out, on_sweep
 from service.gap.which.search import MOST, Explained, explain, plain_twin
 from sim.effects import CATALOGUE
+
+Real = NDArray[np.float64]
 
 ONE_SWEEP, FITTED = 80.0, 97.0
 """Percent that are done when the main sweep is explained, and when every fit is done."""
@@ -101,8 +105,8 @@ def _explained(
         if part.path not in known:
             telling.part(part, [p for p in looked_at if p.path not in known], *percent)
         result = known.get(part.path)
-        if result is not None:  # what was found in the other parts has changed
-            result = replace(result, ground=replace(result.ground, theta=theta, found=named, inherited=None))
+        if result is not None:
+            result = _rebased(result, theta, named, data)
         else:
             sooner = (before or {}).get(part.path)
             plain = plain_twin(fitter, ground, sooner)
@@ -115,6 +119,18 @@ def _explained(
                 out[-1], result = _shared(fitter, out[-1], result)
         out.append(result)
     return out, fault
+
+
+def _rebased(e: Explained, theta: Real, named: tuple[tuple[str, Values], ...], data: Observed) -> Explained:
+    """A part that is not looked at again, where what was found in the other parts has changed.
+
+    The amplifiers' effects are held as they are now: what was uncertain of them before says nothing of these.
+    """
+    ground = replace(e.ground, theta=theta, found=named, inherited=None)
+    if ground.from_current:
+        ground = replace(ground, observations=(driven_by_current(ground.rig(theta), data.o),))
+    plain, left = (residuals(ground, c) for c in (e.null.candidate, e.order[0].candidate))
+    return replace(e, ground=ground, plain=plain, left=left)
 
 
 def _shared(fitter: Fitter, amplifiers: Explained, plant: Explained) -> tuple[Explained, Explained]:

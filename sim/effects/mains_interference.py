@@ -27,8 +27,8 @@ EFFECT = Effect(
     id="mains_interference",
     path="additive",
     parameters=(
-        Parameter("amplitude_m", "m", 1e-9, 1e-5, 2e-7, 0.0, "log", "at the mains frequency on every sensor"),
-        Parameter("amplitude_a", "A", 1e-5, 0.3, 1e-2, 0.0, "log", "at the mains frequency on every current probe"),
+        Parameter("amplitude_m", "m", 1e-9, 1e-3, 2e-7, 0.0, "log", "at the mains frequency on every sensor"),
+        Parameter("amplitude_a", "A", 1e-5, 100.0, 1e-2, 0.0, "log", "at the mains frequency on every current probe"),
         Parameter(
             "frequency_hz", "Hz", 45.0, 400.0, 50.0, 50.0, description="of the mains or its rectifier", strength=False
         ),

@@ -23,7 +23,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 EFFECT = Effect(
     id="runout",
     path="additive",
-    parameters=(Parameter("amplitude_m", "m", 1e-8, 2e-5, 2e-6, 0.0, "log", "once a turn, on every sensor"),),
+    parameters=(Parameter("amplitude_m", "m", 1e-8, 1e-3, 2e-6, 0.0, "log", "once a turn, on every sensor"),),
     apply=_apply,
     law="+ a cos(W t), y a quarter turn behind x",
     signature="a line at the speed, not in proportion to the excitation, which follows the speed",

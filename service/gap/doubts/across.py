@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.jacobian import displacement_jacobian
 from service.gap.fitting.predict import at_speed_of, weight
+from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import UNEXPLAINED
 from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
+from sim.rig import Rig
 from sim.twin import linear_model
 
 Complex = NDArray[np.complex128]
@@ -62,13 +64,15 @@ def across_alike(e: Explained) -> list[Across]:
     before = float(z @ z)
     noise = min(float(z.size), *(r.candidate.fit.groups[0][0] for r in e.order))
     found = []
-    for effect, change in _signatures(e).items():
+    for effect, change in signatures(rig, o).items():
         d = _real(w * change)
         taken = J.T @ d
         size = float(d @ d - taken @ np.linalg.solve(hessian, taken))
         if size <= 0:
             continue
         square = float(d @ z) / size  # the refitted values are where the plain twin's are best already
+        if effect == "cross_coupled_stiffness" and square <= 0:  # what goes out by k comes back by -k
+            continue
         after = before - square**2 * size
         left = max(after - noise, 0.0) / max(before - noise, 1e-9)
         parameter = next(p for p in CATALOGUE[effect].parameters if p.name == STRENGTH[effect])
@@ -78,23 +82,26 @@ def across_alike(e: Explained) -> list[Across]:
     return sorted(found, key=lambda a: a.left)
 
 
-def _signatures(e: Explained) -> dict[str, Complex]:
-    """Change of y at the fundamental, (P, n), per square of an effect's strength."""
-    o, rig = e.ground.observations[0], at_speed_of(e.null.candidate.fit.rig, e.ground.observations[0])
+def signatures(rig: Rig, o: Observation) -> dict[str, Complex]:
+    """Change of y at the fundamental, (P, n), per square of an effect's strength; ``rig`` at the observation's speed.
+
+    Magnets that are turned by a give a^2 times theirs, beside what their own plane has less; a symmetric share of b
+    gives -b^2 times it.
+    """
     model = linear_model(rig, o.frequency_hz)
-    P, S, A = model.y_per_u, model.sensitivity, model.i_per_u
-    ki, ks = np.diag(rig.magnets.ki), np.diag(rig.magnets.ks)
-    G = model.y_per_i @ np.linalg.inv(ki)  # displacement per force at a bearing
-    there = ki @ A + ks @ P  # magnets' force per u
-    back = ki @ A * model.controller[:, None, None] - ks  # what the other plane's magnets answer to its displacement
+    ki, ks, C = np.diag(model.point.ki), np.diag(model.point.ks), model.controller[:, None, None]
+    there = ki @ model.flux_per_u + ks @ model.bearing_per_u  # magnets' force per u
+    controlled = C * model.sensitivity @ model.y_per_force  # -u per force in the other plane, its loop closed
+    moved = model.bearing_per_force - model.bearing_per_u @ controlled  # its bearings' displacement per force
+    back = ks @ moved - ki @ model.flux_per_u @ controlled  # what its magnets answer
     U = o.U[:, o.fundamental, :, None]
 
     def change(of: Complex) -> Complex:
         return np.asarray((of[o.line] @ U)[..., 0])
 
     return {
-        "magnetic_cross_coupling": change(G @ back @ S @ G @ there),
-        "cross_coupled_stiffness": change(G @ S @ G @ P),
+        "magnetic_cross_coupling": change(-model.y_per_force @ back @ there),
+        "cross_coupled_stiffness": change(-model.y_per_force @ moved @ model.bearing_per_u),
     }
 
 

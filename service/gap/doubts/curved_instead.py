@@ -16,8 +16,9 @@ Complex = NDArray[np.complex128]
 def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
     """What curvature, in words, explains a part better than the best effects do; None where none does.
 
-    It has to explain more of the fitted sweeps and of the unseen one together. ``plain`` and ``best`` are the sweep
-    that no fit saw and what the plain twin and the best explanation leave there, weighted, (P, H, n).
+    It has to explain more of the fitted sweeps and of the unseen one together, and as much of the fitted ones alone: on
+    the unseen one an effect may fail for what else is there. ``plain`` and ``best`` are the sweep that no fit saw and
+    what the plain twin and the best explanation leave there, weighted, (P, H, n).
     """
     sweeps = [*zip(e.ground.observations, e.plain, strict=True), plain]
     for better, c in _compared(e, plain, best):
@@ -39,9 +40,10 @@ def _compared(e: Explained, plain: Seen, best: Seen) -> list[tuple[float, Curvat
     """
     null, named = e.null.candidate, e.order[0].candidate
     noise = sum(noise_levels(null, [r.candidate for r in e.order]))
-    enough = max(SHOWN, (1 - UNEXPLAINED) * (null.fit.cost - noise))
+    fitted, there = null.fit.cost - named.fit.cost, _power(plain[1]) - _power(best[1])
+    enough = max(SHOWN, (1 - UNEXPLAINED) * (null.fit.cost - noise), fitted - SHOWN)
     bent = [c for c in curvatures(e.ground, null, e.plain) if c.explained >= enough]
-    by_named = null.fit.cost - named.fit.cost + _power(plain[1]) - _power(best[1])
+    by_named = fitted + there
     compared = [(c.explained + c.explained_on(*plain) - by_named, c) for c in bent]
     return sorted(compared, key=lambda one: -one[0])
 

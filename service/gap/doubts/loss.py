@@ -47,7 +47,7 @@ def lag_share(e: Explained) -> tuple[float, float]:
     problem = Problem.of(e.ground, c.fit)
     begin = sum(len(CATALOGUE[name].parameters) for name in c.effects[: c.effects.index(HYSTERESIS)])
     own = range(begin, begin + len(CATALOGUE[HYSTERESIS].parameters))
-    without = e.ground.rig(c.fit.theta, c.fit.inherited or None)
+    without = e.ground.fitted_rig(c.fit.theta, c.fit.inherited)
     for name, values in zip(c.effects, c.fit.values, strict=True):
         if name != HYSTERESIS:
             without = CATALOGUE[name].on(without, **values)

@@ -18,7 +18,7 @@ OUT_OF_STEPS = "reached the largest number of iterations"
 """Status of a fit that could go on."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted twin, or one part of it."""
 

@@ -99,6 +99,18 @@ class Ground:
             rig = replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=free))
         return rig
 
+    def fitted_rig(self, theta: Real, inherited: Sequence[Values]) -> Rig:
+        """The rig at a fit's deviations, which may be of before another part was explained anew.
+
+        Its own deviations count and, where this ground has any, what it made of the uncertain part of another one
+        (``inherited``, as of `Fit`); all else is as other parts have it now.
+        """
+        uncertain = self.inherited
+        of = self.part.active if uncertain is None else np.concatenate([self.part.active, uncertain.active])
+        now = self.theta.copy()
+        now[of] = theta[of]
+        return self.rig(now, inherited if uncertain is not None and inherited else None)
+
 
 def possible(nuisance: Nuisance, observations: Sequence[Observation], paths: Sequence[str]) -> list[Effect]:
     """Effects of some paths that this rig and these conditions could show, one of each exact alias."""

@@ -45,8 +45,8 @@ def peaks_of_failure(z: Complex, o: Observation, count: int = 2) -> list[float]:
         o.line, weights=np.log1p(np.abs(z[:, o.fundamental]) ** 2).sum(axis=1), minlength=len(o.frequency_hz)
     )
     per_line = total / np.maximum(np.bincount(o.line, minlength=len(o.frequency_hz)), 1)
-    inner = np.r_[False, (per_line[1:-1] >= per_line[:-2]) & (per_line[1:-1] >= per_line[2:]), False]
-    inner[[0, -1]] = per_line[[0, -1]] > per_line[[1, -2]]
+    padded = np.pad(per_line, 1, constant_values=-np.inf)  # a line at the end has one neighbour, one alone none
+    inner = (per_line >= padded[:-2]) & (per_line >= padded[2:])
     order = np.argsort(np.where(inner, -per_line, 0.0))
     return [float(o.frequency_hz[k]) for k in order[:count]]
 

@@ -18,7 +18,7 @@ from service.experiment.data import Sweep
 from service.gap.measured.coherent import PATTERNS, beside_hum, left_in_mean, without_hum
 from service.gap.measured.leak import leaked, periods
 from service.gap.measured.scatter import mean_scatter
-from service.gap.measured.settling import drifting
+from service.gap.measured.settling import drifting, trend
 from service.gap.measured.together import Together
 from service.gap.measured.wander import wander
 from sim.errors import AmbError
@@ -42,6 +42,10 @@ which a datasheet writes its coefficients count."""
 UNSETTLED_SHARE = 0.25
 """Share of a point's drift, first block to last, that is counted as its error: a block of a signal that still
 decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
+
+
+DRIFTS = 1e-4
+"""Probability by chance below which a channel's trend from block to block counts as a drift."""
 
 
 ENDS = 2.0
@@ -176,12 +180,12 @@ def observe(
     sd_u = _with_floor(sd_u, mean_u, sweep.harmonics, CONTROLLER_FLOOR)
     sd_y = _with_floor(sd_y, mean_y, sweep.harmonics)
     sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
-    drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _drift(U[:, :, f], sd_u[:, f], blocks)
+    drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _trend(U[:, :, f])
     sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
     sd_u = np.hypot(sd_u, _of_ends(sweep, drift_u)[:, None, None])
     if sweep.I is not None:  # at the excited frequency an amplifier answers to a slow change as to a steady tone
         elsewhere = np.arange(len(sweep.harmonics)) != f
-        drift_i = _drift(sweep.I[:, :, f], sd_i[:, f], blocks)
+        drift_i = _trend(sweep.I[:, :, f])
         sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _of_ends(sweep, drift_i)[:, None, None])
     rings = ringing(rig, sweep)
     sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
@@ -283,6 +287,16 @@ def _of_ends(sweep: Sweep, drift: Real) -> Real:
 
 
 def _drift(Y: Complex, sd: Real, blocks: int) -> Real:
-    """Change of each point from its first block to its last beyond what noise allows, (P,), m or A."""
+    """Change of each point from its first block to its last beyond what noise allows, (P,), m."""
     change = np.abs(Y[:, -1] - Y[:, 0])
     return np.asarray(np.maximum(change - 4 * sd * np.sqrt(2 * blocks), 0.0).max(axis=1))
+
+
+def _trend(X: Complex) -> Real:
+    """Change of each point along the trend of its blocks, where noise has none like it, (P,), A.
+
+    Held against the blocks' own scatter: the loop brings sensors' noise into u and i, and what the controller or an
+    amplifier leaves of them has hardly any.
+    """
+    probability, change = trend(X)
+    return np.asarray(np.where(probability < DRIFTS, change, 0.0).max(axis=1))

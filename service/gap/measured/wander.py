@@ -39,7 +39,7 @@ def wander(rig: Rig, means: tuple[Complex, Complex, Complex], sd: Real, k: int, 
     of_line = 1.0 * (line[:, None] == np.arange(line.max() + 1))  # the line's own mean is nobody's effect
     columns = np.concatenate([laws / np.maximum(np.abs(laws).max(axis=0), 1e-300), of_line], axis=1)
     free = len(load) - columns.shape[1]
-    if free < columns.shape[1]:
+    if free < laws.shape[1]:
         return np.zeros_like(load)
     left = np.zeros_like(load)
     for c in range(load.shape[1]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +54,11 @@ def astray(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
 
     ``relative_gap`` is what the plain twin leaves of the part's output.
     """
-    if relative_gap >= STRANGE:
+    if relative_gap >= STRANGE and not verdict.bent:
         reason = f"the datasheet seems to be of another rig; {away}: check it"
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), another_rig=True)
     if not verdict.effects:
-        return verdict
+        return replace(verdict, reasons=(*verdict.reasons, f"beside that, {away}: check the datasheet"))
     words = " and ".join(verdict.effects).replace("_", " ")
     reason = f"the best explanation, {words}, holds only with a datasheet that is not this rig's; {away}"
     return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))

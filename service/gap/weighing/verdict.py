@@ -48,7 +48,7 @@ Groups = Sequence[tuple[float, int]]
 """(chi-square, number of residuals) each"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ranked:
     """An explanation with its evidence and probability."""
 

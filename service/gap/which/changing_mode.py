@@ -171,7 +171,7 @@ class _Fitted:
     def _rig(self, x: Real) -> Rig:
         theta = self._null.fit.theta.copy()
         theta[self._active] = x[:-2]
-        return self._ground.rig(theta, self._null.fit.inherited or None)
+        return self._ground.fitted_rig(theta, self._null.fit.inherited)
 
     def _answer(self, rig: Rig, o: Observation, x: Real) -> Complex:
         swing = swing_of(at_speed_of(rig, o), o, self._mode)

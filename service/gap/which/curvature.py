@@ -27,9 +27,6 @@ from sim.rig import Rig
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-NEXT_POWER = 5
-"""Harmonics above 3 are not measured, but of a cubic term that is a third of the signal the next one is a tenth of it
-and shows at the excited frequency."""
 NOTHING = 1e-12
 """Share of the largest eigenvalue below which data tell nothing of a direction."""
 SHOWN = 36.0
@@ -75,12 +72,14 @@ class Curvature:
 def curvatures(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> list[Curvature]:
     """What each curved characteristic of a part explains of what the plain twin leaves, (P, H, n) per sweep.
 
-    The next power is there only where it shows.
+    A higher power is there only where it shows.
     """
     out = []
     for law in curved_laws(ground.part):
-        few, more = (_fitted(ground, null, plain, law, powers) for powers in (POWERS, (*POWERS, NEXT_POWER)))
-        out.append(more if more.explained > few.explained + SHOWN else few)
+        best, *others = (_fitted(ground, null, plain, law, powers) for powers in law.powers)
+        for more in others:
+            best = more if more.explained > best.explained + SHOWN else best
+        out.append(best)
     return out
 
 

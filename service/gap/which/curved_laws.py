@@ -23,6 +23,9 @@ Complex = NDArray[np.complex128]
 
 POWERS = (2, 3)
 """Those that harmonics show."""
+NEXT_POWER = 5
+"""Harmonics above 3 are not measured, but of a cubic term that is a third of the signal the next one is a tenth of it
+and shows at the excited frequency."""
 
 
 class CurvedLaw(ABC):
@@ -34,6 +37,8 @@ class CurvedLaw(ABC):
     """what is curved, in words, before what `told` says"""
     cause: str
     """what would do so, as a rival of an effect"""
+    powers: tuple[tuple[int, ...], ...]
+    """what it may consist of: the least, then what it may be where more shows"""
 
     @abstractmethod
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
@@ -52,6 +57,7 @@ class CurvedSignal(CurvedLaw):
     unit: str
     introduced: str
     cause: str
+    powers = (POWERS, (*POWERS, NEXT_POWER))
 
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
         """Each signal's own power."""
@@ -71,6 +77,7 @@ class CurvedForce(CurvedLaw):
     signal = "y"
     introduced = "a force at the bearings grows faster than the displacement, as of a ring or an elastic stop:"
     cause = "a ring whose force grows smoothly"
+    powers = (POWERS,)  # with more it would bend to a stop
 
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
         """How the force moves the rotor, the magnets' stiffness closed."""

@@ -45,14 +45,18 @@ def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate,
 
 
 def turning_with_the_shaft(c: Candidate) -> Candidate | None:
-    """The same twin at rest, but what damping it has gained is internal; None where it has gained none."""
+    """The same twin at rest, but what damping it has gained is internal; None where it has gained none.
+
+    Nor where it has gained more than a shaft loses inside.
+    """
     k = c.effects.index("modal_damping")
     total = [m.damping_ratio for m in c.fit.rig.rotor.modes[0]]
     gained = [t * (1 - math.exp(-c.fit.values[k][f"mode{n + 1}_log_ratio"])) for n, t in enumerate(total) if n < 2]
     most = min((g for g in gained if g > 0), default=0.0)
-    if not most:
-        return None
     effect = CATALOGUE["internal_damping"]
+    strength = next(p for p in effect.parameters if p.name == "damping_ratio")
+    if not strength.low <= most <= strength.high:
+        return None
     rig = effect.on(_outside(c.fit.rig, most), damping_ratio=most)
     effects = (*c.effects[:k], effect.id, *c.effects[k + 1 :])
     values = (*c.fit.values[:k], {"damping_ratio": most}, *c.fit.values[k + 1 :])

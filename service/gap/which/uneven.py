@@ -118,7 +118,7 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
 
 def _without(name: str, ground: Ground, c: Candidate) -> Rig:
     """The rig of an explanation without one of its effects."""
-    rig = ground.rig(c.fit.theta, c.fit.inherited or None)
+    rig = ground.fitted_rig(c.fit.theta, c.fit.inherited)
     for other, values in zip(c.effects, c.fit.values, strict=True):
         if other != name:
             rig = CATALOGUE[other].on(rig, **values)

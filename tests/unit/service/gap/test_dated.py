@@ -31,6 +31,8 @@ def test_its_rate_is_that_of_the_campaign_and_its_time_one_that_a_twin_takes(
     assert values["duration_s"] == stated_s
     for name in ("ki_change", "ks_change"):
         assert values[name] / stated_s == pytest.approx(FOUND[name] / campaign_s)
+        spread = candidate.standard_deviations[0][name]
+        assert spread / values[name] == pytest.approx(0.001 / FOUND[name]), "as sure as it was"
     DRIFT.on(RIG, **values)
 
 

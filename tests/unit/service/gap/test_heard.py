@@ -118,3 +118,16 @@ def test_runout_is_told_with_what_else_goes_once_a_turn_and_a_hum_is_not() -> No
     (note,) = once_a_turn([BY_PHASE, turning])
     assert "60 Hz" in note
     assert "unbalance" in note
+
+
+@pytest.mark.parametrize(
+    ("effect", "loud"),
+    [("runout", {"amplitude_m": 3e-5}), ("mains_interference", {"amplitude_m": 0.0, "amplitude_a": 0.5})],
+)
+def test_interference_louder_than_most_is_named_with_what_was_measured(effect: str, loud: dict[str, float]) -> None:
+    at = {"frequency_hz": HUM_HZ} if effect == "mains_interference" else {}
+    source = Interference(effect, HUM_HZ, {**loud, **at}, 0.0, 0.0, 3.0, 20.0, "y", heard_hz=(HUM_HZ,))
+    rig = reference_rig()
+    null = Candidate((), Fit((), np.zeros(1), (), rig, (), 0.0, np.arange(1), np.eye(1), ""), 0.0, ())
+    whole = with_interference(Composition((Ranked(null, 0.0, 1.0, 0.0),)), (effect,), [source])
+    assert whole.order[0].candidate.fit.values[0] == {**loud, **at}

@@ -95,3 +95,16 @@ def test_twins_are_drawn_within_the_tolerances_however_loud_the_data() -> None:
     rigs = drawn_twins(nu, Candidate((), fit, 0.0, ()), count=400)
     spread = np.std([r.magnets.ki / nu.rig.magnets.ki for r in rigs], axis=0)
     assert np.all((spread > 0.03) & (spread < 0.3))
+
+
+def test_the_stated_deviation_of_a_measured_figure_is_that_of_campaign_after_campaign() -> None:
+    """What a part of the loop leaves scatters less than what the loop makes of it."""
+    hz = np.geomspace(10.0, 950.0, 12)
+    found = [loop_figures(TWIN, RIG, observe(sweep(RIG, hz, 0.1, seed), TWIN))["extremes"] for seed in range(30)]
+    for quantity in QUANTITIES:
+        ratios = []
+        for axis in TWIN.axes:
+            told = [of[quantity][axis]["measured"] for of in found]
+            ratios.append(np.std([t["value"] for t in told], ddof=1) / np.mean([t["std"] for t in told]))
+        # noise is least where T and the compliance are largest, and no twin is trusted as far: that counts, too
+        assert (0.6 if quantity == "sensitivity" else 0.25) < np.mean(ratios) < 1.6, quantity

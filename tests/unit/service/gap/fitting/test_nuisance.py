@@ -81,4 +81,4 @@ def test_a_shaft_stiffer_in_one_plane_than_in_the_other_is_not_what_one_datashee
     )
     d = diagnose(experiment(replace(rig, rotor=replace(rig.rotor, modes=modes))), DATASHEET)
     assert d.verdict.kind == "none_of_these"
-    assert "mode1 frequency x by -2.0" in d.verdict.reasons[0]
+    assert any("mode1 frequency x by -2.0" in reason for reason in d.verdict.reasons)

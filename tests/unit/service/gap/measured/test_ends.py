@@ -39,3 +39,9 @@ def test_ends_that_leave_much_at_low_frequencies_alone_cancel_there_alone() -> N
     found = seen(np.where(low[:, None, None], np.diff(white(7), axis=1), white(6)))
     assert found[low][:-12].max() < 0.35
     assert found[~low][12:].min() > 0.65
+
+
+@pytest.mark.parametrize(("blocks", "least"), [(4, 0.98), (6, 0.99), (10, 0.99)])
+def test_independent_blocks_are_taken_for_nothing_else_in_the_mean(blocks: int, least: float) -> None:
+    """Cut off at one, an estimate that scatters would claim less noise than there is."""
+    assert seen(white(blocks)).mean() > least

@@ -6,8 +6,8 @@ import numpy as np
 
 from service.experiment.data import Sweep
 from service.gap.fitting.nuisance import nuisance
-from service.gap.measured.observation import Observation, observe
-from sim.twin import current_per_control
+from service.gap.measured.observation import CONTROLLER_FLOOR, SMALLEST_SHARE, Observation, observe
+from sim.twin import current_per_control, rig_from_datasheet
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
 
@@ -52,3 +52,14 @@ def test_what_a_resonance_that_rings_up_leaves_in_harmonics_is_no_error_of_the_a
     others = np.arange(len(before.line)) != point
     np.testing.assert_allclose(after.sd_i[others], before.sd_i[others], rtol=0.05)
     np.testing.assert_allclose(after.sd_i[point, before.fundamental], before.sd_i[point, before.fundamental], rtol=0.5)
+
+
+def test_the_controller_is_held_as_closely_as_its_arithmetic_however_sensors_scatter() -> None:
+    """The loop brings their noise into u; from block to block that is no drift of a rig that has settled."""
+    sheet, truth = known_datasheet(seed=3)
+    rig = rig_from_datasheet(sheet)
+    noisy = sweep(true_rig(truth), lines(), 0.15, seed=1, noise=5.0)
+    found = observe(noisy, rig)
+    f = found.fundamental
+    floor = np.maximum(CONTROLLER_FLOOR * np.abs(found.U[:, f]), SMALLEST_SHARE * np.abs(found.U).max())
+    assert np.median(found.sd_u[:, f] / floor) < 1.5

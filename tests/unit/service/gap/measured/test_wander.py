@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.experiment.data import Sweep
+from service.experiment.data import Experiment, Sweep
 from service.gap.measured.observation import observe
 from sim.twin import rig_from_datasheet
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+from tests.support.two_axes import one_plane
 
 SHEET, TRUTH = known_datasheet(seed=3)
 RIG = rig_from_datasheet(SHEET)
@@ -36,3 +37,11 @@ def test_a_static_force_that_grows_with_the_square_of_the_current_is_no_chance()
     current = np.abs(MEASURED.I[:, :, 1].mean(axis=1))
     found = observe(pushed(100 * np.median(PLAIN_SD) * (current / current.max()) ** 2), RIG)
     assert np.median(found.sd_y[:, 0] / PLAIN_SD) < 1.5
+
+
+def test_a_rig_with_one_plane_is_told_of_it_too() -> None:
+    size = 20 * np.median(PLAIN_SD)
+    by = np.where(np.random.default_rng(1).uniform(size=PLAIN_SD.shape) < 0.5, -size, size)
+    measured, sheet = one_plane(Experiment(RIG.name, RIG.axes, (pushed(by),)), SHEET)
+    found = observe(measured.sweeps[0], rig_from_datasheet(sheet))
+    assert 0.5 * size < np.median(found.sd_y[:, 0]) < 3 * size

@@ -20,7 +20,18 @@ def test_a_large_gap_is_another_rigs(found: Verdict) -> None:
 
 def test_a_small_gap_that_nothing_explains_stays_one_of_this_rig() -> None:
     """What nothing describes draws the datasheet's values away too: half a per cent of it is no other rotor."""
-    assert astray(UNKNOWN, AWAY, relative_gap=0.005) is UNKNOWN
+    verdict = astray(UNKNOWN, AWAY, relative_gap=0.005)
+    assert not verdict.another_rig
+    assert verdict.reasons[0] == UNKNOWN.reasons[0]
+    assert AWAY in verdict.reasons[1], "it may be the datasheet all the same"
+
+
+def test_what_bends_is_told_before_the_values_that_it_draws_away() -> None:
+    bent = Verdict("none_of_these", (), (), 0.95, ("the displacement is curved",), bent=True)
+    verdict = astray(bent, AWAY, relative_gap=0.1)
+    assert not verdict.another_rig
+    assert verdict.reasons[0] == bent.reasons[0]
+    assert AWAY in verdict.reasons[1]
 
 
 def test_a_small_gap_is_explained_by_no_effect_that_needs_another_datasheet() -> None:

@@ -1,0 +1,95 @@
+"""What an engineer should look at before the verdict is believed: a label, a sign or a point that would do the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.measured.observation import Observation
+from service.gap.which.held_out import on_sweep
+from service.gap.which.search import Explained
+from sim.rig import Rig
+
+Complex = NDArray[np.complex128]
+
+RESONANCES = ("extra_flexible_mode", "support_resonance")
+BESIDE = 0.01
+"""Relative distance of a resonance that is named to a mode of the datasheet, from which that mode is asked about."""
+SCALED = 0.005
+"""Change of the controller's gain from which the scale of the log is asked about."""
+PLAIN = 300.0
+"""Chi-square that such a point has at least."""
+MOST = 0.8
+"""Share of what the plain twin leaves of a part, beyond noise, that one point has where it is told."""
+
+
+def hints(chosen: Candidate, datasheet: Rig, o: Observation, sweeps: Sequence[Observation]) -> list[str]:
+    """What else would look like the effects that are named, of causes that are no effect of a rig.
+
+    Parameters
+    ----------
+    chosen
+        The twin that the verdict names.
+    o, sweeps
+        The fitted sweep, and all of them.
+    """
+    told = []
+    named = dict(zip(chosen.effects, chosen.fit.values, strict=True))
+    if "gyroscopic_coupling" in named and (stated := datasheet.rotor.polar_inertia_kgm2):
+        share = chosen.fit.rig.rotor.polar_inertia_kgm2 / stated
+        fastest = max((s.speed_rad_s for s in sweeps), key=abs)
+        told.append(
+            f"the rotor shows {share:.2g} times the gyroscopic moment of the datasheet's polar inertia at the stated "
+            f"speed: a rotor of that datasheet would turn at {share * fastest:.3g} rad/s, not {fastest:.4g} rad/s; "
+            "check the sweeps' speed_rad_s (is it in rpm or Hz?)"
+        )
+    for name in set(RESONANCES) & set(named):
+        at_hz = named[name]["frequency_hz"]
+        modes_hz = [m.natural_frequency_rad_s / (2 * np.pi) for plane in datasheet.rotor.modes for m in plane]
+        near = [f for f in modes_hz if abs(at_hz / f - 1) < BESIDE]
+        if near:
+            told.append(
+                f"the {name.replace('_', ' ')} lies at {at_hz:.4g} Hz, where the datasheet has a mode of the rotor "
+                f"({near[0]:.4g} Hz): check that mode's frequency, damping and shape, and that its values at A and B "
+                "have the signs of one direction"
+            )
+    gain = named.get("controller_mismatch", {}).get("gain_change", 0.0)
+    if abs(gain) > SCALED:
+        told.append(
+            f"a displacement that is logged {1 / (1 + gain):.3g} times as large as the controller sees it would look "
+            "the same, the plant's stiffnesses making up for the rest: check the scale of the log"
+        )
+    return told
+
+
+def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str, str]) -> list[str]:
+    """The point that has nearly all of what the plain twin leaves of a part, in words.
+
+    One bad measurement is no effect, and what it makes of the whole is none either. ``names`` are those of the fitted
+    sweep and of the unseen one.
+    """
+    told: dict[tuple[str, float, int], None] = {}
+    for e in parts:
+        sweeps = ((e.ground.observations[0], e.plain[0]), on_sweep(e, e.null.candidate, unseen))
+        for name, (o, z) in zip(names, sweeps, strict=True):
+            k = _worst(z)
+            if k is not None:
+                told[name, float(o.points_hz[k]), int(o.axis[k])] = None
+    axes = parts[0].ground.nuisance.rig.axes
+    return [
+        f"nearly all of what the twin leaves of {name} lies in one point, {hz:.4g} Hz with {axes[axis]} excited: "
+        "measure it again"
+        for name, hz, axis in told
+    ]
+
+
+def _worst(z: Complex) -> int | None:
+    """The point that has most of the residuals' excess, z (P, H, n) weighted; None where none stands out so."""
+    power = np.abs(z) ** 2 / 2
+    # of a point's dozen values noise never has twice their number, once a hundred points are looked at hardly so
+    excess = np.maximum(power.sum(axis=(1, 2)) - 2 * np.count_nonzero(power, axis=(1, 2)), 0.0)
+    k = int(excess.argmax())
+    return k if excess[k] > PLAIN and excess[k] > MOST * excess.sum() else None

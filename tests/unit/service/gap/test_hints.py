@@ -1,0 +1,99 @@
+"""What would do the same as an effect and is none: a label, a sign, a scale, one bad point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.gap.diagnose import diagnose
+from service.gap.diagnosis import Diagnosis
+from service.gap.measured.observation import GapError
+from sim.datasheet import Datasheet
+from sim.twin import rig_from_datasheet
+from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
+
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
+SHEET, TRUTH = known_datasheet(seed=61)
+MEASURED = experiment(true_rig(TRUTH))
+
+
+def with_point(measured: Experiment, sweep: int, factor: float) -> tuple[Experiment, float]:
+    """One displacement of a sweep measured wrongly, and its frequency, Hz."""
+    sweeps = list(measured.sweeps)
+    s, k = sweeps[sweep], len(sweeps[sweep].axis) // 3
+    Y = s.Y.copy()
+    Y[k] *= factor
+    sweeps[sweep] = replace(s, Y=Y)
+    return replace(measured, sweeps=tuple(sweeps)), float(s.frequency_hz[k])
+
+
+@pytest.mark.parametrize("sweep", [0, 1])
+def test_one_bad_point_is_named(sweep: int) -> None:
+    bad, sheet = one_plane(MEASURED, SHEET)
+    bad, hz = with_point(bad, sweep, 1.5)
+    d = diagnose(bad, sheet)
+    told = [note for note in d.notes if "measure it again" in note]
+    assert len(told) == 1
+    assert f"of sweeps/{sweep} lies in one point, {hz:.4g} Hz" in told[0]
+    assert not d.verdict.effects
+
+
+def test_a_clean_rig_has_no_bad_point() -> None:
+    d = diagnose(*one_plane(MEASURED, SHEET))
+    assert not any("measure it again" in note for note in d.notes)
+
+
+def turning(sheet: Datasheet, at_rad_s: float, stated_rad_s: float) -> Diagnosis:
+    rig = replace(rig_from_datasheet(sheet), speed_rad_s=at_rad_s)
+    measured = experiment(rig)
+    sweeps = tuple(replace(s, speed_rad_s=stated_rad_s) for s in measured.sweeps)
+    return diagnose(replace(measured, sweeps=sweeps), sheet)
+
+
+def test_a_speed_in_rpm_is_asked_about_and_a_rotor_that_stands_has_no_effect() -> None:
+    sheet = replace(TRUTH, polar_inertia_kgm2=1.9)
+    d = turning(sheet, 100.0, 100.0 * 30 / np.pi)
+    assert any("shows 0.1 times the gyroscopic moment" in text for text in (*d.notes, *d.verdict.reasons))
+    standing = turning(sheet, 0.0, 300.0)
+    assert standing.verdict.kind == "none_of_these"
+    assert "does it turn" in standing.verdict.reasons[0]
+
+
+def test_a_log_that_is_scaled_is_asked_about_where_a_controller_s_gain_is_blamed() -> None:
+    measured, sheet = one_plane(MEASURED, SHEET)
+    d = diagnose(replace(measured, sweeps=tuple(replace(s, Y=1.05 * s.Y) for s in measured.sweeps)), sheet)
+    if d.verdict.effects:
+        assert any("logged 1.05 times as large" in note for note in d.notes)
+    else:
+        assert "logged displacement" in d.verdict.reasons[0]
+
+
+def test_a_mode_whose_shape_has_another_sign_is_asked_about() -> None:
+    first, *others = SHEET.modes
+    (a, b), (sa, sb) = first.shape_at_bearings, first.shape_at_sensors
+    wrong = replace(SHEET, modes=(replace(first, shape_at_bearings=(a, -b), shape_at_sensors=(sa, -sb)), *others))
+    d = diagnose(*one_plane(MEASURED, wrong))
+    if d.verdict.effects:
+        assert any("check that mode's frequency" in note for note in d.notes)
+
+
+def test_a_current_that_one_sweep_lacks_is_used_in_neither() -> None:
+    measured, sheet = one_plane(MEASURED, SHEET)
+    main, other = measured.sweeps
+    d = diagnose(replace(measured, sweeps=(main, replace(other, I=None))), sheet)
+    assert d.verdict.kind == "no_gap"
+    assert any("sweeps/1 has no coil current" in note for note in d.notes)
+
+
+def test_a_sweep_of_three_lines_is_no_diagnosis() -> None:
+    measured, sheet = one_plane(MEASURED, SHEET)
+    main, other = measured.sweeps
+    few = main.select(np.isin(main.frequency_hz, np.unique(main.frequency_hz)[:4]))
+    assert few.harmonics == HARMONICS
+    with pytest.raises(GapError, match=r"sweeps/0 has 4 usable lines; a diagnosis needs at least 5"):
+        diagnose(replace(measured, sweeps=(few, other)), sheet)

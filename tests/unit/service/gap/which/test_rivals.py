@@ -1,0 +1,39 @@
+"""Damping that a mode has gained may be the shaft's own at rest, but for more than a shaft has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.fitted import Fit
+from service.gap.which.rivals import turning_with_the_shaft
+from sim.effects import CATALOGUE
+from sim.twin import linear_model, rig_from_datasheet
+from tests.support.synthetic import known_datasheet
+
+
+def gained(damping_ratio: float, log_ratio: float) -> Candidate:
+    """A twin whose modes have so much more damping than so little."""
+    sheet = known_datasheet()[0]
+    modes = tuple(replace(m, damping_ratio=damping_ratio) for m in sheet.modes)
+    values = {"mode1_log_ratio": log_ratio, "mode2_log_ratio": log_ratio}
+    rig = CATALOGUE["modal_damping"].on(rig_from_datasheet(replace(sheet, modes=modes)), **values)
+    fit = Fit(("modal_damping",), np.zeros(1), (values,), rig, (), 0.0, np.arange(1), np.eye(1), "")
+    return Candidate(fit.effects, fit, 0.0, ({},))
+
+
+def test_it_is_the_same_rig_at_rest() -> None:
+    c = gained(0.001, 2.0)
+    internal = turning_with_the_shaft(c)
+    assert internal is not None
+    assert internal.effects == ("internal_damping",)
+    hz = np.geomspace(10.0, 1000.0, 50)
+    np.testing.assert_allclose(
+        linear_model(internal.fit.rig, hz).y_per_u, linear_model(c.fit.rig, hz).y_per_u, rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("damping_ratio", "log_ratio"), [(0.001, 3.5), (0.005, 2.2), (0.01, 1.6)])
+def test_more_than_a_shaft_loses_inside_is_no_rival(damping_ratio: float, log_ratio: float) -> None:
+    assert turning_with_the_shaft(gained(damping_ratio, log_ratio)) is None
