@@ -25,7 +25,8 @@ def check_controller(
 ) -> None:
     """Judge a controller on the identified model and its uncertainty, before it is loaded.
 
-    Exit status 0 when it is safe, 1 when it is not.
+    The gain, phase and delay margins are of one axis' loop, the others closed; a delay that all of them have, as
+    computing_delay_s of the file, is in the verdict. Exit status 0 when it is safe, 1 when it is not.
     """
     import numpy as np
 
@@ -36,7 +37,7 @@ def check_controller(
     from service.output import json_text, write_text
 
     then, datasheet = read_baseline(baseline)
-    law, sample_time_s = read_law(controller)
+    law, sample_time_s, computing_delay_s = read_law(controller)
     with value_of("--zones"):
         table = zone_table(zones) if zones else datasheet.sensitivity_zones_db
     if accept not in dict(table):
@@ -48,6 +49,7 @@ def check_controller(
         sample_time_s,
         table,
         accept,
+        computing_delay_s=computing_delay_s,
     )
     document = found.document()
     if out is not None:
@@ -62,8 +64,8 @@ def check_controller(
         raise ControllerRefusedError(f"the controller is not safe on {datasheet.name}: {found.reasons[0]}")
 
 
-def read_law(path: Path) -> tuple[tuple[list[float], list[float]], float | None]:
-    """Numerator and denominator of a file's [controller] section, and its sample time where it states one.
+def read_law(path: Path) -> tuple[tuple[list[float], list[float]], float | None, float | None]:
+    """Numerator and denominator of a file's [controller] section, its sample time and delay where it states them.
 
     Raises
     ------
@@ -75,8 +77,10 @@ def read_law(path: Path) -> tuple[tuple[list[float], list[float]], float | None]
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))["controller"]
         law = [float(v) for v in found["numerator"]], [float(v) for v in found["denominator"]]
-        period = found.get("sample_time_s")
-        return law, None if period is None else float(period)
+        period, delay = (
+            None if (v := found.get(k)) is None else float(v) for k in ("sample_time_s", "computing_delay_s")
+        )
+        return law, period, delay
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise DocumentError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -113,6 +117,7 @@ def _show(document: dict[str, Any]) -> None:
             _number(None if a["delay_margin_s"]["value"] is None else 1e6 * a["delay_margin_s"]["value"], 1),
         )
     console.print(table)
+    console.print("gain, phase and delay: of one axis' loop, the others closed", style="dim")
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -7,7 +7,7 @@ covariance); what is reported holds for nearly all of them, not for the best gue
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,7 @@ def check_controller(
     accepted_zone: str = "B",
     draws: int = DRAWS,
     seed: int = 0,
+    computing_delay_s: float | None = None,
 ) -> ControllerCheck:
     """Judge a controller on every identified plane of a rig.
 
@@ -133,12 +134,14 @@ def check_controller(
         Limits of the sensitivity peak, dB, rising, and the worst zone that is safe.
     draws, seed
         Models drawn from the uncertainty.
+    computing_delay_s
+        How long the controller computes; as long as the one that was identified without it.
 
     Raises
     ------
     AmbError
-        The controller is no proper transfer function, its sample time is not the rig's, or no such zone is in the
-        table.
+        The controller is no proper transfer function, its sample time is not the rig's, its computing delay is
+        negative, or no such zone is in the table.
     """
     law = _checked_law(controller)
     limits = tuple(zones)
@@ -151,6 +154,10 @@ def check_controller(
                 f"the controller is for a sample time of {1e6 * sample_time_s:g} us, the rig {rig} samples every "
                 f"{1e6 * period:g} us; discretise it anew"
             )
+    if computing_delay_s is not None:
+        if not 0 <= computing_delay_s < np.inf:
+            raise AmbError(f"a controller cannot compute for {1e6 * computing_delay_s:g} us; state a delay from 0 on")
+        planes = {name: _computing_for(computing_delay_s, s) for name, s in planes.items()}
     reasons: list[str] = []
     warnings: list[str] = []
     axes: list[AxisCheck] = []
@@ -197,6 +204,11 @@ def check_controller(
     return ControllerCheck(
         rig, not reasons, tuple(reasons), tuple(warnings), stable, share, decay, tuple(axes), limits, accepted_zone
     )
+
+
+def _computing_for(delay_s: float, s: SavedPlane) -> SavedPlane:
+    """The plane with a controller that computes so long."""
+    return replace(s, model=replace(s.model, known=replace(s.model.known, computing_delay_s=delay_s)))
 
 
 def _up_to(peak: Interval) -> str:

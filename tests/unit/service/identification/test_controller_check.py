@@ -171,3 +171,23 @@ def test_the_result_tells_the_prediction_on_the_unseen_sweep():
     fits = result()["planes"]["x"]["margins"]["closed_loop_fit_percent"]
     assert np.array(fits["r_to_u"]).shape == (2, 2)
     assert np.min(fits["r_to_y"]) > 99
+
+
+def test_a_controller_that_computes_longer_is_judged_with_its_delay(planes):
+    """As the time simulation does, which refuses a rig that it does not hold."""
+    rig = reference_rig()
+    held, lost = 0.0, 2e-4
+    for _ in range(8):
+        delay = 0.5 * (held + lost)
+        try:
+            Simulation(replace(rig, controller=replace(rig.controller, computing_delay_s=delay)))
+            held = delay
+        except LevitationError:
+            lost = delay
+    found = {d: check_controller("r", planes, LAW, draws=5, computing_delay_s=d) for d in (0.9 * held, 1.1 * lost)}
+    assert [c.stable for c in found.values()] == [True, False]
+    plain, same = (check_controller("r", planes, LAW, draws=5, computing_delay_s=d) for d in (None, 0.0))
+    assert plain == same
+    assert plain.axes[0].sensitivity_peak.value < found[0.9 * held].axes[0].sensitivity_peak.value
+    with pytest.raises(AmbError, match="cannot compute for -1 us"):
+        check_controller("r", planes, LAW, computing_delay_s=-1e-6)
