@@ -38,17 +38,23 @@ def ready_folder(folder: Path, mode: int = 0o777) -> Path:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a file in one piece: a reader sees the old one or the new one.
+    """Write a file in one piece: a reader sees the old one or the new one. Of a link, what it leads to is written.
+
+    What is no file, as a device or a pipe, is written to as it is.
 
     Raises
     ------
     OutputError
         It cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    whole = path.resolve()
+    temporary = whole.with_name(f".{whole.name}.{os.getpid()}.tmp")
     try:
+        if whole.exists() and not whole.is_file():
+            whole.write_text(text, encoding="utf-8")
+            return path
         temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
+        os.replace(temporary, whole)
     except OSError as error:
         temporary.unlink(missing_ok=True)
         raise OutputError(

@@ -24,7 +24,14 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 PerAxis = Positive | list[Positive]
-Pair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+# Beyond these only a unit can be wrong; what an experiment keeps to hangs on them.
+Gap = Annotated[Positive, Field(le=0.01)]
+Distance = Annotated[Positive, Field(le=20.0)]
+Current = Annotated[Positive, Field(le=1000.0)]
+Delay = Annotated[NonNegative, Field(le=0.1)]
+Pair = Annotated[list[Distance], Field(min_length=2, max_length=2)]
+OTHER_UNITS = {"_m": "m, not in mm or um", "_a": "A, not in mA", "_s": "s, not in ms or us"}
+"""By the end of a field's name: what a value beyond any rig's is to be in."""
 SignedPair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
 DEEPEST = 8
@@ -72,8 +79,8 @@ class _Mode(_Section):
 class _Bearings(_Section):
     current_stiffness_n_per_a: PerAxis
     position_stiffness_n_per_m: PerAxis
-    bias_current_a: PerAxis
-    linear_range_m: Positive
+    bias_current_a: Current | list[Current]
+    linear_range_m: Gap
 
 
 class _Amplifier(_Section):
@@ -98,7 +105,7 @@ class _Sensor(_Section):
 
 class _Controller(_Section):
     sample_time_s: Positive
-    computing_delay_s: NonNegative = 0.0
+    computing_delay_s: Delay = 0.0
     numerator: Annotated[list[Finite], Field(min_length=1)]
     denominator: Annotated[list[Finite], Field(min_length=1)]
 
@@ -112,8 +119,8 @@ class _Controller(_Section):
 
 
 class _Limits(_Section):
-    displacement_m: Positive
-    current_a: Positive
+    displacement_m: Gap
+    current_a: Current
     sensitivity_zones: list[Annotated[str, Field(min_length=1)]] = [name for name, _ in ISO_14839_3_DB]
     sensitivity_zone_limits_db: list[Positive] = [limit for _, limit in ISO_14839_3_DB[:-1]]
 
@@ -176,12 +183,18 @@ def _per_axis(name: str, value: float | list[float], n: int) -> tuple[float, ...
 
 
 def _first_problem(error: ValidationError) -> str:
-    problem = error.errors()[0]
+    # Of a name that is wrong and so one that is missing, the first tells; of a list, what is wrong in it and not that
+    # it is no number.
+    problems = [p for p in error.errors() if not (p["type"] == "float_type" and isinstance(p.get("input"), list))]
+    problem = next((p for p in problems if p["type"] == "extra_forbidden"), (problems or error.errors())[0])
     parts = [str(p) for p in problem["loc"] if not str(p).startswith(("function", "constrained", "list[", "float"))]
     where = ".".join(parts)
     message = problem["msg"].removeprefix("Value error, ")
     shown = problem.get("input")
     value = "" if isinstance(shown, dict | list | BaseModel) or problem["type"] == "missing" else f" (it is {shown!r})"
+    if problem["type"] == "less_than_equal":
+        field = next(str(p) for p in reversed(problem["loc"]) if "_" in str(p))
+        message = f"no rig has more than {problem['ctx']['le']:g}; give it in {OTHER_UNITS[field[-2:]]}"
     more = error.error_count() - 1
     return f"{where}: {message}{value}" + (f", and {more} more" if more and not value else "")
 

@@ -20,7 +20,10 @@ SECRET_BYTES = 24
 KEY = re.compile(r"ambit_([0-9a-z]{8,40})_([0-9a-f]{48})")
 """A whole key; also what the log looks for, to strike it out."""
 _NO_HASH = "0" * 64
-REMEDY = "give a valid key as 'Authorization: Bearer ambit_...'; an administrator makes one with ambit keys create"
+REMEDY = (
+    "give a valid key: AMBIT_KEY or --key of a command, the page's key field, 'Authorization: Bearer ambit_...' of a "
+    "request; an administrator makes one with ambit keys create"
+)
 
 
 class Scope(StrEnum):

@@ -82,6 +82,8 @@ def create_schedule(
 
     def make(session: Session) -> Answer:
         rig = rigs.active(session, wanted.rig)
+        if wanted.enabled and not rigs.version(session, rig).controller_url:
+            raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one before it can be checked")
         row = ScheduleRow(id=new_id("sch"), rig_id=rig.id, created_at=now(), created_by=who.name, webhook_secret="")
         secret = _apply(session, row, wanted)
         session.add(row)

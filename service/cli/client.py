@@ -183,6 +183,9 @@ def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, k
     for hint, wanted in (("--quick", quick), ("--excitation", excitation)):
         if wanted and kind is not Kind.experiment:
             raise typer.BadParameter("is for an experiment", param_hint=hint)
+    for name, hint, wanted in (("profile", "--quick", quick), ("excitation", "--excitation", excitation)):
+        if wanted and name in options:
+            raise typer.BadParameter(f"{hint} says it already; leave one of the two out", param_hint=f"--option {name}")
     if quick:
         options["profile"] = "quick"
     if excitation is not None:

@@ -66,7 +66,12 @@ class Rigs:
         for rig in self.list():
             if rig.name == name:
                 return rig
-        raise MissingError(404, f"the service knows no rig {name!r}; give rig.toml in its place to make one", [], "")
+        raise MissingError(
+            404,
+            f"the service knows no rig {name!r}; ambit rigs lists them, and ambit submit with rig.toml makes one",
+            [],
+            "",
+        )
 
     def change(self, rig: Rig, datasheet: str, controller_url: str, note: str = "") -> Rig:
         """Give a rig a new datasheet or controller, if nobody else has changed it since ``rig`` was read."""

@@ -121,6 +121,8 @@ def _mat(variables: dict[str, Any]) -> bytes:
 def _loaded(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    if not path.exists():  # scipy tries it with another ending, and tells of neither
+        raise ExportError(f"cannot read {path}: No such file or directory")
     try:
         found: dict[str, Any] = loadmat(path)
     except OSError as error:

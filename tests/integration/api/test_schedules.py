@@ -141,3 +141,12 @@ def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
 def test_a_schedule_that_cannot_be_kept_is_refused_and_not_kept(api, rig, wrong, word):
     assert_problem(api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", **wrong}), 422, word)
     assert api.get("/schedules", params={"rig": rig}).json()["items"] == []
+
+
+def test_a_rig_without_a_controller_is_not_checked_by_a_clock(api, rig):
+    sheet = api.get(f"/rigs/{rig}").json()["datasheet"]
+    bench = api.post("/rigs", json={"datasheet": sheet, "name": "no controller yet"}).json()["id"]
+    refused = api.post("/schedules", json={"rig": bench, "cron": "0 6 * * *"})
+    assert_problem(refused, 409)
+    assert "no controller_url" in refused.json()["detail"]
+    assert api.post("/schedules", json={"rig": bench, "cron": "0 6 * * *", "enabled": False}).status_code == 201

@@ -269,3 +269,29 @@ def test_every_practice_case_has_a_datasheet_that_is_read():
         sheet = rig_file.read(path)
         assert sheet.n_axes == 4
         assert rig_file.parse(rig_file.to_toml(sheet)) == sheet
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("displacement_m", "80", "limits.displacement_m: no rig has more than 0.01; give it in m, not in mm or um"),
+        ("linear_range_m", "80.0", "bearings.linear_range_m: no rig has more than 0.01; give it in m"),
+        ("bias_current_a", "2750", "bearings.bias_current_a: no rig has more than 1000; give it in A, not in mA"),
+        ("computing_delay_s", "50", "controller.computing_delay_s: no rig has more than 0.1; give it in s"),
+        ("bearing_from_cog_m", "[418, 404]", "rotor.bearing_from_cog_m.0: no rig has more than 20; give it in m"),
+        (
+            "position_stiffness_n_per_m",
+            "[-2e6, 2e6, 2e6, 2e6]",
+            "position_stiffness_n_per_m.0: Input should be greater",
+        ),
+    ],
+)
+def test_a_unit_that_no_rig_can_have_is_told_before_anything_moves(key, value, told):
+    with pytest.raises(DatasheetError) as error:
+        rig_file.parse(with_line(key, value))
+    assert told in str(error.value)
+
+
+def test_of_a_name_that_is_wrong_the_name_is_told_and_not_what_is_missing_for_it():
+    with pytest.raises(DatasheetError, match=r"rotor\.mass: Extra inputs"):
+        rig_file.parse(TEXT.replace("mass_kg = ", "mass = "))
