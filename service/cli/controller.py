@@ -118,6 +118,9 @@ def _show(document: dict[str, Any]) -> None:
         )
     console.print(table)
     console.print("gain, phase and delay: of one axis' loop, the others closed", style="dim")
+    for plane, later in document["delay_of_both_axes_s"].items():
+        most = "a sample or more" if later is None else f"{_number(1e6 * later, 1)} us"
+        console.print(f"{plane}-plane: both axes may be later by {most} at once, as by longer computing")
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -28,6 +28,8 @@ from sim.errors import AmbError
 
 DRAWS = 100
 LEVEL = 0.95
+LATER_STEPS, LATER_TO = 20, 1e-4
+"""Delays up to a sample that are tried, and how finely the first that is too long is found, in samples."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,9 @@ class ControllerCheck:
     """Share of the models drawn whose loop is stable."""
     slowest_decay_per_s: float
     axes: tuple[AxisCheck, ...] = ()
+    delay_of_both_axes_s: dict[str, float | None] = field(default_factory=dict)
+    """By plane, how much later both of its axes may be at once, as by a controller that computes longer; None: by a
+    sample or more."""
     zones: tuple[tuple[str, float], ...] = ISO_14839_3_DB
     accepted_zone: str = "B"
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -105,6 +110,7 @@ class ControllerCheck:
             "stable_share_of_models": self.stable_share,
             "slowest_decay_per_s": self.slowest_decay_per_s,
             "axes": {a.axis: a.document() for a in self.axes},
+            "delay_of_both_axes_s": self.delay_of_both_axes_s,
             "zones_db": {name: None if np.isinf(limit) else limit for name, limit in self.zones},
             "accepted_zone": self.accepted_zone,
             **({"provenance": self.provenance} if self.provenance else {}),
@@ -163,6 +169,7 @@ def check_controller(
     axes: list[AxisCheck] = []
     warnings += dict.fromkeys(note for s in planes.values() for note in s.notes)
     stable, share, decay = True, 1.0, np.inf
+    later: dict[str, float | None] = {}
     for s in planes.values():
         poles = closed_loop_poles(s.model, law)
         own = slowest_decay(poles, s.model.known.sample_time_s)
@@ -176,6 +183,7 @@ def check_controller(
             stable, share = False, 0.0
             reasons.append(f"plane {s.plane}: the loop is unstable, {_unstable_words(poles, s.model)}")
             continue
+        later[s.plane] = _later(s, law)
         drawn = _drawn(s, draws, seed)
         held = [m for m in drawn if slowest_decay(closed_loop_poles(m, law), m.known.sample_time_s) > 0]
         share = min(share, len(held) / max(len(drawn), 1))
@@ -202,13 +210,45 @@ def check_controller(
     if not planes:
         raise AmbError(f"the result of rig {rig} has no plane; identify the rig first")
     return ControllerCheck(
-        rig, not reasons, tuple(reasons), tuple(warnings), stable, share, decay, tuple(axes), limits, accepted_zone
+        rig,
+        not reasons,
+        tuple(reasons),
+        tuple(warnings),
+        stable,
+        share,
+        decay,
+        tuple(axes),
+        later,
+        limits,
+        accepted_zone,
     )
 
 
 def _computing_for(delay_s: float, s: SavedPlane) -> SavedPlane:
     """The plane with a controller that computes so long."""
     return replace(s, model=replace(s.model, known=replace(s.model.known, computing_delay_s=delay_s)))
+
+
+def _later(s: SavedPlane, law: tuple[Real, Real]) -> float | None:
+    """How much longer a controller may compute before the plane's loop is unstable, s; None where a sample does not do.
+
+    By eigenvalues, both axes late at once: it may be half of what each axis alone would bear.
+    """
+    period, now = s.model.known.sample_time_s, s.model.known.computing_delay_s
+
+    def holds(more_s: float) -> bool:
+        model = _computing_for(now + more_s, s).model
+        return slowest_decay(closed_loop_poles(model, law), period) > 0
+
+    steps = np.linspace(0.0, period, LATER_STEPS + 1)
+    lost = next((k for k, more in enumerate(steps) if not holds(float(more))), None)
+    if lost is None:
+        return None
+    low, high = float(steps[lost - 1]), float(steps[lost])
+    while high - low > LATER_TO * period:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
 
 
 def _up_to(peak: Interval) -> str:

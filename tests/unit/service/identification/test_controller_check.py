@@ -188,6 +188,8 @@ def test_a_controller_that_computes_longer_is_judged_with_its_delay(planes):
     assert [c.stable for c in found.values()] == [True, False]
     plain, same = (check_controller("r", planes, LAW, draws=5, computing_delay_s=d) for d in (None, 0.0))
     assert plain == same
+    assert plain.delay_of_both_axes_s["x"] == pytest.approx(held, rel=0.1)
+    assert min(a.delay_margin_s.value for a in plain.axes) > plain.delay_of_both_axes_s["x"], "each alone bears more"
     assert plain.axes[0].sensitivity_peak.value < found[0.9 * held].axes[0].sensitivity_peak.value
     with pytest.raises(AmbError, match="cannot compute for -1 us"):
         check_controller("r", planes, LAW, computing_delay_s=-1e-6)
