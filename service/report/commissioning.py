@@ -144,8 +144,8 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
             "without bearings. The zone is that of ISO 14839-3, or of the datasheet's own limits, by the larger of the "
             "model's and the measured peak; a measured peak is at a measured line and so at most the true one. Margins "
             "are of one axis' loop with the others closed: of what comes to all axes at once, as by a controller that "
-            "computes longer, the loop may bear less (ambit check-controller tells). They are the model's; those of the "
-            "measured sensitivity itself, straight between its lines, in brackets.",
+            "computes longer, the loop may bear less (ambit check-controller tells). They are the model's; those of "
+            "the measured sensitivity itself, straight between its lines, in brackets.",
             "small",
         ),
         *_known_effects(result),
