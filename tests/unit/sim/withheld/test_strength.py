@@ -1,5 +1,7 @@
 """How strong what is withheld is: within an effect's range, at many strengths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,3 +23,11 @@ def test_every_effect_is_drawn_within_its_range_and_at_many_strengths(name: str)
         assert 0.1 < np.mean([v["end_imbalance"] != 0 or v.get("plane_imbalance", 0) != 0 for v in drawn]) < 0.4
     distinct = {tuple(sorted(v.items())) for v in drawn}
     assert len(distinct) >= (3 if name == "logging_offset" else 180)  # the weakest of one range end meet there
+
+
+def test_a_rotor_keeps_a_good_part_of_its_polar_inertia() -> None:
+    rig, g = reference_rig(), np.random.default_rng(1)
+    rig = replace(rig, rotor=replace(rig.rotor, polar_inertia_kgm2=1.9))
+    changes = [strength(CATALOGUE["gyroscopic_coupling"], rig, g)["polar_inertia_kgm2"] for _ in range(300)]
+    assert min(changes) > -0.8 * 1.9
+    assert min(changes) < -0.5 * 1.9
