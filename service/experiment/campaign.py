@@ -15,6 +15,7 @@ from service.experiment.aims import Limits, Profile
 from service.experiment.beginning import checked_limits, fingerprint, profile_of
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
+from service.experiment.incomplete import INCOMPLETE
 from service.experiment.leased import Patient, alone, make_ready, stopped_by
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
 from service.experiment.plan import Request
@@ -132,6 +133,7 @@ def run_campaign(
         if not isinstance(error, LeaseError):  # what another host excites is not ours to stop
             with suppress(Exception):  # the first error is the one to tell
                 controller.stop()
+        extra[INCOMPLETE] = str(error) or "stopped from the keyboard"
         kept = _keep(out_dir / EXPERIMENT, assembled)
         if log is not None:
             log.close()

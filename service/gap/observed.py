@@ -8,6 +8,7 @@ import numpy as np
 
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
+from service.experiment.incomplete import incomplete
 from service.experiment.resting import about_rest, held_at, load_in_words, resting_current
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor
@@ -88,7 +89,12 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
             f"{main_name} has {lines} usable lines; a diagnosis needs at least {FEWEST_LINES}, of which values of the "
             "datasheet alone could not make what they like"
         )
-    notes = [*odd_rotor(datasheet), *stated_amplitudes(experiment), *notes_on(main, bool(others), datasheet)]
+    notes = [
+        *incomplete(experiment),
+        *odd_rotor(datasheet),
+        *stated_amplitudes(experiment),
+        *notes_on(main, bool(others), datasheet),
+    ]
     if told := other_rate(main, datasheet):
         notes.append(told)
     if not datasheet.modes:

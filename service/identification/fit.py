@@ -10,6 +10,7 @@ import numpy as np
 
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
+from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
@@ -99,7 +100,7 @@ def identify(
             "give the datasheet of the rig that was measured"
         )
     must_be_in_si(experiment, datasheet)
-    doubts = odd_rotor(datasheet) + stated_amplitudes(experiment)
+    doubts = incomplete(experiment) + odd_rotor(datasheet) + stated_amplitudes(experiment)
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
     chosen = chosen_sweeps(experiment)

@@ -8,6 +8,7 @@ import pytest
 from drivers.errors import BusError, CancelledError
 from service.experiment.campaign import recover
 from service.experiment.file import read
+from service.experiment.incomplete import incomplete
 from sim.reference import reference_rig
 from tests.support.campaigns import Faulty, assert_same, campaign, interrupted_at, plant
 
@@ -24,6 +25,7 @@ def test_a_keyboard_interrupt_stops_the_rig_keeps_the_points_and_can_be_resumed(
     if n >= 40:
         assert_same(read(tmp_path / "experiment.h5"), kept)
         assert kept.named("preliminary").n_points > 0
+        assert "stopped" in incomplete(read(tmp_path / "experiment.h5"))[0]
     resumed = Faulty(lambda k: None)
     # the same noise as in the uninterrupted run: play to the device what was already measured
     experiment = campaign(resumed, tmp_path)
@@ -34,6 +36,7 @@ def test_a_keyboard_interrupt_stops_the_rig_keeps_the_points_and_can_be_resumed(
             assert match.sum() == 1
             np.testing.assert_array_equal(new.Y[match][0], y)
     assert not (tmp_path / "experiment.journal").exists()
+    assert not incomplete(read(tmp_path / "experiment.h5"))
     plant(experiment.main)
 
 
