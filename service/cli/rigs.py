@@ -58,7 +58,7 @@ def stop(rig: Named, url: Url = None, key: Key = None, ca: Ca = None, as_json: J
     if as_json:
         print_json({"rig": known.id, "stopped": True})
     else:
-        print(f"{known.name}: stopped; ambit jobs --rig tells what was cancelled, ambit retry goes on with it")
+        print(f"{known.name}: stopped; ambit jobs --rig tells what has ended, ambit retry goes on with it")
 
 
 def acknowledge(
