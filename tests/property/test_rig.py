@@ -20,7 +20,8 @@ OMEGA = 2 * np.pi * np.array([4.0, 60.0, 350.0, 900.0])
 
 positive = st.floats(1e-12, 1e12, allow_nan=False)
 any_number = st.floats(-1e12, 1e12, allow_nan=False)
-pair = st.tuples(positive, positive)
+up_to = {most: st.floats(1e-12, most) for most in (0.01, 20.0, 1e3)}
+distances_m = st.tuples(up_to[20.0], up_to[20.0])
 signed_pair = st.tuples(any_number, any_number)
 names = st.text(st.characters(blacklist_categories=("Cs",)), min_size=1, max_size=30)
 modes = st.builds(Mode, positive, st.floats(0, 0.99), signed_pair, signed_pair)
@@ -40,24 +41,24 @@ def datasheets(draw: st.DrawFn) -> Datasheet:
         mass_kg=draw(positive),
         transverse_inertia_kgm2=draw(positive),
         polar_inertia_kgm2=draw(st.none() | positive),
-        bearing_from_cog_m=draw(pair),
-        sensor_from_cog_m=draw(pair),
+        bearing_from_cog_m=draw(distances_m),
+        sensor_from_cog_m=draw(distances_m),
         modes=tuple(sorted(draw(st.lists(modes, max_size=3)), key=lambda m: m.frequency_hz)),
         current_stiffness_n_per_a=draw(per_axis),
         position_stiffness_n_per_m=draw(per_axis),
-        bias_current_a=draw(per_axis),
-        linear_range_m=draw(positive),
+        bias_current_a=draw(st.tuples(*[up_to[1e3]] * n)),
+        linear_range_m=draw(up_to[0.01]),
         amplifier_gain=draw(per_axis),
         amplifier_natural_frequency_hz=draw(per_axis),
         amplifier_damping_ratio=draw(st.none() | per_axis),
         sensor_gain=draw(per_axis),
         sensor_bandwidth_hz=draw(st.none() | per_axis),
         sample_time_s=draw(positive),
-        computing_delay_s=draw(st.floats(0, 1)),
+        computing_delay_s=draw(st.floats(0, 0.1)),
         numerator=tuple(draw(st.lists(any_number, min_size=1, max_size=order))),
         denominator=denominator,
-        displacement_limit_m=draw(positive),
-        current_limit_a=draw(positive),
+        displacement_limit_m=draw(up_to[0.01]),
+        current_limit_a=draw(up_to[1e3]),
         tolerance=draw(tolerances) if stated else Tolerance(),
         tolerance_stated=stated,
         effects=draw(

@@ -15,7 +15,7 @@ from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError, Observation
 from service.gap.weighing.significance import significance
-from service.gap.weighing.verdict import UNEXPLAINED, Ranked, noise_levels, ranked
+from service.gap.weighing.verdict import UNEXPLAINED, UNEXPLAINED_BY_SEVERAL, Ranked, noise_levels, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
 from service.gap.which.curvature import SHOWN, curvatures
@@ -225,8 +225,16 @@ def _with_uneven(
     """What was found, and its order, with effects that differ from axis to axis where the best leaves too much."""
     best = order[0].candidate
     asked = [best] if len(best.effects) > 1 else found
-    more = uneven(fitter, ground, null, asked) if leaves_something(ground, order[0]) else []
+    asks = leaves_something(ground, order[0]) or leaves_much(null, order)
+    more = uneven(fitter, ground, null, asked) if asks else []
     if not more:
         return list(found), list(order)
     found = best_of_each(null, [*found, *more])
     return found, worthy(ranked(null, found))
+
+
+def leaves_much(null: Candidate, order: Sequence[Ranked]) -> bool:
+    """Whether the best effects leave much of a gap, though overestimated noise hides it from every band."""
+    best = order[0]
+    left = cost(best.candidate) - sum(noise_levels(null, [r.candidate for r in order]))
+    return bool(best.candidate.effects) and best.unexplained > UNEXPLAINED_BY_SEVERAL and left > SHOWN

@@ -25,6 +25,7 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import centred
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import asleep
+from service.gap.weighing.verdict import noise_levels
 from service.gap.which.refined import cost
 from sim import imbalance
 from sim.effects import CATALOGUE
@@ -57,7 +58,7 @@ def uneven(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Cand
 
     ``null`` is the plain twin.
     """
-    noise = float(null.fit.n_residuals)
+    noise = sum(noise_levels(null, found))
     hinted = [c for c in found if cost(null) - cost(c) > HINTED * (cost(null) - noise)]
     asked = [(ground, c, name) for c in hinted for name in _uneven_by(c)]
     if not asked:
