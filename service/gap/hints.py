@@ -46,7 +46,7 @@ def hints(chosen: Candidate, datasheet: Rig, o: Observation, sweeps: Sequence[Ob
             f"speed: a rotor of that datasheet would turn at {share * fastest:.3g} rad/s, not {fastest:.4g} rad/s; "
             "check the sweeps' speed_rad_s (is it in rpm or Hz?)"
         )
-    for name in set(RESONANCES) & set(named):
+    for name in (name for name in RESONANCES if name in named):
         at_hz = named[name]["frequency_hz"]
         modes_hz = [m.natural_frequency_rad_s / (2 * np.pi) for plane in datasheet.rotor.modes for m in plane]
         near = [f for f in modes_hz if abs(at_hz / f - 1) < BESIDE]

@@ -11,10 +11,15 @@ import pytest
 from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
+from service.gap.fitting.candidates import Task, fit_task
+from service.gap.fitting.inherited import inherited_from
 from service.gap.fitting.jacobian import swing_of
 from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.predict import displacement
+from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.measured.observation import observe
+from service.gap.which.changing_mode import changing_mode
 from sim import actuator, rotor
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects
@@ -108,3 +113,23 @@ def test_what_a_mode_s_own_change_adds_is_what_a_rotor_with_that_mode_does() -> 
     pushed = -change * swing.coordinate[:, 0] / (1 + swing.own[:, 0] * change)
     expected = displacement(moved(rig, 1.01, 0.002), o)
     np.testing.assert_allclose(displacement(rig, o) + swing.seen[:, :, 0] * pushed[:, None], expected, rtol=1e-9)
+
+
+def test_a_plant_that_is_kept_behind_amplifiers_explained_anew_is_held_against_these() -> None:
+    """What was uncertain of the amplifiers when it was fitted is no parameter of the ground it stands on now."""
+    datasheet, truth = known_datasheet(seed=3)
+    nu = nuisance(datasheet)
+    o = observe(experiment(true_rig(truth)).sweeps[0], nu.rig)
+    _, amplifiers, plant = parts(nu, (o,))
+    of_amplifiers = Ground(nu, amplifiers, (o,), np.zeros(len(nu)))
+    delay = fit_task(Task(of_amplifiers, ("loop_delay",), (({"delay_s": 2e-6},),), of_amplifiers.theta, (EXACT,)))
+    behind = Ground(nu, plant, (o,), delay.fit.theta, inherited=inherited_from(of_amplifiers, delay))
+    null = fit_task(Task(behind, (), ((),), behind.theta, (PROBE,)))
+    assert null.fit.inherited, "else nothing is tried here"
+    now = np.where(np.isin(np.arange(len(nu)), amplifiers.active), 0.5, 0.0)
+    anew = replace(behind, theta=now, found=(("loop_delay", {"delay_s": 9e-6}),), inherited=None)
+    rig = anew.fitted_rig(null.fit.theta, null.fit.inherited)
+    np.testing.assert_array_equal(rig.amplifiers.delay_s, 9e-6)
+    np.testing.assert_array_equal(rig.amplifiers.gain, anew.rig(now).amplifiers.gain)
+    np.testing.assert_array_equal(rig.magnets.ki, nu.at(null.fit.theta).magnets.ki)
+    assert changing_mode(anew, null) is not None
