@@ -47,11 +47,11 @@ def write_text(path: Path, text: str) -> Path:
     OutputError
         It cannot be written.
     """
-    whole = path.resolve()
+    whole = Path(os.path.realpath(path))
     temporary = whole.with_name(f".{whole.name}.{os.getpid()}.tmp")
     try:
-        if whole.exists() and not whole.is_file():
-            whole.write_text(text, encoding="utf-8")
+        if path.exists() and not path.is_file():
+            path.write_text(text, encoding="utf-8")
             return path
         temporary.write_text(text, encoding="utf-8")
         os.replace(temporary, whole)

@@ -193,8 +193,8 @@ def _first_problem(error: ValidationError) -> str:
     shown = problem.get("input")
     value = "" if isinstance(shown, dict | list | BaseModel) or problem["type"] == "missing" else f" (it is {shown!r})"
     if problem["type"] == "less_than_equal":
-        field = next(str(p) for p in reversed(problem["loc"]) if "_" in str(p))
-        message = f"no rig has more than {problem['ctx']['le']:g}; give it in {OTHER_UNITS[field[-2:]]}"
+        unit = next(OTHER_UNITS[end] for p in reversed(problem["loc"]) if (end := str(p)[-2:]) in OTHER_UNITS)
+        message = f"no rig has more than {problem['ctx']['le']:g}; give it in {unit}"
     more = error.error_count() - 1
     return f"{where}: {message}{value}" + (f", and {more} more" if more and not value else "")
 

@@ -435,12 +435,6 @@ def limited_drive(t: Truth, rng: Rng, level: float) -> Change:
     return {"limit_a": limit}
 
 
-def coarse_drive(t: Truth, rng: Rng, level: float) -> Change:
-    step = size(level, 2e-3, 0.1)
-    t.plant["drive_step"] = four(step)
-    return {"step_a": step}
-
-
 def cable_resonance(t: Truth, rng: Rng, level: float) -> Change:
     """A share of each amplifier's drive goes through a resonant filter."""
     share, hz = size(level, 1e-3, 0.1), float(np.exp(rng.uniform(np.log(150), np.log(900))))
@@ -478,7 +472,6 @@ UNKNOWN = {
         loose_connector,
         filtered_current_log,
         limited_drive,
-        coarse_drive,
         cable_resonance,
         rubber_ring,
         ring_damping,

@@ -57,7 +57,6 @@ PLANT = np.dtype(
         ("u_mix", "f8", (4, 4)),
         ("dead_band", "f8", (4,)),  # A
         ("drive_limit", "f8", (4,)),  # A, inf none
-        ("drive_step", "f8", (4,)),  # A, 0 none
         ("cable_share", "f8", (4,)),  # of the drive, through a resonant filter
         ("cable_w", "f8"),  # rad/s
         ("cable_zeta", "f8"),
@@ -129,7 +128,7 @@ def magnet_force(p, a, i, x, drift_k, drift_gap, swing):
 def _amplifier(p, a, t, s, u, ds):
     """Current of axis a, driven by what u becomes on its way.
 
-    Crosstalk, hum, a converter's steps, dead band and limit, a cable's resonance, a third pole, a slew limit.
+    Crosstalk, hum, dead band and limit, a cable's resonance, a third pole, a slew limit.
     """
     i = s[I0 + a]
     drive = 0.0
@@ -137,8 +136,6 @@ def _amplifier(p, a, t, s, u, ds):
         drive += p.u_mix[a, b] * u[b]
     if p.hum_a[a] != 0.0:
         drive += p.hum_a[a] * np.cos(2 * np.pi * p.hum_hz * t + p.hum_phase + 0.7 * a)
-    if p.drive_step[a] > 0.0:
-        drive = p.drive_step[a] * np.round(drive / p.drive_step[a])
     if p.dead_band[a] > 0.0:
         drive = np.sign(drive) * max(0.0, abs(drive) - p.dead_band[a])
     drive = min(max(drive, -p.drive_limit[a]), p.drive_limit[a])

@@ -57,7 +57,6 @@ def _absent() -> dict:
         "u_mix": np.eye(4),
         "dead_band": np.zeros(4),
         "drive_limit": four(np.inf),
-        "drive_step": np.zeros(4),
         "cable_share": np.zeros(4),
         "cable_w": 1.0,
         "cable_zeta": 0.1,
@@ -228,7 +227,7 @@ class Closed(NamedTuple):
 def small_signal(plant: np.ndarray, loop: Loop) -> Closed:
     """Closed loop over one sample by finite differences; a sensor's delay is counted with the drive's."""
     plants = plant.copy()
-    plants["dead_band"] = plants["drive_step"] = 0.0
+    plants["dead_band"] = 0.0
     plant = plants[0]
     n = N_STATES
     plays, zero, u0 = np.zeros((4, N_PLAYS)), np.zeros(n), np.zeros(4)

@@ -54,7 +54,12 @@ def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted) -> str | 
     ------
     ScheduleError, WebhookError
         It cannot be kept.
+    ConflictError
+        It is to run, and its rig has no controller.
     """
+    rig = rigs.active(session, row.rig_id)
+    if wanted.enabled and not rigs.version(session, rig).controller_url:
+        raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one before it can be checked")
     row.cron, row.timezone = cron.checked(wanted.cron, wanted.timezone), wanted.timezone
     row.options = checked_options("health", wanted.options)
     row.enabled = wanted.enabled
@@ -82,8 +87,6 @@ def create_schedule(
 
     def make(session: Session) -> Answer:
         rig = rigs.active(session, wanted.rig)
-        if wanted.enabled and not rigs.version(session, rig).controller_url:
-            raise ConflictError(f"the rig {rig.name!r} has no controller_url; give it one before it can be checked")
         row = ScheduleRow(id=new_id("sch"), rig_id=rig.id, created_at=now(), created_by=who.name, webhook_secret="")
         secret = _apply(session, row, wanted)
         session.add(row)

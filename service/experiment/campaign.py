@@ -187,6 +187,7 @@ def recover(out_dir: Path) -> Experiment:
             about["speed_rad_s"],
         )
     attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
+    attributes[INCOMPLETE] = "the campaign was interrupted"
     return experiment(
         header["rig"],
         tuple(header["axes"]),

@@ -32,9 +32,9 @@ def dated(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Compo
         values, spread = ([dict(v) for v in of] for of in (c.fit.values, c.standard_deviations))
         values[at]["duration_s"], spread[at]["duration_s"] = campaign_s, 0.0
         if stated_s != campaign_s:  # a campaign of days, stated over the longest time that the effect may take
-            whole, values[at] = values[at], dict(effect.restated(values[at], {**values[at], "duration_s": stated_s}))
+            found, values[at] = values[at], dict(effect.restated(values[at], {**values[at], "duration_s": stated_s}))
             for name in ("ki_change", "ks_change"):
-                spread[at][name] *= values[at][name] / whole[name] if whole[name] else 1.0
+                spread[at][name] *= values[at][name] / found[name] if found[name] else 1.0
         drift = None if c.fit.rig.drift is None else replace(c.fit.rig.drift, duration_s=campaign_s)
         fit = replace(c.fit, values=tuple(values), rig=replace(c.fit.rig, drift=drift))
         given = c.given | {("thermal_drift", "duration_s")}

@@ -85,7 +85,7 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
         told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
         notes.append(f"not told apart either: {told}")
     if verdict.effects:
-        notes += hints(chosen, nu.rig, o, (o, unseen))
+        notes += hints(chosen, nu.rig, (o, unseen))
     elif not data.o.together:
         notes += one_point(found.parts, unseen, (data.main_name, found.name))
     if far := nu.far_off(chosen.fit.theta):

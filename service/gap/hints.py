@@ -26,15 +26,17 @@ MOST = 0.8
 """Share of what the plain twin leaves of a part, beyond noise, that one point has where it is told."""
 
 
-def hints(chosen: Candidate, datasheet: Rig, o: Observation, sweeps: Sequence[Observation]) -> list[str]:
+def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> list[str]:
     """What else would look like the effects that are named, of causes that are no effect of a rig.
 
     Parameters
     ----------
     chosen
         The twin that the verdict names.
-    o, sweeps
-        The fitted sweep, and all of them.
+    datasheet
+        The plain twin, as its datasheet states it.
+    sweeps
+        The fitted one and the unseen one.
     """
     told = []
     named = dict(zip(chosen.effects, chosen.fit.values, strict=True))

@@ -35,8 +35,9 @@ SHOWS_FIRST = {
     "plant": "where the rotor swings furthest or its currents are steepest",
 }
 """Why a line may show alone what no band shows."""
-NO_MOMENT = 0.1
-"""Share of the datasheet's polar inertia below which a rotor is none that turns so fast: inertias are known better."""
+NO_MOMENT = 0.2
+"""Share of the datasheet's polar inertia below which a rotor is none that turns so fast: inertias are known better, and
+a speed in rpm leaves 0.105."""
 UNDECIDED = 0.5
 """Probability of a verdict that says nothing either way."""
 
@@ -130,7 +131,7 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -
     # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
     asked = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
     if asked and (away := far_off(e.ground, e.chosen.fit)):
-        if not explained:  # no effect draws them where they are
+        if not verdict.effects:  # no effect draws them where they are
             away = far_off(e.ground, e.null.candidate.fit) or away
         return astray(verdict, away, e.relative_gap)
     if verdict.bent:
@@ -154,7 +155,7 @@ def _stands(e: Explained, verdict: Verdict) -> str | None:
         return None
     return (
         f"the rotor shows {share:.2g} times the gyroscopic moment of its datasheet at the stated {speed:.4g} rad/s, "
-        "which no rotor has: does it turn, and is speed_rad_s in rad/s, positive from x to y?"
+        "which no rotor has: does it turn, and is speed_rad_s in rad/s, not in rpm, and positive from x to y?"
     )
 
 

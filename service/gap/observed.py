@@ -24,7 +24,8 @@ from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
 
 FEWEST_LINES = 5
-"""Lines of the fitted sweep: of three, loaded magnets that drift explained a clean rig with 74 %."""
+"""Lines of the fitted sweep: of four, a rig with two axes and two modes has some thirty figures of y, about as many as
+its datasheet has uncertain values."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     require_live_channels(main, tuple(experiment.axes), main_name)
     if (lines := len(np.unique(usable(main).frequency_hz))) < FEWEST_LINES:
         raise GapError(
-            f"{main_name} has {lines} usable lines; a diagnosis needs at least {FEWEST_LINES}, of which values of the "
-            "datasheet alone could not make what they like"
+            f"{main_name} has {lines} usable lines; a diagnosis needs at least {FEWEST_LINES}, or the datasheet's "
+            "uncertain values explain whatever there is: measure more"
         )
     notes = [
         *incomplete(experiment),

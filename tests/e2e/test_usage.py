@@ -78,6 +78,10 @@ def test_help_needs_none_of_the_heavy_libraries():
         (("health", "plan", "--baseline", "x", "--budget-s", "inf"), "--budget-s"),
         (("submit", "gap", "--rig", "x"), "--experiment"),
         (("submit", "health", "--rig", "x", "--experiment", "e.h5"), "--experiment"),
+        (
+            ("submit", "experiment", "--rig", "x", "--quick", "--option", 'profile={"from_hz":-5}'),
+            "--quick says it already",
+        ),
         (("jobs", "--url", "nonsense"), "--url"),
         (("watch", "nonsense"), "job_"),
     ],

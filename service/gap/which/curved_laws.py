@@ -75,7 +75,7 @@ class CurvedForce(CurvedLaw):
     """A force -k x^p at each bearing, of the displacement there that sensors and currents tell of."""
 
     signal = "y"
-    introduced = "a force at the bearings grows faster than the displacement, as of a ring or an elastic stop:"
+    introduced = "a force at the bearings is not in proportion to the displacement, as of a ring or an elastic stop:"
     cause = "a ring whose force grows smoothly"
     powers = (POWERS,)  # with more it would bend to a stop
 

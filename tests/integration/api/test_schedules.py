@@ -149,4 +149,9 @@ def test_a_rig_without_a_controller_is_not_checked_by_a_clock(api, rig):
     refused = api.post("/schedules", json={"rig": bench, "cron": "0 6 * * *"})
     assert_problem(refused, 409)
     assert "no controller_url" in refused.json()["detail"]
-    assert api.post("/schedules", json={"rig": bench, "cron": "0 6 * * *", "enabled": False}).status_code == 201
+    made = api.post("/schedules", json={"rig": bench, "cron": "0 6 * * *", "enabled": False})
+    assert made.status_code == 201
+    tag = {"If-Match": made.headers.get("etag") or api.get(f"/schedules/{made.json()['id']}").headers["etag"]}
+    assert_problem(
+        api.put(f"/schedules/{made.json()['id']}", json={"rig": bench, "cron": "0 6 * * *"}, headers=tag), 409
+    )
