@@ -67,7 +67,7 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     null = whole.null.candidate
     swings = swinging([data.main, data.other], nu.rig)
     gap = relative_gap(null.fit.rig, o)
-    verdict = judged(found.parts, o, unseen, gap, sources, found.fault, swings, data.lines_only)
+    verdict = judged(found.parts, o, unseen, gap, sources, found.fault, swings, data.lines_only, data.erratic)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     pair = left_together(whole.order, verdict)

@@ -51,6 +51,7 @@ def judged(
     fault: str | None = None,
     swings: str | None = None,
     lines_only: bool = False,
+    erratic: str | None = None,
 ) -> Verdict:
     """The verdict.
 
@@ -64,6 +65,8 @@ def judged(
         What the blocks tell of an answer that swings, which their means do not.
     lines_only
         Whether the unseen points are other lines of the fitted sweep.
+    erratic
+        Where amplifiers do not answer alike from block to block.
     """
     there = {e.part.path: held_out(e, unseen) for e in found}
     if lines_only:
@@ -75,6 +78,8 @@ def judged(
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
     elif swings and verdict.kind == "no_gap":
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (f"plant: {swings}",), unexplained="plant")
+    elif erratic and verdict.kind != "none_of_these" and not any(CATALOGUE[name].nonlinear for name in verdict.effects):
+        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (f"amplifier: {erratic}",), unexplained="amplifier")
     if (why := not_settled(o, gap)) and (verdict.kind != "no_gap" or drift_of(o) > TELLS_NOTHING):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
+from service.gap.measured.erratic import erratic, erratic_in_words
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.gap.measured.settling import DRIFTS
 from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, span_s, sweeps_for, timed
@@ -51,6 +53,8 @@ class Observed:
     """when the first point was measured and when the last, s; None where the file does not tell"""
     notes: tuple[str, ...]
     """what the data or the datasheet lack, in words"""
+    erratic: str | None = None
+    """where amplifiers of several axes do not answer alike from block to block, in words"""
 
     @property
     def duration_s(self) -> float | None:
@@ -123,6 +127,10 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         loaded = held_at(nu.rig, resting)
         notes.append(f"{load_in_words(loaded, nu.rig)}: the twin works there")
         nu = replace(nu, rig=loaded)
+    main, lost = _without_erratic(usable(main), main_name, nu.rig.axes)
+    other, lost_there = _without_erratic(usable(other), name, nu.rig.axes)
+    lost += lost_there
+    notes += [f"{words}; this line is left out" for words, _ in lost]
     sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)
     if nu.rig.drift is not None:
@@ -141,4 +149,12 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not lines_only and (same := same_condition(o, unseen)):
         notes.append(same)
-    return Observed(nu, main, main_name, other, name, lines_only, o, unseen, sources, span, tuple(notes))
+    own = next((words for words, several in lost if several), None)
+    return Observed(nu, main, main_name, other, name, lines_only, o, unseen, sources, span, tuple(notes), own)
+
+
+def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]]]:
+    """A sweep without the lines at which some axis is erratic, and what is said of them."""
+    out = erratic(sweep)
+    lines = np.isin(sweep.frequency_hz, sweep.frequency_hz[out])
+    return sweep.select(~lines), erratic_in_words(sweep, out, axes, name)

@@ -1,0 +1,90 @@
+"""Points at which an amplifier does not repeat itself are told and left out, and nothing else that changes is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Sweep
+from service.gap.diagnose import diagnose
+from service.gap.measured.erratic import erratic, erratic_in_words
+from sim.effects import CATALOGUE
+from sim.rig import Rig
+from sim.twin import linear_model, with_effects
+from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
+from tests.support.two_axes import one_plane
+
+RIG = true_rig(known_datasheet(seed=2)[1])
+HZ = np.geomspace(12.0, 800.0, 12)
+
+
+def oscillating(s: Sweep, line: int, axes: set[int], share: float = 0.5) -> Sweep:
+    """The sweep with currents that turn against their tone from block to block, as of a limit cycle beside it."""
+    I, at = np.array(s.I), np.flatnonzero(s.frequency_hz == np.unique(s.frequency_hz)[line])
+    phase = np.exp(2.4j * np.arange(I.shape[1]))
+    for k in at:
+        if int(s.axis[k]) in axes:
+            I[k] *= 1 + share * phase[:, None, None]
+    return replace(s, I=I)
+
+
+def test_a_line_whose_currents_do_not_repeat_is_told_with_its_axes() -> None:
+    s = oscillating(sweep(RIG, HZ, 0.1, 1), 7, {0, 2})
+    out = erratic(s)
+    assert set(zip(s.frequency_hz[out], s.axis[out].tolist(), strict=True)) == {(HZ[7], 0), (HZ[7], 2)}
+    ((words, several),) = erratic_in_words(s, out, RIG.axes, "sweeps/0")
+    assert f"at {HZ[7]:.4g} Hz in sweeps/0 the currents of xA, yA do not repeat" in words
+    assert several
+    ((_, several),) = erratic_in_words(s, out & (s.axis == 0), RIG.axes, "sweeps/0")
+    assert not several, "one axis alone may be one disturbed record"
+
+
+def ringing(s: Sweep, rig: Rig) -> Sweep:
+    """The sweep with control signals that decay by half of themselves over the blocks, and currents that follow."""
+    decay = 0.5 * np.exp(-np.arange(s.U.shape[1]))[:, None]
+    f, U, I = s.harmonics.index(1), np.array(s.U), np.array(s.I)
+    A = linear_model(rig, s.frequency_hz).i_per_u
+    more = U[:, :, f] * decay
+    U[:, :, f] += more
+    I[:, :, f] += np.einsum("pij,pbj->pbi", A, more)
+    return replace(s, U=U, I=I)
+
+
+@pytest.mark.parametrize("noise", [1.0, 300.0])
+def test_what_rings_and_what_is_loud_is_not_erratic(noise: float) -> None:
+    assert not erratic(ringing(sweep(RIG, HZ, 0.1, 1, noise), RIG)).any()
+
+
+def test_without_currents_or_blocks_nothing_is_told() -> None:
+    s = oscillating(sweep(RIG, HZ, 0.1, 1), 7, {0, 2})
+    assert not erratic(replace(s, I=None)).any()
+    two = {name: getattr(s, name)[:, :2] for name in ("R", "U", "I", "Y")}
+    assert not erratic(replace(s, **two)).any()
+
+
+@pytest.mark.parametrize(
+    ("effect", "axes", "kind", "named"),
+    [
+        (None, {0, 1}, "none_of_these", ()),
+        (None, {1}, "no_gap", ()),
+        ("magnetic_saturation", {0, 1}, "effect", ("magnetic_saturation",)),
+        ("loop_delay", {0, 1}, "none_of_these", ()),
+    ],
+)
+def test_several_axes_that_are_erratic_are_no_clean_rig_and_one_is_left_out(
+    effect: str | None, axes: set[int], kind: str, named: tuple[str, ...]
+) -> None:
+    """Nor is what answers in proportion to the tone the cause; a force or a limit that grows with it may be."""
+    datasheet, _ = known_datasheet(seed=2)
+    rig = (
+        RIG
+        if effect is None
+        else with_effects(RIG, {effect: {p.name: p.typical for p in CATALOGUE[effect].parameters}})
+    )
+    measured, datasheet = one_plane(experiment(rig), datasheet)
+    main, other = measured.sweeps
+    d = diagnose(replace(measured, sweeps=(main, oscillating(other, 11, axes))), datasheet)
+    assert (d.verdict.kind, d.verdict.effects) == (kind, named)
+    assert any("do not repeat from block to block" in note and "left out" in note for note in d.notes)
+    if kind == "none_of_these":
+        assert "do not repeat" in d.verdict.reasons[0]
