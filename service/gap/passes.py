@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap.doubts.curved import curved
 from service.gap.doubts.log import faint_log_fault, log_fault
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.inherited import inherited_from
@@ -170,10 +171,14 @@ def _decided(e: Explained) -> bool:
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:
-    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it."""
+    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it.
+
+    Or a curvature there, where nothing explains the main one: of a stop that few lines reach it may be all that shows.
+    """
     o, z = on_sweep(e, e.chosen, unseen)
     clear = mean_power(z) > VISIBLE and significance(z, o) > SIGNIFICANT
-    return clear or held_out(e, unseen).fails or told_by_the_other(e, unseen)
+    bent = not e.chosen.effects and curved(e, (o, z)) is not None
+    return clear or bent or held_out(e, unseen).fails or told_by_the_other(e, unseen)
 
 
 def told_by_the_other(e: Explained, unseen: Observation) -> bool:
