@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.jacobian import displacement_jacobian, residue_columns, stacked
 from service.gap.fitting.part import Ground
-from service.gap.fitting.predict import linear_answer, weight, whole_displacement
+from service.gap.fitting.predict import current, linear_answer, weight, whole_displacement
 from service.gap.measured.observation import Observation
 from sim import imbalance
 from sim.effect import Effect
-from sim.effects import CATALOGUE
 from sim.rig import Rig
 
 Complex = NDArray[np.complex128]
@@ -35,6 +34,11 @@ APART = 8
 """Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
 SLIGHT = 1e-3
 """Drift that is tried: small enough for its answer to be proportional."""
+SLEWS = tuple(np.geomspace(0.7, 1.02, 25).tolist())
+"""Shares of the largest slope of a current's excited frequency at which a slew limit is looked for: a current that
+slews all the time is a triangle, 4/pi as steep in this as it is."""
+SEEN = (0.0, 0.5, 1.0)
+"""Shares of a current loop's damping that act on the slope the coil has, of the loops that are tried."""
 SOFT = 0.02
 """Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
 
@@ -56,12 +60,13 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
 
     ``z`` (P, H, n) are the weighted residuals that ``rig`` leaves and the effect is to explain.
     """
+    effect = effect.of(ground.nuisance.rig)
     base = {
         p.name: p.typical if p.scale == "log" or not p.strength else p.null + 0.2 * (p.typical - p.null)
         for p in effect.parameters
     }
     if effect.id in ("support_resonance", "extra_flexible_mode"):
-        found = resonances(rig, z, o, ground, effect.id == "extra_flexible_mode")
+        found = resonances(effect, rig, z, o, ground)
         others = (peaks_of_failure(z, o, 1)[0], base["frequency_hz"])
         return [{**base, **f} for f in (*found, *({"frequency_hz": f} for f in dict.fromkeys(others)))]
     if effect.id == "amplifier_bandwidth":  # the largest change is stated: on which side that is, is another valley
@@ -72,14 +77,9 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "touchdown_contact":
         return stops(effect, base, rig, z, o)
     if effect.id == "amplifier_voltage_limit":
-        rate = largest_rate(o, rig)
-        return [
-            {"slew_inverse_s_per_a": 1 / (share * rate), "slope_seen": seen}
-            for share in (0.9, np.pi / 4)  # a current that slews all the time is a triangle, 4/pi as steep in this
-            for seen in (0.1, 0.9)
-        ]
+        return slews(effect, rig, z, o)
     if effect.id == "magnetic_saturation":
-        by_flux = {"saturation_inverse_per_a": 0.02, "flux_power": 5.0}
+        by_flux = {"saturation_inverse_per_a": effect.parameters[0].low, "flux_power": 5.0}
         return [{**base, "flux_share": 0.0}, *({**by_flux, "flux_share": share} for share in (0.35, 0.5, 0.7))]
     if effect.id == "magnetic_hysteresis":
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
@@ -95,6 +95,30 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     return [base]
 
 
+def slews(effect: Effect, rig: Rig, z: Complex, o: Observation) -> list[dict[str, float]]:
+    """For each kind of current loop the slew limit that leaves least, best first; z (P, H, n) as of `starts`.
+
+    Near the limit of a loop that winds up the current jumps to lag by half a period, so its valley is narrow. Where
+    the current was not logged, limits are not told so finely.
+    """
+    rate, limits = largest_rate(o, rig), {p.name: p for p in effect.parameters}["slew_inverse_s_per_a"]
+
+    def values(share: float, seen: float) -> dict[str, float]:
+        inverse = float(np.clip(1 / (share * rate), limits.low, limits.high))
+        return {"slew_inverse_s_per_a": inverse, "slope_seen": seen}
+
+    if o.I is None or np.isfinite(rig.amplifiers.slew_limit_a_per_s).any():
+        return [values(share, seen) for share in (0.9, np.pi / 4) for seen in (0.1, 0.9)]
+    without, w = current(rig, o), weight(o, "i")
+
+    def left(one: dict[str, float]) -> float:
+        change = (current(effect.on(rig, **one), o) - without) * w
+        return float(np.sum(np.abs(z - change) ** 2))
+
+    best = [min(((left(v := values(s, seen)), v) for s in SLEWS), key=lambda one: one[0]) for seen in SEEN]
+    return [v for _, v in sorted(best, key=lambda one: one[0])]
+
+
 def largest_rate(o: Observation, rig: Rig | None = None) -> float:
     """Largest slope of the coil current, A/s.
 
@@ -108,7 +132,7 @@ def largest_rate(o: Observation, rig: Rig | None = None) -> float:
 
 
 def resonances(
-    rig: Rig, z: Complex, o: Observation, ground: Ground, shaped: bool, count: int = 2
+    effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground, count: int = 2
 ) -> list[dict[str, float]]:
     """Where one more resonance would explain most that the datasheet's values cannot, best first.
 
@@ -116,6 +140,7 @@ def resonances(
     datasheet could do as well is projected out. A housing moves both ends alike; what is ``shaped`` moves them by the
     residue of rank one that is nearest, and gets that shape.
     """
+    shaped = effect.id == "extra_flexible_mode"
     if rig.support is not None and not shaped:
         return []
     f, w, basis = o.fundamental, weight(o, "y")[:, o.fundamental], _basis(rig, o, ground)
@@ -142,7 +167,7 @@ def resonances(
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
         tried = [(own, damping) for damping in (DAMPED, *DAMPINGS) for own in np.geomspace(low, high, BESIDE)]
         own, damping = max(tried, key=lambda at: score(*at)[0])
-        shape = _shape(score(own, damping)[1]) if shaped else {}
+        shape = _shape(effect, score(own, damping)[1]) if shaped else {}
         found.append({"frequency_hz": float(own), "damping_ratio": float(damping), **shape})
     return found
 
@@ -195,11 +220,11 @@ def drifts(
     return {**base, **{name: float(np.clip(v, known_by[name].low, known_by[name].high)) for name, v in best.items()}}
 
 
-def _shape(residue: NDArray[np.float64]) -> dict[str, float]:
+def _shape(effect: Effect, residue: NDArray[np.float64]) -> dict[str, float]:
     """The mode shape whose residue, (4,), is nearest: displacement at A and B for forces at A, then at B."""
     u, size, v = np.linalg.svd(residue.reshape(2, 2))
     at_sensors, at_bearings = np.sqrt(size[0]) * u[:, 0], np.sqrt(size[0]) * v[0]
-    known = {p.name: p for p in CATALOGUE["extra_flexible_mode"].parameters}
+    known = {p.name: p for p in effect.parameters}
     shapes = {
         f"{place}_{end}_per_sqrt_kg": float(shape[k])
         for place, shape in (("sensor", at_sensors), ("bearing", at_bearings))
