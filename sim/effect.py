@@ -8,11 +8,12 @@ frequency-domain model are built from that rig, so an effect is written once.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from sim.errors import EffectError
 from sim.rig import Rig
+from sim.sizes import Size
 
 Path = Literal["controller", "amplifier", "plant", "additive"]
 End = Literal["low", "high"]
@@ -33,6 +34,8 @@ SUFFIXES = {
     "N s/m": "_ns_per_m",
 }
 """What a parameter's name ends with when it has that unit."""
+MARGIN = 10.0
+"""A rig may have an effect this much beyond a range that goes with its size: that is uncertain itself."""
 
 
 @dataclass(frozen=True)
@@ -58,25 +61,28 @@ class Parameter:
     """True where the law is a plainer one with it at ``null``: a fit leaves it there unless the data tell otherwise."""
     dormant: bool = False
     """True where a fit that begins with it at ``null`` does not move it: few rigs need it."""
+    goes_with: Size | None = None
+    """What the range is as large as; None where it is the same on every rig. Stated for the reference rig."""
+
+    def of(self, rig: Rig) -> Parameter:
+        """The parameter with the range that it has on a rig."""
+        if self.goes_with is None:
+            return self
+        by = self.goes_with.ratio(rig)
+        own = replace(self.goes_with, reference=self.goes_with.of(rig))
+        low, high, typical, null = (by * v for v in (self.low, self.high, self.typical, self.null))
+        return replace(self, low=low, high=high, typical=typical, null=null, goes_with=own)
+
+    def allows(self, value: float) -> bool:
+        """Whether a rig may have it: in its range, or no more than `MARGIN` beyond one that goes with a size."""
+        beyond = 1.0 if self.goes_with is None else MARGIN
+        lowest = self.low * beyond if self.low < 0 else self.low / beyond
+        return min(lowest, self.null) <= value <= max(self.high * beyond, self.null)
 
     @property
     def words(self) -> str:
         """The name as a person says it, without its unit."""
         return self.name.removesuffix(SUFFIXES.get(self.unit, "")).replace("_", " ")
-
-    def end(self, value: float) -> End | None:
-        """The end of the range where a value is; None inside."""
-        ends: tuple[tuple[End, float], ...] = (("low", self.low), ("high", self.high))
-        return next((name for name, at in ends if abs(value - at) <= 1e-9 * max(abs(at), self.high - self.low)), None)
-
-    def at_its_end(self, value: float) -> bool:
-        """Whether a value is as far off as the range lets it; where the effect vanishes is no end.
-
-        >>> share = Parameter("share", "1", 0.0, 1.0, 0.1, 0.0)
-        >>> share.at_its_end(0.0), share.at_its_end(0.9), share.at_its_end(1.0)
-        (False, False, True)
-        """
-        return value != self.null and self.end(value) is not None
 
 
 @dataclass(frozen=True)
@@ -111,16 +117,20 @@ class Effect:
         EffectError
             An unknown parameter, one out of its range, or a rig with too few axes.
         """
-        known = {p.name: p for p in self.parameters}
+        known = {p.name: p.of(rig) for p in self.parameters}
         for name, value in values.items():
             if name not in known:
                 raise EffectError(f"effect {self.id} has no parameter {name!r}; it has {', '.join(known)}")
             p = known[name]
-            if not (min(p.low, p.null) <= value <= max(p.high, p.null)):
-                raise EffectError(f"{self.id}.{name} = {value} {p.unit} is outside {p.low} to {p.high} {p.unit}")
+            if not p.allows(value):
+                raise EffectError(f"{self.id}.{name} = {value} {p.unit} is outside {p.low:g} to {p.high:g} {p.unit}")
         if rig.n_axes < self.needs_axes:
             raise EffectError(f"effect {self.id} needs {self.needs_axes} axes; rig {rig.name} has {rig.n_axes}")
-        return self.apply(rig, {p.name: values.get(p.name, p.typical) for p in self.parameters})
+        return self.apply(rig, {name: values.get(name, p.typical) for name, p in known.items()})
+
+    def of(self, rig: Rig) -> Effect:
+        """The effect with the ranges that its parameters have on a rig."""
+        return replace(self, parameters=tuple(p.of(rig) for p in self.parameters))
 
     def null(self) -> dict[str, float]:
         """Parameter values at which the effect vanishes; shape parameters stay typical."""

@@ -13,13 +13,15 @@ _INTRODUCTION = """\
 Written from `sim/effects/` by `python -m sim.effect_page > docs/effects.md`; a test keeps the two equal. Each effect
 is one small function from rig to rig, so the time simulation, the linear model and the harmonic balance have it from
 one description. A strength makes the effect vanish at its null value; a shape says what it looks like and stays
-typical there.
+typical there. A range that goes with a size of the rig is stated for the reference rig, whose size stands beside it:
+on a rig of twice the mass, one with mass^-1 is half as far.
 """
 
 
 def _row(p: Parameter) -> str:
     role = f"strength, null {p.null:g}" if p.strength else "shape"
     scale = ", by decades" if p.scale == "log" else ""
+    scale += f", with {p.goes_with}" if p.goes_with else ""
     words = p.description.replace("|", "\\|")
     return f"| `{p.name}` | {p.unit} | {p.low:g} to {p.high:g}{scale} | {p.typical:.4g} | {role} | {words} |"
 

@@ -53,6 +53,7 @@ def document(e: Effect) -> dict[str, Any]:
                 "typical": p.typical,
                 "null": p.null,
                 "scale": p.scale,
+                "goes_with": str(p.goes_with) if p.goes_with else None,
                 "description": p.description,
             }
             for p in e.parameters
@@ -87,5 +88,7 @@ def _describe(e: Effect) -> None:
         console.print(f"{name}: {text}", markup=False, soft_wrap=True)
     for p in e.parameters:
         unit = f" {p.unit}" if p.unit else ""
-        text = f"{p.name}: {p.low:g} to {p.high:g}{unit}, typically {p.typical:g}{unit}; {p.description}"
+        text = f"{p.name}: {p.low:g} to {p.high:g}{unit}, typically {p.typical:g}{unit}"
+        text += f", with {p.goes_with}" if p.goes_with else ""
+        text += f"; {p.description}"
         console.print(text, markup=False, soft_wrap=True)

@@ -13,6 +13,7 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import Nuisance
 from service.gap.weighing.verdict import Ranked
 from service.gap.which.search import Explained
+from sim.effect import End
 from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]
@@ -66,16 +67,20 @@ def _combined(
     theta, k = np.zeros(len(nuisance)), len(nuisance)
     curvature = np.zeros((k, k))
     moved: dict[str, Mapping[str, float]] = {}
+    ends: dict[tuple[str, str], End] = {}
     amplifiers = next((r.candidate.effects for e, r in zip(found, pick, strict=True) if e.part.path == "amplifier"), ())
     for e, r in zip(found, pick, strict=True):  # as they were fitted: what one inherits of another it has moved
         fit, other = r.candidate.fit, e.ground.inherited
-        active = fit.active
+        active, told = fit.active, {*fit.effects}
         if other is not None and other.of == amplifiers:
             moved |= {name: values for (name, _), values in zip(other.effects, fit.inherited, strict=True)}
+            told |= {*moved}
         else:
             active = e.ground.part.active
         theta[active] = fit.theta[active]
         curvature[np.ix_(active, active)] += fit.curvature[: len(active), : len(active)]
+        ends = {of: end for of, end in ends.items() if of[0] not in told}
+        ends |= {of: end for of, end in fit.ends.items() if of[0] in told}
     named = [
         (name, moved.get(name, values), sds)
         for r in (pick[n] for n in by_size)
@@ -96,5 +101,6 @@ def _combined(
         np.arange(k),
         curvature,
         "; ".join(sorted({r.candidate.fit.status for r in pick})),
+        ends=ends,
     )
     return Candidate(fit.effects, fit, sum(r.candidate.occam for r in pick), tuple(sds for _, _, sds in named))

@@ -9,10 +9,8 @@ import numpy as np
 
 from service.gap.diagnosis import Diagnosis, listed, runner_up
 from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.unknowns import IN_BAND
 from service.gap.weighing.shrinkage import Closed
 from service.gap.weighing.verdict import ALIKE, Ranked
-from sim.effect import End
 from sim.effects import CATALOGUE
 
 FEW_POINTS = 10.0
@@ -32,19 +30,17 @@ def _blamed(d: Diagnosis) -> str:
     return " and the ".join("signals" if path == "additive" else path for path in paths)
 
 
-def stated(c: Candidate, lowest_hz: float) -> dict[str, dict[str, Any]]:
-    """Value and deviation of an explanation's parameters; "given" where it is none of the fit's results.
-
-    ``lowest_hz`` is the lowest line that was fitted.
-    """
+def stated(c: Candidate) -> dict[str, dict[str, Any]]:
+    """Value and deviation of an explanation's parameters; "given" where it is none of the fit's results."""
     out: dict[str, dict[str, Any]] = {}
     for effect, values, sds in zip(c.effects, c.fit.values, c.standard_deviations, strict=True):
         prefix = f"{effect}." if len(c.effects) > 1 else ""
-        ends = _at_bound(effect, values, sds, lowest_hz)
         for name, value in values.items():
+            # without a deviation none was fitted
+            end = c.fit.ends.get((effect, name)) if sds.get(name) else None
             # a deviation of 0 alone would pass for a fit that knows it exactly
             given = {"given": True} if (effect, name) in c.given else {}
-            out[prefix + name] = {"value": value, "std": sds[name], "at_bound": ends[name], **given}
+            out[prefix + name] = {"value": value, "std": sds[name], "at_bound": end, **given}
     return out
 
 
@@ -54,7 +50,7 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
         "effect": "+".join(c.effects),
         "effects": list(c.effects),
         "probability": r.probability,
-        "parameters": stated(c, float(d.observation.frequency_hz.min())),
+        "parameters": stated(c),
         "gap_after": d.gaps_after.get(c.effects),
         "closure": d.closures.get(c.effects),
         "log_evidence": r.log_evidence,
@@ -62,20 +58,6 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
         "open_strength": list(r.open_strength),
         "status": c.fit.status,
     }
-
-
-def _at_bound(
-    effect: str, values: Mapping[str, float], sds: Mapping[str, float], lowest_hz: float
-) -> dict[str, End | None]:
-    """The end of its range, "low" or "high", at which a fit left a parameter: its value is the range's there."""
-    found: dict[str, End | None] = {}
-    for p in CATALOGUE[effect].parameters:
-        value = values.get(p.name, p.typical)
-        # without a deviation none was fitted, and where the effect vanishes is no end
-        found[p.name] = p.end(value) if sds.get(p.name) and value != p.null else None
-        if (effect, p.name) == IN_BAND and np.isclose(value, lowest_hz, rtol=1e-9):
-            found[p.name] = "low"
-    return found
 
 
 def ends_reached(document: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 from sim.effect import Effect, Parameter
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
+from sim.sizes import BIAS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -31,6 +32,7 @@ EFFECT = Effect(
             0.0,
             "log",
             "inverse of the largest |di/dt| = U/L",
+            goes_with=BIAS**-1,
         ),
         Parameter(
             "slope_seen",

@@ -8,6 +8,7 @@ import numpy as np
 from sim.effect import Effect, Parameter
 from sim.imbalance import of_end
 from sim.rig import Rig
+from sim.sizes import STIFFNESS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -35,6 +36,7 @@ EFFECT = Effect(
             1e5,
             0.0,
             description="at each bearing, mean of both, sign of the whirl",
+            goes_with=STIFFNESS,
         ),
         Parameter(
             "by_speed_ns_per_m",
@@ -44,6 +46,7 @@ EFFECT = Effect(
             0.0,
             0.0,
             description="what each rad/s adds to it, as the rotor carries the fluid round; told by two speeds alone",
+            goes_with=STIFFNESS,
             strength=False,
             optional=True,
             dormant=True,

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from sim.effect import Effect, Parameter
 from sim.rig import FlexibleMode, Rig
+from sim.sizes import MASS
 
 HIGHEST_DAMPING = 0.1
 """Damping ratio from which a resonance is no mode of a steel rotor."""
@@ -45,8 +46,26 @@ EFFECT = Effect(
     parameters=(
         Parameter("frequency_hz", "Hz", 5.0, 3000.0, 700.0, 700.0, "log", "natural frequency", strength=False),
         Parameter("damping_ratio", "1", 1e-4, HIGHEST_DAMPING, 2e-3, 2e-3, "log", strength=False),
-        Parameter("bearing_A_per_sqrt_kg", "1/sqrt(kg)", -0.3, 0.3, 0.03, 0.0, description="shape, unit modal mass"),
-        Parameter("bearing_B_per_sqrt_kg", "1/sqrt(kg)", -0.3, 0.3, -0.02, 0.0, description="shape, unit modal mass"),
+        Parameter(
+            "bearing_A_per_sqrt_kg",
+            "1/sqrt(kg)",
+            -0.3,
+            0.3,
+            0.03,
+            0.0,
+            description="shape, unit modal mass",
+            goes_with=MASS**-0.5,
+        ),
+        Parameter(
+            "bearing_B_per_sqrt_kg",
+            "1/sqrt(kg)",
+            -0.3,
+            0.3,
+            -0.02,
+            0.0,
+            description="shape, unit modal mass",
+            goes_with=MASS**-0.5,
+        ),
         Parameter(
             "sensor_A_per_sqrt_kg",
             "1/sqrt(kg)",
@@ -55,6 +74,7 @@ EFFECT = Effect(
             0.03,
             0.03,
             description="shape, unit modal mass",
+            goes_with=MASS**-0.5,
             strength=False,
         ),
         Parameter(
@@ -65,6 +85,7 @@ EFFECT = Effect(
             -0.03,
             -0.03,
             description="shape, unit modal mass",
+            goes_with=MASS**-0.5,
             strength=False,
         ),
     ),

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from sim.effect import Effect, Parameter
 from sim.rig import FlexibleMode, Rig
+from sim.sizes import INERTIA
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -23,7 +24,16 @@ EFFECT = Effect(
     id="gyroscopic_coupling",
     path="plant",
     parameters=(
-        Parameter("polar_inertia_kgm2", "kg m2", -2.0, 20.0, 1.9, 0.0, description="beyond that of the datasheet"),
+        Parameter(
+            "polar_inertia_kgm2",
+            "kg m2",
+            -2.0,
+            20.0,
+            1.9,
+            0.0,
+            description="beyond that of the datasheet",
+            goes_with=INERTIA,
+        ),
         Parameter(
             "mode_coupling",
             "1",

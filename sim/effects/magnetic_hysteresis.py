@@ -8,6 +8,7 @@ import numpy as np
 from sim.effect import Effect, Parameter
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
+from sim.sizes import BIAS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -35,6 +36,7 @@ EFFECT = Effect(
             0.0,
             "log",
             "lag of the force at 0.5 A of coil current, of a Rayleigh loop as dense as these plays are",
+            goes_with=BIAS**-1,
         ),
         Parameter(
             "narrowest_a",
@@ -44,6 +46,7 @@ EFFECT = Effect(
             0.0,
             0.0,
             description="half width of the narrowest play; 0 for a Rayleigh loop, which is plays of every width",
+            goes_with=BIAS,
             strength=False,
             optional=True,
         ),
@@ -55,6 +58,7 @@ EFFECT = Effect(
             0.0,
             0.0,
             description="1 / half width of the widest play, 0 for no end; of one play that of the narrowest",
+            goes_with=BIAS**-1,
             strength=False,
             optional=True,
         ),

@@ -8,6 +8,7 @@ import numpy as np
 from sim.effect import Effect, Parameter
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
+from sim.sizes import BIAS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -29,7 +30,17 @@ EFFECT = Effect(
     id="magnetic_saturation",
     path="plant",
     parameters=(
-        Parameter("saturation_inverse_per_a", "1/A", 0.02, 4.0, 1 / 1.6, 0.0, "log", "1/i_s of i_s tanh(i/i_s)"),
+        Parameter(
+            "saturation_inverse_per_a",
+            "1/A",
+            0.02,
+            4.0,
+            1 / 1.6,
+            0.0,
+            "log",
+            "1/i_s of i_s tanh(i/i_s)",
+            goes_with=BIAS**-1,
+        ),
         Parameter(
             "flux_share",
             "1",

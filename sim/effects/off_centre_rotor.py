@@ -7,6 +7,7 @@ import numpy as np
 
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
+from sim.sizes import AIR_GAP
 
 _TYPICAL = {"xA": 45e-6, "xB": -30e-6, "yA": 25e-6, "yB": -40e-6}
 
@@ -28,6 +29,7 @@ EFFECT = Effect(
             typical,
             0.0,
             description=f"magnetic against sensor centre in {axis}; not used on a rig without that axis",
+            goes_with=AIR_GAP,
         )
         for axis, typical in _TYPICAL.items()
     ),

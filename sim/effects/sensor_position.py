@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from sim.effect import Effect, Parameter
 from sim.rig import Rig
+from sim.sizes import SPAN
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -17,8 +18,12 @@ EFFECT = Effect(
     id="sensor_position",
     path="plant",
     parameters=(
-        Parameter("shift_A_m", "m", -0.04, 0.04, 0.012, 0.0, description="away from the centre of gravity"),
-        Parameter("shift_B_m", "m", -0.04, 0.04, 0.012, 0.0, description="away from the centre of gravity"),
+        Parameter(
+            "shift_A_m", "m", -0.04, 0.04, 0.012, 0.0, description="away from the centre of gravity", goes_with=SPAN
+        ),
+        Parameter(
+            "shift_B_m", "m", -0.04, 0.04, 0.012, 0.0, description="away from the centre of gravity", goes_with=SPAN
+        ),
     ),
     apply=_apply,
     law="rows [1, dsA + a] and [1, -(dsB + b)] of the rigid sensor map; the modes' shapes at the sensors are kept",

@@ -7,6 +7,7 @@ from dataclasses import replace
 from sim.effect import Effect, Parameter
 from sim.errors import EffectError
 from sim.rig import Rig, Support
+from sim.sizes import MASS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -37,7 +38,17 @@ EFFECT = Effect(
     id="support_resonance",
     path="plant",
     parameters=(
-        Parameter("inverse_mass_per_kg", "1/kg", 1e-6, 2e-2, 1 / 900, 0.0, "log", "of the part that moves, each plane"),
+        Parameter(
+            "inverse_mass_per_kg",
+            "1/kg",
+            1e-6,
+            2e-2,
+            1 / 900,
+            0.0,
+            "log",
+            "of the part that moves, each plane",
+            goes_with=MASS**-1,
+        ),
         Parameter("frequency_hz", "Hz", 5.0, 1500.0, 430.0, 430.0, "log", "of the part on its spring", strength=False),
         Parameter("damping_ratio", "1", 1e-3, 0.3, 0.01, 0.01, "log", strength=False),
         Parameter(

@@ -8,6 +8,7 @@ import numpy as np
 from sim.effect import Effect, Parameter
 from sim.errors import EffectError
 from sim.rig import Contact, Rig
+from sim.sizes import AIR_GAP, STIFFNESS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -23,7 +24,9 @@ EFFECT = Effect(
     id="touchdown_contact",
     path="plant",
     parameters=(
-        Parameter("stiffness_n_per_m", "N/m", 1e4, 1e8, 1e6, 0.0, "log", "of the stop, at each bearing"),
+        Parameter(
+            "stiffness_n_per_m", "N/m", 1e4, 1e8, 1e6, 0.0, "log", "of the stop, at each bearing", goes_with=STIFFNESS
+        ),
         Parameter("side", "1", -1.0, 1.0, 0.0, 0.0, description="1: only above, -1: only below", strength=False),
         *(
             Parameter(
@@ -35,6 +38,7 @@ EFFECT = Effect(
                 12e-6,
                 "log",
                 f"free way in {axis}; not used on a rig without that axis",
+                goes_with=AIR_GAP,
                 strength=False,
             )
             for axis in ("xA", "xB", "yA", "yB")

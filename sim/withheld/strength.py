@@ -25,7 +25,7 @@ def strength(effect: Effect, rig: Rig, g: Generator) -> dict[str, float]:
     Strengths are shares of the typical values, of either sign where the range allows it; of an effect with one
     parameter per axis, one or two axes have it; of one on all alike, some have it at one bearing, plane or axis alone.
     """
-    uneven = _uneven(effect, g)
+    effect, uneven = effect.of(rig), _uneven(effect, g)
     # the mean of all, where the one has a strength as drawn; of amplifiers the largest change is what is stated
     halved = 0 if effect.id == "amplifier_bandwidth" else np.count_nonzero(list(uneven.values()))
     alone = 0.5**halved

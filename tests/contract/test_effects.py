@@ -10,6 +10,7 @@ import pytest
 
 import sim.effects
 from sim import effect
+from sim.effect import MARGIN
 from sim.effects import CATALOGUE
 from sim.errors import EffectError
 from sim.harmonic_balance import Responder, time_points
@@ -249,8 +250,9 @@ def test_an_unknown_parameter_is_refused_by_name(one):
 @every_effect
 @pytest.mark.parametrize("factor", [-2.0, 3.0])
 def test_a_value_out_of_range_is_refused_with_the_range_and_the_unit(one, factor):
-    for p in one.parameters:
-        outside = p.high * factor if factor > 0 else min(p.low, p.null) - abs(p.high)
+    for p in one.of(rig_for(one)).parameters:
+        beyond = 1.0 if p.goes_with is None else MARGIN
+        outside = beyond * (p.high * factor if factor > 0 else min(p.low, p.null) - abs(p.high))
         with pytest.raises(EffectError, match=rf"{one.id}\.{p.name} = .* is outside .*{re.escape(p.unit)}"):
             one.on(rig_for(one), **{p.name: outside})
 

@@ -75,7 +75,8 @@ def across_alike(e: Explained) -> list[Across]:
             continue
         after = before - square**2 * size
         left = max(after - noise, 0.0) / max(before - noise, 1e-9)
-        parameter = next(p for p in CATALOGUE[effect].parameters if p.name == STRENGTH[effect])
+        known = CATALOGUE[effect].of(e.ground.nuisance.rig).parameters
+        parameter = next(p for p in known if p.name == STRENGTH[effect])
         strength = float(np.sqrt(abs(square)))
         if left <= UNEXPLAINED and strength <= parameter.high:
             found.append(Across(effect, strength, left))

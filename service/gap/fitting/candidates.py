@@ -87,7 +87,8 @@ def fit_task(task: Task) -> Candidate:
         **dict(zip(held.effects, held.standard_deviations, strict=True)),
         **dict(zip(c.effects, c.standard_deviations, strict=True)),
     }
-    fit = replace(c.fit, effects=task.effects, values=tuple(dict(values[name]) for name in task.effects))
+    ends = {end: which for end, which in held.fit.ends.items() if end[0] in fixed} | dict(c.fit.ends)
+    fit = replace(c.fit, effects=task.effects, values=tuple(dict(values[name]) for name in task.effects), ends=ends)
     occam_factor = c.occam + held.occam - task.occam_alone
     return Candidate(task.effects, fit, occam_factor, tuple(spread[name] for name in task.effects))
 

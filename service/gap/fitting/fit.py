@@ -298,6 +298,7 @@ class Problem(Unknowns):
             status,
             values[n:],
             tuple(across),
+            self.ends(state.x[a:]),
         )
 
     def linearised(self, fit: Fit) -> Linearised:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.effect import End
 from sim.rig import Rig
 
 Real = NDArray[np.float64]
@@ -42,6 +43,8 @@ class Fit:
     """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
     across: tuple[tuple[float, int], ...] = ()
     """as ``groups``, of the fundamental in the plane that was not excited alone, sweep by sweep; part of those"""
+    ends: Mapping[tuple[str, str], End] = field(default_factory=dict)
+    """effects' parameters, by effect and name, that the fit left at an end of their range, and which"""
 
     @property
     def out_of_steps(self) -> bool:

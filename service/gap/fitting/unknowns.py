@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, End, Parameter
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
@@ -38,18 +38,19 @@ class Unknowns:
 
     def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
         """``held`` are parameters, by effect and name, that stay where their law is the plainest."""
-        self.ground, self.effects = ground, tuple(effects)
+        rig = ground.nuisance.rig
+        self.ground, self.effects = ground, tuple(effect.of(rig) for effect in effects)
         self.observations, self.active = ground.observations, ground.part.active
         other = ground.inherited
         self._held = {*held, *(() if other is None else asleep(*zip(*other.effects, strict=True)))}
-        theirs = [] if other is None else [CATALOGUE[name] for name, _ in other.effects]
-        self.parameters = [(k, p) for k, e in enumerate((*effects, *theirs)) for p in e.parameters]
-        self._n_effects = len(effects) + len(theirs)
+        theirs = () if other is None else tuple(CATALOGUE[name].of(rig) for name, _ in other.effects)
+        self._together = (*self.effects, *theirs)
+        self.parameters = [(k, p) for k, e in enumerate(self._together) for p in e.parameters]
         self.n_own = sum(len(e.parameters) for e in effects)
         if other is not None:
             self.active = np.concatenate([self.active, other.active])
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
-        ranges = [self._range((*effects, *theirs)[k], p) for k, p in self.parameters]
+        ranges = [self._range(self._together[k], p) for k, p in self.parameters]
         self.low: Real = np.array([low for low, _ in ranges], dtype=float) / self.scale
         self.high: Real = np.array([high for _, high in ranges], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
@@ -92,7 +93,7 @@ class Unknowns:
     def values(self, e: Real) -> tuple[dict[str, float], ...]:
         """Effect parameters by name, one dict per effect, then per inherited one, from the scaled vector."""
         inside = np.clip(e, self.low, self.high) * self.scale
-        out: list[dict[str, float]] = [{} for _ in range(self._n_effects)]
+        out: list[dict[str, float]] = [{} for _ in self._together]
         for (k, p), v in zip(self.parameters, inside, strict=True):
             # of a bound, scaling back leaves what is beyond it by its last digit
             out[k][p.name] = float(np.clip(np.exp(v) if p.scale == "log" else v, p.low, p.high))
@@ -100,9 +101,25 @@ class Unknowns:
             out[k] |= {p.name: p.null for p in effect.parameters if (effect.id, p.name) in self._held}
         return tuple(out)
 
+    def ends(self, e: Real) -> dict[tuple[str, str], End]:
+        """Parameters, by effect and name, that a scaled vector has at an end of their range.
+
+        Where an effect vanishes is no end.
+        """
+        values, near = self.values(e), 1e-9 * (self.high - self.low)
+        out: dict[tuple[str, str], End] = {}
+        for j, (k, p) in enumerate(self.parameters):
+            if self.low[j] == self.high[j] or values[k][p.name] == p.null:
+                continue
+            if e[j] <= self.low[j] + near[j]:
+                out[self._together[k].id, p.name] = "low"
+            elif e[j] >= self.high[j] - near[j]:
+                out[self._together[k].id, p.name] = "high"
+        return out
+
     def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:
         """Inverse of `values`; parameters not given keep their typical value, inherited ones what was found."""
-        if self.ground.inherited is not None and len(values) < self._n_effects:
+        if self.ground.inherited is not None and len(values) < len(self._together):
             values = (*values, *(found for _, found in self.ground.inherited.effects))
         inner = [self._inner(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
         return np.asarray(np.array(inner, dtype=float) / self.scale)
@@ -123,7 +140,7 @@ class Unknowns:
 
     def vector(self, fit: Fit) -> Real:
         """The vector (a + e,) at which a fit of this problem ended."""
-        theirs = fit.inherited if self._n_effects > len(self.effects) else ()
+        theirs = fit.inherited if len(self._together) > len(self.effects) else ()
         return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
 
     def _penalty(self, x: Real) -> float:

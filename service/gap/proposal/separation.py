@@ -124,7 +124,7 @@ def _effect_columns(c: Predicted, theta: Real, here: Complex, w: Real) -> tuple[
     """
     columns, widths = [], []
     for k, name in enumerate(c.candidate.effects):
-        for p in CATALOGUE[name].parameters:
+        for p in CATALOGUE[name].of(c.nuisance.rig).parameters:
             moved, step, width = _moved(p, c.values[k].get(p.name, p.typical))
             changed = [*c.values[:k], {**c.values[k], p.name: moved}, *c.values[k + 1 :]]
             try:

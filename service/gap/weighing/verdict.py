@@ -249,8 +249,8 @@ def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
     """Whether the strength of an effect would have to be one that such effects do not have."""
     return any(
-        p.strength and p.at_its_end(values[p.name])
-        for effect, values in zip(candidate.effects, candidate.fit.values, strict=True)
+        p.strength and (effect, p.name) in candidate.fit.ends
+        for effect in candidate.effects
         for p in CATALOGUE[effect].parameters
     )
 

@@ -28,6 +28,7 @@ from service.gap.fitting.unknowns import asleep
 from service.gap.weighing.verdict import noise_levels
 from service.gap.which.refined import cost
 from sim import imbalance
+from sim.effect import Effect
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
 from sim.rig import Rig
@@ -85,11 +86,11 @@ def _promise(asked: tuple[Ground, Candidate, str]) -> _Promise | None:
 
 def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
     """The same, at the excited frequency, the datasheet's values and the other effects following to first order."""
-    at, effect, problem = c.effects.index(name), CATALOGUE[name], Problem.of(ground, c.fit)
+    at, effect, problem = c.effects.index(name), CATALOGUE[name].of(ground.nuisance.rig), Problem.of(ground, c.fit)
     values, without, linear = c.fit.values[at], _without(name, ground, c), problem.linearised(c.fit)
     shapes = [p.name for p in effect.parameters if p.name in imbalance.NAMES][: ground.nuisance.rig.n_planes]
     corners = np.array(list(product((1.0, -1.0), repeat=len(shapes))))
-    one = _scaled(name, values, 1 / len(corners))
+    one = _scaled(effect, values, 1 / len(corners))
     rigs = [effect.on(without, **one, **dict(zip(shapes, corner, strict=True))) for corner in corners.tolist()]
 
     begin = len(problem.active) + sum(len(CATALOGUE[e].parameters) for e in c.effects[:at])
@@ -112,7 +113,7 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
 
     moved, theta = np.linalg.lstsq(known, left - alone @ shares)[0][: len(problem.active)], c.fit.theta.copy()
     theta[problem.active] = np.clip(theta[problem.active] + moved, -TOLERANCE_BOUND, TOLERANCE_BOUND)
-    start = _scaled(name, values, shares.mean()) | dict(zip(shapes, shares @ corners / shares.sum(), strict=True))
+    start = _scaled(effect, values, shares.mean()) | dict(zip(shapes, shares @ corners / shares.sum(), strict=True))
     starts = tuple(start if k == at else own for k, own in enumerate(c.fit.values))
     return _Promise(expected, Task(ground, c.effects, (starts,), theta, (EXACT,)))
 
@@ -134,10 +135,10 @@ def _changes(problem: Problem, rigs: Sequence[Rig], without: Rig, sweep: int, we
     return stacked(np.stack([answer[:, o.fundamental] for answer in answers], axis=-1))
 
 
-def _scaled(name: str, values: Mapping[str, float], share: float) -> dict[str, float]:
+def _scaled(effect: Effect, values: Mapping[str, float], share: float) -> dict[str, float]:
     """An effect's parameters without its imbalances, the strengths multiplied."""
     return {
         p.name: float(np.clip(values[p.name] * share, p.low, p.high)) if p.strength else values[p.name]
-        for p in CATALOGUE[name].parameters
+        for p in effect.parameters
         if p.name not in imbalance.NAMES
     }

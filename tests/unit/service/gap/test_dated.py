@@ -38,10 +38,10 @@ def test_its_rate_is_that_of_the_campaign_and_its_time_one_that_a_twin_takes(
 
 def test_the_time_is_told_as_given_and_not_as_found() -> None:
     """Nothing was fitted that has a deviation of 0."""
-    told = stated(dated(found(), RIG, 1200.0).order[0].candidate, 10.0)
+    told = stated(dated(found(), RIG, 1200.0).order[0].candidate)
     assert told["duration_s"] == {"value": 1200.0, "std": 0.0, "at_bound": None, "given": True}
     assert told["ki_change"] == {"value": FOUND["ki_change"], "std": 0.001, "at_bound": None}
-    assert not any("given" in e for e in stated(found().order[0].candidate, 10.0).values())
+    assert not any("given" in e for e in stated(found().order[0].candidate).values())
 
 
 def test_without_a_clock_or_beside_a_drift_of_the_datasheet_it_stays_as_it_is() -> None:

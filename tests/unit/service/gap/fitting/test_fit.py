@@ -11,7 +11,7 @@ from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import COARSE, EXACT
 from service.gap.fitting.unknowns import Unknowns
 from service.gap.measured.observation import observe
-from sim.effect import Effect
+from sim.effect import Effect, End
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
@@ -31,7 +31,21 @@ def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> No
     unknowns = Unknowns(ground, [effect])
     for bound in (unknowns.low, unknowns.high, 2 * unknowns.low, 2 * unknowns.high):
         (values,) = unknowns.values(bound)
-        assert all(p.low <= values[p.name] <= p.high for p in effect.parameters)
+        assert all(p.low <= values[p.name] <= p.high for p in effect.of(ground.nuisance.rig).parameters)
+
+
+def test_it_is_told_at_which_end_of_its_range_a_parameter_is(ground: Ground) -> None:
+    unknowns = Unknowns(ground, [CATALOGUE["extra_flexible_mode"]])
+    lowest, within = float(ground.observations[0].frequency_hz.min()), {"damping_ratio": 0.01}
+
+    def ends(**values: float) -> dict[tuple[str, str], End]:
+        return unknowns.ends(unknowns.scaled(({**within, "bearing_A_per_sqrt_kg": 0.1, **values},)))
+
+    assert ends() == {}
+    assert ends(bearing_B_per_sqrt_kg=0.0) == {}, "where an effect vanishes is no end"
+    assert ends(bearing_A_per_sqrt_kg=-0.3) == {("extra_flexible_mode", "bearing_A_per_sqrt_kg"): "low"}
+    assert ends(frequency_hz=3000.0) == {("extra_flexible_mode", "frequency_hz"): "high"}
+    assert ends(frequency_hz=lowest) == {("extra_flexible_mode", "frequency_hz"): "low"}, "below it is a mass"
 
 
 def test_what_is_held_where_a_law_is_plainest_is_there_to_the_last_digit(ground: Ground) -> None:
