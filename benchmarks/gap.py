@@ -21,6 +21,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from foreign.values import in_terms_of_the_catalogue
+
 from service.experiment import file
 from service.experiment.multisine_plan import MultisineProfile
 from service.gap.trial.scoring import Outcome, score
@@ -91,7 +93,7 @@ def outcome(number: int, truth: dict[str, Any], report: dict[str, Any], seconds:
         case=number,
         kind=kind,
         effects=() if unlisted else effects,
-        parameters={},
+        parameters=in_terms_of_the_catalogue(truth) if "laws" in truth else {},
         law="+".join(truth.get("laws", ["unlisted"])) if unlisted else "",
         detectability=float(truth.get("detectability", 1e9)),
         report=report,

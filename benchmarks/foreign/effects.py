@@ -56,7 +56,7 @@ def amplifier_bandwidth(t: Truth, rng: Rng, level: float) -> Change:
         return {"extra_pole_hz": hz}
     factor = 1 - size(level, 0.015, 0.25)
     t.plant["amp_w"] = lambda w: w * factor
-    return {"amp_w": (t.amp_w * factor).tolist()}
+    return {"amp_w": (t.amp_w * factor).tolist(), "relative": factor - 1}
 
 
 def amplifier_voltage_limit(t: Truth, rng: Rng, level: float) -> Change:
