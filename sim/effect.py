@@ -30,6 +30,7 @@ SUFFIXES = {
     "1/A": "_per_a",
     "1/kg": "_per_kg",
     "1/sqrt(kg)": "_per_sqrt_kg",
+    "1/(m sqrt(kg))": "_per_m_sqrt_kg",
     "kg m2": "_kgm2",
     "N s/m": "_ns_per_m",
 }

@@ -63,6 +63,8 @@ _SMALL = (
     "it acts by amplitude, and the model's {what} is linear: {figures} are means over the amplitudes that were measured"
 )
 NOT_IN_MODEL = {
+    "rotor.discs": "its disc couples tilts and modes with one another, and a model of several speeds couples each with "
+    "its own copy in the other plane alone",
     "amplifiers.slew_limit_a_per_s": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
     "amplifiers.slew_seen": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
     "magnets.saturation_current_a": _SMALL.format(what="iron", figures="ki and ks"),

@@ -37,6 +37,15 @@ class FlexibleMode:
 
 
 @dataclass(frozen=True)
+class Disc:
+    """What turns with the shaft where flexible modes tilt it: its moment couples all that tilts there."""
+
+    polar_inertia_kgm2: float
+    slopes_per_m_sqrt_kg: tuple[float, ...]
+    """Tilt per modal displacement, of the modes in order; those beyond do not tilt it."""
+
+
+@dataclass(frozen=True)
 class Rotor:
     """Rigid body and flexible modes, one tuple of modes per plane."""
 
@@ -49,6 +58,13 @@ class Rotor:
     """modes[plane][k]."""
     internal_damping_ratio: float = 0.0
     """Damping that turns with the shaft, added to every flexible mode: circulatory forces at speed."""
+    discs: tuple[Disc, ...] = ()
+    """Whose polar inertias are beyond ``polar_inertia_kgm2``, which tilts with the rigid body alone."""
+
+    @property
+    def whole_polar_inertia_kgm2(self) -> float:
+        """Of the rotor as a rigid body."""
+        return self.polar_inertia_kgm2 + sum(disc.polar_inertia_kgm2 for disc in self.discs)
 
 
 @dataclass(frozen=True)

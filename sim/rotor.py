@@ -53,7 +53,8 @@ def mechanics(rig: Rig) -> Mechanics:
     """Equations of motion of rotor and support at the rig's speed.
 
     The gyroscopic moment couples the tilts of the two planes, Ip W (Genta, Dynamics of Rotating Systems, 2005,
-    eq. 2.14); internal damping adds the circulatory stiffness zi w1 W x 2 that makes forward whirl lose damping.
+    eq. 2.14), that of a disc those of modes too, as its own tilt is the sum of theirs (chapter 4); internal damping
+    adds the circulatory stiffness zi w1 W x 2 that makes forward whirl lose damping.
     """
     rotor, n, speed = rig.rotor, rig.n_axes, rig.speed_rad_s
     sizes = [2 + len(m) for m in rotor.modes]
@@ -112,6 +113,14 @@ def _turning(rig: Rig, starts: Array, damping: Array, stiffness: Array) -> None:
     """Gyroscopic and circulatory coupling of the two planes at speed, added in place."""
     rotor, speed = rig.rotor, rig.speed_rad_s
     x, y = int(starts[0]) + 1, int(starts[1]) + 1
+    for disc in rotor.discs:
+        tilts = np.zeros(1 + min(map(len, rotor.modes)))
+        slopes = (1.0, *disc.slopes_per_m_sqrt_kg)[: len(tilts)]
+        tilts[: len(slopes)] = slopes
+        moment = disc.polar_inertia_kgm2 * speed * np.outer(tilts, tilts)
+        of_x, of_y = slice(x, x + len(tilts)), slice(y, y + len(tilts))
+        damping[of_x, of_y] += moment
+        damping[of_y, of_x] -= moment
     damping[x, y] += rotor.polar_inertia_kgm2 * speed
     damping[y, x] -= rotor.polar_inertia_kgm2 * speed
     for mx, my in zip(rotor.modes[0], rotor.modes[1], strict=True):

@@ -43,4 +43,10 @@ INERTIA = Size("transverse inertia", "kg m2", lambda rig: rig.rotor.transverse_i
 SPAN = Size("distance of the bearings", "m", lambda rig: sum(rig.rotor.bearing_from_cog_m), 0.822)
 BIAS = Size("bias current", "A", lambda rig: float(rig.magnets.bias_current_a.mean()), 2.75)
 STIFFNESS = Size("position stiffness", "N/m", lambda rig: float(rig.magnets.ks.mean()), 1.745e6)
+SLOPE = Size(
+    "1/(distance of the bearings sqrt(mass))",
+    "1/(m sqrt(kg))",
+    lambda rig: 1 / (sum(rig.rotor.bearing_from_cog_m) * rig.rotor.mass_kg**0.5),
+    0.0727,
+)
 AIR_GAP = Size("air gap", "m", lambda rig: float(rig.magnets.gap_m.mean()), 2.95e-4)

@@ -40,8 +40,9 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
     """
     told = []
     named = dict(zip(chosen.effects, chosen.fit.values, strict=True))
-    if "gyroscopic_coupling" in named and (stated := datasheet.rotor.polar_inertia_kgm2):
-        share = chosen.fit.rig.rotor.polar_inertia_kgm2 / stated
+    rotor = chosen.fit.rig.rotor
+    if "gyroscopic_coupling" in named and (stated := datasheet.rotor.polar_inertia_kgm2) and not rotor.discs:
+        share = rotor.polar_inertia_kgm2 / stated
         fastest = max((s.speed_rad_s for s in sweeps), key=abs)
         told.append(
             f"the rotor shows {share:.2g} times the gyroscopic moment of the datasheet's polar inertia at the stated "

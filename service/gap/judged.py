@@ -154,7 +154,7 @@ def _stands(e: Explained, verdict: Verdict) -> str | None:
     stated = e.ground.nuisance.rig.rotor.polar_inertia_kgm2
     if "gyroscopic_coupling" not in verdict.effects or not stated:
         return None
-    share = e.chosen.fit.rig.rotor.polar_inertia_kgm2 / stated
+    share = e.chosen.fit.rig.rotor.whole_polar_inertia_kgm2 / stated
     speed = max((o.speed_rad_s for o in e.ground.observations), key=abs)
     if share > NO_MOMENT:
         return None

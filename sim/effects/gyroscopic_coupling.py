@@ -1,23 +1,37 @@
-"""Gyroscopic moment of the turning rotor."""
+"""Gyroscopic moment of the turning rotor, of which a disc may sit where flexible modes tilt it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter
-from sim.rig import FlexibleMode, Rig
-from sim.sizes import INERTIA
+from sim.rig import Disc, FlexibleMode, Rig
+from sim.sizes import INERTIA, SLOPE
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     def coupled(m: FlexibleMode) -> FlexibleMode:
         return replace(m, gyroscopic=m.gyroscopic + p["mode_coupling"])
 
-    rotor = replace(
-        rig.rotor,
-        polar_inertia_kgm2=rig.rotor.polar_inertia_kgm2 + p["polar_inertia_kgm2"],
-        modes=tuple(tuple(coupled(m) for m in plane) for plane in rig.rotor.modes),
+    rotor, slopes = rig.rotor, (p["mode1_slope_per_m_sqrt_kg"], p["mode2_slope_per_m_sqrt_kg"])
+    rotor = replace(rotor, modes=tuple(tuple(coupled(m) for m in plane) for plane in rotor.modes))
+    if any(slopes):
+        return replace(rig, rotor=replace(rotor, discs=(*rotor.discs, Disc(p["polar_inertia_kgm2"], slopes))))
+    return replace(rig, rotor=replace(rotor, polar_inertia_kgm2=rotor.polar_inertia_kgm2 + p["polar_inertia_kgm2"]))
+
+
+def _slope(mode: int) -> Parameter:
+    return Parameter(
+        f"mode{mode}_slope_per_m_sqrt_kg",
+        "1/(m sqrt(kg))",
+        -3.0,
+        3.0,
+        0.0,
+        0.0,
+        description=f"tilt of that inertia per displacement of mode {mode}; 0: it tilts with the rigid body alone",
+        strength=False,
+        optional=True,
+        goes_with=SLOPE,
     )
-    return replace(rig, rotor=rotor)
 
 
 EFFECT = Effect(
@@ -43,13 +57,15 @@ EFFECT = Effect(
             0.0,
             description="g of q'' + g W q' between the two planes' copies of each flexible mode",
         ),
+        _slope(1),
+        _slope(2),
     ),
     apply=_apply,
-    law="I th_x'' + Ip W th_y' = .., I th_y'' - Ip W th_x' = ..; the same with g per flexible mode",
+    law="I th_x'' + Ip W th_y' = .., I th_y'' - Ip W th_x' = .., th the tilt where Ip is; the same with g per mode",
     signature="peaks split in proportion to speed, antisymmetric off-diagonal x-y of y/i, nil at standstill",
     aliases=("cross_coupled_stiffness", "magnetic_cross_coupling"),
     separated_by="a second speed; a seal acts on damping and at low frequency, magnets also at standstill",
-    source="Genta, Dynamics of Rotating Systems, Springer 2005, chapter 3 (gyroscopic effect)",
+    source="Genta, Dynamics of Rotating Systems, Springer 2005, chapters 3 and 4 (gyroscopic effect)",
     needs_axes=4,
     needs_speed=True,
 )

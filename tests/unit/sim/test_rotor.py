@@ -8,7 +8,7 @@ import pytest
 from sim import rotor
 from sim.effects import effect
 from sim.reference import reference_rig
-from sim.rig import FlexibleMode, Rig
+from sim.rig import Disc, FlexibleMode, Rig
 
 RIG = reference_rig()
 RIGID = replace(RIG, rotor=replace(RIG.rotor, modes=((), ())))
@@ -110,6 +110,29 @@ def test_the_gyroscopic_coupling_of_a_mode_splits_it_in_proportion_to_speed():
     np.testing.assert_allclose(high, 3000.0 + np.array([-0.5, 0.5]) * 0.02 * 600.0, rtol=1e-5)
     forward = whirl_direction(rig, 1j * high[1])
     assert forward > 0, "the forward whirl is the faster one"
+
+
+def test_the_moment_of_a_disc_is_that_of_its_own_tilt_which_modes_have_a_part_in():
+    slopes = {"mode1_slope_per_m_sqrt_kg": -0.2, "mode2_slope_per_m_sqrt_kg": 0.7}
+    has = effect("gyroscopic_coupling").on(RIG, polar_inertia_kgm2=2.0, mode_coupling=0.0, **slopes)
+    damping, plain = (rotor.mechanics(turning(rig, 300.0)).damping for rig in (has, RIG))
+    of_disc = damping - plain
+    velocity = np.random.default_rng(1).standard_normal(8)
+    assert velocity @ of_disc @ velocity == pytest.approx(0.0, abs=1e-9), "it does no work"
+    tilts = np.array([[0.0, 1.0, -0.2, 0.7, 0, 0, 0, 0], [0, 0, 0, 0, 0.0, 1.0, -0.2, 0.7]])
+    of_x, of_y = tilts @ velocity
+    # the moment Ip W (th_y', -th_x') works along virtual tilts of the disc alone
+    np.testing.assert_allclose(of_disc @ velocity, 600.0 * (tilts[0] * of_y - tilts[1] * of_x), atol=1e-9)
+    still = velocity - np.linalg.pinv(tilts) @ tilts @ velocity
+    np.testing.assert_allclose(of_disc @ still, 0.0, atol=1e-9)
+
+
+def test_a_disc_where_no_mode_tilts_is_polar_inertia_and_the_whole_is_told():
+    without = effect("gyroscopic_coupling").on(RIG, polar_inertia_kgm2=2.0, mode_coupling=0.0)
+    disc = replace(RIG, rotor=replace(RIG.rotor, discs=(Disc(2.0, (0.0, 0.0)),)))
+    one, other = (rotor.mechanics(turning(rig, 300.0)).damping for rig in (without, disc))
+    np.testing.assert_allclose(one, other)
+    assert disc.rotor.whole_polar_inertia_kgm2 == without.rotor.whole_polar_inertia_kgm2 == pytest.approx(3.9)
 
 
 def test_internal_damping_takes_from_the_forward_whirl_what_it_gives_to_the_backward_one():

@@ -115,3 +115,19 @@ def test_a_drift_begins_at_its_strength_and_at_the_magnets_that_drift(end: float
     (begun,) = starts(CATALOGUE["thermal_drift"], null.fit.rig, left, o, ground)
     assert (begun["end_imbalance"], begun["plane_imbalance"]) == pytest.approx((end, plane), abs=0.26)
     assert (begun["ki_change"], begun["ks_change"]) == pytest.approx((-0.02, -0.03), rel=0.3)
+
+
+def test_a_disc_is_found_with_the_way_in_which_each_mode_tilts_it() -> None:
+    """From no slope at all the second one came out with the other sign, and an inertia a tenth too small."""
+    datasheet, truth = known_datasheet(seed=15)
+    nu = nuisance(datasheet)
+    slopes = {"mode1_slope_per_m_sqrt_kg": -0.19, "mode2_slope_per_m_sqrt_kg": -0.73}
+    values = {"polar_inertia_kgm2": 0.37, "mode_coupling": 0.0, **slopes}
+    rig = with_effects(replace(true_rig(truth), speed_rad_s=254.0), {"gyroscopic_coupling": values})
+    o = replace(observe(sweep(rig, lines(14), 0.15, seed=1), nu.rig), speed_rad_s=254.0)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        best = explain(fitter, ground, plain_twin(fitter, ground)).order[0].candidate
+    assert best.effects == ("gyroscopic_coupling",)
+    for name, value in values.items():
+        assert best.fit.values[0][name] == pytest.approx(value, rel=0.05, abs=0.003), name
