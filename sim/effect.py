@@ -62,6 +62,9 @@ class Parameter:
     """True where the law is a plainer one with it at ``null``: a fit leaves it there unless the data tell otherwise."""
     dormant: bool = False
     """True where a fit that begins with it at ``null`` does not move it: few rigs need it."""
+    wakes: tuple[float, ...] = ()
+    """Of a dormant one, where fits begin that move it, once the effect as it is leaves too much; none where it is known
+    otherwise when to."""
     goes_with: Size | None = None
     """What the range is as large as; None where it is the same on every rig. Stated for the reference rig."""
 
@@ -72,7 +75,8 @@ class Parameter:
         by = self.goes_with.ratio(rig)
         own = replace(self.goes_with, reference=self.goes_with.of(rig))
         low, high, typical, null = (by * v for v in (self.low, self.high, self.typical, self.null))
-        return replace(self, low=low, high=high, typical=typical, null=null, goes_with=own)
+        wakes = tuple(by * v for v in self.wakes)
+        return replace(self, low=low, high=high, typical=typical, null=null, wakes=wakes, goes_with=own)
 
     def allows(self, value: float) -> bool:
         """Whether a rig may have it: in its range, or no more than `MARGIN` beyond one that goes with a size."""

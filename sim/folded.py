@@ -50,8 +50,8 @@ IN_MODEL = {
     "rotor.polar_inertia_kgm2": "a model of several speeds starts from its polar inertia and identifies it",
     "rotor.bearing_from_cog_m": "geometry is held as it says",
     "rotor.sensor_from_cog_m": "geometry is held as it says",
-    "rotor.internal_damping_ratio": "at standstill it is damping like any other, of which the nominal modes have it; a "
-    "model of several speeds identifies what turns with the rotor",
+    "rotor.modes.internal_damping_ratio": "at standstill it is damping like any other, of which the nominal modes "
+    "have it; a model of several speeds identifies what turns with the rotor",
     "rotor.modes": "the nominal modes are with it; modes are identified whatever the datasheet says",
     "rotor.modes.gyroscopic": "a model of several speeds identifies it with the modes",
     "support": "a housing acts as a mode that moves bearings and sensors alike: it is among the nominal modes, and "
@@ -169,13 +169,14 @@ def _changed(before: Any, after: Any, path: str = "") -> Iterator[str]:
 
 
 def _changed_modes(before: Any, after: Any) -> Iterator[str]:
-    at_rest = [[[replace(m, gyroscopic=0.0) for m in plane] for plane in modes] for modes in (before, after)]
+    turning = {"gyroscopic": 0.0, "internal_damping_ratio": 0.0}
+    at_rest = [[[replace(m, **turning) for m in plane] for plane in modes] for modes in (before, after)]
     if at_rest[0] != at_rest[1]:
         yield "rotor.modes"
-    if [[m.gyroscopic for m in p if m.gyroscopic] for p in before] != [
-        [m.gyroscopic for m in p if m.gyroscopic] for p in after
-    ]:
-        yield "rotor.modes.gyroscopic"
+    for name in turning:
+        own = [[[v for m in plane if (v := getattr(m, name))] for plane in modes] for modes in (before, after)]
+        if own[0] != own[1]:
+            yield f"rotor.modes.{name}"
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -234,11 +235,10 @@ def _bandwidth_hz(rig: Rig) -> tuple[float, ...] | None:
 
 def _modes(rig: Rig) -> tuple[Mode, ...]:
     """Modes of one plane by frequency, those of the support among them."""
-    internal = rig.rotor.internal_damping_ratio
     modes = [
         Mode(
             m.natural_frequency_rad_s / (2 * math.pi),
-            m.damping_ratio + internal,
+            m.damping_ratio + m.internal_damping_ratio,
             m.shape_at_bearings,
             m.shape_at_sensors,
         )

@@ -34,6 +34,8 @@ class FlexibleMode:
     """(A, B), 1/sqrt(kg)."""
     gyroscopic: float = 0.0
     """Coupling of the two planes' copies of this mode, per unit modal mass: q'' + gyroscopic W q' (1)."""
+    internal_damping_ratio: float = 0.0
+    """Damping that turns with the shaft, beside ``damping_ratio``: circulatory forces at speed."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,6 @@ class Rotor:
     sensor_from_cog_m: tuple[float, float]
     modes: tuple[tuple[FlexibleMode, ...], ...]
     """modes[plane][k]."""
-    internal_damping_ratio: float = 0.0
-    """Damping that turns with the shaft, added to every flexible mode: circulatory forces at speed."""
     discs: tuple[Disc, ...] = ()
     """Whose polar inertias are beyond ``polar_inertia_kgm2``, which tilts with the rigid body alone."""
 

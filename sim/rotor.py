@@ -69,7 +69,7 @@ def mechanics(rig: Rig) -> Mechanics:
         columns = slice(s, s + sizes[plane])
         mass[s, s], mass[s + 1, s + 1] = rotor.mass_kg, rotor.transverse_inertia_kgm2
         for k, m in enumerate(modes, start=s + 2):
-            w, internal = m.natural_frequency_rad_s, rotor.internal_damping_ratio
+            w, internal = m.natural_frequency_rad_s, m.internal_damping_ratio
             mass[k, k], stiffness[k, k] = 1.0, w**2
             damping[k, k] = 2 * (m.damping_ratio + internal) * w
         bearing_map[rows, columns], sensor_map[rows, columns] = plane_maps(rig, plane)
@@ -129,7 +129,7 @@ def _turning(rig: Rig, starts: Array, damping: Array, stiffness: Array) -> None:
         damping[x, y] += gyroscopic
         damping[y, x] -= gyroscopic
         w = 0.5 * (mx.natural_frequency_rad_s + my.natural_frequency_rad_s)
-        circulatory = 2 * rotor.internal_damping_ratio * w * speed
+        circulatory = (mx.internal_damping_ratio + my.internal_damping_ratio) * w * speed
         stiffness[x, y] += circulatory
         stiffness[y, x] -= circulatory
 

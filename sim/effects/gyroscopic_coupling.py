@@ -30,6 +30,8 @@ def _slope(mode: int) -> Parameter:
         description=f"tilt of that inertia per displacement of mode {mode}; 0: it tilts with the rigid body alone",
         strength=False,
         optional=True,
+        dormant=True,
+        wakes=(0.3, -0.3),  # the other sign of a slope is another valley
         goes_with=SLOPE,
     )
 
@@ -53,9 +55,13 @@ EFFECT = Effect(
             "1",
             -0.5,
             0.5,
-            0.02,
+            0.0,
             0.0,
             description="g of q'' + g W q' between the two planes' copies of each flexible mode",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.01,),
         ),
         _slope(1),
         _slope(2),

@@ -2,23 +2,46 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import chain, repeat
 
 from sim.effect import Effect, Parameter
 from sim.errors import EffectError
-from sim.rig import Rig
+from sim.rig import FlexibleMode, Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if not any(rig.rotor.modes):
         raise EffectError(f"effect internal_damping needs a flexible mode; the rotor of rig {rig.name} has none")
-    ratio = rig.rotor.internal_damping_ratio + p["damping_ratio"]
-    return replace(rig, rotor=replace(rig.rotor, internal_damping_ratio=ratio))
+    shares = (1 + p["mode_imbalance"], 1 - p["mode_imbalance"])
+
+    def turning(modes: tuple[FlexibleMode, ...]) -> tuple[FlexibleMode, ...]:
+        own = (share * p["damping_ratio"] for share in chain(shares, repeat(1.0)))
+        return tuple(
+            replace(m, internal_damping_ratio=m.internal_damping_ratio + v) for m, v in zip(modes, own, strict=False)
+        )
+
+    return replace(rig, rotor=replace(rig.rotor, modes=tuple(turning(modes) for modes in rig.rotor.modes)))
 
 
 EFFECT = Effect(
     id="internal_damping",
     path="plant",
-    parameters=(Parameter("damping_ratio", "1", 1e-5, 0.03, 2e-3, 0.0, "log", "zi, added to every flexible mode"),),
+    parameters=(
+        Parameter("damping_ratio", "1", 1e-5, 0.03, 2e-3, 0.0, "log", "zi, added to every flexible mode, mean of two"),
+        Parameter(
+            "mode_imbalance",
+            "1",
+            -1.0,
+            1.0,
+            0.0,
+            0.0,
+            description="1: only of the first mode, -1: only of the second",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.8, -0.8),
+        ),
+    ),
     apply=_apply,
     law="forward whirl zF = ze + zi (1 - W/w), backward zB = ze + zi (1 + W/w)",
     signature="wider peaks; at speed the forward whirl loses what the backward one gains",

@@ -15,6 +15,8 @@ WEAKEST, STRONGEST = 0.1, 1.6
 """Strengths as shares of the catalogue's typical, plainly visible ones."""
 MOST_OF_IT = 0.75
 """Share of its datasheet's polar inertia by which a rotor may have less."""
+DISC = 0.4
+"""Share of the gyroscopic moments that are of a disc where modes tilt it."""
 UNEVEN = 0.25
 """Share of the effects there may be one of in each axis that are on one bearing, plane or axis alone."""
 
@@ -92,6 +94,12 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
             "sensor_A_per_sqrt_kg": float(at_s[0]),
             "sensor_B_per_sqrt_kg": float(at_s[1]),
         }
+    if name == "gyroscopic_coupling":
+        of_disc = {f"mode{k}_slope_per_m_sqrt_kg": float(g.uniform(-1.0, 1.0)) for k in (1, 2)}
+        tilted = of_disc if g.uniform() < DISC else dict.fromkeys(of_disc, 0.0)
+        return {"mode_coupling": 0.02 * share * float(g.choice([-1.0, 0.0, 1.0])), **tilted}
+    if name == "internal_damping":
+        return {"mode_imbalance": float(g.choice([0.0, 0.0, 1.0, -1.0]))}
     if name == "cross_coupled_stiffness":  # one speed cannot tell what part goes with it
         return {"by_speed_ns_per_m": 0.0, "between": float(g.choice([0.0, 0.0, 1.0]))}
     if name == "eddy_currents":

@@ -238,7 +238,7 @@ def _mechanical_columns(
     def pushed(coordinate: int, generalised_force: Complex) -> Complex:
         return motion.y_per_push[:, :, coordinate] * generalised_force
 
-    turning = rig.n_planes == 2 and bool(rig.speed_rad_s * r.internal_damping_ratio)
+    turning = rig.n_planes == 2 and bool(rig.speed_rad_s)
     start = 0
     column = c + 4
     for plane, modes in enumerate(r.modes):
@@ -251,11 +251,12 @@ def _mechanical_columns(
         for k, mode in enumerate(modes[: nuisance.n_modes]):
             at = start + 2 + k
             w, qk, s = mode.natural_frequency_rad_s, q[:, [at]], motion.s[:, None]
-            damping = 2 * (mode.damping_ratio + r.internal_damping_ratio) * w * s
+            damping = 2 * (mode.damping_ratio + mode.internal_damping_ratio) * w * s
             columns[:, :, column] = pushed(at, -(2 * w**2 + damping) * qk)
             if turning and k < len(r.modes[1 - plane]):  # its stiffness is of the mean frequency of both planes
                 other, sign = (plane + 1) % 2 * (2 + len(r.modes[0])) + 2 + k, 1.0 if plane == 0 else -1.0
-                circulatory = r.internal_damping_ratio * w * rig.speed_rad_s
+                both = (mode.internal_damping_ratio + r.modes[1 - plane][k].internal_damping_ratio) / 2
+                circulatory = both * w * rig.speed_rad_s
                 columns[:, :, column] -= pushed(at, sign * circulatory * q[:, [other]])
                 columns[:, :, column] += pushed(other, sign * circulatory * qk)
             columns[:, :, column + 1] = pushed(at, -2 * mode.damping_ratio * w * s * qk)

@@ -87,6 +87,7 @@ class Nuisance:
                         (mode.shape_at_bearings[0] + float(d[2]), mode.shape_at_bearings[1] + float(d[3])),
                         (mode.shape_at_sensors[0] + float(d[4]), mode.shape_at_sensors[1] + float(d[5])),
                         mode.gyroscopic,
+                        mode.internal_damping_ratio,
                     )
                 )
             planes.append((*modes, *plane[self.n_modes :]))

@@ -39,8 +39,6 @@ SLEWS = tuple(np.geomspace(0.7, 1.02, 25).tolist())
 slews all the time is a triangle, 4/pi as steep in this as it is."""
 SEEN = (0.0, 0.5, 1.0)
 """Shares of a current loop's damping that act on the slope the coil has, of the loops that are tried."""
-SLOPED = 0.1
-"""Share of the largest slope of a mode at a disc at which either sign is tried: the other one is another valley."""
 SOFT = 0.02
 """Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
 
@@ -74,10 +72,6 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "amplifier_bandwidth":  # the largest change is stated: on which side that is, is another valley
         sides = product(*((0.0, -0.5) for name in imbalance.NAMES[: rig.n_planes]))
         return [{**base, **dict(zip(imbalance.NAMES, side, strict=False))} for side in sides]
-    if effect.id == "gyroscopic_coupling":
-        far = {p.name: SLOPED * p.high for p in effect.parameters if p.name.startswith("mode") and not p.strength}
-        signs = product((1.0, -1.0), repeat=len(far))
-        return [base, *({**base, **{n: s * v for s, (n, v) in zip(of, far.items(), strict=True)}} for of in signs)]
     if effect.id == "eddy_currents":
         return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
     if effect.id == "touchdown_contact":

@@ -17,6 +17,7 @@ from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import ALIKE, CLEAR, MIXED, Ranked, ranked, renormalised
 from service.gap.which.begun import beside, residuals, rough_beside
 from service.gap.which.refined import LOST, best_of_each, contained, cost, refined, to_the_end
+from service.gap.which.woken import awake
 from sim.effects import CATALOGUE, aliases
 
 Real = NDArray[np.float64]
@@ -121,7 +122,10 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
     tried, rough, left = set(), rough_beside(best, ground), residuals(ground, best)
     for name in extension.beside:
         tried.add(frozenset((*best.effects, name)))
-        yield beside(name, best, null, left, ground, best.fit.theta, rough)
+        task = beside(name, best, null, left, ground, best.fit.theta, rough)
+        yield task
+        if (more := awake(task)) is not None:
+            yield more
     if not extension.pairs:
         return
     singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]

@@ -23,6 +23,7 @@ from service.gap.which.mixtures import exchanged, extended, leaves_something, wi
 from service.gap.which.plainer import plainer_law
 from service.gap.which.refined import best_of_each, contained, cost, refined, settled
 from service.gap.which.uneven import uneven
+from service.gap.which.woken import woken
 from sim.effects import CATALOGUE
 
 Real = NDArray[np.float64]
@@ -160,7 +161,7 @@ def explain(
     if _curved(ground, null, plain, order):
         most = 1
     if most > 1:
-        found, order = _with_uneven(fitter, ground, null, found, order)
+        found, order = _with_wider_laws(fitter, ground, null, found, order)
     fewer = next(r for r in order if r.candidate is null)
     for size in range(1, most + 1):
         left = residuals(ground, order[0].candidate)
@@ -174,7 +175,7 @@ def explain(
         found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
         order = worthy(ranked(null, found))
     if len(order[0].candidate.effects) > 1:
-        _, order = _with_uneven(fitter, ground, null, found, order)
+        _, order = _with_wider_laws(fitter, ground, null, found, order)
     order = beyond_tolerance(fitter, ground, order)
     # it leaves so little more that its evidence and shares stand
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
@@ -219,14 +220,17 @@ def _curved(ground: Ground, null: Candidate, plain: Sequence[Complex], order: Se
     return explained > max(by_effects, (1 - UNEXPLAINED) * excess)
 
 
-def _with_uneven(
+def _with_wider_laws(
     fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Candidate], order: Sequence[Ranked]
 ) -> tuple[list[Candidate], list[Ranked]]:
-    """What was found, and its order, with effects that differ from axis to axis where the best leaves too much."""
+    """What was found, and its order, with wider laws where the best leaves too much.
+
+    Effects that differ from axis to axis, and those that have more of a law than most rigs need.
+    """
     best = order[0].candidate
     asked = [best] if len(best.effects) > 1 else found
     asks = leaves_something(ground, order[0]) or leaves_much(null, order)
-    more = uneven(fitter, ground, null, asked) if asks else []
+    more = [*uneven(fitter, ground, null, asked), *woken(fitter, ground, null, asked)] if asks else []
     if not more:
         return list(found), list(order)
     found = best_of_each(null, [*found, *more])

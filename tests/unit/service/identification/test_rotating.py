@@ -35,10 +35,11 @@ def true_model(rig: Rig) -> RotatingModel:
     for k, pair in enumerate(layout.pairs):
         w = [rig.rotor.modes[p][pair[p]].natural_frequency_rad_s for p in range(2)]
         theta[layout.gyroscopic(k)] = rig.rotor.modes[0][pair[0]].gyroscopic
-        theta[layout.gyroscopic(k) + 1] = rig.rotor.internal_damping_ratio * np.mean(w)
+        internal = rig.rotor.modes[0][pair[0]].internal_damping_ratio
+        theta[layout.gyroscopic(k) + 1] = internal * np.mean(w)
         for p in range(2):
             sigma = layout.own[p].start + layout.planes[p].mode(pair[p]).start + 1
-            theta[sigma] += rig.rotor.internal_damping_ratio * w[p]
+            theta[sigma] += internal * w[p]
     return model.at(theta)
 
 
