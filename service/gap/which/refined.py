@@ -35,7 +35,7 @@ def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Ca
     probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
-    near += [r.candidate for r in order if r.candidate not in near and _alike(r.candidate, near[0])][:ALIASES]
+    near += [r.candidate for r in order if r.candidate not in near and alike(r.candidate, near[0])][:ALIASES]
     refined = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
     lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refined[: len(near)], refined))}
     kept = []
@@ -111,7 +111,7 @@ def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task
     return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
 
 
-def _alike(a: Candidate, b: Candidate) -> bool:
+def alike(a: Candidate, b: Candidate) -> bool:
     """Whether two explanations are the same but for one effect that looks like the other's."""
     one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
     return len(one) == len(other) == 1 and aliases(*one, *other)

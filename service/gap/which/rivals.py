@@ -52,21 +52,23 @@ def turning_with_the_shaft(c: Candidate) -> Candidate | None:
     k = c.effects.index("modal_damping")
     total = [m.damping_ratio for m in c.fit.rig.rotor.modes[0]]
     gained = [t * (1 - math.exp(-c.fit.values[k][f"mode{n + 1}_log_ratio"])) for n, t in enumerate(total) if n < 2]
-    most = min((g for g in gained if g > 0), default=0.0)
+    gained = [max(g, 0.0) for g in gained]
+    mean = sum(gained) / len(gained)
     effect = CATALOGUE["internal_damping"]
     strength = next(p for p in effect.parameters if p.name == "damping_ratio")
-    if not strength.low <= most <= strength.high:
+    if not strength.low <= mean <= strength.high:
         return None
-    rig = effect.on(_outside(c.fit.rig, most), damping_ratio=most)
+    own = {"damping_ratio": mean, "mode_imbalance": (gained[0] - gained[-1]) / sum(gained)}
+    rig = _outside(effect.on(c.fit.rig, **own))
     effects = (*c.effects[:k], effect.id, *c.effects[k + 1 :])
-    values = (*c.fit.values[:k], {"damping_ratio": most}, *c.fit.values[k + 1 :])
+    values = (*c.fit.values[:k], own, *c.fit.values[k + 1 :])
     return replace(c, effects=effects, fit=replace(c.fit, effects=effects, values=values, rig=rig))
 
 
-def _outside(rig: Rig, internal: float) -> Rig:
-    """The rig with so much less damping outside the shaft."""
+def _outside(rig: Rig) -> Rig:
+    """The rig with as much less damping outside the shaft as it has inside."""
     modes = tuple(
-        tuple(replace(m, damping_ratio=max(m.damping_ratio - internal, 0.0)) for m in plane)
+        tuple(replace(m, damping_ratio=max(m.damping_ratio - m.internal_damping_ratio, 0.0)) for m in plane)
         for plane in rig.rotor.modes
     )
     return replace(rig, rotor=replace(rig.rotor, modes=modes))

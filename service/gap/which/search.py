@@ -21,7 +21,7 @@ from service.gap.which.beyond import beyond_tolerance
 from service.gap.which.curvature import SHOWN, curvatures
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
-from service.gap.which.refined import best_of_each, contained, cost, refined, settled
+from service.gap.which.refined import alike, best_of_each, contained, cost, refined, settled
 from service.gap.which.uneven import uneven
 from service.gap.which.woken import woken
 from sim.effects import CATALOGUE
@@ -230,7 +230,9 @@ def _with_wider_laws(
     best = order[0].candidate
     asked = [best] if len(best.effects) > 1 else found
     asks = leaves_something(ground, order[0]) or leaves_much(null, order)
-    more = [*uneven(fitter, ground, null, asked), *woken(fitter, ground, null, asked)] if asks else []
+    # what looks like the best is held against it with all of its law: to be told apart takes both
+    wider = [c for c in asked if asks or alike(c, best)]
+    more = [*(uneven(fitter, ground, null, asked) if asks else ()), *woken(fitter, ground, null, best, wider)]
     if not more:
         return list(found), list(order)
     found = best_of_each(null, [*found, *more])

@@ -13,18 +13,20 @@ from sim.twin import linear_model, rig_from_datasheet
 from tests.support.synthetic import known_datasheet
 
 
-def gained(damping_ratio: float, log_ratio: float) -> Candidate:
-    """A twin whose modes have so much more damping than so little."""
+def gained(damping_ratio: float, *log_ratios: float) -> Candidate:
+    """A twin whose modes have so much more damping than so little, all alike or each its own."""
     sheet = known_datasheet()[0]
     modes = tuple(replace(m, damping_ratio=damping_ratio) for m in sheet.modes)
-    values = {"mode1_log_ratio": log_ratio, "mode2_log_ratio": log_ratio}
+    values = {"mode1_log_ratio": log_ratios[0], "mode2_log_ratio": log_ratios[-1]}
     rig = CATALOGUE["modal_damping"].on(rig_from_datasheet(replace(sheet, modes=modes)), **values)
     fit = Fit(("modal_damping",), np.zeros(1), (values,), rig, (), 0.0, np.arange(1), np.eye(1), "")
     return Candidate(fit.effects, fit, 0.0, ({},))
 
 
-def test_it_is_the_same_rig_at_rest() -> None:
-    c = gained(0.001, 2.0)
+@pytest.mark.parametrize("log_ratios", [(2.0,), (2.0, 0.5), (0.0, 2.0), (2.0, -0.3)])
+def test_it_is_the_same_rig_at_rest(log_ratios: tuple[float, ...]) -> None:
+    """What a mode has lost stays a loss outside the shaft."""
+    c = gained(0.001, *log_ratios)
     internal = turning_with_the_shaft(c)
     assert internal is not None
     assert internal.effects == ("internal_damping",)

@@ -1,0 +1,66 @@
+"""Laws that few rigs need are tried where the plain one leaves too much, and cost nothing where it does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import observe
+from service.gap.which.search import Explained, explain
+from sim.effects import CATALOGUE
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
+SPEED_RAD_S = 250.0
+OF_A_DISC = ("mode_coupling", "mode1_slope_per_m_sqrt_kg", "mode2_slope_per_m_sqrt_kg")
+
+
+def explained(effects: dict[str, dict[str, float]], polar_inertia_kgm2: float = 1.9) -> Explained:
+    """The plant of a turning rig that has these effects."""
+    datasheet, truth = known_datasheet(seed=15)
+    sheet, true = (replace(d, polar_inertia_kgm2=polar_inertia_kgm2) for d in (datasheet, truth))
+    nu = nuisance(sheet)
+    rig = with_effects(replace(true_rig(true), speed_rad_s=SPEED_RAD_S), effects)
+    o = observe(replace(sweep(rig, lines(14), 0.15, seed=1), speed_rad_s=SPEED_RAD_S), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        return explain(fitter, ground)
+
+
+@pytest.mark.parametrize("imbalance", [1.0, -1.0])
+def test_damping_of_one_mode_that_turns_with_the_shaft_is_named(imbalance: float) -> None:
+    best = explained({"internal_damping": {"damping_ratio": 5e-3, "mode_imbalance": imbalance}}).order[0].candidate
+    assert best.effects == ("internal_damping",)
+    assert best.fit.values[0]["damping_ratio"] == pytest.approx(5e-3, rel=0.1)
+    assert best.fit.values[0]["mode_imbalance"] == pytest.approx(imbalance, abs=0.1)
+
+
+def test_an_inertia_that_no_mode_tilts_is_fitted_alone() -> None:
+    """With slopes beside it a rotor a fifth lighter, with weaker magnets, was likelier: the same but for its scale."""
+    best = explained({"gyroscopic_coupling": {"polar_inertia_kgm2": 0.4, "mode_coupling": 0.0}}).order[0].candidate
+    assert best.effects == ("gyroscopic_coupling",)
+    assert best.fit.values[0]["polar_inertia_kgm2"] == pytest.approx(0.4, rel=0.05)
+    assert [best.fit.values[0][name] for name in OF_A_DISC] == [0.0, 0.0, 0.0]
+
+
+def test_a_disc_that_modes_tilt_is_found_beside_another_effect() -> None:
+    disc = {"polar_inertia_kgm2": 0.3, "mode_coupling": 0.0, **dict(zip(OF_A_DISC[1:], (-0.34, 0.73), strict=True))}
+    moved = {"shift_A_m": 0.012, "shift_B_m": 0.012}
+    best = explained({"gyroscopic_coupling": disc, "sensor_position": moved}).order[0].candidate
+    assert set(best.effects) == {"gyroscopic_coupling", "sensor_position"}
+    found = best.fit.values[best.effects.index("gyroscopic_coupling")]
+    assert found[OF_A_DISC[2]] == pytest.approx(0.73, abs=0.2)
+
+
+def test_every_parameter_that_wakes_is_dormant_and_begins_inside_its_range() -> None:
+    waking = [p for effect in CATALOGUE.values() for p in effect.parameters if p.wakes]
+    assert waking
+    for p in waking:
+        assert p.dormant
+        assert p.typical == p.null, "what a twin does not name is not there"
+        assert all(p.low < at < p.high and at != p.null for at in p.wakes)
