@@ -60,7 +60,8 @@ def apply(
 ) -> None:
     """Write a twin that has the effects that a diagnosis found; says so where it does not levitate.
 
-    Without a gap it is the datasheet as it is. Fails where there is a gap that no effect explains.
+    Without a gap it is the datasheet as it is, and without the effects that it names and the rig does not show. Fails
+    where there is a gap that no effect explains.
     """
     from service.errors import OutputError
     from service.gap.apply import applied, cannot_run, of_another
@@ -75,7 +76,10 @@ def apply(
     document = read_document(report, "amb-gap-report")
     twin = applied(datasheet, document)
     write_text(out, to_toml(twin))
-    if twin == datasheet:
+    gone = [name for name, _ in datasheet.effects if name not in dict(twin.effects)]
+    if gone:
+        print(f"{out}: {twin.name} without {', '.join(gone)}, which the rig does not show as the twin named it")
+    elif twin == datasheet:
         print(f"{out}: {twin.name} as its datasheet has it: the diagnosis found no gap, so there is no effect to add")
     else:
         print(f"{out}: {twin.name} with {', '.join(name for name, _ in twin.effects)}")

@@ -23,6 +23,7 @@ NO_GAP = "no_gap"
 class _Verdict(BaseModel):
     kind: str
     effects: list[str]
+    outdated: list[str] = []
 
 
 class _Parameter(BaseModel):
@@ -52,7 +53,8 @@ class _Report(BaseModel):
 def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     """The datasheet with the effects that a gap report (gap.json) found, at their fitted parameters.
 
-    Where it found no gap, that is the datasheet as it is: the twin is complete, and what takes it goes on.
+    Where it found no gap, that is the datasheet as it is: the twin is complete, and what takes it goes on. Where it
+    found that the twin names effects that the rig does not show, it is the twin without these.
 
     An effect that the twin has already is refused: its parameters in the report are what is still missing, not
     the total, and two entries of one effect in a file would hide that.
@@ -69,6 +71,8 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     if report.rig != datasheet.name:
         raise GapError(f"the report is of rig {report.rig!r}, the datasheet of {datasheet.name!r}")
     names = report.verdict.effects
+    if gone := set(report.verdict.outdated):
+        return replace(datasheet, effects=tuple(one for one in datasheet.effects if one[0] not in gone))
     if not names:
         if report.verdict.kind == NO_GAP:
             return datasheet

@@ -20,6 +20,7 @@ from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
+from service.gap.outdated import fewer, outdated
 from service.gap.passes import FITTED, Found, found_in
 from service.gap.proposal.case import Grounds
 from service.gap.telling import ProgressCallback, Telling
@@ -54,7 +55,18 @@ def diagnose(
         found = found_in(data, fitter, telling)
         telling.judging(FITTED)
         told = _told(experiment.rig, datasheet, data, found, fitter)
+        if datasheet.effects and told.verdict.kind != "no_gap" and told.verdict.settled:
+            told = _of_a_twin(told, experiment, datasheet, fitter)
     return replace(told, of=origin(experiment, datasheet))
+
+
+def _of_a_twin(told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter) -> Diagnosis:
+    """What was told, or that the twin is out of date: it is held against the twin without some of its effects."""
+    without = {}
+    for names, sheet in fewer(datasheet):
+        data = observed(experiment, sheet)
+        without[names] = _told(experiment.rig, sheet, data, found_in(data, fitter, Telling(None)), fitter)
+    return outdated(told, without) or told
 
 
 def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter) -> Diagnosis:

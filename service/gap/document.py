@@ -112,6 +112,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
             "indistinguishable": [list(group) for group in v.indistinguishable],
             "probability": v.probability,
             "reasons": list(v.reasons),
+            "outdated": list(v.outdated),
             "sentence": sentence(d),
         },
         "candidates": [_candidate(d, r) for r in listed(d.order, v.effects)],
@@ -185,6 +186,9 @@ def sentence(d: Diagnosis) -> str:
     if v.another_rig:
         told = v.reasons[0].removeprefix(f"{v.unexplained}: ")
         return f"Nothing can be said of effects: the rig differs from its twin by {gap}, and {told} ({sure})."
+    if v.outdated:
+        closes = "" if s.closure is None else f"; that closes {100 * s.closure:z.0f} % of the gap on unseen data"
+        return f"The twin is out of date: the rig differs from it by {gap}, and {v.reasons[0]} ({sure}){closes}."
     if v.kind == "none_of_these":
         why = f" ({v.reasons[0]})" if v.reasons else ""
         return (

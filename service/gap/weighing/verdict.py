@@ -92,6 +92,8 @@ class Verdict:
     """whether what is not explained is proven not to be in proportion to the excitation"""
     also_alike: tuple[str, ...] = ()
     """what the data cannot tell from the effects either, beyond what the classes list"""
+    outdated: tuple[str, ...] = ()
+    """effects that the twin names and the rig does not show as named"""
 
     def with_classes(self, classes: Sequence[tuple[str, ...]]) -> Verdict:
         """The same with these alias classes, each cut to what a class lists."""

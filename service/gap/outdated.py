@@ -1,0 +1,72 @@
+"""A twin that names an effect which its rig does not have, or has no longer: then the twin is what is wrong.
+
+An effect that a diagnosis has added to a twin may be mended on the rig: a delay by other firmware, a housing by a bolt.
+What the twin then has too much of no effect of the catalogue takes away, and others would be blamed for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+from service.gap.diagnosis import Diagnosis
+from service.gap.weighing.shrinkage import shrinkage
+from service.gap.weighing.verdict import DETECTED, Verdict
+from sim.datasheet import Datasheet
+from sim.effects import CATALOGUE
+
+
+def fewer(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
+    """The twin without each of its effects, and without all of them; first the effects that are left out."""
+    names = tuple(dict.fromkeys(name for name, _ in datasheet.effects))
+    for without in dict.fromkeys((*((name,) for name in names), names)):
+        kept = tuple((name, values) for name, values in datasheet.effects if name not in without)
+        yield without, replace(datasheet, effects=kept)
+
+
+def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diagnosis | None:
+    """The diagnosis that a twin names what its rig does not show; None where it is likelier right.
+
+    Parameters
+    ----------
+    d
+        The diagnosis against the twin as it is.
+    without
+        Those against it without some of its effects, by these.
+    """
+    explained = {names: other for names, other in without.items() if other.verdict.kind != "none_of_these"}
+    if not explained:
+        return None
+    names, best = max(explained.items(), key=lambda one: (_evidence(one[1]), -len(one[0])))
+    if _evidence(best) < _evidence(d) + DETECTED:
+        return None
+    left = _in_words(best.verdict.effects)
+    what = f"what differs is {left}" if left else f"the twin explains the rig to {100 * best.gap_before:.2g} %"
+    sections = " and ".join(f"effects.{name}" for name in names)
+    reason = (
+        f"the twin names {_in_words(names)}, which the rig does not show as named: without it {what}; take {sections} "
+        f"out of the twin{' and diagnose again' if left else ''}"
+    )
+    path = CATALOGUE[names[0]].path
+    verdict = Verdict(
+        "none_of_these",
+        (),
+        (),
+        best.verdict.probability,
+        (reason,),
+        unexplained="plant" if path == "additive" else path,
+        outdated=names,
+    )
+    closed = shrinkage(d.null.fit.rig, best.chosen.fit.rig, d.held_out, d.shrinkage.held_out)
+    return replace(d, verdict=verdict, shrinkage=closed, next_experiment=None, notes=best.notes)
+
+
+def _in_words(names: Iterable[str]) -> str:
+    return " and ".join(name.replace("_", " ") for name in names)
+
+
+def _evidence(d: Diagnosis) -> float:
+    """Log evidence of what a diagnosis names, or else of the best it has."""
+    named = (r.log_evidence for r in d.order if r.candidate.effects == d.verdict.effects and d.verdict.effects)
+    plain = (r.log_evidence for r in d.order if not r.candidate.effects and d.verdict.kind == "no_gap")
+    return next(named, next(plain, d.order[0].log_evidence))

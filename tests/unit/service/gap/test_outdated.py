@@ -1,0 +1,81 @@
+"""An effect that the twin names and the rig has no longer is told as that, and no other effect is blamed for it."""
+
+from dataclasses import replace
+
+import pytest
+
+from service.gap.apply import applied
+from service.gap.diagnose import diagnose
+from service.gap.document import gap_document
+from service.gap.outdated import fewer
+from service.report.gap import gap_page
+from sim.datasheet import Datasheet
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
+
+DELAY = {"loop_delay": {"delay_s": 3.5e-5}}
+HOUSING = {"support_resonance": {"inverse_mass_per_kg": 1 / 900, "frequency_hz": 430.0, "damping_ratio": 0.01}}
+
+
+def twin(sheet: Datasheet, *effects: dict[str, dict[str, float]]) -> Datasheet:
+    return replace(sheet, effects=tuple((name, tuple(v.items())) for one in effects for name, v in one.items()))
+
+
+def test_the_twin_is_tried_without_each_of_its_effects_and_without_all() -> None:
+    sheet = known_datasheet()[0]
+    tried = dict(fewer(twin(sheet, DELAY, HOUSING)))
+    assert {names: [name for name, _ in one.effects] for names, one in tried.items()} == {
+        ("loop_delay",): ["support_resonance"],
+        ("support_resonance",): ["loop_delay"],
+        ("loop_delay", "support_resonance"): [],
+    }
+    assert dict(fewer(twin(sheet, DELAY))) == {("loop_delay",): sheet}
+
+
+@pytest.mark.parametrize(
+    ("on_the_rig", "named", "gone"),
+    [
+        ({}, (DELAY,), {"loop_delay"}),
+        ({}, (DELAY, HOUSING), {"loop_delay", "support_resonance"}),
+        (HOUSING, (HOUSING, DELAY), {"loop_delay"}),
+    ],
+    ids=["one", "both", "one of two"],
+)
+def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
+    on_the_rig: dict[str, dict[str, float]], named: tuple[dict[str, dict[str, float]], ...], gone: set[str]
+) -> None:
+    sheet, truth = known_datasheet(seed=2)
+    measured, sheet = one_plane(experiment(with_effects(true_rig(truth), on_the_rig)), sheet)
+    old = twin(sheet, *named)
+    d = diagnose(measured, old)
+    document = gap_document(d)
+    assert (document["verdict"]["kind"], document["verdict"]["effects"]) == ("none_of_these", [])
+    assert set(document["verdict"]["outdated"]) == gone
+    assert "The twin is out of date" in document["verdict"]["sentence"]
+    assert document["shrinkage"]["closure"] > 0.95, "of the gap, once it is taken out"
+    assert document["next_experiment"] is None
+    assert "The twin is out of date" in gap_page(d)
+    mended = applied(old, document)
+    assert {name for name, _ in mended.effects} == {name for one in named for name in one} - gone
+    assert diagnose(measured, mended).verdict.kind == "no_gap"
+
+
+def test_an_effect_beside_those_that_the_twin_names_rightly_is_named() -> None:
+    sheet, truth = known_datasheet(seed=2)
+    rig = with_effects(true_rig(truth), DELAY | {"magnetic_saturation": {"saturation_inverse_per_a": 0.6}})
+    measured, sheet = one_plane(experiment(rig), sheet)
+    verdict = diagnose(measured, twin(sheet, DELAY)).verdict
+    assert verdict.effects == ("magnetic_saturation",)
+    assert verdict.outdated == ()
+
+
+def test_more_of_an_effect_than_the_twin_names_is_that_effect_and_less_is_another_twin() -> None:
+    """What is missing can be added to the twin; what is too much cannot."""
+    sheet, truth = known_datasheet(seed=2)
+    measured, sheet = one_plane(experiment(with_effects(true_rig(truth), DELAY)), sheet)
+    more = diagnose(measured, twin(sheet, {"loop_delay": {"delay_s": 1e-5}})).verdict
+    assert (more.effects, more.outdated) == (("loop_delay",), ())
+    less = diagnose(measured, twin(sheet, {"loop_delay": {"delay_s": 6e-5}})).verdict
+    assert less.outdated == ("loop_delay",)
+    assert "without it what differs is loop delay" in less.reasons[0]
