@@ -58,6 +58,7 @@ class Scale:
             "current_a": self.current,
             "frequency_hz": 1 / self.time,
             "natural_frequency_hz": 1 / self.time,
+            "bandwidth_hz": 1 / self.time,
             "sample_time_s": self.time,
             "computing_delay_s": self.time,
             "numerator": self.current / self.gap,

@@ -35,8 +35,9 @@ SUFFIXES = {
     "N s/m": "_ns_per_m",
 }
 """What a parameter's name ends with when it has that unit."""
-MARGIN = 10.0
-"""A rig may have an effect this much beyond a range that goes with its size: that is uncertain itself."""
+MARGIN = 5.0
+"""A rig may have an effect this much beyond a range that goes with its size: a fit may have moved that size as far, as
+a stiffness by four of its tolerances."""
 
 
 @dataclass(frozen=True)

@@ -206,12 +206,13 @@ def _with_values(datasheet: Datasheet, bare: Rig, rig: Rig) -> Datasheet:
     """The datasheet with the values of a rig that effects have changed."""
     amplifiers, rotor, law = rig.amplifiers, rig.rotor, rig.controller
     point = actuator.operating_point(rig)
-    changed_polar = rotor.polar_inertia_kgm2 != bare.rotor.polar_inertia_kgm2 and rotor.polar_inertia_kgm2 > 0
+    polar = rotor.whole_polar_inertia_kgm2
+    changed_polar = polar != bare.rotor.whole_polar_inertia_kgm2 and polar > 0
     return replace(
         datasheet,
         mass_kg=rotor.mass_kg,
         transverse_inertia_kgm2=rotor.transverse_inertia_kgm2,
-        polar_inertia_kgm2=rotor.polar_inertia_kgm2 if changed_polar else datasheet.polar_inertia_kgm2,
+        polar_inertia_kgm2=polar if changed_polar else datasheet.polar_inertia_kgm2,
         bearing_from_cog_m=rotor.bearing_from_cog_m,
         sensor_from_cog_m=rotor.sensor_from_cog_m,
         modes=_modes(rig),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from service.experiment.data import Experiment
@@ -31,6 +32,7 @@ from service.gap.which.beyond import OFF
 from service.gap.which.rivals import left_together
 from service.gap.which.search import Explained
 from sim.datasheet import Datasheet
+from sim.errors import AmbError
 
 
 def diagnose(
@@ -64,13 +66,18 @@ def _of_a_twin(told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fi
     """What was told, or that the twin is out of date: it is held against the twin without some of its effects."""
     without = {}
     for names, sheet in fewer(datasheet):
-        data = observed(experiment, sheet)
-        without[names] = _told(experiment.rig, sheet, data, found_in(data, fitter, Telling(None)), fitter)
+        fitter.lost.clear()  # of this twin alone
+        with suppress(AmbError):  # without them it may be no rig that can be fitted
+            data = observed(experiment, sheet)
+            found = found_in(data, fitter, Telling(None))
+            without[names] = _told(experiment.rig, sheet, data, found, fitter, propose=False)
     return outdated(told, without) or told
 
 
-def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter) -> Diagnosis:
-    """What was found, judged and measured on data that no fit has seen."""
+def _told(
+    rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter, propose: bool = True
+) -> Diagnosis:
+    """What was found, judged and measured on data that no fit has seen; ``propose``: and what to measure next."""
     nu, o, unseen = data.nuisance, data.o, found.unseen
     notes = [*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts)]
     whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
@@ -82,7 +89,7 @@ def _told(rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: 
     verdict = judged(found.parts, o, unseen, gap, sources, found.fault, swings, data.lines_only, data.erratic)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
-    pair = left_together(whole.order, verdict)
+    pair = left_together(whole.order, verdict) if propose else None
     proposal = Proposal(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
     shrunk = {
         r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, found.name)

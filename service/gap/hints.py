@@ -41,8 +41,10 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
     told = []
     named = dict(zip(chosen.effects, chosen.fit.values, strict=True))
     rotor = chosen.fit.rig.rotor
-    if "gyroscopic_coupling" in named and (stated := datasheet.rotor.polar_inertia_kgm2) and not rotor.discs:
-        share = rotor.polar_inertia_kgm2 / stated
+    stated = datasheet.rotor.whole_polar_inertia_kgm2
+    # what a disc has that modes tilt is no matter of the speed alone
+    if "gyroscopic_coupling" in named and stated and rotor.discs == datasheet.rotor.discs:
+        share = rotor.whole_polar_inertia_kgm2 / stated
         fastest = max((s.speed_rad_s for s in sweeps), key=abs)
         told.append(
             f"the rotor shows {share:.2g} times the gyroscopic moment of the datasheet's polar inertia at the stated "

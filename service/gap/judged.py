@@ -151,7 +151,7 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -
 
 def _stands(e: Explained, verdict: Verdict) -> str | None:
     """That a rotor shows no gyroscopic moment at a speed at which its datasheet's has one, in words, or None."""
-    stated = e.ground.nuisance.rig.rotor.polar_inertia_kgm2
+    stated = e.ground.nuisance.rig.rotor.whole_polar_inertia_kgm2
     if "gyroscopic_coupling" not in verdict.effects or not stated:
         return None
     share = e.chosen.fit.rig.rotor.whole_polar_inertia_kgm2 / stated

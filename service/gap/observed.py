@@ -16,7 +16,7 @@ from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
-from service.gap.measured.erratic import erratic, erratic_in_words
+from service.gap.measured.erratic import FEWEST_AXES, erratic, erratic_in_words
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.gap.measured.settling import DRIFTS
 from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, span_s, sweeps_for, timed
@@ -130,7 +130,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     main, lost = _without_erratic(usable(main), main_name, nu.rig.axes)
     other, lost_there = _without_erratic(usable(other), name, nu.rig.axes)
     lost += lost_there
-    notes += [f"{words}; this line is left out" for words, _ in lost]
+    notes += [f"{words}; {'this line is' if several else 'that is'} left out" for words, several in lost]
     sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
     hums, span = hums_hz(sources), span_s(main, other)
     if nu.rig.drift is not None:
@@ -149,12 +149,13 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not lines_only and (same := same_condition(o, unseen)):
         notes.append(same)
-    own = next((words for words, several in lost if several), None)
-    return Observed(nu, main, main_name, other, name, lines_only, o, unseen, sources, span, tuple(notes), own)
+    erratic_there = next((words for words, several in lost if several), None)
+    return Observed(nu, main, main_name, other, name, lines_only, o, unseen, sources, span, tuple(notes), erratic_there)
 
 
 def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]]]:
-    """A sweep without the lines at which some axis is erratic, and what is said of them."""
+    """A sweep without its erratic points, and what is said of them; where it is the rig, without that whole line."""
     out = erratic(sweep)
-    lines = np.isin(sweep.frequency_hz, sweep.frequency_hz[out])
-    return sweep.select(~lines), erratic_in_words(sweep, out, axes, name)
+    hz, axes_of = np.unique(sweep.frequency_hz[out], return_counts=True)
+    lines = np.isin(sweep.frequency_hz, hz[axes_of >= FEWEST_AXES])
+    return sweep.select(~(out | lines)), erratic_in_words(sweep, out, axes, name)

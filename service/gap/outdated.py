@@ -37,8 +37,8 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
     explained = {names: other for names, other in without.items() if other.verdict.kind != "none_of_these"}
     if not explained:
         return None
-    names, best = max(explained.items(), key=lambda one: (_evidence(one[1]), -len(one[0])))
-    if _evidence(best) < _evidence(d) + DETECTED:
+    names, best = min(explained.items(), key=lambda one: _price(*one))
+    if not _likelier(names, best, d):
         return None
     left = _in_words(best.verdict.effects)
     what = f"what differs is {left}" if left else f"the twin explains the rig to {100 * best.gap_before:.2g} %"
@@ -57,8 +57,24 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
         unexplained="plant" if path == "additive" else path,
         outdated=names,
     )
-    closed = shrinkage(d.null.fit.rig, best.chosen.fit.rig, d.held_out, d.shrinkage.held_out)
+    closed = shrinkage(d.null.fit.rig, best.null.fit.rig, d.held_out, d.shrinkage.held_out)
     return replace(d, verdict=verdict, shrinkage=closed, next_experiment=None, notes=best.notes)
+
+
+def _price(names: tuple[str, ...], other: Diagnosis) -> tuple[int, int, float]:
+    """What an explanation without effects of the twin costs, the least first: effects that the rig then has."""
+    return len(other.verdict.effects) - len(names), len(names), -_evidence(other)
+
+
+def _likelier(names: tuple[str, ...], best: Diagnosis, d: Diagnosis) -> bool:
+    """Whether the twin without effects explains the rig better than the twin as it is.
+
+    By evidence where both were fitted to the same sweeps. Otherwise evidence is of other data: then one must do with
+    fewer effects, or the other one explain nothing.
+    """
+    if len(best.null.fit.groups) == len(d.null.fit.groups):
+        return _evidence(best) > _evidence(d) + DETECTED
+    return _price(names, best)[0] < len(d.verdict.effects) or d.verdict.kind == "none_of_these"
 
 
 def _in_words(names: Iterable[str]) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import chain, repeat
+from itertools import chain, islice, repeat
 
 from sim.effect import Effect, Parameter
 from sim.errors import EffectError
@@ -12,13 +12,14 @@ from sim.rig import FlexibleMode, Rig
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if not any(rig.rotor.modes):
         raise EffectError(f"effect internal_damping needs a flexible mode; the rotor of rig {rig.name} has none")
-    shares = (1 + p["mode_imbalance"], 1 - p["mode_imbalance"])
+    imbalance = p["mode_imbalance"] if min(map(len, rig.rotor.modes)) > 1 else 0.0
+    shares = chain((1 + imbalance, 1 - imbalance), repeat(1 - abs(imbalance)))
+
+    own = [share * p["damping_ratio"] for share in islice(shares, max(map(len, rig.rotor.modes)))]
 
     def turning(modes: tuple[FlexibleMode, ...]) -> tuple[FlexibleMode, ...]:
-        own = (share * p["damping_ratio"] for share in chain(shares, repeat(1.0)))
-        return tuple(
-            replace(m, internal_damping_ratio=m.internal_damping_ratio + v) for m, v in zip(modes, own, strict=False)
-        )
+        both = zip(modes, own, strict=False)
+        return tuple(replace(m, internal_damping_ratio=m.internal_damping_ratio + more) for m, more in both)
 
     return replace(rig, rotor=replace(rig.rotor, modes=tuple(turning(modes) for modes in rig.rotor.modes)))
 
@@ -35,7 +36,7 @@ EFFECT = Effect(
             1.0,
             0.0,
             0.0,
-            description="1: only of the first mode, -1: only of the second",
+            description="1: only of the first mode, -1: only of the second; nothing on a rotor with one",
             strength=False,
             optional=True,
             dormant=True,

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
+from sim.errors import EffectError
 from sim.rig import Rig
 from sim.sizes import AIR_GAP
 
@@ -14,7 +15,14 @@ _TYPICAL = {"xA": 45e-6, "xB": -30e-6, "yA": 25e-6, "yB": -40e-6}
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     offset = np.array([p[f"offset_{axis}_m"] for axis in rig.axes])
-    return replace(rig, magnets=replace(rig.magnets, offset_m=rig.magnets.offset_m + offset))
+    offset = rig.magnets.offset_m + offset
+    if (beyond := np.abs(offset) >= rig.magnets.gap_m).any():
+        k = int(np.argmax(beyond))
+        raise EffectError(
+            f"off_centre_rotor: {rig.axes[k]} of rig {rig.name} would be {offset[k]:.3g} m off, in an air gap of "
+            f"{rig.magnets.gap_m[k]:.3g} m"
+        )
+    return replace(rig, magnets=replace(rig.magnets, offset_m=offset))
 
 
 EFFECT = Effect(

@@ -52,6 +52,8 @@ def strength(effect: Effect, rig: Rig, g: Generator) -> dict[str, float]:
             values[p.name] = _inside(p, p.typical * 2.0 ** float(g.uniform(-1, 1)))
     if effect.id == "gyroscopic_coupling":
         values["polar_inertia_kgm2"] = _of_a_rotor(values["polar_inertia_kgm2"], rig)
+        if values["mode1_slope_per_m_sqrt_kg"]:  # a disc is there: less than none would be no disc
+            values["polar_inertia_kgm2"] = abs(values["polar_inertia_kgm2"])
     return values
 
 

@@ -96,7 +96,9 @@ def rigs(draw: st.DrawFn) -> Rig:
     )
     rig = replace(RIG, rotor=body)
     if draw(st.booleans()):
-        rig = CATALOGUE["support_resonance"].on(rig, inverse_mass_per_kg=draw(st.floats(1e-5, 1e-2)))
+        support = CATALOGUE["support_resonance"].of(rig)
+        inverse_mass = next(p for p in support.parameters if p.name == "inverse_mass_per_kg")
+        rig = support.on(rig, inverse_mass_per_kg=draw(st.floats(inverse_mass.low, inverse_mass.high)))
     return rig
 
 

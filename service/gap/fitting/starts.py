@@ -79,7 +79,8 @@ def starts(effect: Effect, rig: Rig, z: Complex, o: Observation, ground: Ground)
     if effect.id == "amplifier_voltage_limit":
         return slews(effect, rig, z, o)
     if effect.id == "magnetic_saturation":
-        by_flux = {"saturation_inverse_per_a": effect.parameters[0].low, "flux_power": 5.0}
+        saturation = next(p for p in effect.parameters if p.name == "saturation_inverse_per_a")
+        by_flux = {"saturation_inverse_per_a": saturation.low, "flux_power": 5.0}
         return [{**base, "flux_share": 0.0}, *({**by_flux, "flux_share": share} for share in (0.35, 0.5, 0.7))]
     if effect.id == "magnetic_hysteresis":
         flux = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
@@ -110,12 +111,13 @@ def slews(effect: Effect, rig: Rig, z: Complex, o: Observation) -> list[dict[str
     if o.I is None or np.isfinite(rig.amplifiers.slew_limit_a_per_s).any():
         return [values(share, seen) for share in (0.9, np.pi / 4) for seen in (0.1, 0.9)]
     without, w = current(rig, o), weight(o, "i")
+    kinds = SEEN[:1] if rig.amplifiers.damping_ratio is None else SEEN
 
     def left(one: dict[str, float]) -> float:
         change = (current(effect.on(rig, **one), o) - without) * w
         return float(np.sum(np.abs(z - change) ** 2))
 
-    best = [min(((left(v := values(s, seen)), v) for s in SLEWS), key=lambda one: one[0]) for seen in SEEN]
+    best = [min(((left(v := values(s, seen)), v) for s in SLEWS), key=lambda one: one[0]) for seen in kinds]
     return [v for _, v in sorted(best, key=lambda one: one[0])]
 
 

@@ -24,6 +24,9 @@ BESIDE = 0.05
 """The same of the other axes of such a line that are named with it."""
 UNLIKE = 30.0
 """Times the median of a sweep's points that such scatter must exceed besides: noise is alike in all."""
+FEW = 0.25
+"""Share of a sweep's lines up to which they are left out: a limit is met in a few; what is so everywhere is noise of a
+probe, and is weighed as that."""
 FEWEST_AXES = 2
 """Axes that are erratic at one frequency from which it is the rig, and not one disturbed record."""
 
@@ -42,11 +45,13 @@ def erratic(sweep: Sweep) -> NDArray[np.bool_]:
     relative = scatter / np.maximum(np.abs(I.mean(axis=1)), tiny)
     unlike = relative > UNLIKE * np.median(relative)
     lines = np.unique(sweep.frequency_hz[unlike & (relative > ERRATIC)])
+    if len(lines) > FEW * len(np.unique(sweep.frequency_hz)):
+        return np.zeros(sweep.n_points, dtype=bool)
     return np.asarray(np.isin(sweep.frequency_hz, lines) & unlike & (relative > BESIDE))
 
 
 def erratic_in_words(sweep: Sweep, of: NDArray[np.bool_], axes: Sequence[str], name: str) -> list[tuple[str, bool]]:
-    """What is said of each line with erratic points, and whether it is the rig: several axes are erratic there."""
+    """What is said of each line with erratic points, and whether it is the rig, several axes being erratic there."""
     told = []
     for hz in np.unique(sweep.frequency_hz[of]):
         there = sorted(set(sweep.axis[of & (sweep.frequency_hz == hz)].tolist()))

@@ -10,7 +10,7 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.part import STANDSTILL
 from service.gap.weighing.verdict import Ranked, Verdict
 from sim.effects import CATALOGUE
-from sim.rig import Rig
+from sim.rig import FlexibleMode, Rig
 
 NEARLY = 5.0
 """Log evidence behind the chosen explanation up to which another is a rival: what naming an effect costs."""
@@ -59,16 +59,19 @@ def turning_with_the_shaft(c: Candidate) -> Candidate | None:
     if not strength.low <= mean <= strength.high:
         return None
     own = {"damping_ratio": mean, "mode_imbalance": (gained[0] - gained[-1]) / sum(gained)}
-    rig = _outside(effect.on(c.fit.rig, **own))
+    rig = _outside(effect.on(c.fit.rig, **own), c.fit.rig)
     effects = (*c.effects[:k], effect.id, *c.effects[k + 1 :])
     values = (*c.fit.values[:k], own, *c.fit.values[k + 1 :])
     return replace(c, effects=effects, fit=replace(c.fit, effects=effects, values=values, rig=rig))
 
 
-def _outside(rig: Rig) -> Rig:
-    """The rig with as much less damping outside the shaft as it has inside."""
-    modes = tuple(
-        tuple(replace(m, damping_ratio=max(m.damping_ratio - m.internal_damping_ratio, 0.0)) for m in plane)
-        for plane in rig.rotor.modes
-    )
+def _outside(rig: Rig, before: Rig) -> Rig:
+    """The rig with as much less damping outside the shaft as it has more inside than before."""
+
+    def less(now: FlexibleMode, then: FlexibleMode) -> FlexibleMode:
+        more = now.internal_damping_ratio - then.internal_damping_ratio
+        return replace(now, damping_ratio=max(now.damping_ratio - more, 0.0))
+
+    both = zip(rig.rotor.modes, before.rotor.modes, strict=True)
+    modes = tuple(tuple(map(less, now, then)) for now, then in both)
     return replace(rig, rotor=replace(rig.rotor, modes=modes))

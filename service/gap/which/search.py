@@ -151,7 +151,7 @@ def explain(
         for name in ground.part.effects
         if name not in {c.effects[0] for c in kept if _holds(c, null)}
     )
-    probed = _better_of([*probed, *kept])
+    probed = _least_of_each([*probed, *kept])
     found = refined(fitter, ground, null, probed)
     if plainer := contained(fitter, ground, null, min(found, key=cost, default=null)):
         null, plain = plainer[0], residuals(ground, plainer[0])
@@ -201,7 +201,7 @@ def _holds(c: Candidate, null: Candidate) -> bool:
     return cost(c) - c.fit.n_residuals < HELD * (cost(null) - c.fit.n_residuals)
 
 
-def _better_of(probed: Sequence[Candidate]) -> list[Candidate]:
+def _least_of_each(probed: Sequence[Candidate]) -> list[Candidate]:
     """Of fits of the same effects the one that leaves least."""
     least: dict[tuple[str, ...], Candidate] = {}
     for c in probed:

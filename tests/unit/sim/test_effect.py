@@ -9,7 +9,7 @@ from sim.effects import CATALOGUE
 from sim.errors import EffectError
 from sim.reference import reference_rig
 from sim.rig import Rig
-from sim.sizes import AIR_GAP, BIAS, INERTIA, MASS, SPAN, STIFFNESS
+from sim.sizes import AIR_GAP, BIAS, INERTIA, MASS, SLOPE, SPAN, STIFFNESS
 
 RIG = reference_rig()
 
@@ -23,7 +23,7 @@ def test_a_name_ends_with_its_unit_and_the_words_do_not(p: Parameter) -> None:
     assert p.name == p.words.replace(" ", "_") + SUFFIXES[p.unit]
 
 
-@pytest.mark.parametrize("size", [MASS, INERTIA, SPAN, BIAS, STIFFNESS, AIR_GAP], ids=str)
+@pytest.mark.parametrize("size", [MASS, INERTIA, SPAN, BIAS, STIFFNESS, AIR_GAP, SLOPE], ids=str)
 def test_ranges_are_stated_for_the_reference_rig(size) -> None:
     assert size.ratio(RIG) == pytest.approx(1.0, rel=0.01)
 
@@ -45,6 +45,12 @@ def test_a_rig_may_have_somewhat_more_than_a_range_that_goes_with_its_size_and_n
         support.on(of_mass(2.8), inverse_mass_per_kg=30.0)
     with pytest.raises(EffectError, match=r"outside 0 to 0\.0003 s"):
         delay.on(RIG, delay_s=3.1e-4)
+
+
+def test_a_rotor_is_not_off_its_centre_by_more_than_the_air_gap() -> None:
+    away = CATALOGUE["off_centre_rotor"]
+    with pytest.raises(EffectError, match=r"xA of rig reference would be 0\.0004 m off, in an air gap of 0\.000296 m"):
+        away.on(RIG, offset_xA_m=4e-4)
 
 
 def test_an_effect_that_is_not_told_how_strong_is_typical_for_the_rig() -> None:

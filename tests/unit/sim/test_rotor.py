@@ -146,6 +146,18 @@ def test_internal_damping_takes_from_the_forward_whirl_what_it_gives_to_the_back
     assert by_direction[False] == pytest.approx(ze + zi * (1 + speed / w), rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("modes", "imbalance", "of_each"),
+    [(1, 1.0, [1.0]), (1, -1.0, [1.0]), (2, 1.0, [2.0, 0.0]), (3, -1.0, [0.0, 2.0, 0.0]), (3, 0.0, [1.0, 1.0, 1.0])],
+)
+def test_internal_damping_is_of_one_mode_or_of_all(modes, imbalance, of_each):
+    mode = FlexibleMode(3000.0, 0.001, (0.08, 0.05), (0.08, 0.14))
+    rig = replace(RIG, rotor=replace(RIG.rotor, modes=((mode,) * modes,) * 2))
+    has = effect("internal_damping").on(rig, damping_ratio=1e-3, mode_imbalance=imbalance)
+    for plane in has.rotor.modes:
+        assert [m.internal_damping_ratio for m in plane] == pytest.approx([1e-3 * share for share in of_each])
+
+
 def test_internal_damping_makes_the_forward_whirl_unstable_beyond_its_critical_speed():
     stable, unstable = (
         turning(effect("internal_damping").on(symmetric_modes(0.0), damping_ratio=0.002), w) for w in (2900.0, 3100.0)

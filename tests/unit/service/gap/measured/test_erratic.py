@@ -39,6 +39,13 @@ def test_a_line_whose_currents_do_not_repeat_is_told_with_its_axes() -> None:
     assert not several, "one axis alone may be one disturbed record"
 
 
+def test_a_probe_that_is_loud_at_every_line_is_weighed_and_not_left_out() -> None:
+    s = sweep(RIG, HZ, 0.1, 1)
+    for line in range(len(HZ)):
+        s = oscillating(s, line, {0})
+    assert not erratic(s).any()
+
+
 def ringing(s: Sweep, rig: Rig) -> Sweep:
     """The sweep with control signals that decay by half of themselves over the blocks, and currents that follow."""
     decay = 0.5 * np.exp(-np.arange(s.U.shape[1]))[:, None]

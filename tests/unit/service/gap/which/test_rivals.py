@@ -36,6 +36,16 @@ def test_it_is_the_same_rig_at_rest(log_ratios: tuple[float, ...]) -> None:
     )
 
 
+def test_damping_that_already_turned_stays_as_it_was() -> None:
+    c = gained(0.001, 2.0, 0.5)
+    turning = CATALOGUE["internal_damping"].on(c.fit.rig, damping_ratio=2e-3, mode_imbalance=0.0)
+    c = replace(c, fit=replace(c.fit, rig=turning))
+    internal = turning_with_the_shaft(c)
+    assert internal is not None
+    hz = np.geomspace(10.0, 1000.0, 50)
+    np.testing.assert_allclose(linear_model(internal.fit.rig, hz).y_per_u, linear_model(turning, hz).y_per_u, rtol=1e-9)
+
+
 @pytest.mark.parametrize(("damping_ratio", "log_ratio"), [(0.001, 3.5), (0.005, 2.2), (0.01, 1.6)])
 def test_more_than_a_shaft_loses_inside_is_no_rival(damping_ratio: float, log_ratio: float) -> None:
     assert turning_with_the_shaft(gained(damping_ratio, log_ratio)) is None
