@@ -62,8 +62,8 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     Raises
     ------
     GapError
-        The report lacks a field, found a gap that no effect explains, is of another rig, or adds an effect that the
-        twin has already.
+        The report lacks a field, found a gap that no effect explains, is of another rig, adds an effect that the twin
+        has already, or takes one out that it does not have.
     """
     if document.get("format") != "amb-gap-report":
         raise GapError('this is no gap report: its "format" is not "amb-gap-report"')
@@ -72,6 +72,11 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
         raise GapError(f"the report is of rig {report.rig!r}, the datasheet of {datasheet.name!r}")
     names = report.verdict.effects
     if gone := set(report.verdict.outdated):
+        if missing := gone - {name for name, _ in datasheet.effects}:
+            raise GapError(
+                f"the report takes {', '.join(sorted(missing))} out of the twin, which does not name it; give the twin "
+                "that was diagnosed"
+            )
         return replace(datasheet, effects=tuple(one for one in datasheet.effects if one[0] not in gone))
     if not names:
         if report.verdict.kind == NO_GAP:

@@ -58,14 +58,17 @@ def diagnose(
         telling.judging(FITTED)
         told = _told(experiment.rig, datasheet, data, found, fitter)
         if datasheet.effects and told.verdict.kind != "no_gap" and told.verdict.settled:
-            told = _of_a_twin(told, experiment, datasheet, fitter)
+            told = _of_a_twin(told, experiment, datasheet, fitter, telling)
     return replace(told, of=origin(experiment, datasheet))
 
 
-def _of_a_twin(told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter) -> Diagnosis:
+def _of_a_twin(
+    told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter, telling: Telling
+) -> Diagnosis:
     """What was told, or that the twin is out of date: it is held against the twin without some of its effects."""
     without = {}
     for names, sheet in fewer(datasheet):
+        telling.without(names, FITTED)
         fitter.lost.clear()  # of this twin alone
         with suppress(AmbError):  # without them it may be no rig that can be fitted
             data = observed(experiment, sheet)

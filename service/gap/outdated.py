@@ -35,17 +35,17 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
         Those against it without some of its effects, by these.
     """
     explained = {names: other for names, other in without.items() if other.verdict.kind != "none_of_these"}
-    if not explained:
+    by_price = sorted(explained.items(), key=lambda one: _price(*one))
+    found = next(((names, other) for names, other in by_price if _likelier(names, other, d)), None)
+    if found is None:
         return None
-    names, best = min(explained.items(), key=lambda one: _price(*one))
-    if not _likelier(names, best, d):
-        return None
+    names, best = found
     left = _in_words(best.verdict.effects)
     what = f"what differs is {left}" if left else f"the twin explains the rig to {100 * best.gap_before:.2g} %"
-    sections = " and ".join(f"effects.{name}" for name in names)
+    sections, them = " and ".join(f"effects.{name}" for name in names), "it" if len(names) == 1 else "them"
     reason = (
-        f"the twin names {_in_words(names)}, which the rig does not show as named: without it {what}; take {sections} "
-        f"out of the twin{' and diagnose again' if left else ''}"
+        f"the twin names {_in_words(names)}, which the rig does not show as named: without {them} {what}; take "
+        f"{sections} out of the twin{' and diagnose again' if left else ''}"
     )
     path = CATALOGUE[names[0]].path
     verdict = Verdict(

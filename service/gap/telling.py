@@ -45,6 +45,12 @@ class Telling:
         share = FIRST_ROUND * rounds if rounds <= 1 else 1 - (1 - FIRST_ROUND) / rounds
         self._tell(self._begin + share * (self._end - self._begin), f"{self._words}, {self._fits} fitted")
 
+    def without(self, effects: Sequence[str], percent: float) -> None:
+        """The twin is diagnosed without some of its effects; how long that takes, nobody knows."""
+        self._begin = self._end = percent
+        self._words = f"the twin without {' and '.join(name.replace('_', ' ') for name in effects)}"
+        self._tell(percent, self._words)
+
     def judging(self, percent: float) -> None:
         """All fits are done."""
         self._tell(percent, "judging on unseen data")

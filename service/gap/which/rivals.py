@@ -72,6 +72,6 @@ def _outside(rig: Rig, before: Rig) -> Rig:
         more = now.internal_damping_ratio - then.internal_damping_ratio
         return replace(now, damping_ratio=max(now.damping_ratio - more, 0.0))
 
-    both = zip(rig.rotor.modes, before.rotor.modes, strict=True)
-    modes = tuple(tuple(map(less, now, then)) for now, then in both)
+    planes = zip(rig.rotor.modes, before.rotor.modes, strict=True)
+    modes = tuple(tuple(less(*pair) for pair in zip(*of_plane, strict=True)) for of_plane in planes)
     return replace(rig, rotor=replace(rig.rotor, modes=modes))

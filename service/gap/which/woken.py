@@ -14,12 +14,9 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import asleep
-from service.gap.weighing.verdict import noise_levels
 from service.gap.which.refined import alike, cost
+from service.gap.which.uneven import hinted
 from sim.effects import CATALOGUE
-
-HINTED = 0.02
-"""Share of the plain twin's excess that an effect must explain as it is, to be tried with more of its law."""
 
 
 def woken(
@@ -29,12 +26,10 @@ def woken(
 
     Those that explain something as they are, and what looks like the best.
     """
-    if not found:
-        return []
-    noise = sum(noise_levels(null, found))
-    hinted = [c for c in found if cost(null) - cost(c) > HINTED * (cost(null) - noise) or alike(c, best)]
+    asked = hinted(null, found)
+    asked += [c for c in found if c not in asked and alike(c, best)]
     before = {c.effects: cost(c) for c in found}
-    return [c for c in fitter.run(task for c in hinted for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
+    return [c for c in fitter.run(task for c in asked for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
 
 
 def awake(task: Task) -> Task | None:

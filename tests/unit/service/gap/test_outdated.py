@@ -7,6 +7,7 @@ import pytest
 from service.gap.apply import applied
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
+from service.gap.measured.observation import GapError
 from service.gap.outdated import fewer
 from service.report.gap import gap_page
 from sim.datasheet import Datasheet
@@ -48,7 +49,11 @@ def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
     sheet, truth = known_datasheet(seed=2)
     measured, sheet = one_plane(experiment(with_effects(true_rig(truth), on_the_rig)), sheet)
     old = twin(sheet, *named)
-    d = diagnose(measured, old)
+    heard: list[tuple[float, str]] = []
+    d = diagnose(measured, old, progress=lambda percent, words: heard.append((percent, words)))
+    percents = [percent for percent, _ in heard]
+    assert percents == sorted(percents), "progress never falls"
+    assert any(words.startswith("the twin without loop delay") for _, words in heard)
     document = gap_document(d)
     assert (document["verdict"]["kind"], document["verdict"]["effects"]) == ("none_of_these", [])
     assert set(document["verdict"]["outdated"]) == gone
@@ -57,6 +62,8 @@ def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
     assert document["next_experiment"] is None
     assert "The twin is out of date" in gap_page(d)
     mended = applied(old, document)
+    with pytest.raises(GapError, match="give the twin that was diagnosed"):
+        applied(sheet, document)
     assert {name for name, _ in mended.effects} == {name for one in named for name in one} - gone
     assert diagnose(measured, mended).verdict.kind == "no_gap"
 
