@@ -232,10 +232,10 @@ def _with_wider_laws(
     asks = leaves_something(ground, order[0]) or leaves_much(null, order)
     # what looks like the best is held against it with all of its law: to be told apart takes both
     wider = [c for c in asked if asks or alike(c, best)]
-    more = [*(uneven(fitter, ground, null, asked) if asks else ()), *woken(fitter, ground, null, best, wider)]
+    more = [*(uneven(fitter, ground, null, asked) if asks else ()), *woken(fitter, ground, wider)]
     if not more:
         return list(found), list(order)
-    found = best_of_each(null, [*found, *more])
+    found = settled(fitter, ground, best_of_each(null, [*found, *more]))
     return found, worthy(ranked(null, found))
 
 

@@ -41,9 +41,9 @@ PROMISING = 0.5
 TRIED = 3
 """Most promising ones that are fitted: of those that look alike, more than one may be it."""
 HINTED = 0.02
-"""Share of the plain twin's excess that an effect must explain by its plain law, to be asked for more of it: one of
-four axes would explain a quarter where all are taken alike, but the datasheet's values explain most of that as well (of
-eddy currents of one magnet 8 % were left)."""
+"""Share of the plain twin's excess that an effect must explain where it is the same on all, to be asked for the axes:
+one that is on one of four would explain a quarter, but the datasheet's values explain most of that as well (of eddy
+currents of one magnet 8 % were left to the same on all)."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,8 @@ def uneven(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Cand
     ``null`` is the plain twin.
     """
     noise = sum(noise_levels(null, found))
-    asked = [(ground, c, name) for c in hinted(null, found) for name in _uneven_by(c)]
+    hinted = [c for c in found if cost(null) - cost(c) > HINTED * (cost(null) - noise)]
+    asked = [(ground, c, name) for c in hinted for name in _uneven_by(c)]
     if not asked:
         return []
     best = min(found, key=cost)
@@ -68,12 +69,6 @@ def uneven(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Cand
     promises = [p for p in fitter.over(_promise, asked) if p is not None and p.cost < most]
     tasks = [p.task for p in sorted(promises, key=lambda p: p.cost)[:TRIED]]
     return [c for c in fitter.run(tasks) if cost(c) < cost(best)]
-
-
-def hinted(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
-    """Explanations that by their plain laws take something off what the plain twin, ``null``, leaves."""
-    excess = cost(null) - sum(noise_levels(null, found))
-    return [c for c in found if cost(null) - cost(c) > HINTED * excess]
 
 
 def _uneven_by(c: Candidate) -> list[str]:

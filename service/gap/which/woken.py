@@ -14,22 +14,20 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import asleep
-from service.gap.which.refined import alike, cost
-from service.gap.which.uneven import hinted
+from service.gap.which.refined import cost
 from sim.effects import CATALOGUE
 
+SHOWS = 0.2
+"""Share of a typical strength from which such a fit begins, too: at none, no shape of an effect moves anything."""
 
-def woken(
-    fitter: Fitter, ground: Ground, null: Candidate, best: Candidate, found: Sequence[Candidate]
-) -> list[Candidate]:
-    """Explanations of ``found`` with more of an effect's law, those that leave less; ``null`` is the plain twin.
 
-    Those that explain something as they are, and what looks like the best.
+def woken(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
+    """Explanations of ``found`` with more of an effect's law, those that leave less.
+
+    What the plain law explains is no hint: of a small disc that modes tilt far, the rigid body shows nothing.
     """
-    asked = hinted(null, found)
-    asked += [c for c in found if c not in asked and alike(c, best)]
     before = {c.effects: cost(c) for c in found}
-    return [c for c in fitter.run(task for c in asked for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
+    return [c for c in fitter.run(task for c in found for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
 
 
 def awake(task: Task) -> Task | None:
@@ -41,12 +39,17 @@ def awake(task: Task) -> Task | None:
 
 
 def _tasks(ground: Ground, c: Candidate) -> Iterator[Task]:
+    """Fits that wake an effect: from the strength that its plain law has, and from one that shows."""
     sleeping = asleep(c.effects, c.fit.values)
     for k, name in enumerate(c.effects):
+        parameters = CATALOGUE[name].of(ground.nuisance.rig).parameters
+        shows = {p.name: p.null + SHOWS * (p.typical - p.null) for p in parameters if p.strength}
         for more in _wakes(name, ground):
             if all((name, parameter) in sleeping for parameter in more):
-                starts = (*c.fit.values[:k], {**c.fit.values[k], **more}, *c.fit.values[k + 1 :])
-                yield Task(ground, c.effects, (starts,), c.fit.theta, (EXACT,))
+                own = c.fit.values[k]
+                begun = ({**own, **more}, {**own, **shows, **more})
+                starts = tuple((*c.fit.values[:k], one, *c.fit.values[k + 1 :]) for one in begun)
+                yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
 
 
 def _wakes(name: str, ground: Ground) -> list[dict[str, float]]:

@@ -48,6 +48,16 @@ def test_an_inertia_that_no_mode_tilts_is_fitted_alone() -> None:
     assert [best.fit.values[0][name] for name in OF_A_DISC] == [0.0, 0.0, 0.0]
 
 
+def test_a_disc_so_small_that_only_modes_show_it_is_named() -> None:
+    """The rigid body's tilt shows nothing of it, so that by the plain law no effect explained any of the gap."""
+    disc = {"polar_inertia_kgm2": 0.02, "mode_coupling": 0.0, **dict(zip(OF_A_DISC[1:], (-0.9, 1.5), strict=True))}
+    best = explained({"gyroscopic_coupling": disc}).order[0].candidate
+    assert best.effects == ("gyroscopic_coupling",)
+    found = best.fit.values[0]
+    for name, slope in zip(OF_A_DISC[1:], (-0.9, 1.5), strict=True):  # of its moment the slopes' product tells more
+        assert found["polar_inertia_kgm2"] * found[name] ** 2 == pytest.approx(0.02 * slope**2, rel=0.2)
+
+
 def test_a_disc_that_modes_tilt_is_found_beside_another_effect() -> None:
     disc = {"polar_inertia_kgm2": 0.3, "mode_coupling": 0.0, **dict(zip(OF_A_DISC[1:], (-0.34, 0.73), strict=True))}
     moved = {"shift_A_m": 0.012, "shift_B_m": 0.012}
