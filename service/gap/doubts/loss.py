@@ -52,15 +52,15 @@ def lag_share(e: Explained) -> tuple[float, float]:
         if name != HYSTERESIS:
             without = CATALOGUE[name].on(without, **values)
     linear = problem.linearised(c.fit)
-    beside = [k for k in range(len(linear.pull)) if k - len(problem.active) not in own]
-    curvature, gradient = prior_precision(problem)[np.ix_(beside, beside)], linear.pull[beside]
+    beside = [k for k in range(len(linear.pull)) if k - problem.unknowns.n_nuisance not in own]
+    curvature, gradient = prior_precision(problem.unknowns)[np.ix_(beside, beside)], linear.pull[beside]
     curvature, gradient = np.pad(curvature, (0, 2)), np.pad(gradient, (0, 2))
     curvature[[-2, -1], [-2, -1]] = UNKNOWN**-2
     for o, weight, residual, columns in zip(
         e.ground.observations, linear.weights, linear.residuals, linear.columns, strict=True
     ):
         f = o.fundamental
-        change = (problem.predict(c.fit.rig, o, False) - problem.predict(without, o, False))[:, f]
+        change = (problem.model.predict(c.fit.rig, o, False) - problem.model.predict(without, o, False))[:, f]
         model = linear_model(without, o.frequency_hz)
         G = model.y_per_i[o.line]
         current = (model.i_per_u[o.line] @ o.U[:, f, :, None])[..., 0]

@@ -17,7 +17,7 @@ from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, Values
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, Stage
-from service.gap.fitting.unknowns import BY_SPEED, asleep, slow_to_compute
+from service.gap.fitting.unknowns import BY_SPEED, Unknowns, asleep, slow_to_compute
 from service.pool import Workers, workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
@@ -98,9 +98,9 @@ def _fitted(task: Task) -> Candidate:
     if len({o.speed_rad_s for o in task.ground.observations}) > 1:
         dormant -= BY_SPEED
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.plain | dormant)
-    active, rough = problem.active, [s for s in task.stages if s.closed]
-    begun = [np.concatenate([task.theta[active], problem.scaled(values)]) for values in task.starts]
-    straight = _straight(problem, begun) if problem.nonlinear and rough and len(begun) > 1 else []
+    unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
+    begun = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
+    straight = _straight(problem, begun) if problem.model.nonlinear and rough and len(begun) > 1 else []
     for stage in rough:
         begun = _best_of(problem, begun, stage)
     begun += straight
@@ -114,7 +114,7 @@ def _fitted(task: Task) -> Candidate:
             best = fit
     if best is None:
         raise AmbError(f"no start of {' + '.join(task.effects) or 'the plain twin'} leads to a rig")
-    return Candidate(task.effects, best, occam(problem, best), _deviations(problem, best))
+    return Candidate(task.effects, best, occam(unknowns, best), _deviations(unknowns, best))
 
 
 def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real]:
@@ -123,7 +123,7 @@ def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real
     for x in begun:
         with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to a rig that cannot be; another may not
             fit = problem.run(x, stage)
-            led.append((fit.cost, problem.vector(fit)))
+            led.append((fit.cost, problem.unknowns.vector(fit)))
     return [x for _, x in sorted(led, key=lambda one: one[0])[:GOES_ON]]
 
 
@@ -139,27 +139,27 @@ def _straight(problem: Problem, begun: Sequence[Real]) -> list[Real]:
     return [x for _, x in sorted(led, key=lambda one: one[0])[:1]]
 
 
-def _deviations(problem: Problem, fit: Fit) -> tuple[dict[str, float], ...]:
+def _deviations(unknowns: Unknowns, fit: Fit) -> tuple[dict[str, float], ...]:
     """Standard deviation of each effect parameter: the data's, widened where more than noise is left, and the law's.
 
     A strength that is fitted by its logarithm counts in its own unit here: near nothing its logarithm moves nothing,
     and would seem to leave no room for another parameter that trades against it.
     """
-    k, own = len(problem.active), problem.own
+    k, own = unknowns.n_nuisance, unknowns.own
     at = slice(k, k + len(own))
     value = np.array([fit.values[which][p.name] for which, p in own], dtype=float)
     logarithmic = np.array([p.scale == "log" for _, p in own], dtype=bool)
     strength = np.array([p.strength for _, p in own], dtype=bool)
     ranges = np.array([p.high - p.low for _, p in own], dtype=float)
     unit = np.where(logarithmic & strength, value, 1.0)  # of the fit's, in the parameter's own or its logarithm's
-    width = np.where(logarithmic & strength, ranges, (problem.high - problem.low)[: len(own)])
-    prior, per = problem.prior.copy(), np.ones(len(problem.prior))
+    width = np.where(logarithmic & strength, ranges, (unknowns.high - unknowns.low)[: len(own)])
+    prior, per = unknowns.prior.copy(), np.ones(len(unknowns.prior))
     prior[at, at], per[at] = np.diag(12.0 / np.maximum(width, 1e-12) ** 2), 1.0 / unit
     covariance = np.linalg.inv(fit.curvature * np.outer(per, per) + prior)
     widened = max(1.0, fit.chi_square / fit.n_residuals)
-    sd = np.sqrt(np.maximum(np.diag(covariance)[at], 0) * widened) * problem.scale[: len(own)]
+    sd = np.sqrt(np.maximum(np.diag(covariance)[at], 0) * widened) * unknowns.scale[: len(own)]
     sd = np.hypot(np.where(logarithmic & ~strength, value * sd, sd), LAW_ERROR * np.abs(value))
-    out: list[dict[str, float]] = [{} for _ in problem.effects]
+    out: list[dict[str, float]] = [{} for _ in unknowns.effects]
     for (which, p), s in zip(own, sd, strict=True):
         out[which][p.name] = float(s)
     return tuple(out)

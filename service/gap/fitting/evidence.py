@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
+from service.gap.fitting.unknowns import Unknowns
 from sim.effect import Parameter
 
 Real = NDArray[np.float64]
@@ -28,26 +28,26 @@ MODEL_ERRORS = 40.0
 """Independent values in what a twin leaves: residuals of neighbouring lines and channels go together."""
 
 
-def prior_precision(problem: Problem) -> Real:
+def prior_precision(unknowns: Unknowns) -> Real:
     """Inverse covariance of what is known before the fit, (a + e, a + e).
 
     A parameter of an effect that the data say nothing of keeps its prior, a uniform one between its bounds.
     """
-    k, own = len(problem.active), problem.n_own
-    width = (problem.high - problem.low)[:own]
-    precision = problem.prior.copy()
+    k, own = unknowns.n_nuisance, unknowns.n_own
+    width = (unknowns.high - unknowns.low)[:own]
+    precision = unknowns.prior.copy()
     precision[range(k, k + own), range(k, k + own)] = 12.0 / np.maximum(width, 1e-12) ** 2
     return precision
 
 
-def occam(problem: Problem, fit: Fit) -> float:
+def occam(unknowns: Unknowns, fit: Fit) -> float:
     """Log of the share of the prior that the data leave: -1/2 logdet of curvature, effect priors uniform.
 
     A shape that stayed at the end of its range where the law is the plainest is no freedom that was used.
     """
     used = np.ones(len(fit.curvature), dtype=bool)
-    used[len(problem.active) :][: problem.n_own] = [not _plain(p, fit.values[k]) for k, p in problem.own]
-    prior, curvature = (m[np.ix_(used, used)] for m in (prior_precision(problem), fit.curvature))
+    used[unknowns.n_nuisance :][: unknowns.n_own] = [not _plain(p, fit.values[k]) for k, p in unknowns.own]
+    prior, curvature = (m[np.ix_(used, used)] for m in (prior_precision(unknowns), fit.curvature))
     (_, after), (_, before) = np.linalg.slogdet(curvature + prior), np.linalg.slogdet(prior)
     return float(0.5 * (before - after))
 

@@ -16,16 +16,16 @@ def inherited_from(ground: Ground, candidate: Candidate) -> Inherited:
 
     What the part's own law leaves beyond the noise widens them. Effects that are slow to compute stay as fitted.
     """
-    problem, fit = Problem.of(ground, candidate.fit), candidate.fit
+    unknowns, fit = Problem.of(ground, candidate.fit).unknowns, candidate.fit
     widened = max(1.0, fit.chi_square / fit.n_residuals)
-    covariance = np.linalg.inv(fit.curvature / widened + prior_precision(problem))
+    covariance = np.linalg.inv(fit.curvature / widened + prior_precision(unknowns))
     free = [k for k, name in enumerate(candidate.effects) if not slow_to_compute(name)]
-    a = len(problem.active)
-    at = [*range(a), *(a + j for j, (k, _) in enumerate(problem.parameters) if k in free)]
+    a = unknowns.n_nuisance
+    at = [*range(a), *(a + j for j, (k, _) in enumerate(unknowns.parameters) if k in free)]
     return Inherited(
         candidate.effects,
-        problem.active,
+        unknowns.active,
         tuple((candidate.effects[k], fit.values[k]) for k in free),
-        problem.vector(fit)[at],
+        unknowns.vector(fit)[at],
         np.linalg.inv(covariance[np.ix_(at, at)]),
     )

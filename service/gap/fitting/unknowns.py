@@ -19,8 +19,11 @@ from sim.rig import Rig
 
 Real = NDArray[np.float64]
 
-LONGEST_LOG = 1.5
-"""Longest step of a magnitude, in nats: a clearance that jumps past the rotor's reach would not come back."""
+TOLERANCE_BOUND = 4.0
+"""A datasheet's value may be off by this many of its tolerances; what lies beyond is a gap, not an uncertainty."""
+LONGEST_LOG, LONGEST = 1.5, 4.0
+"""Longest step of a magnitude, in nats, and of another parameter, in units of its scale: a clearance that jumps past
+the rotor's reach would not come back."""
 IN_BAND = ("extra_flexible_mode", "frequency_hz")
 """An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
 any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
@@ -40,23 +43,32 @@ class Unknowns:
         """``held`` are parameters, by effect and name, that stay where their law is the plainest."""
         rig = ground.nuisance.rig
         self.ground, self.effects = ground, tuple(effect.of(rig) for effect in effects)
-        self.observations, self.active = ground.observations, ground.part.active
+        self.active = ground.part.active
         other = ground.inherited
         self._held = {*held, *(() if other is None else asleep(*zip(*other.effects, strict=True)))}
         theirs = () if other is None else tuple(CATALOGUE[name].of(rig) for name, _ in other.effects)
         self._together = (*self.effects, *theirs)
         self.parameters = [(k, p) for k, e in enumerate(self._together) for p in e.parameters]
+        """those of the effects, then those of inherited ones, each with the number of its effect"""
         self.n_own = sum(len(e.parameters) for e in effects)
+        """number of those of the effects"""
         if other is not None:
             self.active = np.concatenate([self.active, other.active])
+        """(a,) indices of the datasheet's values that are fitted"""
+        self.n_nuisance = len(self.active)
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
+        """(e,) size of a unit of each parameter in the vector; of a magnitude, in nats"""
         ranges = [self._range(self._together[k], p) for k, p in self.parameters]
         self.low: Real = np.array([low for low, _ in ranges], dtype=float) / self.scale
         self.high: Real = np.array([high for _, high in ranges], dtype=float) / self.scale
-        self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else 4.0 for _, p in self.parameters])
-        self.nonlinear = any(slow_to_compute(e.id) for e in effects)
-        self._a, self._signal = len(self.active), ground.part.signal
-        self.prior, self._centre = self._priors()
+        self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else LONGEST for _, p in self.parameters])
+        self.prior, self.prior_mean = self._priors()
+
+    def bounds(self) -> tuple[Real, Real, Real]:
+        """Lowest and highest values, and the longest steps, of all unknowns, (a + e,) each."""
+        bound = np.full(self.n_nuisance, TOLERANCE_BOUND)
+        low, high = np.concatenate([-bound, self.low]), np.concatenate([bound, self.high])
+        return low, high, np.concatenate([bound, self._longest])
 
     @property
     def own(self) -> list[tuple[int, Parameter]]:
@@ -69,7 +81,7 @@ class Unknowns:
             return self._inner(p, p.null), self._inner(p, p.null)
         low, high = p.low, p.high
         if (effect.id, p.name) == IN_BAND:
-            low = max(low, min(float(o.frequency_hz.min()) for o in self.observations))
+            low = max(low, min(float(o.frequency_hz.min()) for o in self.ground.observations))
         if effect.id == OFF_CENTRE:
             most = ECCENTRIC * float(np.min(self.ground.nuisance.rig.magnets.gap_m))
             low, high = max(low, -most), min(high, most)
@@ -77,7 +89,7 @@ class Unknowns:
 
     def _priors(self) -> tuple[Real, Real]:
         """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""
-        a, size, other = self._a, self._a + len(self.scale), self.ground.inherited
+        a, size, other = self.n_nuisance, self.n_nuisance + len(self.scale), self.ground.inherited
         precision, centre = np.zeros((size, size)), np.zeros(size)
         precision[range(a), range(a)] = 1.0
         if other is not None:
@@ -127,12 +139,12 @@ class Unknowns:
     def theta(self, x: Real) -> Real:
         """All deviations, (k,): the part's own from ``x``, the others as found before."""
         theta = self.ground.theta.copy()
-        theta[self.active] = x[: self._a]
+        theta[self.active] = x[: self.n_nuisance]
         return theta
 
     def build(self, x: Real) -> Rig:
         """The rig at a vector of deviations and effect parameters, (a + e,)."""
-        values, n = self.values(x[self._a :]), len(self.effects)
+        values, n = self.values(x[self.n_nuisance :]), len(self.effects)
         rig = self.ground.rig(self.theta(x), values[n:])
         for effect, own in zip(self.effects, values[:n], strict=True):
             rig = effect.on(rig, **own)
@@ -143,16 +155,16 @@ class Unknowns:
         theirs = fit.inherited if len(self._together) > len(self.effects) else ()
         return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
 
-    def _penalty(self, x: Real) -> float:
+    def penalty(self, x: Real) -> float:
         """What is known beforehand holds so much against a vector, chi-square, as a fit minimises it."""
-        away = x - self._centre
+        away = x - self.prior_mean
         return float(away @ self.prior @ away)
 
-    def _price(self, x: Real) -> float:
+    def price(self, x: Real) -> float:
         """The same as an explanation is judged by it: of tolerances that are only assumed, less."""
         other = self.ground.inherited
-        own = x[: self._a - (0 if other is None else len(other.active))]
-        return self._penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
+        own = x[: self.n_nuisance - (0 if other is None else len(other.active))]
+        return self.penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
 
 
 def asleep(effects: Sequence[str] = (), values: Sequence[Mapping[str, float]] = ()) -> frozenset[tuple[str, str]]:

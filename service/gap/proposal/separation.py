@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import LAW_ERROR, Candidate
-from service.gap.fitting.fit import TOLERANCE_BOUND
 from service.gap.fitting.jacobian import answer_jacobian
 from service.gap.fitting.nuisance import Nuisance
 from service.gap.fitting.predict import answer, centred, control, weights
+from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.measured.observation import Observation
 from service.gap.proposal.options import Option
 from sim.effect import Parameter

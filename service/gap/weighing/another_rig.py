@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.fit import TOLERANCE_BOUND
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
+from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.verdict import SURE_OF_NONE, Verdict
 
 IMPLAUSIBLE = 5.0

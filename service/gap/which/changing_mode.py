@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.fit import TOLERANCE_BOUND, Problem
+from service.gap.fitting.fit import Problem
 from service.gap.fitting.jacobian import Swing, displacement_jacobian, stacked, swing_of
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import at_speed_of, displacement, weight
+from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.measured.observation import Observation
 from sim.rig import Rig
 
@@ -109,11 +110,11 @@ class _Fitted:
         self._active, n = ground.part.active, len(ground.part.active)
         self.plain: Real = np.concatenate([null.fit.theta[self._active], [0.0, 0.0]])
         self._amplifiers = ground.part.from_control or ground.inherited is not None
-        self._prior = np.linalg.cholesky(problem.prior[:n, :n]).T
+        self._prior = np.linalg.cholesky(problem.unknowns.prior[:n, :n]).T
         self._sweeps = []
         for o in observations:
             w = weight(o, "y")[:, o.fundamental]
-            rest = o.Y[:, o.fundamental] - problem.beyond_linear(null.fit.rig, o)[:, o.fundamental]
+            rest = o.Y[:, o.fundamental] - problem.model.beyond_linear(null.fit.rig, o)[:, o.fundamental]
             self._sweeps.append((o, w, rest))
 
     @classmethod

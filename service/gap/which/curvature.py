@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.fit import TOLERANCE_BOUND, Problem
+from service.gap.fitting.fit import Problem
 from service.gap.fitting.jacobian import stacked
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import weight
+from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.measured.observation import Observation
 from service.gap.which.curved_laws import POWERS, CurvedLaw, curved_laws
 from sim.rig import Rig
@@ -133,7 +134,7 @@ def _system(
         rows.append(stacked(np.concatenate([of_values, bent], axis=-1)))
     size = rows[0].shape[1]
     prior, pull = np.zeros((size, size)), np.zeros(size)
-    prior[:known, :known], pull[:known] = problem.prior, linear.pull
+    prior[:known, :known], pull[:known] = problem.unknowns.prior, linear.pull
     return np.concatenate(rows), np.concatenate([stacked(z[..., None])[:, 0] for _, z in sweeps]), prior, pull
 
 

@@ -61,7 +61,7 @@ def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
     linear, f = problem.linearised(best.fit), o.fundamental
     (z,), (J,) = linear.residuals, linear.columns
     rows = stacked(J)
-    known = best.fit.curvature + prior_precision(problem)
+    known = best.fit.curvature + prior_precision(problem.unknowns)
     moved = np.linalg.solve(known + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
     left = (z - J @ moved)[:, None]
     closes = closure_of(mean_power(before[:, f]), mean_power(left))

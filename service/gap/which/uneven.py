@@ -19,12 +19,12 @@ from scipy.optimize import nnls
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.evidence import prior_precision
-from service.gap.fitting.fit import TOLERANCE_BOUND, Problem
+from service.gap.fitting.fit import Problem
 from service.gap.fitting.jacobian import stacked
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import centred
 from service.gap.fitting.stage import EXACT
-from service.gap.fitting.unknowns import asleep
+from service.gap.fitting.unknowns import TOLERANCE_BOUND, asleep
 from service.gap.weighing.verdict import noise_levels
 from service.gap.which.refined import cost
 from sim import imbalance
@@ -93,7 +93,7 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
     one = _scaled(effect, values, 1 / len(corners))
     rigs = [effect.on(without, **one, **dict(zip(shapes, corner, strict=True))) for corner in corners.tolist()]
 
-    begin = len(problem.active) + sum(len(CATALOGUE[e].parameters) for e in c.effects[:at])
+    begin = len(problem.unknowns.active) + sum(len(CATALOGUE[e].parameters) for e in c.effects[:at])
     beside = np.r_[0:begin, begin + len(effect.parameters) : len(linear.pull)]
     changes = [_changes(problem, [*rigs, c.fit.rig], without, k, w) for k, w in enumerate(linear.weights)]
     residuals = np.concatenate([stacked(r[..., None])[:, 0] for r in linear.residuals])
@@ -101,7 +101,7 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
     alone = np.concatenate([change[:, :-1] for change in changes])
 
     # what is known of the values beside it counts as further data
-    root = np.linalg.cholesky(prior_precision(problem)[np.ix_(beside, beside)]).T
+    root = np.linalg.cholesky(prior_precision(problem.unknowns)[np.ix_(beside, beside)]).T
     pull = np.linalg.solve(root.T, linear.pull[beside])
     known = np.concatenate([*(stacked(J[..., beside]) for J in linear.columns), root])
     left, alone = np.concatenate([left, pull]), np.concatenate([alone, np.zeros((len(beside), len(corners)))])
@@ -111,8 +111,8 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
         return None
     expected = cost(c) + root_left**2 - float(residuals @ residuals + pull @ pull)
 
-    moved, theta = np.linalg.lstsq(known, left - alone @ shares)[0][: len(problem.active)], c.fit.theta.copy()
-    theta[problem.active] = np.clip(theta[problem.active] + moved, -TOLERANCE_BOUND, TOLERANCE_BOUND)
+    moved, theta = np.linalg.lstsq(known, left - alone @ shares)[0][: len(problem.unknowns.active)], c.fit.theta.copy()
+    theta[problem.unknowns.active] = np.clip(theta[problem.unknowns.active] + moved, -TOLERANCE_BOUND, TOLERANCE_BOUND)
     start = _scaled(effect, values, shares.mean()) | dict(zip(shapes, shares @ corners / shares.sum(), strict=True))
     starts = tuple(start if k == at else own for k, own in enumerate(c.fit.values))
     return _Promise(expected, Task(ground, c.effects, (starts,), theta, (EXACT,)))
@@ -130,8 +130,8 @@ def _without(name: str, ground: Ground, c: Candidate) -> Rig:
 def _changes(problem: Problem, rigs: Sequence[Rig], without: Rig, sweep: int, weight: Real) -> Real:
     """What each of some rigs answers beyond the one without, weighted, at the excited frequency, (2 P n, rigs)."""
     o = problem.observations[sweep]
-    base = problem.predict(without, o, closed=False)
-    answers = [centred(problem.predict(rig, o, closed=False) - base, weight, o) * weight for rig in rigs]
+    base = problem.model.predict(without, o, closed=False)
+    answers = [centred(problem.model.predict(rig, o, closed=False) - base, weight, o) * weight for rig in rigs]
     return stacked(np.stack([answer[:, o.fundamental] for answer in answers], axis=-1))
 
 

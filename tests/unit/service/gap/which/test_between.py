@@ -94,12 +94,12 @@ def test_inherited_values_move_the_plant_but_at_the_price_of_the_other_parts_dat
     away = at.copy()
     away[-1] += 1.0
     assert not np.allclose(
-        problem.predict(problem.build(away), plant.observations[0], closed=False),
-        problem.predict(problem.build(at), plant.observations[0], closed=False),
+        problem.model.predict(problem.unknowns.build(away), plant.observations[0], closed=False),
+        problem.model.predict(problem.unknowns.build(at), plant.observations[0], closed=False),
         rtol=1e-9,
     )
     step = away - at
-    assert step @ problem.prior @ step > 1.0, "their currents know it better than its tolerance"
+    assert step @ problem.unknowns.prior @ step > 1.0, "their currents know it better than its tolerance"
 
 
 def test_what_a_mixture_leaves_of_itself_need_not_be_in_the_order(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from service.gap.diagnose import diagnose
 from service.gap.fitting.candidates import Candidate, Fitter, Task, fit_task
-from service.gap.fitting.fit import TOLERANCE_BOUND
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.stage import EXACT
+from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.verdict import ALIKE, MIXED, Ranked
 from service.gap.which.mixtures import from_the_other_side, worth_it
 from service.gap.which.refined import best_of_each, cost
