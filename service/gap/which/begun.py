@@ -11,7 +11,9 @@ from service.gap.fitting.candidates import Candidate, Task
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, PROBE, Stage
-from service.gap.fitting.starts import largest_rate, starts
+from service.gap.fitting.starts.left import Left
+from service.gap.fitting.starts.of_effect import starts
+from service.gap.fitting.starts.slews import largest_rate
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import Observation
 from sim.effects import CATALOGUE
@@ -59,8 +61,8 @@ def _starts(
     """Starts of an effect beside those of ``first``; a nonlinear one's found in the sweep that drives it most."""
     sweeps = range(len(ground.observations))
     k = max(sweeps, key=lambda k: _driven(name, ground.observations[k])) if CATALOGUE[name].nonlinear else 0
-    o, z = ground.observations[k], left[k]
-    return tuple((*first.fit.values, s) for s in starts(CATALOGUE[name], first.fit.rig, z, o, ground))
+    unexplained = Left(first.fit.rig, left[k], ground.observations[k], ground)
+    return tuple((*first.fit.values, s) for s in starts(CATALOGUE[name], unexplained))
 
 
 def _driven(name: str, o: Observation) -> float:

@@ -1,0 +1,1 @@
+"""Starting values of effects, found in what the twin leaves unexplained."""

@@ -1,0 +1,48 @@
+"""Where a stop that the rotor touches starts: at the clearance whose force answers best to what is left."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.gap.fitting.predict import weight, whole_displacement
+from service.gap.fitting.starts.left import Left
+from sim.effect import Effect
+
+CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
+"""Shares of each axis's largest displacement at which a stop is looked for."""
+SOFT = 0.02
+"""Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
+
+
+def starts(effect: Effect, base: dict[str, float], left: Left, count: int = 2) -> list[dict[str, float]]:
+    """The clearances and sides, best first, whose soft stop answers most to the residuals, with the fitting stiffness.
+
+    The force of a stop is proportional to its stiffness where the rotor was seen to move, so one soft stop tells
+    the best stiffness of each clearance by linear regression.
+    """
+    rig, o = left.rig, left.o
+    if rig.contact is not None:
+        return [base]
+    swing = np.abs(o.Y[:, o.fundamental]).max(axis=0)
+    soft = SOFT * float(np.max(rig.magnets.ks))
+    known = {p.name: p for p in effect.parameters}
+    limits = known["stiffness_n_per_m"]
+    without, w = whole_displacement(rig, o), weight(o, "y")
+    found = []
+    for share in CLEARANCES:
+        clearances = {
+            name: float(np.clip(share * s, known[name].low, known[name].high))
+            for name, s in zip((f"clearance_{axis}_m" for axis in rig.axes), swing, strict=True)
+        }
+        for side in (0.0, 1.0, -1.0):
+            values = {**base, **clearances, "side": 0.9 * side, "stiffness_n_per_m": max(soft, limits.low)}
+            change = (whole_displacement(effect.on(rig, **values), o) - without) * w
+            power = float(np.vdot(change, change).real)
+            along = float(np.vdot(change, left.z).real)
+            if along <= 0 or power <= 0:
+                continue
+            stiffness = values["stiffness_n_per_m"] * along / power
+            values["stiffness_n_per_m"] = float(np.clip(stiffness, limits.low, limits.high))
+            found.append((along**2 / power, values))
+    found.sort(key=lambda f: -f[0])
+    return [values for _, values in found[:count]] or [base]
