@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
 from service.experiment.incomplete import incomplete
-from service.experiment.resting import about_rest, held_at, load_in_words, resting_current
+from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
-from service.gap.measured.erratic import FEWEST_AXES, erratic, erratic_in_words
-from service.gap.measured.observation import GapError, Observation, observe, usable
+from service.gap.measured.observation import GapError, Observation, usable
+from service.gap.measured.pair import Pair
 from service.gap.measured.settling import DRIFTS
-from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, span_s, sweeps_for, timed
-from service.gap.measured.thin import thinned
-from service.gap.measured.together import Together
+from service.gap.measured.sweeps import halves, notes_on, other_rate, span_s, sweeps_for
 from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
 
@@ -81,19 +79,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     AmbError
         A channel is dead.
     """
-    if experiment.axes != datasheet.axes:
-        raise GapError(
-            f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; "
-            "give the datasheet of the rig that was measured, with the same axes"
-        )
-    must_be_in_si(experiment, datasheet)
-    (main_name, main), *others = sweeps_for(experiment)
-    require_live_channels(main, tuple(experiment.axes), main_name)
-    if (lines := len(np.unique(usable(main).frequency_hz))) < FEWEST_LINES:
-        raise GapError(
-            f"{main_name} has {lines} usable lines; a diagnosis needs at least {FEWEST_LINES}, or the datasheet's "
-            "uncertain values explain whatever there is: measure more"
-        )
+    (main_name, main), *others = _sweeps(experiment, datasheet)
     notes = [
         *incomplete(experiment),
         *odd_rotor(datasheet),
@@ -106,56 +92,76 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
     nu = nuisance(datasheet)
-    main, lines_only = timed(main), not others
-    if lines_only:
-        together = Together.of(usable(main))
-        of_both, line = (together, together), np.unique(main.frequency_hz, return_inverse=True)[1]
-        main, other, name = main.select(line % 2 == 0), main.select(line % 2 == 1), f"every other line of {main_name}"
-    else:
-        (name, other), unused = best_check(main, others, nu.rig)
-        other = timed(other)
-        if main.I is not None and other.I is None:  # a fit to one could not be held against the other
-            main = replace(main, I=None)
-            notes.append(
-                f"{name} has no coil current, so that of {main_name} is not used: amplifier and plant cannot be told "
-                "apart, alias classes grow"
-            )
-        of_both = Together.of(usable(main)), Together.of(usable(other))
-        notes += [f"{n} is not used: a diagnosis fits one sweep and checks on one other, here {name}" for n in unused]
-    if (resting := resting_current(main, nu.rig)) is not None:
-        main, other = about_rest(main), about_rest(other)
+    pair, unused = Pair.of(main_name, main, others, nu.rig)
+    notes += unused
+    if (resting := resting_current(pair.main, nu.rig)) is not None:
         loaded = held_at(nu.rig, resting)
         notes.append(f"{load_in_words(loaded, nu.rig)}: the twin works there")
-        nu = replace(nu, rig=loaded)
-    main, lost = _without_erratic(usable(main), main_name, nu.rig.axes)
-    other, lost_there = _without_erratic(usable(other), name, nu.rig.axes)
-    lost += lost_there
-    notes += [f"{words}; {'this line is' if several else 'that is'} left out" for words, several in lost]
-    sources = tuple(interference(main, nu.rig)) if main.in_sequence else ()
-    hums, span = hums_hz(sources), span_s(main, other)
-    if nu.rig.drift is not None:
-        if span is None:
-            notes.append(
-                "the file does not tell when its points were measured: the drift of the twin is taken to have come "
-                "about while they were"
-            )
-        else:  # points are dated by the share of the experiment that has passed
-            nu = replace(nu, rig=replace(nu.rig, drift=nu.rig.drift.over(span[1] - span[0])))
-    # A file that does not date its points has them in their order, the other sweep after the main one.
-    during, after = ((0.0, 1.0), (0.0, 1.0)) if lines_only else ((0.0, 0.8), (0.8, 1.0))
-    o = observe(thinned(usable(main)), nu.rig, during, hums, span, of_both[0])
-    unseen = observe(thinned(usable(other)), nu.rig, after, hums, span, of_both[1])
+        pair, nu = pair.about_rest(), replace(nu, rig=loaded)
+    pair, lost, erratic_there = pair.without_erratic(nu.rig.axes)
+    notes += lost
+    if lost:
+        fitted = [pair.main, pair.other] if pair.lines_only else [pair.main]
+        _require_lines(main_name, np.concatenate([s.frequency_hz for s in fitted]), "repeating")
+    sources = tuple(interference(pair.main, nu.rig)) if pair.main.in_sequence else ()
+    span = span_s(pair.main, pair.other)
+    nu, undated = _drifting_over(nu, span)
+    notes += undated
+    o, unseen = pair.observations(nu.rig, hums_hz(sources), span)
     if o.unsettled > DRIFTS:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
-    if not lines_only and (same := same_condition(o, unseen)):
+    if not pair.lines_only and (same := same_condition(o, unseen)):
         notes.append(same)
-    erratic_there = next((words for words, several in lost if several), None)
-    return Observed(nu, main, main_name, other, name, lines_only, o, unseen, sources, span, tuple(notes), erratic_there)
+    return Observed(
+        nuisance=nu,
+        main=pair.main,
+        main_name=pair.main_name,
+        other=pair.other,
+        name=pair.name,
+        lines_only=pair.lines_only,
+        o=o,
+        unseen=unseen,
+        sources=sources,
+        span=span,
+        notes=tuple(notes),
+        erratic=erratic_there,
+    )
 
 
-def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]]]:
-    """A sweep without its erratic points, and what is said of them; where it is the rig, without that whole line."""
-    out = erratic(sweep)
-    hz, axes_of = np.unique(sweep.frequency_hz[out], return_counts=True)
-    lines = np.isin(sweep.frequency_hz, hz[axes_of >= FEWEST_AXES])
-    return sweep.select(~(out | lines)), erratic_in_words(sweep, out, axes, name)
+def _sweeps(experiment: Experiment, datasheet: Datasheet) -> list[tuple[str, Sweep]]:
+    """The excited sweeps with their names, the one to fit first.
+
+    Raises `GapError` or `AmbError` where they are not of this datasheet's rig, or too few or dead to be fitted.
+    """
+    if experiment.axes != datasheet.axes:
+        raise GapError(
+            f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; "
+            "give the datasheet of the rig that was measured, with the same axes"
+        )
+    must_be_in_si(experiment, datasheet)
+    (main_name, main), *others = sweeps_for(experiment)
+    require_live_channels(main, tuple(experiment.axes), main_name)
+    _require_lines(main_name, usable(main).frequency_hz)
+    return [(main_name, main), *others]
+
+
+def _require_lines(name: str, frequency_hz: NDArray[np.float64], of_which: str = "usable") -> None:
+    if (lines := len(np.unique(frequency_hz))) < FEWEST_LINES:
+        raise GapError(
+            f"{name} has {lines} {of_which} lines; a diagnosis needs at least {FEWEST_LINES}, or the datasheet's "
+            "uncertain values explain whatever there is: measure more"
+        )
+
+
+def _drifting_over(nu: Nuisance, span: tuple[float, float] | None) -> tuple[Nuisance, tuple[str, ...]]:
+    """The twin with its drift, where it has one, over the time of the experiment; or a note that this is not told."""
+    drift = nu.rig.drift
+    if drift is None:
+        return nu, ()
+    if span is None:
+        return nu, (
+            "the file does not tell when its points were measured: the drift of the twin is taken to have come about "
+            "while they were",
+        )
+    # points are dated by the share of the experiment that has passed
+    return replace(nu, rig=replace(nu.rig, drift=drift.over(span[1] - span[0]))), ()

@@ -8,6 +8,7 @@ import pytest
 from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
 from service.gap.measured.erratic import erratic, erratic_in_words
+from service.gap.measured.observation import GapError
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects
@@ -95,3 +96,12 @@ def test_several_axes_that_are_erratic_are_no_clean_rig_and_one_is_left_out(
     assert any("do not repeat from block to block" in note and "left out" in note for note in d.notes)
     if kind == "none_of_these":
         assert "do not repeat" in d.verdict.reasons[0]
+
+
+def test_too_few_lines_that_repeat_are_no_diagnosis() -> None:
+    datasheet, _ = known_datasheet(seed=2)
+    measured, datasheet = one_plane(experiment(RIG), datasheet)
+    main, other = measured.sweeps
+    five = main.select(np.isin(main.frequency_hz, np.unique(main.frequency_hz)[-5:]))
+    with pytest.raises(GapError, match=r"sweeps/0 has 4 repeating lines; a diagnosis needs at least 5"):
+        diagnose(replace(measured, sweeps=(oscillating(five, 3, {0, 1}), other)), datasheet)
