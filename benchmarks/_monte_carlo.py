@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from service.experiment.data import Experiment
 from service.identification.combine import levitated_frequencies
-from service.identification.fit import Options, identify, split_knowledge
+from service.identification.fit import identify
+from service.identification.options import Options
 from service.identification.plane_model import PlaneModel, Points
+from service.identification.plane_start import split_knowledge
 from service.identification.points import plane_points
 from service.identification.refine import Refined, amplitude_of, refine
 from service.identification.residuals import Data, Weights

@@ -18,7 +18,8 @@ import numpy as np
 from _monte_carlo import experiment, no_mode_known, reference_plane, splits_drawn, splits_known
 
 from service.experiment.data import Experiment
-from service.identification.fit import fit_plane, identify
+from service.identification.fit import identify
+from service.identification.plane_fit import fit_plane
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
 from service.identification.refine import refine

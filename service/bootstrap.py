@@ -173,7 +173,8 @@ def identify_into(
     AmbError
         The experiment cannot be identified, or the folder not be written.
     """
-    from service.identification.fit import Options, identify
+    from service.identification.fit import identify
+    from service.identification.options import Options
     from service.report.commissioning import commissioning_page, verdict
 
     say = announce or (lambda _: None)

@@ -149,79 +149,99 @@ def check_controller(
         The controller is no proper transfer function, its sample time is not the rig's, its computing delay is
         negative, or no such zone is in the table.
     """
-    law = _checked_law(controller)
-    limits = tuple(zones)
-    if accepted_zone not in [name for name, _ in limits]:
-        raise AmbError(f"zone {accepted_zone!r} is not in the table of zones {', '.join(n for n, _ in limits)}")
+    law, limits = _checked_law(controller), tuple(zones)
+    order = [name for name, _ in limits]
+    if accepted_zone not in order:
+        raise AmbError(f"zone {accepted_zone!r} is not in the table of zones {', '.join(order)}")
+    if not planes:
+        raise AmbError(f"the result of rig {rig} has no plane; identify the rig first")
     for s in planes.values():
-        period = s.model.known.sample_time_s
-        if sample_time_s is not None and abs(sample_time_s / period - 1) > 1e-6:
-            raise AmbError(
-                f"the controller is for a sample time of {1e6 * sample_time_s:g} us, the rig {rig} samples every "
-                f"{1e6 * period:g} us; discretise it anew"
-            )
+        _require_sample_time(rig, s, sample_time_s)
     if computing_delay_s is not None:
         if not 0 <= computing_delay_s < np.inf:
             raise AmbError(f"a controller cannot compute for {1e6 * computing_delay_s:g} us; state a delay from 0 on")
         planes = {name: _computing_for(computing_delay_s, s) for name, s in planes.items()}
-    reasons: list[str] = []
-    warnings: list[str] = []
-    axes: list[AxisCheck] = []
-    warnings += dict.fromkeys(note for s in planes.values() for note in s.notes)
-    stable, share, decay = True, 1.0, np.inf
-    later: dict[str, float | None] = {}
-    for s in planes.values():
-        poles = closed_loop_poles(s.model, law)
-        own = slowest_decay(poles, s.model.known.sample_time_s)
-        decay = min(decay, own)
-        if not s.adequate:
-            warnings.append(
-                f"plane {s.plane}: the model leaves residuals {s.rms_over_sigma:.2g} times the noise; what it lacks, "
-                "this check does not see"
-            )
-        if own <= 0:
-            stable, share = False, 0.0
-            reasons.append(f"plane {s.plane}: the loop is unstable, {_unstable_words(poles, s.model)}")
-            continue
-        later[s.plane] = _later(s, law)
-        drawn = _drawn(s, draws, seed)
-        held = [m for m in drawn if slowest_decay(closed_loop_poles(m, law), m.known.sample_time_s) > 0]
-        share = min(share, len(held) / max(len(drawn), 1))
-        if not drawn:
-            share = 0.0
-            reasons.append(
-                f"plane {s.plane}: the model is known so badly that no other one which the data allow can be computed; "
-                "identify it from more data"
-            )
-        if len(held) < len(drawn):
-            reasons.append(
-                f"plane {s.plane}: {len(drawn) - len(held)} of {len(drawn)} models that the data allow as well are "
-                "unstable with it"
-            )
-        axes += _axes(s, law, held, limits)
-    order = [name for name, _ in limits]
-    for a in axes:
-        if order.index(a.zone) > order.index(accepted_zone):
-            p = a.sensitivity_peak
-            reasons.append(
-                f"axis {a.axis}: sensitivity peak {p.value:.2f} ({_up_to(p)}) at {a.peak_hz:.4g} Hz is in zone "
-                f"{a.zone}; accepted is {accepted_zone} or better"
-            )
-    if not planes:
-        raise AmbError(f"the result of rig {rig} has no plane; identify the rig first")
+    checks = [_check_plane(s, law, _drawn(s, draws, seed), limits) for s in planes.values()]
+    axes = tuple(axis for c in checks for axis in c.axes)
+    reasons = [reason for c in checks for reason in c.reasons]
+    reasons += [_beyond_zone(a, accepted_zone) for a in axes if order.index(a.zone) > order.index(accepted_zone)]
+    notes = dict.fromkeys(note for s in planes.values() for note in s.notes)
     return ControllerCheck(
         rig,
-        not reasons,
-        tuple(reasons),
-        tuple(warnings),
-        stable,
-        share,
-        decay,
-        tuple(axes),
-        later,
-        limits,
-        accepted_zone,
+        safe=not reasons,
+        reasons=tuple(reasons),
+        warnings=(*notes, *(warning for c in checks for warning in c.warnings)),
+        stable=all(c.decay_per_s > 0 for c in checks),
+        stable_share=min(c.stable_share for c in checks),
+        slowest_decay_per_s=min(c.decay_per_s for c in checks),
+        axes=axes,
+        delay_of_both_axes_s={c.plane: c.later_s for c in checks if c.decay_per_s > 0},
+        zones=limits,
+        accepted_zone=accepted_zone,
     )
+
+
+@dataclass(frozen=True)
+class _PlaneCheck:
+    """What loading the controller would do to one plane."""
+
+    plane: str
+    decay_per_s: float
+    """slowest, of the best model's loop; 0 or less: unstable"""
+    stable_share: float
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    axes: tuple[AxisCheck, ...] = ()
+    later_s: float | None = None
+    """how much longer the controller may compute; None: a sample or more"""
+
+
+def _check_plane(
+    s: SavedPlane, law: tuple[Real, Real], drawn: list[PlaneModel], limits: tuple[tuple[str, float], ...]
+) -> _PlaneCheck:
+    """One plane's loop closed with the best model and with those ``drawn``."""
+    poles, period = closed_loop_poles(s.model, law), s.model.known.sample_time_s
+    decay = slowest_decay(poles, period)
+    warnings: tuple[str, ...] = ()
+    if not s.adequate:
+        warnings = (
+            f"plane {s.plane}: the model leaves residuals {s.rms_over_sigma:.2g} times the noise; what it lacks, "
+            "this check does not see",
+        )
+    if decay <= 0:
+        reason = f"plane {s.plane}: the loop is unstable, {_unstable_words(poles, s.model)}"
+        return _PlaneCheck(s.plane, decay, 0.0, (reason,), warnings)
+    held = [m for m in drawn if slowest_decay(closed_loop_poles(m, law), period) > 0]
+    reasons: tuple[str, ...] = ()
+    if not drawn:
+        reasons = (
+            f"plane {s.plane}: the model is known so badly that no other one which the data allow can be computed; "
+            "identify it from more data",
+        )
+    elif len(held) < len(drawn):
+        reasons = (
+            f"plane {s.plane}: {len(drawn) - len(held)} of {len(drawn)} models that the data allow as well are "
+            "unstable with it",
+        )
+    share, axes = len(held) / max(len(drawn), 1), tuple(_axes(s, law, held, limits))
+    return _PlaneCheck(s.plane, decay, share, reasons, warnings, axes, _later(s, law))
+
+
+def _beyond_zone(a: AxisCheck, accepted_zone: str) -> str:
+    p = a.sensitivity_peak
+    return (
+        f"axis {a.axis}: sensitivity peak {p.value:.2f} ({_up_to(p)}) at {a.peak_hz:.4g} Hz is in zone {a.zone}; "
+        f"accepted is {accepted_zone} or better"
+    )
+
+
+def _require_sample_time(rig: str, s: SavedPlane, sample_time_s: float | None) -> None:
+    period = s.model.known.sample_time_s
+    if sample_time_s is not None and abs(sample_time_s / period - 1) > 1e-6:
+        raise AmbError(
+            f"the controller is for a sample time of {1e6 * sample_time_s:g} us, the rig {rig} samples every "
+            f"{1e6 * period:g} us; discretise it anew"
+        )
 
 
 def _computing_for(delay_s: float, s: SavedPlane) -> SavedPlane:

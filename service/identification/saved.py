@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.fit import known_of
 from service.identification.known import as_identified
 from service.identification.plane_model import Layout, PlaneModel
+from service.identification.plane_start import known_of
 from service.identification.points import planes_of
 from service.identification.zoh import Real
 from sim.datasheet import Datasheet

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.fit import known_of
 from service.identification.margins import sensitivity
+from service.identification.plane_start import known_of
 from service.identification.points import planes_of
 from service.identification.synthetic import plane_model_of
 from sim import effects as catalogue

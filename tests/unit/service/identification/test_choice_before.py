@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from service.identification.etfe import FrequencyResponse, etfe
-from service.identification.fit import Options, split_knowledge, start_model
 from service.identification.joint import JointFits
+from service.identification.options import Options
 from service.identification.plane_model import PlaneModel
+from service.identification.plane_start import split_knowledge, start_model
 from service.identification.points import PlanePoints, plane_points
 from service.identification.residuals import Data
 from service.identification.selection import Selected, choose_modes

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment, Sweep
-from service.identification.fit import Options, identify
+from service.identification.fit import identify
+from service.identification.options import Options
 from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
 from service.identification.synthetic import synthetic_experiment, synthetic_sweep

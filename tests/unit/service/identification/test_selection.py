@@ -7,10 +7,11 @@ import pytest
 
 from service.identification.closed_loop import closed_loop_poles
 from service.identification.etfe import FrequencyResponse, etfe
-from service.identification.fit import Options, split_knowledge, start_model
 from service.identification.flexible import PoleResidue
 from service.identification.joint import JointFits
+from service.identification.options import Options
 from service.identification.plane_model import PlaneModel
+from service.identification.plane_start import split_knowledge, start_model
 from service.identification.points import plane_points
 from service.identification.residuals import Data, noise_of
 from service.identification.selection import Selected, choose_modes

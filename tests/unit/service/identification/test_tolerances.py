@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.fit import Options, identify
+from service.identification.fit import identify
+from service.identification.options import Options
 from service.identification.synthetic import plane_model_of
 from service.identification.tolerances import Tolerances
 from sim.datasheet import Mode, Tolerance

@@ -7,8 +7,9 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.identification.closed_loop import closed_loop_poles
-from service.identification.fit import FittedPlane, fit_plane, identify
+from service.identification.fit import identify
 from service.identification.leakage import leakage
+from service.identification.plane_fit import FittedPlane, fit_plane
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
 from service.identification.residuals import Data, noise_of, predicted_blocks, residual_blocks

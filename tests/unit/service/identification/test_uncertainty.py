@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.identification.fit import fit_plane
+from service.identification.plane_fit import fit_plane
 from service.identification.plane_model import Points
 from service.identification.points import plane_points
 from service.identification.refine import refine
