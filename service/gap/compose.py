@@ -12,7 +12,7 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import Nuisance
 from service.gap.weighing.verdict import Ranked
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 from sim.effect import End
 from sim.effects import CATALOGUE
 

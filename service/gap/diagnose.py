@@ -29,8 +29,8 @@ from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinka
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
 from service.gap.which.beyond import OFF
+from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
-from service.gap.which.search import Explained
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 

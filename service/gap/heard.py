@@ -17,7 +17,7 @@ from service.gap.measured.scatter import block_scatter
 from service.gap.weighing.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
 from service.gap.weighing.significance import SIGNIFICANT, significance
 from service.gap.weighing.verdict import Verdict
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 

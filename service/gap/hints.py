@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.measured.observation import Observation
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
-from service.gap.which.search import Explained
 from sim.rig import Rig
 
 Complex = NDArray[np.complex128]

@@ -21,8 +21,8 @@ from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import astray, far_off
 from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import between_lines, held_out, on_sweep
-from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 
 NEGLIGIBLE = 0.02

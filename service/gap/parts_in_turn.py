@@ -17,7 +17,8 @@ from service.gap.observed import Observed
 from service.gap.telling import Telling
 from service.gap.which.begun import residuals
 from service.gap.which.between import between
-from service.gap.which.search import MOST, Explained, explain, plain_twin
+from service.gap.which.explained import Explained
+from service.gap.which.search import MOST, explain, plain_twin
 
 Real = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from service.gap.telling import Telling
 from service.gap.weighing.another_rig import hopeless
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
 from service.gap.weighing.verdict import UNEXPLAINED, VISIBLE, rejected
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import held_out, on_sweep
-from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 
 ONE_SWEEP, FITTED = 80.0, 97.0

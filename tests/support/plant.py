@@ -9,7 +9,8 @@ from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
-from service.gap.which.search import MOST, Explained, explain
+from service.gap.which.explained import Explained
+from service.gap.which.search import MOST, explain
 from sim.datasheet import Datasheet
 
 

@@ -17,7 +17,7 @@ from service.gap.fitting.predict import at_speed_of, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import UNEXPLAINED
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model

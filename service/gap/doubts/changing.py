@@ -7,7 +7,7 @@ import numpy as np
 from service.gap.doubts.curved import Seen
 from service.gap.weighing.verdict import UNEXPLAINED, noise_levels
 from service.gap.which.changing_mode import ChangingMode, changing_mode
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 
 BEYOND = 36.0
 """Chi-square by which it has to explain more, and that it has to explain at all: as a curvature is proven from."""

@@ -17,7 +17,7 @@ from service.gap.fitting.predict import NOTHING_SEEN, at_speed_of, measured_sign
 from service.gap.measured.observation import HARMONIC_ERROR, MODEL_FLOOR, Observation
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.which.curved_laws import POWERS, PROBE, SENSOR, CurvedLaw
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 from sim.harmonic_balance import STATIC_HZ
 from sim.rig import Rig
 from sim.twin import linear_model

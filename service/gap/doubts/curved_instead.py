@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from service.gap.doubts.curved import Seen, in_words, systematic
 from service.gap.weighing.verdict import UNEXPLAINED, noise_levels
 from service.gap.which.curvature import SHOWN, Curvature, curvatures
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 
 Complex = NDArray[np.complex128]
 

@@ -19,7 +19,7 @@ from service.gap.fitting.stage import COARSE, EXACT, MIDDLE
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import CLEAR, noise_levels
-from service.gap.which.search import Explained, gap_significance
+from service.gap.which.explained import Explained, gap_significance
 from sim import control_law
 
 Complex = NDArray[np.complex128]

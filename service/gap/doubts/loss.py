@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.evidence import prior_precision
 from service.gap.fitting.fit import Problem
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.twin import linear_model
 

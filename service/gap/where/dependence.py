@@ -17,8 +17,8 @@ from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_sig
 from service.gap.measured.condition import conditions_of, lines_of
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import BY_CHANCE, SIGNIFICANT, alone_hz, overall, significance
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
-from service.gap.which.search import Explained
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

@@ -15,8 +15,8 @@ from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT, worst
 from service.gap.where.dependence import relative_error
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
-from service.gap.which.search import Explained
 
 DIGITS = 5
 """Significant digits: finer than any noise."""

@@ -19,7 +19,7 @@ from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT, significance, worst
 from service.gap.where.dependence import Dependence, dependence
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]

@@ -15,8 +15,8 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.weighing.verdict import ALIKE, DETECTED, Ranked, noise_levels, renormalised
 from service.gap.which.begun import residuals
+from service.gap.which.explained import Explained
 from service.gap.which.refined import WITHIN
-from service.gap.which.search import Explained
 from sim.effects import aliases
 
 Through = Callable[[Candidate], Ground]

@@ -16,7 +16,7 @@ from service.gap.measured.observation import Observation
 from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import mean_power, overall, significance
 from service.gap.weighing.verdict import HeldOut
-from service.gap.which.search import Explained
+from service.gap.which.explained import Explained
 
 Complex = NDArray[np.complex128]
 

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
-from service.gap.fitting.part import Ground, Part
-from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
+from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
-from service.gap.measured.observation import GapError, Observation
-from service.gap.weighing.significance import significance
+from service.gap.measured.observation import GapError
 from service.gap.weighing.verdict import UNEXPLAINED, UNEXPLAINED_BY_SEVERAL, Ranked, noise_levels, ranked
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
 from service.gap.which.curvature import SHOWN, curvatures
+from service.gap.which.explained import Explained
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
 from service.gap.which.refined import alike, best_of_each, contained, cost, refined, settled
@@ -33,61 +32,6 @@ MOST = 3
 """Largest mixture within one part."""
 HELD = 0.05
 """Share of a gap that an explanation of fewer sweeps may leave of more, to be the same valley for sure."""
-
-
-@dataclass(frozen=True)
-class Explained:
-    """What the search found in one part."""
-
-    ground: Ground
-    order: tuple[Ranked, ...]
-    """by falling evidence, the plain twin among them"""
-    plain: tuple[Complex, ...]
-    """weighted residuals of the plain twin, (P, H, n) per sweep"""
-    left: tuple[Complex, ...]
-    """the same of the best explanation"""
-    elsewhere: tuple[Ranked, ...] = ()
-    """by effects of another part, which would explain this one's gap about as well; log evidence on this one's scale"""
-
-    @property
-    def part(self) -> Part:
-        """The part of the loop."""
-        return self.ground.part
-
-    @property
-    def chosen(self) -> Candidate:
-        """The explanation that other parts build on: the best one where it beats the plain twin, else that."""
-        return self.order[0].candidate
-
-    @property
-    def null(self) -> Ranked:
-        """The plain twin."""
-        return next(r for r in self.order if not r.candidate.effects)
-
-    @property
-    def significance(self) -> float:
-        """Of the gap that the plain twin leaves."""
-        return gap_significance(self.plain, self.ground.observations)
-
-    @property
-    def relative_gap(self) -> float:
-        """||measured - plain twin|| / ||measured|| of the part's output, fundamental, the largest of the sweeps."""
-        shares = []
-        for z, o in zip(self.plain, self.ground.observations, strict=True):
-            w, f = weight(o, self.part.signal), o.fundamental
-            size = float(np.linalg.norm(measured_signal(o, self.part.signal)[:, f]))
-            shares.append(np.linalg.norm(z[:, f] / np.maximum(w[:, f], NOTHING_TOLD)) / max(size, NOTHING_SEEN))
-        return float(max(shares))
-
-    @property
-    def remaining(self) -> float:
-        """Significance of what the best explanation leaves."""
-        return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
-
-
-def gap_significance(plain: Sequence[Complex], observations: Sequence[Observation]) -> float:
-    """Significance of what the plain twin leaves at the excited frequency, over bands and channels."""
-    return max(significance(z[:, [o.fundamental]], o, bound=np.inf) for z, o in zip(plain, observations, strict=True))
 
 
 def plain_twin(
@@ -134,53 +78,106 @@ def explain(
         What was found on fewer sweeps: effects in proportion to the excitation go on from there, others also.
     """
     null, plain = plain_fit or plain_twin(fitter, ground)
-    known = {} if before is None else {c.effects: c for c in (r.candidate for r in before.order)}
-    # An effect draws the plain twin's values off, a large one as far as their tolerances let it: what is quickly
-    # computed finds its own way from the datasheet's, and a resonance where hardly anything else is left.
-    rough = rough_beside(null, ground)
-    near = rough != rough_stages(ground)
-
-    def theta(name: str) -> Real:
-        return null.fit.theta if near and (slow_to_compute(name) or name in LOOKED_FOR) else ground.theta
-
-    kept = [] if before is None else fitter.run(_gone_on_with(ground, before))
-    probed = fitter.run(
-        Task(ground, (name,), (known[name,].fit.values,), known[name,].fit.theta, (PROBE,))
-        if (name,) in known and not CATALOGUE[name].nonlinear
-        else beside(name, null, null, plain, ground, theta(name), rough)
-        for name in ground.part.effects
-        if name not in {c.effects[0] for c in kept if _holds(c, null)}
-    )
-    probed = _least_of_each([*probed, *kept])
-    found = refined(fitter, ground, null, probed)
-    if plainer := contained(fitter, ground, null, min(found, key=cost, default=null)):
-        null, plain = plainer[0], residuals(ground, plainer[0])
-        found = refined(fitter, ground, null, found)
-    found = settled(fitter, ground, found)
-    order, left = ranked(null, found), plain
-    if _curved(ground, null, plain, order):
-        most = 1
-    if most > 1:
-        found, order = _with_wider_laws(fitter, ground, null, found, order)
-    fewer = next(r for r in order if r.candidate is null)
-    for size in range(1, most + 1):
-        left = residuals(ground, order[0].candidate)
-        extension = None if size == most else extended(ground, order, fewer, size)
-        if extension is None:
-            break
-        fewer = extension.base
-        found = with_one_more(fitter, ground, order, extension, found)
-        order = worthy(ranked(null, found))
-    if len(order[0].candidate.effects) > 1:  # what else could stand for one of them, where nothing is left too
-        found = best_of_each(null, [*found, *exchanged(fitter, ground, order[0].candidate, found)])
-        order = worthy(ranked(null, found))
-    if len(order[0].candidate.effects) > 1:
-        _, order = _with_wider_laws(fitter, ground, null, found, order)
-    order = beyond_tolerance(fitter, ground, order)
+    search = _Search(fitter, ground, null, plain)
+    search.single_effects(before)
+    if most > 1 and not search.curved():
+        search.wider_laws(search.found)
+        search.mixtures(most)
+    order = beyond_tolerance(fitter, ground, search.order)
     # it leaves so little more that its evidence and shares stand
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
-    left = residuals(ground, order[0].candidate)
-    return Explained(ground, tuple(order), plain, left)
+    return Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))
+
+
+@dataclass
+class _Search:
+    """The explanations of one part as far as they are found."""
+
+    fitter: Fitter
+    ground: Ground
+    null: Candidate
+    """the plain twin"""
+    plain: tuple[Complex, ...]
+    """what it leaves, (P, H, n) per sweep"""
+    found: list[Candidate] = field(default_factory=list)
+    order: list[Ranked] = field(default_factory=list)
+    """those found and the plain twin, by falling evidence"""
+
+    def single_effects(self, before: Explained | None) -> None:
+        """Fit every effect of the part alone; ``before`` is what fewer sweeps told."""
+        kept = [] if before is None else self.fitter.run(_gone_on_with(self.ground, before))
+        done = {c.effects[0] for c in kept if _holds(c, self.null)}
+        begun = [name for name in self.ground.part.effects if name not in done]
+        found = refined(
+            self.fitter, self.ground, self.null, _least_of_each([*self.fitter.run(self._begun(begun, before)), *kept])
+        )
+        if plainer := contained(self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)):
+            self.null, self.plain = plainer[0], residuals(self.ground, plainer[0])
+            found = refined(self.fitter, self.ground, self.null, found)
+        self.found = settled(self.fitter, self.ground, found)
+        self.order = ranked(self.null, self.found)
+
+    def _begun(self, names: Iterable[str], before: Explained | None) -> Iterable[Task]:
+        """A first fit of each effect: on from ``before`` where it answers in proportion, or from its own starts.
+
+        An effect draws the plain twin's values off, a large one as far as their tolerances let it: what is quickly
+        computed finds its own way from the datasheet's, and a resonance where hardly anything else is left.
+        """
+        known = {} if before is None else {r.candidate.effects: r.candidate for r in before.order}
+        rough = rough_beside(self.null, self.ground)
+        near = rough != rough_stages(self.ground)
+        for name in names:
+            if (name,) in known and not CATALOGUE[name].nonlinear:
+                c = known[name,]
+                yield Task(self.ground, (name,), (c.fit.values,), c.fit.theta, (PROBE,))
+            else:
+                from_plain = near and (slow_to_compute(name) or name in LOOKED_FOR)
+                theta = self.null.fit.theta if from_plain else self.ground.theta
+                yield beside(name, self.null, self.null, self.plain, self.ground, theta, rough)
+
+    def curved(self) -> bool:
+        """Whether a curved characteristic explains most of a part, more than any effect: mixtures would bend to it."""
+        explained = max((c.explained for c in curvatures(self.ground, self.null, self.plain)), default=0.0)
+        if explained < SHOWN:
+            return False
+        excess = cost(self.null) - sum(noise_levels(self.null, [r.candidate for r in self.order]))
+        by_effects = cost(self.null) - min(cost(r.candidate) for r in self.order)
+        return explained > max(by_effects, (1 - UNEXPLAINED) * excess)
+
+    def wider_laws(self, of: Sequence[Candidate]) -> None:
+        """Add wider laws of some of the explanations, where the best leaves too much.
+
+        Effects that differ from axis to axis, and those that have more of a law than most rigs need.
+        """
+        best = self.order[0].candidate
+        asks = leaves_something(self.ground, self.order[0]) or leaves_much(self.null, self.order)
+        # what looks like the best is held against it with all of its law: to be told apart takes both
+        wider = [c for c in of if asks or alike(c, best)]
+        more = [
+            *(uneven(self.fitter, self.ground, self.null, of) if asks else ()),
+            *woken(self.fitter, self.ground, wider),
+        ]
+        if more:
+            self.found = settled(self.fitter, self.ground, best_of_each(self.null, [*self.found, *more]))
+            self.order = worthy(ranked(self.null, self.found))
+
+    def mixtures(self, most: int) -> None:
+        """Add mixtures of up to ``most`` effects by forward selection, and what could stand for one of theirs."""
+        fewer = next(r for r in self.order if r.candidate is self.null)
+        for size in range(1, most):
+            extension = extended(self.ground, self.order, fewer, size)
+            if extension is None:
+                break
+            fewer = extension.base
+            self.found = with_one_more(self.fitter, self.ground, self.order, extension, self.found)
+            self.order = worthy(ranked(self.null, self.found))
+        best = self.order[0].candidate
+        if len(best.effects) > 1:  # what else could stand for one of them, where nothing is left too
+            self.found = best_of_each(self.null, [*self.found, *exchanged(self.fitter, self.ground, best, self.found)])
+            self.order = worthy(ranked(self.null, self.found))
+        best = self.order[0].candidate
+        if len(best.effects) > 1:
+            self.wider_laws([best])
 
 
 def _gone_on_with(ground: Ground, before: Explained) -> Iterable[Task]:
@@ -208,35 +205,6 @@ def _least_of_each(probed: Sequence[Candidate]) -> list[Candidate]:
         if c.effects not in least or cost(c) < cost(least[c.effects]):
             least[c.effects] = c
     return list(least.values())
-
-
-def _curved(ground: Ground, null: Candidate, plain: Sequence[Complex], order: Sequence[Ranked]) -> bool:
-    """Whether a curved characteristic explains most of a part, more than any effect: mixtures would bend to it."""
-    explained = max((c.explained for c in curvatures(ground, null, plain)), default=0.0)
-    if explained < SHOWN:
-        return False
-    excess = cost(null) - sum(noise_levels(null, [r.candidate for r in order]))
-    by_effects = cost(null) - min(cost(r.candidate) for r in order)
-    return explained > max(by_effects, (1 - UNEXPLAINED) * excess)
-
-
-def _with_wider_laws(
-    fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Candidate], order: Sequence[Ranked]
-) -> tuple[list[Candidate], list[Ranked]]:
-    """What was found, and its order, with wider laws where the best leaves too much.
-
-    Effects that differ from axis to axis, and those that have more of a law than most rigs need.
-    """
-    best = order[0].candidate
-    asked = [best] if len(best.effects) > 1 else found
-    asks = leaves_something(ground, order[0]) or leaves_much(null, order)
-    # what looks like the best is held against it with all of its law: to be told apart takes both
-    wider = [c for c in asked if asks or alike(c, best)]
-    more = [*(uneven(fitter, ground, null, asked) if asks else ()), *woken(fitter, ground, wider)]
-    if not more:
-        return list(found), list(order)
-    found = settled(fitter, ground, best_of_each(null, [*found, *more]))
-    return found, worthy(ranked(null, found))
 
 
 def leaves_much(null: Candidate, order: Sequence[Ranked]) -> bool:

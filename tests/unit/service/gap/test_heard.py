@@ -13,8 +13,8 @@ from service.gap.fitting.fitted import Fit
 from service.gap.heard import heard_too, once_a_turn, with_interference
 from service.gap.interference import Interference
 from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
-from service.gap.which.search import Explained
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from tests.support.synthetic import experiment, known_datasheet, true_rig

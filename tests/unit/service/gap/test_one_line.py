@@ -16,8 +16,9 @@ from service.gap.measured.sweeps import halves
 from service.gap.weighing.significance import alone_hz, fastest_alone_hz, furthest_alone_hz, shows_alone_hz
 from service.gap.weighing.verdict import ranked
 from service.gap.where.dependence import dependence
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
-from service.gap.which.search import Explained, plain_twin
+from service.gap.which.search import plain_twin
 from sim.datasheet import Datasheet
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects

@@ -12,8 +12,9 @@ from service.gap.measured.observation import Observation, observe
 from service.gap.passes import told_by_the_other
 from service.gap.weighing.significance import SIGNIFICANT, significance
 from service.gap.weighing.verdict import ranked
+from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
-from service.gap.which.search import Explained, plain_twin
+from service.gap.which.search import plain_twin
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane

@@ -15,7 +15,8 @@ from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import ranked
 from service.gap.where.dependence import change_between, dependence, relative_error
 from service.gap.where.where import locate
-from service.gap.which.search import Explained, plain_twin
+from service.gap.which.explained import Explained
+from service.gap.which.search import plain_twin
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 

@@ -19,7 +19,8 @@ from service.gap.weighing.verdict import Ranked
 from service.gap.which import between as between_parts
 from service.gap.which.begun import residuals
 from service.gap.which.between import Exchange
-from service.gap.which.search import Explained, explain
+from service.gap.which.explained import Explained
+from service.gap.which.search import explain
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 

@@ -9,7 +9,8 @@ from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
-from service.gap.which.search import Explained, explain
+from service.gap.which.explained import Explained
+from service.gap.which.search import explain
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig

@@ -1,0 +1,73 @@
+"""What a search found in one part of the loop: its explanations in order, and what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.part import Ground, Part
+from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
+from service.gap.measured.observation import Observation
+from service.gap.weighing.significance import significance
+from service.gap.weighing.verdict import Ranked
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What the search found in one part."""
+
+    ground: Ground
+    order: tuple[Ranked, ...]
+    """by falling evidence, the plain twin among them"""
+    plain: tuple[Complex, ...]
+    """weighted residuals of the plain twin, (P, H, n) per sweep"""
+    left: tuple[Complex, ...]
+    """the same of the best explanation"""
+    elsewhere: tuple[Ranked, ...] = ()
+    """by effects of another part, which would explain this one's gap about as well; log evidence on this one's scale"""
+
+    @property
+    def part(self) -> Part:
+        """The part of the loop."""
+        return self.ground.part
+
+    @property
+    def chosen(self) -> Candidate:
+        """The explanation that other parts build on: the best one where it beats the plain twin, else that."""
+        return self.order[0].candidate
+
+    @property
+    def null(self) -> Ranked:
+        """The plain twin."""
+        return next(r for r in self.order if not r.candidate.effects)
+
+    @property
+    def significance(self) -> float:
+        """Of the gap that the plain twin leaves."""
+        return gap_significance(self.plain, self.ground.observations)
+
+    @property
+    def relative_gap(self) -> float:
+        """||measured - plain twin|| / ||measured|| of the part's output, fundamental, the largest of the sweeps."""
+        shares = []
+        for z, o in zip(self.plain, self.ground.observations, strict=True):
+            w, f = weight(o, self.part.signal), o.fundamental
+            size = float(np.linalg.norm(measured_signal(o, self.part.signal)[:, f]))
+            shares.append(np.linalg.norm(z[:, f] / np.maximum(w[:, f], NOTHING_TOLD)) / max(size, NOTHING_SEEN))
+        return float(max(shares))
+
+    @property
+    def remaining(self) -> float:
+        """Significance of what the best explanation leaves."""
+        return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
+
+
+def gap_significance(plain: Sequence[Complex], observations: Sequence[Observation]) -> float:
+    """Significance of what the plain twin leaves at the excited frequency, over bands and channels."""
+    return max(significance(z[:, [o.fundamental]], o, bound=np.inf) for z, o in zip(plain, observations, strict=True))
