@@ -54,7 +54,7 @@ def main() -> None:
         true = truth.damping_ratios[0]
         experiments = [synthetic_experiment(run(settle_s, seed=k, truth=truth), axes=AXES) for k in range(runs)]
         for name, in_place in (("taken out", settled), ("left alone", left_alone)):
-            with patch("service.identification.fit.settled", in_place):
+            with patch("service.identification.plane_fit.settled", in_place):
                 found = dampings(experiments)
             error, std = found[:, 0] - true, found[:, 1]
             rms, typical = 100 * np.sqrt(np.mean(error**2)) / true, 100 * np.median(std) / true

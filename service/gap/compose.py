@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import Nuisance
-from service.gap.weighing.verdict import Ranked
+from service.gap.weighing.ranking import Ranked
 from service.gap.which.explained import Explained
 from sim.effect import End
 from sim.effects import CATALOGUE

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.gap.compose import Composition
-from service.gap.weighing.verdict import Ranked
+from service.gap.weighing.ranking import Ranked
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 

@@ -8,8 +8,9 @@ from typing import Any
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.measured.observation import Observation
+from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Shrinkage
-from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.weighing.verdict import Verdict
 from service.gap.where.where import Where
 from service.gap.which.beyond import STATED
 

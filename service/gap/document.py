@@ -9,8 +9,9 @@ import numpy as np
 
 from service.gap.diagnosis import Diagnosis, listed, runner_up
 from service.gap.fitting.candidates import Candidate
+from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Closed
-from service.gap.weighing.verdict import ALIKE, Ranked
 from sim.effects import CATALOGUE
 
 FEW_POINTS = 10.0

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from service.gap.diagnosis import Diagnosis
+from service.gap.weighing.ranking import DETECTED
 from service.gap.weighing.shrinkage import shrinkage
-from service.gap.weighing.verdict import DETECTED, Verdict
+from service.gap.weighing.verdict import Verdict
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 

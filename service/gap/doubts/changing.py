@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from service.gap.doubts.curved import Seen
-from service.gap.weighing.verdict import UNEXPLAINED, noise_levels
+from service.gap.weighing.ranking import noise_levels
+from service.gap.weighing.verdict import UNEXPLAINED
 from service.gap.which.changing_mode import ChangingMode, changing_mode
 from service.gap.which.explained import Explained
 

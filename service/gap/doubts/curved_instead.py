@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.doubts.curved import Seen, in_words, systematic
-from service.gap.weighing.verdict import UNEXPLAINED, noise_levels
+from service.gap.weighing.ranking import noise_levels
+from service.gap.weighing.verdict import UNEXPLAINED
 from service.gap.which.curvature import SHOWN, Curvature, curvatures
 from service.gap.which.explained import Explained
 

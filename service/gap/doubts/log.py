@@ -17,8 +17,8 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE
 from service.gap.measured.observation import Observation
+from service.gap.weighing.ranking import CLEAR, noise_levels
 from service.gap.weighing.significance import SIGNIFICANT
-from service.gap.weighing.verdict import CLEAR, noise_levels
 from service.gap.which.explained import Explained, gap_significance
 from sim import control_law
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from service.gap.fitting.candidates import LAW_ERROR, Candidate
-from service.gap.fitting.evidence import TEMPERATURE, log_evidence, probabilities
+from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.evidence import TEMPERATURE
+from service.gap.weighing.alike import alike, alike_beside
+from service.gap.weighing.ranking import Ranked, renormalised
 from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import SIGNIFICANT
-from sim.effects import CATALOGUE, aliases
+from sim.effects import CATALOGUE
 
-DETECTED = 5.0
-"""Log evidence by which an effect must beat the plain twin, some 25 candidates being tried: in 134 parts of rigs of an
-independent program that had no effect there, the largest advantage by chance was 2.2, with a tail like exp(-x)."""
 UNEXPLAINED = 0.25
 """Share of the gap that may be left by another law of the same effect; more is something else."""
 CLOSES = 1 - 1.2 * UNEXPLAINED
@@ -28,8 +25,6 @@ MIXED = 0.02
 """Share of the gap that a first effect must leave for a second one, of another kind, to be looked for."""
 VISIBLE = 1.5
 """J on the unseen sweep from which there is a gap that could be closed."""
-ALIKE = 6.0
-"""Log evidence behind the best up to which a candidate counts as not told apart."""
 LARGEST_CLASS = 3
 """Effects that a class lists, the likeliest; what else is not told apart is told in words."""
 LEAVES, LEAVES_ALL = 6.0, 8.0
@@ -40,36 +35,6 @@ Such tests have no rivals to be weighed against. Of more than 70 such verdicts i
 program all came true; laws of an effect that nobody thought of make it less. `benchmarks/gap.py` prints how often."""
 SURE = 1e-12
 """Probability that rivals keep however certain an explanation was: unseen data can still speak for them."""
-CLEAR = 30.0
-"""Excess chi-square of a group from which the share that an explanation leaves of it means something."""
-
-
-Groups = Sequence[tuple[float, int]]
-"""(chi-square, number of residuals) each"""
-
-
-@dataclass(frozen=True, eq=False)
-class Ranked:
-    """An explanation with its evidence and probability."""
-
-    candidate: Candidate
-    log_evidence: float
-    """`DETECTED` taken off for every effect: an effect is named only for good reason"""
-    probability: float
-    unexplained: float
-    """share of the plain twin's excess chi-square that is left"""
-    shares: tuple[float, ...] = ()
-    """the same for the fundamental and for the harmonics of each sweep in turn; 0 where there was no gap"""
-    across: tuple[float, ...] = ()
-    """the same for the fundamental in the plane that was not excited, sweep by sweep"""
-    open_strength: tuple[str, ...] = ()
-    """effects that grow with amplitude, and without which the fitted data are as likely: nothing tells how strong they
-    are on louder ones"""
-
-    @property
-    def apart(self) -> tuple[float, ...]:
-        """Shares of everything that is told apart: what couples the planes shows where little else does."""
-        return (*self.shares, *self.across)
 
 
 @dataclass(frozen=True)
@@ -130,122 +95,6 @@ class HeldOut:
     def closure(self) -> float | None:
         """Share of the gap that is closed, harmonics included; None where the plain twin has none there."""
         return closure_of(self.before, self.after) if self.before > VISIBLE else None
-
-
-def noise_levels(null: Candidate, candidates: Sequence[Candidate]) -> list[float]:
-    """Chi-square of each group that a right twin leaves: no more than one per residual, nor than the best fit has."""
-    return _levels([c.fit.groups for c in (null, *candidates)])
-
-
-def _levels(groups: Sequence[Groups]) -> list[float]:
-    return [float(min(one[0][1], *(chi for chi, _ in one))) for one in zip(*groups, strict=True)]
-
-
-def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
-    """Explanations by falling evidence, the plain twin (no effects) among them."""
-    noise = noise_levels(null, candidates)
-    everything = [null, *candidates]
-    logs = np.array([log_evidence(c.fit, c.occam, noise) - DETECTED * len(c.effects) for c in everything])
-    p = probabilities(logs)
-    across, quiet = [c.fit.across for c in everything], _levels([c.fit.across for c in everything])
-    out = [
-        Ranked(
-            c,
-            float(log),
-            float(q),
-            unexplained(c, null, noise),
-            shares(c.fit.groups, null.fit.groups, noise),
-            shares(there, across[0], quiet),
-            _open_strength(c, log, everything, logs),
-        )
-        for c, log, q, there in zip(everything, logs, p, across, strict=True)
-    ]
-    return sorted(out, key=lambda r: -r.log_evidence)
-
-
-def _open_strength(
-    candidate: Candidate, log: float, everything: Sequence[Candidate], logs: Iterable[float]
-) -> tuple[str, ...]:
-    """Effects of an explanation that grow with amplitude, and without which one of fewer effects is as likely.
-
-    What answers in proportion is as small on any sweep as on the fitted ones.
-    """
-    likely = [(set(c.effects), other) for c, other in zip(everything, logs, strict=True)]
-
-    def without(effect: str) -> float:
-        rest = set(candidate.effects) - {effect}
-        return max(other for effects, other in likely if effects <= rest)
-
-    grow = (effect for effect in candidate.effects if CATALOGUE[effect].nonlinear)
-    return tuple(effect for effect in grow if without(effect) >= log)
-
-
-def renormalised(order: Sequence[Ranked]) -> list[Ranked]:
-    """The same explanations, others being out of the question."""
-    p = probabilities(np.array([r.log_evidence for r in order]))
-    return [replace(r, probability=float(q)) for r, q in zip(order, p, strict=True)]
-
-
-def unexplained(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> float:
-    """Share of the plain twin's excess that an explanation leaves, the datasheet's values at their own price."""
-    before = max(null.fit.cost - sum(noise), 1e-9)
-    return float((candidate.fit.cost - sum(noise)) / before)
-
-
-def shares(groups: Groups, null: Groups, noise: Sequence[float]) -> tuple[float, ...]:
-    """Share of the plain twin's excess that is left, group by group; 0 where the plain twin has no clear excess."""
-    out = []
-    for (after, _), (before, _), level in zip(groups, null, noise, strict=True):
-        clear = before - level > CLEAR
-        out.append(float(max(after - level, 0.0) / (before - level)) if clear else 0.0)
-    return tuple(out)
-
-
-def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = ()) -> tuple[str, ...]:
-    """Single effects that the data cannot tell from the best one, the best first.
-
-    Known aliases that fit as well count whatever the number of their parameters: how many a law has says little
-    of how likely it is. As well is what leaves no more than the error of the best one's own law would: a large effect
-    shows shapes of a mode that differ by less than two programs do, and a housing has them equal.
-    """
-    name = best.candidate.effects[0]
-    null = next(r.candidate.fit for r in order if not r.candidate.effects)
-    cost = best.candidate.fit.cost
-    as_well = max(2 * ALIKE, LAW_ERROR**2 * (null.cost - cost))
-
-    def close(r: Ranked) -> bool:
-        other = r.candidate.effects[0]
-        if r.log_evidence > best.log_evidence - ALIKE:
-            return True
-        return aliases(name, other) and r.candidate.fit.cost < cost + as_well
-
-    near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
-    near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE]
-    near.sort(key=lambda r: (r is not best, -r.log_evidence))
-    return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))
-
-
-def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str, ...], ...], float]:
-    """Classes of a mixture's effects that known aliases could stand for beside the others, and what all of those add.
-
-    The best one's effect first in each; the number is the probability of the mixtures that differ in one effect so.
-    """
-    effects, classes, added = best.candidate.effects, [], 0.0
-    near = [r for r in order if r is not best and r.log_evidence > best.log_evidence - ALIKE]
-    for name in effects:
-        rest = set(effects) - {name}
-        group = [name]
-        for r in near:
-            other = set(r.candidate.effects) - rest
-            if len(r.candidate.effects) != len(effects) or len(other) != 1 or not rest <= set(r.candidate.effects):
-                continue
-            alias = next(iter(other))
-            if aliases(name, alias):
-                group.append(alias)
-                added += r.probability
-        if len(group) > 1:
-            classes.append(tuple(group))
-    return tuple(classes), added
 
 
 def at_the_end_of_its_range(candidate: Candidate) -> bool:

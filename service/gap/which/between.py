@@ -13,7 +13,8 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.evidence import log_evidence
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
-from service.gap.weighing.verdict import ALIKE, DETECTED, Ranked, noise_levels, renormalised
+from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.ranking import DETECTED, Ranked, noise_levels, renormalised
 from service.gap.which.begun import residuals
 from service.gap.which.explained import Explained
 from service.gap.which.refined import WITHIN

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
-from service.gap.weighing.verdict import Ranked, ranked, renormalised
+from service.gap.weighing.ranking import Ranked, ranked, renormalised
 from sim.effects import CATALOGUE
 
 Real = NDArray[np.float64]

@@ -12,8 +12,8 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.part import Ground, Part
 from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
 from service.gap.measured.observation import Observation
+from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.significance import significance
-from service.gap.weighing.verdict import Ranked
 
 Complex = NDArray[np.complex128]
 

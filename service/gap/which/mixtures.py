@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import PROBE
+from service.gap.weighing.alike import ALIKE
 from service.gap.weighing.another_rig import at_bound, hopeless
+from service.gap.weighing.ranking import CLEAR, Ranked, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
-from service.gap.weighing.verdict import ALIKE, CLEAR, MIXED, Ranked, ranked, renormalised
+from service.gap.weighing.verdict import MIXED
 from service.gap.which.begun import beside, residuals, rough_beside
 from service.gap.which.refined import LOST, best_of_each, contained, cost, refined, to_the_end
 from service.gap.which.woken import awake

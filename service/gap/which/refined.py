@@ -10,7 +10,7 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import slow_to_compute
-from service.gap.weighing.verdict import ranked
+from service.gap.weighing.ranking import ranked
 from sim.effects import CATALOGUE, aliases
 
 REFINED = 6

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.part import STANDSTILL
-from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.weighing.ranking import Ranked
+from service.gap.weighing.verdict import Verdict
 from sim.effects import CATALOGUE
 from sim.rig import FlexibleMode, Rig
 

@@ -13,7 +13,8 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError
-from service.gap.weighing.verdict import UNEXPLAINED, UNEXPLAINED_BY_SEVERAL, Ranked, noise_levels, ranked
+from service.gap.weighing.ranking import Ranked, noise_levels, ranked
+from service.gap.weighing.verdict import UNEXPLAINED, UNEXPLAINED_BY_SEVERAL
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
 from service.gap.which.curvature import SHOWN, curvatures

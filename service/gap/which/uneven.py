@@ -25,7 +25,7 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import centred
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import TOLERANCE_BOUND, asleep
-from service.gap.weighing.verdict import noise_levels
+from service.gap.weighing.ranking import noise_levels
 from service.gap.which.refined import cost
 from sim import imbalance
 from sim.effect import Effect

@@ -8,7 +8,7 @@ from service.gap.dated import dated
 from service.gap.document import stated
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.weighing.verdict import Ranked
+from service.gap.weighing.ranking import Ranked
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 

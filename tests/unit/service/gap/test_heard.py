@@ -12,7 +12,8 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.heard import heard_too, once_a_turn, with_interference
 from service.gap.interference import Interference
-from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.weighing.ranking import Ranked
+from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
 from sim.effects import CATALOGUE

@@ -18,7 +18,8 @@ from service.gap.next_experiment import Proposal, only_fainter, submission
 from service.gap.proposal.case import Grounds, limits_of
 from service.gap.proposal.options import Option, options
 from service.gap.proposal.sensor_noise import SensorNoise
-from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.weighing.ranking import Ranked
+from service.gap.weighing.verdict import Verdict
 from service.gap.which.rivals import left_together
 from service.jobs.campaigns import profile_of
 from sim.twin import with_effects

@@ -13,8 +13,8 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import Observation, observe
 from service.gap.measured.sweeps import halves
+from service.gap.weighing.ranking import ranked
 from service.gap.weighing.significance import alone_hz, fastest_alone_hz, furthest_alone_hz, shows_alone_hz
-from service.gap.weighing.verdict import ranked
 from service.gap.where.dependence import dependence
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep

@@ -10,8 +10,8 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, Values, parts
 from service.gap.measured.observation import Observation, observe
 from service.gap.passes import told_by_the_other
+from service.gap.weighing.ranking import ranked
 from service.gap.weighing.significance import SIGNIFICANT, significance
-from service.gap.weighing.verdict import ranked
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 from service.gap.which.search import plain_twin

@@ -57,7 +57,7 @@ def test_damping_is_right_though_the_tones_were_recorded_before_they_settled(has
 
 def test_without_it_the_damping_would_be_off(hasty: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
     """That the test above tests something."""
-    monkeypatch.setattr("service.identification.fit.settled", lambda data, *_: (data, ()))
+    monkeypatch.setattr("service.identification.plane_fit.settled", lambda data, *_: (data, ()))
     plane = identify(synthetic_experiment(hasty, axes=AXES), sheet()).planes["x"]
     assert abs(plane.modes[0].damping_ratio.value / TRUTH.damping_ratios[0] - 1) > 0.03
 
@@ -158,7 +158,7 @@ def test_damping_is_right_where_the_loop_hardly_damps_the_mode(monkeypatch: pyte
     mode = identify(experiment, sheet()).planes["x"].modes[0].damping_ratio
     assert mode.value == pytest.approx(truth.damping_ratios[0], rel=0.06)
     assert abs(mode.value - truth.damping_ratios[0]) < 4 * mode.std
-    monkeypatch.setattr("service.identification.fit.settled", lambda data, *_: (data, ()))
+    monkeypatch.setattr("service.identification.plane_fit.settled", lambda data, *_: (data, ()))
     without = identify(experiment, sheet()).planes["x"].modes[0].damping_ratio
     assert abs(without.value / truth.damping_ratios[0] - 1) > 0.3
 
@@ -241,7 +241,7 @@ def test_a_plane_is_asked_again_where_the_other_one_rang(hasty: Sweep, monkeypat
         found = settled(data, *rest) if data.plant.plane == "x" else (data, ())
         return found
 
-    monkeypatch.setattr("service.identification.fit.settled", recorded)
+    monkeypatch.setattr("service.identification.plane_fit.settled", recorded)
     both = replace(
         hasty,
         **{s: np.concatenate([_beside(getattr(hasty, s)), _beside(getattr(hasty, s))[..., ::-1]]) for s in "RUIY"},

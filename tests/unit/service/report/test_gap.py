@@ -13,8 +13,9 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.loop import loop_figures
 from service.gap.measured.observation import observe
+from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
-from service.gap.weighing.verdict import Ranked, Verdict
+from service.gap.weighing.verdict import Verdict
 from service.gap.where.dependence import Dependence
 from service.gap.where.where import PathGap, Where
 from service.identification.synthetic import plane_model_of, synthetic_sweep

@@ -15,7 +15,7 @@ from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import MODEL_FLOOR, Observation, observe
-from service.gap.weighing.verdict import ranked
+from service.gap.weighing.ranking import ranked
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 from service.gap.which.search import plain_twin

@@ -9,7 +9,9 @@ import pytest
 from service.gap.document import sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.weighing.verdict import ALIKE, HeldOut, Ranked, Verdict, decide, ranked
+from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.ranking import Ranked, ranked
+from service.gap.weighing.verdict import HeldOut, Verdict, decide
 from sim.effect import End
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig

@@ -11,8 +11,8 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.condition import conditions_of, same_condition
 from service.gap.measured.observation import Observation, observe
+from service.gap.weighing.ranking import ranked
 from service.gap.weighing.significance import SIGNIFICANT
-from service.gap.weighing.verdict import ranked
 from service.gap.where.dependence import change_between, dependence, relative_error
 from service.gap.where.where import locate
 from service.gap.which.explained import Explained

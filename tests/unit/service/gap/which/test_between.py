@@ -15,7 +15,7 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import Stage
 from service.gap.measured.observation import observe
-from service.gap.weighing.verdict import Ranked
+from service.gap.weighing.ranking import Ranked
 from service.gap.which import between as between_parts
 from service.gap.which.begun import residuals
 from service.gap.which.between import Exchange

@@ -10,7 +10,9 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task, fit_task
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import TOLERANCE_BOUND
-from service.gap.weighing.verdict import ALIKE, MIXED, Ranked
+from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.ranking import Ranked
+from service.gap.weighing.verdict import MIXED
 from service.gap.which.mixtures import from_the_other_side, worth_it
 from service.gap.which.refined import best_of_each, cost
 from sim.reference import reference_rig

@@ -4,7 +4,7 @@ import numpy as np
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.weighing.verdict import ranked
+from service.gap.weighing.ranking import ranked
 from service.gap.which.search import leaves_much
 from sim.reference import reference_rig
 
