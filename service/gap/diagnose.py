@@ -22,13 +22,13 @@ from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
 from service.gap.outdated import fewer, outdated
-from service.gap.passes import FITTED, Found, found_in
+from service.gap.passes import PERCENT_FITTED, Found, found_in
 from service.gap.proposal.case import Grounds
 from service.gap.telling import ProgressCallback, Telling
 from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
-from service.gap.which.beyond import OFF
+from service.gap.which.beyond import OFF_TOLERANCES
 from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
 from sim.datasheet import Datasheet
@@ -55,7 +55,7 @@ def diagnose(
     data, telling = observed(experiment, datasheet), Telling(progress)
     with Fitter(jobs, telling.fitted) as fitter:
         found = found_in(data, fitter, telling)
-        telling.judging(FITTED)
+        telling.judging(PERCENT_FITTED)
         told = _told(experiment.rig, datasheet, data, found, fitter)
         if datasheet.effects and told.verdict.kind != "no_gap" and told.verdict.settled:
             told = _of_a_twin(told, experiment, datasheet, fitter, telling)
@@ -68,7 +68,7 @@ def _of_a_twin(
     """What was told, or that the twin is out of date: it is held against the twin without some of its effects."""
     without = {}
     for names, sheet in fewer(datasheet):
-        telling.without(names, FITTED)
+        telling.without(names, PERCENT_FITTED)
         fitter.lost.clear()  # of this twin alone
         with suppress(AmbError):  # without them it may be no rig that can be fitted
             data = observed(experiment, sheet)
@@ -137,7 +137,7 @@ def _told(
         tuple(notes),
         discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
     )
-    off = nu.far_off(null.fit.theta, OFF) if found_out.within_the_datasheet else []
+    off = nu.far_off(null.fit.theta, OFF_TOLERANCES) if found_out.within_the_datasheet else []
     without = (
         [f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"] if off else []
     )

@@ -12,13 +12,13 @@ from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Shrinkage
 from service.gap.weighing.verdict import Verdict
 from service.gap.where.where import Where
-from service.gap.which.beyond import STATED
+from service.gap.which.beyond import ERRORS_OF_STATED_VALUES
 
-SHOWN = 10
+CANDIDATES_REPORTED = 10
 """Candidates in the report."""
 
 
-def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = SHOWN) -> list[Ranked]:
+def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = CANDIDATES_REPORTED) -> list[Ranked]:
     """Explanations for the report: the chosen one, rivals by falling evidence, then what adds to the chosen one.
 
     What contains the chosen one is no rival of it, and there are so many that they would crowd out all others.
@@ -78,7 +78,7 @@ class Diagnosis:
     def within_the_datasheet(self) -> bool:
         """Whether the plain twin leaves noise, so that an effect is named for what its datasheet would be off by."""
         named = set(self.verdict.effects)
-        return bool(named) and named <= set(STATED) and self.gap_before <= self.noise_floor
+        return bool(named) and named <= set(ERRORS_OF_STATED_VALUES) and self.gap_before <= self.noise_floor
 
     @property
     def null(self) -> Candidate:

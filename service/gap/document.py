@@ -9,7 +9,7 @@ import numpy as np
 
 from service.gap.diagnosis import Diagnosis, listed, runner_up
 from service.gap.fitting.candidates import Candidate
-from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Closed
 from sim.effects import CATALOGUE
@@ -166,7 +166,7 @@ def alike(d: Diagnosis) -> tuple[list[str], list[str]]:
         named = next(e for e in group if e in v.effects)
         for other in (e for e in group if e not in v.effects):
             own = evidence.get(frozenset({*v.effects, other} - {named}))
-            behind = own is not None and own < best - ALIKE
+            behind = own is not None and own < best - ALIKE_LOG_EVIDENCE
             (unlikely if behind else rivals).append(other)
     return rivals, unlikely
 

@@ -10,18 +10,18 @@ import numpy as np
 from service.experiment.data import Sweep
 from service.gap.compose import Composition
 from service.gap.fitting.candidates import Candidate
-from service.gap.interference import BINS, NEAR, Interference, hums_hz, quiet_cells
+from service.gap.interference import DISTANCE_BINS, NEAR_HUM, Interference, hums_hz, quiet_cells
 from service.gap.measured.coherent import heard_in, without_hum
 from service.gap.measured.observation import near_hum, usable
 from service.gap.measured.scatter import block_scatter
-from service.gap.weighing.shrinkage import NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
+from service.gap.weighing.shrinkage import J_OF_NOISE, RESAMPLES, Shrinkage, closure_of, interval_95
 from service.gap.weighing.significance import SIGNIFICANT, significance
 from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
-ALONE = 0.9
+PROBABILITY_NAMED_ALONE = 0.9
 """Probability of interference that is named in the place of what nothing explains near it."""
 
 
@@ -44,7 +44,7 @@ def heard_too(verdict: Verdict, sources: Sequence[Interference], found: Sequence
     if by_phase or verdict.another_rig or not all(_near(e, sources) for e in unknown):
         told = tuple(f"{s.effect.replace('_', ' ')} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
         return replace(verdict, reasons=(*verdict.reasons, *told))
-    return Verdict("effect" if len(names) == 1 else "effects", names, classes, ALONE, ())
+    return Verdict("effect" if len(names) == 1 else "effects", names, classes, PROBABILITY_NAMED_ALONE, ())
 
 
 def once_a_turn(sources: Sequence[Interference]) -> list[str]:
@@ -61,7 +61,7 @@ def _near(e: Explained, sources: Sequence[Interference]) -> bool:
     """Whether what the best explanation of a part leaves lies near the interference, and nothing of it elsewhere."""
     for z, o in zip(e.left, e.ground.observations, strict=True):
         at = (o.points_hz[:, None] * np.array(o.harmonics))[..., None]
-        away = np.abs(at / np.array(hums_hz(sources)) - 1).min(axis=-1).min(axis=-1) > BINS[-1]
+        away = np.abs(at / np.array(hums_hz(sources)) - 1).min(axis=-1).min(axis=-1) > DISTANCE_BINS[-1]
         if away.any() and significance(z[away], replace(o, line=o.line[away], axis=o.axis[away])) > SIGNIFICANT:
             return False
     return True
@@ -106,7 +106,7 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
     before, after = np.empty(0), np.empty(0)
     for source in sources:
         variance, away = (of_i if source.signal == "i" else of_y), np.abs(at / source.frequency_hz - 1)
-        far, near, without = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR), variance
+        far, near, without = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR_HUM), variance
         if source.heard_hz:
             near = quiet & heard_in(sweep, source.frequency_hz)
             _, *rest = block_scatter(without_hum(sweep, source.frequency_hz), rig)
@@ -119,7 +119,7 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
             before = np.concatenate([before, ratio])
             after = np.concatenate([after, (without / floor)[near].mean(axis=1)])
             continue
-        expected = np.array(source.shape)[np.searchsorted(BINS, away[near], side="right") - 1]
+        expected = np.array(source.shape)[np.searchsorted(DISTANCE_BINS, away[near], side="right") - 1]
         before = np.concatenate([before, ratio])
         after = np.concatenate([after, ratio / np.maximum(expected, 1.0)])
     if not len(before):
@@ -130,4 +130,4 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
     ]
     told = interval_95([c for c in resampled if c is not None], len(resampled))
     J_b, J_a = float(before.mean()), float(after.mean())
-    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), told, name, NOISE)
+    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), told, name, J_OF_NOISE)

@@ -16,13 +16,13 @@ from sim.rig import Rig
 Complex = NDArray[np.complex128]
 
 RESONANCES = ("extra_flexible_mode", "support_resonance")
-BESIDE = 0.01
+OF_THAT_MODE = 0.01
 """Relative distance of a resonance that is named to a mode of the datasheet, from which that mode is asked about."""
 SCALED = 0.005
 """Change of the controller's gain from which the scale of the log is asked about."""
 PLAIN = 300.0
 """Chi-square that such a point has at least."""
-MOST = 0.8
+SHARE_OF_ONE_POINT = 0.8
 """Share of what the plain twin leaves of a part, beyond noise, that one point has where it is told."""
 
 
@@ -54,7 +54,7 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
     for name in (name for name in RESONANCES if name in named):
         at_hz = named[name]["frequency_hz"]
         modes_hz = [m.natural_frequency_rad_s / (2 * np.pi) for plane in datasheet.rotor.modes for m in plane]
-        near = [f for f in modes_hz if abs(at_hz / f - 1) < BESIDE]
+        near = [f for f in modes_hz if abs(at_hz / f - 1) < OF_THAT_MODE]
         if near:
             told.append(
                 f"the {name.replace('_', ' ')} lies at {at_hz:.4g} Hz, where the datasheet has a mode of the rotor "
@@ -97,4 +97,4 @@ def _worst(z: Complex) -> int | None:
     # of a point's dozen values noise never has twice their number, once a hundred points are looked at hardly so
     excess = np.maximum(power.sum(axis=(1, 2)) - 2 * np.count_nonzero(power, axis=(1, 2)), 0.0)
     k = int(excess.argmax())
-    return k if excess[k] > PLAIN and excess[k] > MOST * excess.sum() else None
+    return k if excess[k] > PLAIN and excess[k] > SHARE_OF_ONE_POINT * excess.sum() else None

@@ -35,11 +35,11 @@ Complex = NDArray[np.complex128]
 MAINS_HZ = tuple(mains * k for k in (1, 2, 3, 6) for mains in (50.0, 60.0))
 """The mains, and what rectifiers make of them."""
 MULTIPLES = (1, 2, 3, 5)
-NEAR = 0.06
+NEAR_HUM = 0.06
 """Relative distance up to which a harmonic is near an interference."""
-FAR = (0.45, 0.8)
+FAR_FROM_HUM = (0.45, 0.8)
 """Relative distances between which it is held against."""
-LOUD = 1.8
+LOUD_RATIO = 1.8
 """Ratio of the variance near to the variance far from which an interference is named."""
 CERTAIN = 8.0
 """Normal deviate from which it is."""
@@ -49,7 +49,7 @@ IN_PHASE = 8.0
 """The same by its phase: of 123 simulated rigs without any 3.1 was the largest, of 9 rigs with one 25 the least."""
 OWN = 0.3
 """Share of a current's hum that must be the current's own: what the controller makes of a sensor's hum is not."""
-BINS = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, HUMMED)
+DISTANCE_BINS = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, HUMMED)
 """Relative distances over which its share of the variance is averaged."""
 
 
@@ -70,7 +70,7 @@ class Interference:
     """normal deviate"""
     signal: str
     shape: tuple[float, ...] = ()
-    """mean variance ratio over `BINS`; empty where the phase tells more"""
+    """mean variance ratio over `DISTANCE_BINS`; empty where the phase tells more"""
     heard_hz: tuple[float, ...] = ()
     """frequencies at which its phase was heard"""
     aliases: tuple[str, ...] = ()
@@ -173,7 +173,7 @@ def _heard(
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     away = np.abs(at / frequency_hz - 1)
     quiet = quiet_cells(sweep, rig)
-    near, far = quiet & (away < NEAR), quiet & (away > FAR[0]) & (away < FAR[1])
+    near, far = quiet & (away < NEAR_HUM), quiet & (away > FAR_FROM_HUM[0]) & (away < FAR_FROM_HUM[1])
     if near.sum() < 4 or far.sum() < 4 or np.mean(variance[quiet] > 0) < SCATTERS:
         return None
     level, floor = (np.log(np.maximum(variance[cells], 1e-300)).mean(axis=0) for cells in (near, far))
@@ -181,12 +181,12 @@ def _heard(
     # The log of a variance of B blocks scatters by about 1 / sqrt(B - 1); the channels share the interference.
     spread = float(np.sqrt((1 / near.sum() + 1 / far.sum()) / (blocks - 1)))
     heard = float((level - floor).mean())
-    if heard < np.log(LOUD) or heard / spread < CERTAIN:
+    if heard < np.log(LOUD_RATIO) or heard / spread < CERTAIN:
         return None
     ratio = variance / np.exp(floor)
     shape = tuple(
         float(ratio[inside].mean()) if (inside := quiet & (away >= low) & (away < high)).any() else 1.0
-        for low, high in itertools.pairwise(BINS)
+        for low, high in itertools.pairwise(DISTANCE_BINS)
     )
     amplitude = float(np.sqrt(variance[near].mean(axis=1).max() * (blocks - 1)))
     return Interference(

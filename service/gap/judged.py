@@ -20,7 +20,7 @@ from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import astray, far_off
 from service.gap.weighing.significance import alone_hz, significance
-from service.gap.weighing.verdict import SURE_OF_NONE, UNEXPLAINED, HeldOut, Verdict, decide
+from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from sim.effects import CATALOGUE
@@ -175,7 +175,7 @@ def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> s
             if reason := instead(e, plain, best):
                 return reason
     # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
-    blunt = verdict.kind == "no_gap" or (verdict.effects and e.order[0].unexplained > UNEXPLAINED)
+    blunt = verdict.kind == "no_gap" or (verdict.effects and e.order[0].unexplained > MAX_SHARE_LEFT)
     return curved(e, best) if blunt else None
 
 
@@ -227,7 +227,7 @@ def not_settled(o: Observation, gap: float) -> str | None:
     if o.unsettled <= UNSETTLED:
         return None
     change = o.drift[o.drifting]
-    if drift_of(o) < UNEXPLAINED * gap:
+    if drift_of(o) < MAX_SHARE_LEFT * gap:
         return None
     return (  # where an answer is small its drift is large beside it: of such points the mean is
         f"the rig did not settle: {100 * o.unsettled:.0f} % of the points still drift from block to block, half of "

@@ -18,7 +18,7 @@ from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
 from service.gap.measured.observation import GapError, Observation, usable
 from service.gap.measured.pair import Pair
-from service.gap.measured.settling import DRIFTS
+from service.gap.measured.settling import TOLD_DRIFTING_SHARE
 from service.gap.measured.sweeps import halves, notes_on, other_rate, span_s, sweeps_for
 from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
@@ -108,7 +108,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     nu, undated = _drifting_over(nu, span)
     notes += undated
     o, unseen = pair.observations(nu.rig, hums_hz(sources), span)
-    if o.unsettled > DRIFTS:
+    if o.unsettled > TOLD_DRIFTING_SHARE:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not pair.lines_only and (same := same_condition(o, unseen)):
         notes.append(same)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from service.gap.diagnosis import Diagnosis
-from service.gap.weighing.ranking import DETECTED
+from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT
 from service.gap.weighing.shrinkage import shrinkage
 from service.gap.weighing.verdict import Verdict
 from sim.datasheet import Datasheet
@@ -74,7 +74,7 @@ def _likelier(names: tuple[str, ...], best: Diagnosis, d: Diagnosis) -> bool:
     fewer effects, or the other one explain nothing.
     """
     if len(best.null.fit.groups) == len(d.null.fit.groups):
-        return _evidence(best) > _evidence(d) + DETECTED
+        return _evidence(best) > _evidence(d) + LOG_EVIDENCE_PER_EFFECT
     return _price(names, best)[0] < len(d.verdict.effects) or d.verdict.kind == "none_of_these"
 
 

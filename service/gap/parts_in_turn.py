@@ -18,7 +18,7 @@ from service.gap.telling import Telling
 from service.gap.which.begun import residuals
 from service.gap.which.between import between
 from service.gap.which.explained import Explained
-from service.gap.which.search import MOST, explain, plain_twin
+from service.gap.which.search import LARGEST_MIXTURE, explain, plain_twin
 
 Real = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class PartsInTurn:
         suspect = part.path == "plant" and not self.data.aloud
         if suspect:
             self.fault = log_fault(self.fitter, self.explained, ground, plain, self.observations)
-        result = explain(self.fitter, ground, plain, 1 if self.fault else MOST, sooner)
+        result = explain(self.fitter, ground, plain, 1 if self.fault else LARGEST_MIXTURE, sooner)
         if suspect and not self.fault:
             self.fault = faint_log_fault(self.fitter, self.explained, result, result.chosen)
         if ground.inherited is not None and not self.fault:

@@ -14,14 +14,14 @@ from service.gap.parts_in_turn import PartsInTurn
 from service.gap.telling import Telling
 from service.gap.weighing.another_rig import hopeless
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
-from service.gap.weighing.verdict import UNEXPLAINED, VISIBLE, rejected
+from service.gap.weighing.verdict import MAX_SHARE_LEFT, VISIBLE_J, rejected
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import held_out, on_sweep
 from sim.effects import CATALOGUE
 
-ONE_SWEEP, FITTED = 80.0, 97.0
+PERCENT_ONE_SWEEP, PERCENT_FITTED = 80.0, 97.0
 """Percent that are done when the main sweep is explained, and when every fit is done."""
-BEYOND_CHANCE = 36.0
+CHI_SQUARE_BEYOND_CHANCE = 36.0
 """Chi-square that a prediction takes off data no fit has seen: without the effect, a predicted change of x standard
 deviations takes off 2 n x - x^2 for noise of n along it, so that n has to be 6 or more, whatever x."""
 
@@ -42,7 +42,7 @@ class Found:
 def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
     """The explanations of every part of the loop."""
     main = PartsInTurn(fitter, data, (data.o,))
-    main.explain_all(telling, (0.0, FITTED if data.lines_only else ONE_SWEEP))
+    main.explain_all(telling, (0.0, PERCENT_FITTED if data.lines_only else PERCENT_ONE_SWEEP))
     of_main = Found(tuple(main.explained), main.fault, data.unseen, data.name)
     if data.lines_only or main.fault:
         return of_main
@@ -59,7 +59,7 @@ def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
     failing |= {e.part.path: e for e in undecided if e.part.path in alone}
     known = {e.part.path: e for e in main.explained if e.part.path not in failing}
     both = PartsInTurn(fitter, data, (data.o, seen), before=failing)
-    both.explain_all(telling, (ONE_SWEEP, FITTED), known)
+    both.explain_all(telling, (PERCENT_ONE_SWEEP, PERCENT_FITTED), known)
     note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
     return Found(tuple(both.explained), both.fault, unseen, name, (note,))
 
@@ -75,7 +75,7 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
     Or a curvature there, where nothing explains the main one: of a stop that few lines reach it may be all that shows.
     """
     o, z = on_sweep(e, e.chosen, unseen)
-    clear = mean_power(z) > VISIBLE and significance(z, o) > SIGNIFICANT
+    clear = mean_power(z) > VISIBLE_J and significance(z, o) > SIGNIFICANT
     bent = not e.chosen.effects and curved(e, (o, z)) is not None
     return clear or bent or held_out(e, unseen).fails or told_by_the_other(e, unseen)
 
@@ -93,7 +93,7 @@ def told_by_the_other(e: Explained, unseen: Observation) -> bool:
         and any(CATALOGUE[name].nonlinear for name in set(r.candidate.effects) - set(best.effects))
     )
     left = _left(e, best, unseen)
-    return any(left - _left(e, c, unseen) > BEYOND_CHANCE for c in more)
+    return any(left - _left(e, c, unseen) > CHI_SQUARE_BEYOND_CHANCE for c in more)
 
 
 def _left(e: Explained, candidate: Candidate, unseen: Observation) -> float:
@@ -113,4 +113,4 @@ def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
         return hz
     at = o.points_hz == hz
     _, plain = on_sweep(e, e.null.candidate, unseen)
-    return hz if np.sum(np.abs(z[at]) ** 2) > UNEXPLAINED * np.sum(np.abs(plain[at]) ** 2) else None
+    return hz if np.sum(np.abs(z[at]) ** 2) > MAX_SHARE_LEFT * np.sum(np.abs(plain[at]) ** 2) else None

@@ -10,11 +10,11 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.which.explained import Explained
-from service.gap.which.search import MOST, explain
+from service.gap.which.search import LARGEST_MIXTURE, explain
 from sim.datasheet import Datasheet
 
 
-def plant_of(measured: Experiment, datasheet: Datasheet, most: int = MOST) -> Explained:
+def plant_of(measured: Experiment, datasheet: Datasheet, most: int = LARGEST_MIXTURE) -> Explained:
     """Every explanation of it by up to ``most`` effects, the best first."""
     nu = nuisance(datasheet)
     o = observe(measured.sweeps[0], nu.rig)

@@ -16,7 +16,7 @@ from service.gap.fitting.jacobian import displacement_jacobian
 from service.gap.fitting.predict import at_speed_of, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT
-from service.gap.weighing.verdict import UNEXPLAINED
+from service.gap.weighing.verdict import MAX_SHARE_LEFT
 from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -78,7 +78,7 @@ def across_alike(e: Explained) -> list[Across]:
         known = CATALOGUE[effect].of(e.ground.nuisance.rig).parameters
         parameter = next(p for p in known if p.name == STRENGTH[effect])
         strength = float(np.sqrt(abs(square)))
-        if left <= UNEXPLAINED and strength <= parameter.high:
+        if left <= MAX_SHARE_LEFT and strength <= parameter.high:
             found.append(Across(effect, strength, left))
     return sorted(found, key=lambda a: a.left)
 

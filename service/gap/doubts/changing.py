@@ -6,11 +6,11 @@ import numpy as np
 
 from service.gap.doubts.curved import Seen
 from service.gap.weighing.ranking import noise_levels
-from service.gap.weighing.verdict import UNEXPLAINED
+from service.gap.weighing.verdict import MAX_SHARE_LEFT
 from service.gap.which.changing_mode import ChangingMode, changing_mode
 from service.gap.which.explained import Explained
 
-BEYOND = 36.0
+CHI_SQUARE_MORE = 36.0
 """Chi-square by which it has to explain more, and that it has to explain at all: as a curvature is proven from."""
 SAID = 0.2
 """Share of the larger change, of frequency or damping in half widths of the peak, from which the other is told after
@@ -27,13 +27,13 @@ def changing_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
     noise, f = sum(noise_levels(null, [r.candidate for r in e.order])), plain[0].fundamental
     there, left_there = (float(np.sum(np.abs(z[:, f]) ** 2)) for z in (plain[1], best[1]))
     excess = null.fit.cost - noise
-    if e.part.path != "plant" or excess < BEYOND:
+    if e.part.path != "plant" or excess < CHI_SQUARE_MORE:
         return None
     changing = changing_mode(e.ground, null)
-    if changing is None or changing.explained < max(BEYOND, (1 - UNEXPLAINED) * excess):
+    if changing is None or changing.explained < max(CHI_SQUARE_MORE, (1 - MAX_SHARE_LEFT) * excess):
         return None
     by_named = null.fit.cost - named.fit.cost + there - left_there
-    better = changing.explained + changing.explained_on(*plain) > by_named + BEYOND
+    better = changing.explained + changing.explained_on(*plain) > by_named + CHI_SQUARE_MORE
     return _in_words(changing) if better else None
 
 

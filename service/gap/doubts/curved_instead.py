@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from service.gap.doubts.curved import Seen, in_words, systematic
 from service.gap.weighing.ranking import noise_levels
-from service.gap.weighing.verdict import UNEXPLAINED
-from service.gap.which.curvature import SHOWN, Curvature, curvatures
+from service.gap.weighing.verdict import MAX_SHARE_LEFT
+from service.gap.which.curvature import CHI_SQUARE_SHOWN, Curvature, curvatures
 from service.gap.which.explained import Explained
 
 Complex = NDArray[np.complex128]
@@ -31,7 +31,7 @@ def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
 
 def curved_alike(e: Explained, plain: Seen, best: Seen) -> tuple[str, ...]:
     """Causes of curvatures that explain a part as well as the best effects do: what they lack may be chance."""
-    return tuple(c.law.cause for better, c in _compared(e, plain, best) if better > -SHOWN)
+    return tuple(c.law.cause for better, c in _compared(e, plain, best) if better > -CHI_SQUARE_SHOWN)
 
 
 def _compared(e: Explained, plain: Seen, best: Seen) -> list[tuple[float, Curvature]]:
@@ -42,7 +42,7 @@ def _compared(e: Explained, plain: Seen, best: Seen) -> list[tuple[float, Curvat
     null, named = e.null.candidate, e.order[0].candidate
     noise = sum(noise_levels(null, [r.candidate for r in e.order]))
     fitted, there = null.fit.cost - named.fit.cost, _power(plain[1]) - _power(best[1])
-    enough = max(SHOWN, (1 - UNEXPLAINED) * (null.fit.cost - noise), fitted - SHOWN)
+    enough = max(CHI_SQUARE_SHOWN, (1 - MAX_SHARE_LEFT) * (null.fit.cost - noise), fitted - CHI_SQUARE_SHOWN)
     bent = [c for c in curvatures(e.ground, null, e.plain) if c.explained >= enough]
     by_named = fitted + there
     compared = [(c.explained + c.explained_on(*plain) - by_named, c) for c in bent]

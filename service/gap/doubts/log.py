@@ -17,7 +17,7 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE
 from service.gap.measured.observation import Observation
-from service.gap.weighing.ranking import CLEAR, noise_levels
+from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, noise_levels
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.which.explained import Explained, gap_significance
 from sim import control_law
@@ -84,7 +84,7 @@ def faint_log_fault(fitter: Fitter, before: Sequence[Explained], plant: Explaine
         return None
     noise = noise_levels(plain, [cured, explained])
     left, gap = (_excess(c.fit, noise) for c in (cured, plain))
-    return DISPLACEMENT if gap > CLEAR and left < CURED * gap else None
+    return DISPLACEMENT if gap > CLEAR_CHI_SQUARE and left < CURED * gap else None
 
 
 def _worked_out(ground: Ground) -> tuple[Ground, Ground]:

@@ -27,7 +27,7 @@ One = TypeVar("One")
 Other = TypeVar("Other")
 
 
-GOES_ON = 2
+KEPT_BEGINNINGS = 2
 """Beginnings that go on after each rough stage of a fit."""
 LAW_ERROR = 0.01
 """Relative error of a parameter that no data remove: two programs' laws of one effect agree no better (loop delays of
@@ -124,7 +124,7 @@ def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real
         with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to a rig that cannot be; another may not
             fit = problem.run(x, stage)
             led.append((fit.cost, problem.unknowns.vector(fit)))
-    return [x for _, x in sorted(led, key=lambda one: one[0])[:GOES_ON]]
+    return [x for _, x in sorted(led, key=lambda one: one[0])[:KEPT_BEGINNINGS]]
 
 
 def _straight(problem: Problem, begun: Sequence[Real]) -> list[Real]:

@@ -31,7 +31,7 @@ TURNS = 1.0
 
 OWN_SHARE = 0.3
 """Share of a hum's pattern that another's must leave of it."""
-SAME = 0.02
+SAME_PATTERN_RATIO = 0.02
 """Ratio of singular values below which two patterns are one: half a turn from block to block is the same either way."""
 
 
@@ -169,7 +169,7 @@ def _coefficients(pattern: Complex, signal: Complex) -> Complex:
 
 
 def _inverse(pattern: Complex) -> Complex:
-    return np.asarray(np.linalg.pinv(pattern, rcond=SAME))
+    return np.asarray(np.linalg.pinv(pattern, rcond=SAME_PATTERN_RATIO))
 
 
 def _alike(inverse: Complex, pattern: Complex) -> Mask:

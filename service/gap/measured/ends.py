@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 
 ENOUGH_BLOCKS = 4
 """Blocks from which neighbours can be told from others."""
-BEYOND_CHANCE = 2.0
+CHANCE_DEVIATIONS = 2.0
 """Standard deviations of what independent blocks show by chance, below which ends are taken to cancel."""
 NEIGHBOURS = 12
 """Points on either side, by frequency, whose blocks are looked at together: a point alone has too few."""
@@ -59,7 +59,7 @@ def share(deviations: Complex, variance: Real, frequency_hz: Real, by: Estimate 
     # cut off at one, an estimate that scatters would be below one in the mean of blocks that go together nowhere
     pairs = min(2 * NEIGHBOURS + 1, len(e)) * e.shape[2] * (blocks - 1)
     scatter = 2 * np.abs(neighbours) / np.sqrt(2 * pairs)
-    return np.asarray(np.where(of_mean < 1 - BEYOND_CHANCE * scatter, np.maximum(of_mean, 1 / blocks), 1.0))
+    return np.asarray(np.where(of_mean < 1 - CHANCE_DEVIATIONS * scatter, np.maximum(of_mean, 1 / blocks), 1.0))
 
 
 def _lagged(e: Complex, lag: int) -> Real:

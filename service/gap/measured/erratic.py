@@ -20,11 +20,11 @@ ERRATIC = 0.1
 """Scatter of a point's current about what follows the control signal, relative to its mean, from which it is erratic.
 On 250 sweeps of another program that and `UNLIKE` marked those whose amplifiers had lost their loop, by 0.15 to 0.7,
 and no other one; without `UNLIKE` noise has as much where the current is small."""
-BESIDE = 0.05
+ERRATIC_BESIDE = 0.05
 """The same of the other axes of such a line that are named with it."""
 UNLIKE = 30.0
 """Times the median of a sweep's points that such scatter must exceed besides: noise is alike in all."""
-FEW = 0.25
+LARGEST_ERRATIC_SHARE = 0.25
 """Share of a sweep's lines up to which they are left out: a limit is met in a few; what is so everywhere is noise of a
 probe, and is weighed as that."""
 FEWEST_AXES = 2
@@ -45,9 +45,9 @@ def erratic(sweep: Sweep) -> NDArray[np.bool_]:
     relative = scatter / np.maximum(np.abs(I.mean(axis=1)), tiny)
     unlike = relative > UNLIKE * np.median(relative)
     lines = np.unique(sweep.frequency_hz[unlike & (relative > ERRATIC)])
-    if len(lines) > FEW * len(np.unique(sweep.frequency_hz)):
+    if len(lines) > LARGEST_ERRATIC_SHARE * len(np.unique(sweep.frequency_hz)):
         return np.zeros(sweep.n_points, dtype=bool)
-    return np.asarray(np.isin(sweep.frequency_hz, lines) & unlike & (relative > BESIDE))
+    return np.asarray(np.isin(sweep.frequency_hz, lines) & unlike & (relative > ERRATIC_BESIDE))
 
 
 def erratic_in_words(sweep: Sweep, of: NDArray[np.bool_], axes: Sequence[str], name: str) -> list[tuple[str, bool]]:

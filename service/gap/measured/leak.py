@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.measured.settling import BY_CHANCE, trend
+from service.gap.measured.settling import FALSE_DRIFT_PROBABILITY, trend
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,7 +32,7 @@ def leaked(sweep: Sweep, harmonic: int, model: Complex, effect: Complex, cause: 
     """
     sloping = effect - np.einsum("pij,pbj->pbi", model, cause)
     probability, change = trend(sloping)
-    per_block = np.where(probability < BY_CHANCE, change, 0.0) / max(effect.shape[1] - 1, 1)
+    per_block = np.where(probability < FALSE_DRIFT_PROBABILITY, change, 0.0) / max(effect.shape[1] - 1, 1)
     return np.asarray(per_block / (np.pi * harmonic * periods(sweep)[:, None]))
 
 

@@ -44,7 +44,7 @@ UNSETTLED_SHARE = 0.25
 decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
 
 
-DRIFTS = 1e-4
+DRIFT_P_VALUE = 1e-4
 """Probability by chance below which a channel's trend from block to block counts as a drift."""
 
 
@@ -299,4 +299,4 @@ def _trend(X: Complex) -> Real:
     amplifier leaves of them has hardly any.
     """
     probability, change = trend(X)
-    return np.asarray(np.where(probability < DRIFTS, change, 0.0).max(axis=1))
+    return np.asarray(np.where(probability < DRIFT_P_VALUE, change, 0.0).max(axis=1))

@@ -15,13 +15,13 @@ from service.experiment.data import Sweep
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-BY_CHANCE = 0.01
+FALSE_DRIFT_PROBABILITY = 0.01
 """Probability that a settled point counts as drifting."""
 ENOUGH_BLOCKS = 3
 """Blocks from which the scatter about a trend can be told."""
-DRIFTS = 0.3
+TOLD_DRIFTING_SHARE = 0.3
 """Share of drifting points that is told. On 72 campaigns of three programs that let their rigs settle it was at most
-0.15, `BY_CHANCE` and what rings near sharp modes."""
+0.15, `FALSE_DRIFT_PROBABILITY` and what rings near sharp modes."""
 UNSETTLED = 0.5
 """Share from which nothing is named: where most points are wrong no fit holds, however robust (breakdown point)."""
 
@@ -66,6 +66,6 @@ def drifting(sweep: Sweep) -> tuple[NDArray[np.bool_], Real]:
     for X in (sweep.U[:, :, f], sweep.Y[:, :, f]):
         probability, moved = (v[points, sweep.axis] for v in trend(X))
         size = np.abs(X.mean(axis=1))[points, sweep.axis]
-        found |= probability < BY_CHANCE / 2
+        found |= probability < FALSE_DRIFT_PROBABILITY / 2
         change = np.maximum(change, moved / np.maximum(size, np.finfo(float).tiny))
     return found, change

@@ -21,7 +21,7 @@ ELSEWHERE = ("amplifier", "preliminary")
 SAME_RATE = 0.01
 """Relative difference of two sample rates below which they are the same."""
 
-ALIKE = 1e-9
+COPY_SHARE = 1e-9
 """Share of a signal that its blocks differ by where they are copies of one another, rounding apart."""
 
 
@@ -90,7 +90,7 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
         notes.append(
             "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
         )
-    if np.abs(main.Y - main.Y.mean(axis=1, keepdims=True)).max() < ALIKE * np.abs(main.Y).max():
+    if np.abs(main.Y - main.Y.mean(axis=1, keepdims=True)).max() < COPY_SHARE * np.abs(main.Y).max():
         notes.append(
             "the blocks of each point are alike: their noise is not known, and what is left of a gap may be noise that "
             "all of them share; log the blocks that were measured, not copies of their mean"

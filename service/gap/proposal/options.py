@@ -23,7 +23,7 @@ LINES, FEW_LINES = 24, 12
 """Main lines of a sweep, and of a slow one, where each takes its periods."""
 LOUD: Mapping[str, float] = {"displacement_share": 0.35, "current_share": 0.5, "nonlinearity": 10.0}
 """How far an option that asks for more amplitude may go: shares of the range, and magnets that are not quite linear."""
-BEYOND = 1.05
+NEW_LINE_RATIO = 1.05
 """Ratio of the first new line to the last one measured."""
 NARROWEST = 1.5
 """Ratio of a band's ends from which it is worth a sweep."""
@@ -74,7 +74,7 @@ def options(seen: Sequence[Observation], rig: Rig, limits: Limits) -> list[Optio
     low, high = min(float(o.frequency_hz[0]) for o in seen), max(float(o.frequency_hz[-1]) for o in seen)
     highest = min(HIGHEST_HZ, OF_NYQUIST * limits.sample_rate_hz / 2, limits.max_frequency_hz)
     top = min(high, limits.max_frequency_hz, TAKEN_HZ[1])
-    same, wide, slow = (low, top), (BEYOND * high, highest), (LOWEST_HZ, min(low / BEYOND, top))
+    same, wide, slow = (low, top), (NEW_LINE_RATIO * high, highest), (LOWEST_HZ, min(low / NEW_LINE_RATIO, top))
     speed = seen[0].speed_rad_s
     as_now = (f"hold the rotor at {_revolutions(speed)}",) if speed else ()
 

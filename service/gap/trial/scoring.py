@@ -17,7 +17,7 @@ DETECTABLE = 10.0
 """Whitened norm above which an effect counts as detectable."""
 CLASS_SIZE = 3
 """Largest alias class that still counts as an answer."""
-BINS = (0.0, 3.0, 10.0, 30.0, 100.0, math.inf)
+DETECTABILITY_BANDS = (0.0, 3.0, 10.0, 30.0, 100.0, math.inf)
 """Bands of detectability."""
 CALIBRATION_BINS = 10
 WORTH_CLOSING = 0.2
@@ -328,7 +328,7 @@ def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
 def _by_detectability(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Every score of cases with an effect of the catalogue, by how plainly it shows."""
     rows = []
-    for low, high in itertools.pairwise(BINS):
+    for low, high in itertools.pairwise(DETECTABILITY_BANDS):
         everything = [o for o in outcomes if o.kind != "clean" and low <= o.detectability < high]
         here = [o for o in everything if o.kind != "unlisted"]
         shares = [share for o in here if (share := o.closure_share) is not None]

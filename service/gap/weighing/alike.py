@@ -8,7 +8,7 @@ from service.gap.fitting.candidates import LAW_ERROR
 from service.gap.weighing.ranking import Ranked
 from sim.effects import aliases
 
-ALIKE = 6.0
+ALIKE_LOG_EVIDENCE = 6.0
 """Log evidence behind the best up to which a candidate counts as not told apart."""
 
 
@@ -22,16 +22,16 @@ def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = (
     name = best.candidate.effects[0]
     null = next(r.candidate.fit for r in order if not r.candidate.effects)
     cost = best.candidate.fit.cost
-    as_well = max(2 * ALIKE, LAW_ERROR**2 * (null.cost - cost))
+    as_well = max(2 * ALIKE_LOG_EVIDENCE, LAW_ERROR**2 * (null.cost - cost))
 
     def close(r: Ranked) -> bool:
         other = r.candidate.effects[0]
-        if r.log_evidence > best.log_evidence - ALIKE:
+        if r.log_evidence > best.log_evidence - ALIKE_LOG_EVIDENCE:
             return True
         return aliases(name, other) and r.candidate.fit.cost < cost + as_well
 
     near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
-    near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE]
+    near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE_LOG_EVIDENCE]
     near.sort(key=lambda r: (r is not best, -r.log_evidence))
     return tuple(dict.fromkeys(r.candidate.effects[-1] for r in near))
 
@@ -42,7 +42,7 @@ def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str
     The best one's effect first in each; the number is the probability of the mixtures that differ in one effect so.
     """
     effects, classes, added = best.candidate.effects, [], 0.0
-    near = [r for r in order if r is not best and r.log_evidence > best.log_evidence - ALIKE]
+    near = [r for r in order if r is not best and r.log_evidence > best.log_evidence - ALIKE_LOG_EVIDENCE]
     for name in effects:
         rest = set(effects) - {name}
         group = [name]

@@ -11,10 +11,10 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.evidence import log_evidence, probabilities
 from sim.effects import CATALOGUE
 
-DETECTED = 5.0
+LOG_EVIDENCE_PER_EFFECT = 5.0
 """Log evidence by which an effect must beat the plain twin, some 25 candidates being tried: in 134 parts of rigs of an
 independent program that had no effect there, the largest advantage by chance was 2.2, with a tail like exp(-x)."""
-CLEAR = 30.0
+CLEAR_CHI_SQUARE = 30.0
 """Excess chi-square of a group from which the share that an explanation leaves of it means something."""
 Groups = Sequence[tuple[float, int]]
 """(chi-square, number of residuals) each"""
@@ -26,7 +26,7 @@ class Ranked:
 
     candidate: Candidate
     log_evidence: float
-    """`DETECTED` taken off for every effect: an effect is named only for good reason"""
+    """`LOG_EVIDENCE_PER_EFFECT` taken off for every effect: an effect is named only for good reason"""
     probability: float
     unexplained: float
     """share of the plain twin's excess chi-square that is left"""
@@ -57,7 +57,9 @@ def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
     """Explanations by falling evidence, the plain twin (no effects) among them."""
     noise = noise_levels(null, candidates)
     everything = [null, *candidates]
-    logs = np.array([log_evidence(c.fit, c.occam, noise) - DETECTED * len(c.effects) for c in everything])
+    logs = np.array(
+        [log_evidence(c.fit, c.occam, noise) - LOG_EVIDENCE_PER_EFFECT * len(c.effects) for c in everything]
+    )
     p = probabilities(logs)
     across, quiet = [c.fit.across for c in everything], _levels([c.fit.across for c in everything])
     out = [
@@ -108,6 +110,6 @@ def shares(groups: Groups, null: Groups, noise: Sequence[float]) -> tuple[float,
     """Share of the plain twin's excess that is left, group by group; 0 where the plain twin has no clear excess."""
     out = []
     for (after, _), (before, _), level in zip(groups, null, noise, strict=True):
-        clear = before - level > CLEAR
+        clear = before - level > CLEAR_CHI_SQUARE
         out.append(float(max(after - level, 0.0) / (before - level)) if clear else 0.0)
     return tuple(out)

@@ -26,9 +26,9 @@ Complex = NDArray[np.complex128]
 PATHS = ("controller", "amplifier", "plant")
 SIGNALS = ("u", "i", "y")
 
-NOISE = 1.0
+J_OF_NOISE = 1.0
 """J of a right twin: residuals in units of their own standard deviation."""
-EXACT = 0.01
+J_OF_EXACT = 0.01
 """J of a path, before and after, below which its law is held exactly: no noise to be left, nothing to be closed."""
 RESAMPLES = 400
 
@@ -56,7 +56,7 @@ class Shrinkage(Closed):
     """by signal, its axis and the excited axis"""
 
 
-def closure_of(before: float, after: float, noise: float = NOISE) -> float | None:
+def closure_of(before: float, after: float, noise: float = J_OF_NOISE) -> float | None:
     """1 - (J_after - J_noise) / (J_before - J_noise), between -inf and 1; None where nothing was to be closed.
 
     >>> closure_of(11.0, 2.0)
@@ -92,13 +92,13 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
         for b in sorted(set(o.axis.tolist()))
         for a in range(n)
     }
-    noisy = [k for k in used if max(paths[PATHS[k]].before, paths[PATHS[k]].after) > EXACT] or used
+    noisy = [k for k in used if max(paths[PATHS[k]].before, paths[PATHS[k]].after) > J_OF_EXACT] or used
     b, a = (
         np.mean([_per_point(z[..., k * n : (k + 1) * n], w[..., k * n : (k + 1) * n]) for k in noisy], axis=0)
         for z in (z_b, z_a)
     )
     whole = _closed(b, a, o.line, drawn, shows(z_b, o) or bool(alone))
-    return Shrinkage(whole.before, whole.after, whole.closure, whole.closure_95, name, NOISE, paths, channels)
+    return Shrinkage(whole.before, whole.after, whole.closure, whole.closure_95, name, J_OF_NOISE, paths, channels)
 
 
 def shows(z: Complex, o: Observation) -> bool:
@@ -126,8 +126,8 @@ def _closed(before: Real, after: Real, line: NDArray[np.int64], drawn: Real, sho
     sums = np.stack([np.bincount(line, x, lines) for x in (before, after, np.ones(len(line)))], axis=1)
     b, a, count = (drawn @ sums).T
     with np.errstate(divide="ignore", invalid="ignore"):  # what draws no line, or shows no gap, is left out
-        told = np.minimum(1.0, 1.0 - (a / count - NOISE) / (b / count - NOISE))
-    return Closed(J_b, J_a, closure, interval_95(told[b > NOISE * count], int((count > 0).sum())))
+        told = np.minimum(1.0, 1.0 - (a / count - J_OF_NOISE) / (b / count - J_OF_NOISE))
+    return Closed(J_b, J_a, closure, interval_95(told[b > J_OF_NOISE * count], int((count > 0).sum())))
 
 
 def interval_95(closures: Sequence[float] | Real, resamples: int) -> tuple[float | None, float | None]:

@@ -20,15 +20,15 @@ SIGNIFICANT = 5.0
 OUTLIER = 12.0
 """Largest squared residual (over its expectation) that one value adds to a cell."""
 
-FEW = 32
+NEARLY_NORMAL = 32
 """Values of a cell below which its mean is far from normal: at five deviates of ten values the tail is 28 times as
 heavy, at 32 twice."""
-ALONE = 2 * OUTLIER
+ALONE_CHI_SQUARE = 2 * OUTLIER
 """Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap."""
 PEAKED = 0.01
 """Share of a line's displacement that another program's peak may be off by: its frequency by some 1e-5, where a mode
 has a quality of 500."""
-BY_CHANCE = 1e-19
+LINE_BY_CHANCE = 1e-19
 """Probability that noise does so in one line of some dozen values."""
 
 
@@ -67,7 +67,7 @@ def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -
 def _deviate(mean: Real, count: float) -> Real:
     """Normal deviate of the mean of so many independent squares that are 1 in the mean, as of complex noise."""
     plain = (mean - 1.0) * np.sqrt(count)
-    if 2 * count >= FEW:
+    if 2 * count >= NEARLY_NORMAL:
         return np.asarray(plain)
     p = chi2_tail(2 * count * mean, 2 * count)
     return np.asarray(np.where(p > 0, normal_above(np.maximum(p, 1e-300)), plain))
@@ -91,7 +91,7 @@ def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = Non
         values = np.sort(off[o.line == line][:, [k for k, h in enumerate(o.harmonics) if h > 0]], axis=None)
         if len(values) > 1 and values[-2] > largest:
             at, largest = line, float(values[-2])
-    return float(o.frequency_hz[at]) if largest > ALONE else None
+    return float(o.frequency_hz[at]) if largest > ALONE_CHI_SQUARE else None
 
 
 def fastest_alone_hz(z: Complex, o: Observation) -> float | None:

@@ -14,16 +14,16 @@ from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import SIGNIFICANT
 from sim.effects import CATALOGUE
 
-UNEXPLAINED = 0.25
+MAX_SHARE_LEFT = 0.25
 """Share of the gap that may be left by another law of the same effect; more is something else."""
-CLOSES = 1 - 1.2 * UNEXPLAINED
+CLOSES = 1 - 1.2 * MAX_SHARE_LEFT
 """Closure on unseen data below which an explanation is none."""
-UNEXPLAINED_BY_SEVERAL = 0.05
+MAX_SHARE_LEFT_BY_SEVERAL = 0.05
 """The same for several effects in one part, or for one whose strength is at the end of its range: they bend to many
 things that they are not."""
-MIXED = 0.02
+MIXTURE_SHARE = 0.02
 """Share of the gap that a first effect must leave for a second one, of another kind, to be looked for."""
-VISIBLE = 1.5
+VISIBLE_J = 1.5
 """J on the unseen sweep from which there is a gap that could be closed."""
 LARGEST_CLASS = 3
 """Effects that a class lists, the likeliest; what else is not told apart is told in words."""
@@ -33,7 +33,7 @@ SURE_OF_NONE = 0.95
 """Probability that is stated where a test of its own says "none of these", or that the datasheet is of another rig.
 Such tests have no rivals to be weighed against. Of more than 70 such verdicts in blind trials and on rigs of another
 program all came true; laws of an effect that nobody thought of make it less. `benchmarks/gap.py` prints how often."""
-SURE = 1e-12
+LEAST_RIVALS = 1e-12
 """Probability that rivals keep however certain an explanation was: unseen data can still speak for them."""
 
 
@@ -94,7 +94,7 @@ class HeldOut:
     @property
     def closure(self) -> float | None:
         """Share of the gap that is closed, harmonics included; None where the plain twin has none there."""
-        return closure_of(self.before, self.after) if self.before > VISIBLE else None
+        return closure_of(self.before, self.after) if self.before > VISIBLE_J else None
 
 
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
@@ -114,8 +114,8 @@ def rejected(best: Ranked, remaining: float) -> bool:
     if not best.candidate.effects:
         return remaining > LEAVES_ALL
     bent = len(best.candidate.effects) > 1 or at_the_end_of_its_range(best.candidate)
-    allowed = UNEXPLAINED_BY_SEVERAL if bent else UNEXPLAINED
-    return remaining > LEAVES and (best.unexplained > allowed or _of_one_sweep(best) > UNEXPLAINED)
+    allowed = MAX_SHARE_LEFT_BY_SEVERAL if bent else MAX_SHARE_LEFT
+    return remaining > LEAVES and (best.unexplained > allowed or _of_one_sweep(best) > MAX_SHARE_LEFT)
 
 
 def _of_one_sweep(best: Ranked) -> float:
@@ -185,4 +185,4 @@ def supported(probability: float, support: float) -> float:
     if support >= 0:
         return probability
     odds = math.exp(support / TEMPERATURE)
-    return probability * odds / (probability * odds + max(1 - probability, SURE))
+    return probability * odds / (probability * odds + max(1 - probability, LEAST_RIVALS))

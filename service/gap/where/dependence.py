@@ -16,7 +16,7 @@ from service.distributions import normal_above
 from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
 from service.gap.measured.condition import conditions_of, lines_of
 from service.gap.measured.observation import Observation
-from service.gap.weighing.significance import BY_CHANCE, SIGNIFICANT, alone_hz, overall, significance
+from service.gap.weighing.significance import LINE_BY_CHANCE, SIGNIFICANT, alone_hz, overall, significance
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 
@@ -79,7 +79,7 @@ def change_between(e: Explained, other: Observation) -> float:
         known[rows] = True
     kept = replace(there, line=there.line[known], axis=there.axis[known])
     if alone_hz(e.part, z_there, there) is not None and alone_hz(e.part, e.plain[0], main) is None:
-        return float(normal_above(BY_CHANCE))  # a limit that one line of one sweep reaches drowns in every band
+        return float(normal_above(LINE_BY_CHANCE))  # a limit that one line of one sweep reaches drowns in every band
     return max(significance(z[known], kept), overall(z[known]), 0.0)
 
 

@@ -13,11 +13,11 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.evidence import log_evidence
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
-from service.gap.weighing.alike import ALIKE
-from service.gap.weighing.ranking import DETECTED, Ranked, noise_levels, renormalised
+from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
+from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT, Ranked, noise_levels, renormalised
 from service.gap.which.begun import residuals
 from service.gap.which.explained import Explained
-from service.gap.which.refined import WITHIN
+from service.gap.which.refined import LOG_EVIDENCE_IN_REACH
 from sim.effects import aliases
 
 Through = Callable[[Candidate], Ground]
@@ -65,7 +65,7 @@ def _raised(r: Ranked, by: float) -> Ranked:
 
 
 def _near(rivals: Iterable[Ranked], best: float) -> tuple[Ranked, ...]:
-    return tuple(r for r in rivals if r.log_evidence > best - ALIKE)
+    return tuple(r for r in rivals if r.log_evidence > best - ALIKE_LOG_EVIDENCE)
 
 
 def _exchanges(fitter: Fitter, amplifiers: Explained, plant: Explained, through: Through) -> Iterator[Exchange]:
@@ -76,13 +76,13 @@ def _exchanges(fitter: Fitter, amplifiers: Explained, plant: Explained, through:
         more = set(r.candidate.effects) - set(chosen.effects)
         if len(more) != 1 or not set(chosen.effects) <= set(r.candidate.effects):
             continue
-        if r.log_evidence < amplifiers.order[0].log_evidence - WITHIN:
+        if r.log_evidence < amplifiers.order[0].log_evidence - LOG_EVIDENCE_IN_REACH:
             continue
         for name in best.candidate.effects:
             if aliases(name, next(iter(more))):
                 tasks = [_without(name, best.candidate, through(r.candidate))]
                 for c in fitter.run(tasks):
-                    own = log_evidence(c.fit, c.occam, noise) - DETECTED * len(c.effects)
+                    own = log_evidence(c.fit, c.occam, noise) - LOG_EVIDENCE_PER_EFFECT * len(c.effects)
                     yield Exchange(r, frozenset(c.effects), own)
 
 

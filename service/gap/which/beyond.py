@@ -26,10 +26,10 @@ BELIEVED = 3.35
 rigs. One in 25 rigs with an effect of that kind, spread evenly over a tenth of the value, is as likely there."""
 ONE_MORE = 4.0
 """Chi-square that every further value of the same effect must be worth."""
-OFF = 1.0
+OFF_TOLERANCES = 1.0
 """Tolerances from which a value may be one of the effect's. One sensor's gain is told against the other's in its plane
 only, as a gain common to both is one of the magnets: each of them seems half as far off."""
-STATED = ("sensor_gain", "sensor_position", "rotor_inertia")
+ERRORS_OF_STATED_VALUES = ("sensor_gain", "sensor_position", "rotor_inertia")
 """Effects that are errors of values that a datasheet states, each within a tolerance."""
 
 
@@ -41,7 +41,7 @@ def beyond_tolerance(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) ->
     null = order[0]
     if null.candidate.effects or not ground.nuisance.stated:
         return list(order)
-    told = (_as_effect(fitter, ground, null, name) for name in STATED if name in ground.part.effects)
+    told = (_as_effect(fitter, ground, null, name) for name in ERRORS_OF_STATED_VALUES if name in ground.part.effects)
     found = [r for r in told if r is not None and r.log_evidence > null.log_evidence]
     named = {r.candidate.effects for r in found}
     rest = [r for r in order if r.candidate.effects not in named]
@@ -55,7 +55,7 @@ def _as_effect(fitter: Fitter, ground: Ground, null: Ranked, name: str) -> Ranke
     """
     own, theta = _own(name, ground), null.candidate.fit.theta
     off = {p: float(ground.nuisance.off(theta)[at]) for p, at in own.items()}
-    far = [p for p in own if abs(off[p]) > OFF]
+    far = [p for p in own if abs(off[p]) > OFF_TOLERANCES]
     if sum(off[p] ** 2 for p in far) < BELIEVED**2:
         return None
     changes = {p: off[p] * float(ground.nuisance.sigma[at]) for p, at in own.items()}

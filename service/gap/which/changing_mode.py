@@ -29,7 +29,7 @@ Complex = NDArray[np.complex128]
 SIZES = (0.03, 0.1, 0.3, 1.0, 3.0)
 BEGINNINGS = (*((s * way, 0.0) for s in SIZES for way in (1, -1)), *((0.0, s) for s in SIZES), (0.0, -0.3))
 """Changes of frequency and of damping at the largest swing, in half widths of the peak, from which a fit may begin."""
-GOES_ON = 2
+FITTED_BEGINNINGS = 2
 """Modes and beginnings, those that leave least, which are fitted."""
 STEPS = 25
 """Evaluations of a fit."""
@@ -91,7 +91,7 @@ def changing_mode(ground: Ground, null: Candidate) -> ChangingMode | None:
     for mode, problem in problems.items():
         begun += [(cost, mode, x) for cost, x in problem.beginnings()]
     found = []
-    for _, mode, x in sorted(begun, key=lambda one: one[0])[:GOES_ON]:
+    for _, mode, x in sorted(begun, key=lambda one: one[0])[:FITTED_BEGINNINGS]:
         problem = problems[mode]
         x = min(problem.plain, x, problem.fitted(x), key=problem.cost)
         explained = problem.cost(problem.plain) - problem.cost(x)

@@ -30,7 +30,7 @@ Complex = NDArray[np.complex128]
 
 NOTHING = 1e-12
 """Share of the largest eigenvalue below which data tell nothing of a direction."""
-SHOWN = 36.0
+CHI_SQUARE_SHOWN = 36.0
 """Chi-square that the next power takes off where it is there; else it would only blur what is known of the third."""
 
 
@@ -79,7 +79,7 @@ def curvatures(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> lis
     for law in curved_laws(ground.part):
         best, *others = (_fitted(ground, null, plain, law, powers) for powers in law.powers)
         for more in others:
-            best = more if more.explained > best.explained + SHOWN else best
+            best = more if more.explained > best.explained + CHI_SQUARE_SHOWN else best
         out.append(best)
     return out
 

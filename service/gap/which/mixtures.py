@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import PROBE
-from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import at_bound, hopeless
-from service.gap.weighing.ranking import CLEAR, Ranked, ranked, renormalised
+from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
-from service.gap.weighing.verdict import MIXED
+from service.gap.weighing.verdict import MIXTURE_SHARE
 from service.gap.which.begun import beside, residuals, rough_beside
-from service.gap.which.refined import LOST, best_of_each, contained, cost, refined, to_the_end
+from service.gap.which.refined import LOST_COST, best_of_each, contained, cost, refined, to_the_end
 from service.gap.which.woken import awake
 from sim.effects import CATALOGUE, aliases
 
@@ -89,7 +89,7 @@ def with_one_more(
 def leaves_something(ground: Ground, best: Ranked) -> bool:
     """Whether an explanation leaves more than another program's law of the same effects would."""
     # Of a large gap another law of the same effect may leave a little, but asks for no impossible datasheet.
-    if max(best.apart) < MIXED and not _strained(best) and not _at_bound(best):
+    if max(best.apart) < MIXTURE_SHARE and not _strained(best) and not _at_bound(best):
         return False
     everywhere = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
     if any(significance(z, o) > REMAINS for z, o in everywhere):
@@ -110,10 +110,13 @@ def _at_bound(r: Ranked) -> bool:
 
 def _explaining_more(base: Ranked, order: Sequence[Ranked]) -> set[str]:
     """Effects that leave less where ``base`` leaves too much, with their aliases: they know a shape that bands blur."""
-    left = [(k, chi) for k, (chi, _) in enumerate(base.candidate.fit.groups) if base.shares[k] > MIXED]
+    left = [(k, chi) for k, (chi, _) in enumerate(base.candidate.fit.groups) if base.shares[k] > MIXTURE_SHARE]
     others = [r.candidate for r in order if not set(r.candidate.effects) <= set(base.candidate.effects)]
     more = {
-        name for c in others if any(chi - c.fit.groups[k][0] > CLEAR for k, chi in left) for name in c.effects
+        name
+        for c in others
+        if any(chi - c.fit.groups[k][0] > CLEAR_CHI_SQUARE for k, chi in left)
+        for name in c.effects
     } - set(base.candidate.effects)
     return more | {alias for name in more for alias in CATALOGUE[name].aliases}
 
@@ -151,7 +154,7 @@ def from_the_other_side(
         for name, rest in others
         if rest is not None
     )
-    better = [c for c in probed if cost(c) < cost(best) + LOST]
+    better = [c for c in probed if cost(c) < cost(best) + LOST_COST]
     return fitter.run(to_the_end(ground, sorted(better, key=cost)[:1]))
 
 
@@ -161,7 +164,7 @@ def exchanged(fitter: Fitter, ground: Ground, best: Candidate, found: Sequence[C
     Alone the two looked alike and one was taken; beside another effect it may be the other that fits, or either.
     """
     singles = {c.effects[0]: c.fit.values[0] for c in found if len(c.effects) == 1}
-    as_well = {frozenset(c.effects) for c in found if cost(c) < cost(best) + 2 * ALIKE}
+    as_well = {frozenset(c.effects) for c in found if cost(c) < cost(best) + 2 * ALIKE_LOG_EVIDENCE}
     probed = fitter.run(
         Task(ground, effects, (values,), best.fit.theta, (PROBE,))
         for k, name in enumerate(best.effects)
@@ -205,12 +208,12 @@ def _little(r: Ranked, alias: bool) -> Real:
     Another program's law of an effect is some way off, and an alias would make up for it. But what a linear effect
     leaves at one amplitude and not at the other is no matter of its law.
     """
-    little = np.full(len(r.apart), ANOTHER_LAW if alias else MIXED)
+    little = np.full(len(r.apart), ANOTHER_LAW if alias else MIXTURE_SHARE)
     nonlinear = any(CATALOGUE[name].nonlinear for name in r.candidate.effects)
     if nonlinear and not alias:
         little[1 : len(r.shares) : 2] = HARMONICS_OF_ANOTHER_LAW
     if alias and not nonlinear:
         of_sweep = np.array(r.shares)[::2]  # fundamentals
         at_one = of_sweep > 3 * of_sweep.min(initial=np.inf)
-        little[: len(r.shares) : 2][at_one] = MIXED
+        little[: len(r.shares) : 2][at_one] = MIXTURE_SHARE
     return little

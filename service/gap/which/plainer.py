@@ -14,7 +14,7 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from sim.effects import CATALOGUE
 
-WORTH = 6.0
+WORTH_CHI_SQUARE = 6.0
 """Chi-square that a parameter has to explain to be one of the law's, in units of what is left per residual: noise gives
 more once in seventy times. By evidence a parameter would be kept or not as its range is wide or narrow."""
 
@@ -39,7 +39,7 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
         return {
             task.plain: replace(c, standard_deviations=best.standard_deviations)
             for task, c in zip(tasks, fitter.each(tasks), strict=True)
-            if c is not None and c.fit.cost - best.fit.cost < WORTH * per_residual * len(task.plain)
+            if c is not None and c.fit.cost - best.fit.cost < WORTH_CHI_SQUARE * per_residual * len(task.plain)
         }
 
     everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]

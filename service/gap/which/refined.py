@@ -15,13 +15,13 @@ from sim.effects import CATALOGUE, aliases
 
 REFINED = 6
 """Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
-WITHIN = 30.0
+LOG_EVIDENCE_IN_REACH = 30.0
 """Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
 ALIASES = 2
 """Known aliases of the best that are fitted to the end whatever a probe makes of them: to be told apart takes both."""
-GOES_ON = 3
+CONTINUATIONS = 3
 """Times that a fit whose steps ran out goes on."""
-LOST = 2.0
+LOST_COST = 2.0
 """Cost above the plain twin's from which a probe has not found its valley."""
 
 
@@ -30,11 +30,11 @@ def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Ca
 
     One that does worse than the plain twin, which it contains, is lost: it begins again at the plain twin.
     """
-    lost = [c for c in probed if cost(c) > cost(null) + LOST and not any(map(slow_to_compute, c.effects))]
+    lost = [c for c in probed if cost(c) > cost(null) + LOST_COST and not any(map(slow_to_compute, c.effects))]
     again = fitter.run(Task(ground, c.effects, (c.fit.values,), null.fit.theta, (EXACT,)) for c in lost)
     probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
-    near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - WITHIN][:REFINED]
+    near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - LOG_EVIDENCE_IN_REACH][:REFINED]
     near += [r.candidate for r in order if r.candidate not in near and alike(r.candidate, near[0])][:ALIASES]
     refined = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
     lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refined[: len(near)], refined))}
@@ -51,11 +51,11 @@ def settled(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[
     A force law that bends much takes many steps; another effect beside it would only go on from there, for minutes.
     """
     best = min(found, key=cost, default=None)
-    for _ in range(GOES_ON):
+    for _ in range(CONTINUATIONS):
         if best is None or not best.fit.out_of_steps:
             break
         (again,) = fitter.run(to_the_end(ground, [best])) or [best]
-        if cost(again) > cost(best) - LOST:
+        if cost(again) > cost(best) - LOST_COST:
             break
         found, best = [again if c is best else c for c in found], again
     return list(found)
@@ -91,7 +91,7 @@ def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candida
         kept = [k for k, name in enumerate(best.effects) if name != without]
         values = tuple(best.fit.values[k] for k in kept)
         tasks.append(Task(ground, tuple(best.effects[k] for k in kept), (values,), best.fit.theta, (EXACT,)))
-    return [c for c in fitter.run(tasks) if cost(c) < costs.get(frozenset(c.effects), np.inf) - LOST]
+    return [c for c in fitter.run(tasks) if cost(c) < costs.get(frozenset(c.effects), np.inf) - LOST_COST]
 
 
 def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:

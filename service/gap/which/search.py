@@ -14,10 +14,10 @@ from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError
 from service.gap.weighing.ranking import Ranked, noise_levels, ranked
-from service.gap.weighing.verdict import UNEXPLAINED, UNEXPLAINED_BY_SEVERAL
+from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVERAL
 from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.beyond import beyond_tolerance
-from service.gap.which.curvature import SHOWN, curvatures
+from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.plainer import plainer_law
@@ -29,9 +29,9 @@ from sim.effects import CATALOGUE
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-MOST = 3
+LARGEST_MIXTURE = 3
 """Largest mixture within one part."""
-HELD = 0.05
+SAME_VALLEY_SHARE = 0.05
 """Share of a gap that an explanation of fewer sweeps may leave of more, to be the same valley for sure."""
 
 
@@ -64,7 +64,7 @@ def explain(
     fitter: Fitter,
     ground: Ground,
     plain_fit: tuple[Candidate, tuple[Complex, ...]] | None = None,
-    most: int = MOST,
+    most: int = LARGEST_MIXTURE,
     before: Explained | None = None,
 ) -> Explained:
     """Fit the plain twin, every single effect of the part, and mixtures where one effect leaves too much.
@@ -139,11 +139,11 @@ class _Search:
     def curved(self) -> bool:
         """Whether a curved characteristic explains most of a part, more than any effect: mixtures would bend to it."""
         explained = max((c.explained for c in curvatures(self.ground, self.null, self.plain)), default=0.0)
-        if explained < SHOWN:
+        if explained < CHI_SQUARE_SHOWN:
             return False
         excess = cost(self.null) - sum(noise_levels(self.null, [r.candidate for r in self.order]))
         by_effects = cost(self.null) - min(cost(r.candidate) for r in self.order)
-        return explained > max(by_effects, (1 - UNEXPLAINED) * excess)
+        return explained > max(by_effects, (1 - MAX_SHARE_LEFT) * excess)
 
     def wider_laws(self, of: Sequence[Candidate]) -> None:
         """Add wider laws of some of the explanations, where the best leaves too much.
@@ -196,7 +196,7 @@ def _gone_on_with(ground: Ground, before: Explained) -> Iterable[Task]:
 
 def _holds(c: Candidate, null: Candidate) -> bool:
     """Whether an explanation leaves next to nothing of what the plain twin does."""
-    return cost(c) - c.fit.n_residuals < HELD * (cost(null) - c.fit.n_residuals)
+    return cost(c) - c.fit.n_residuals < SAME_VALLEY_SHARE * (cost(null) - c.fit.n_residuals)
 
 
 def _least_of_each(probed: Sequence[Candidate]) -> list[Candidate]:
@@ -212,4 +212,4 @@ def leaves_much(null: Candidate, order: Sequence[Ranked]) -> bool:
     """Whether the best effects leave much of a gap, though overestimated noise hides it from every band."""
     best = order[0]
     left = cost(best.candidate) - sum(noise_levels(null, [r.candidate for r in order]))
-    return bool(best.candidate.effects) and best.unexplained > UNEXPLAINED_BY_SEVERAL and left > SHOWN
+    return bool(best.candidate.effects) and best.unexplained > MAX_SHARE_LEFT_BY_SEVERAL and left > CHI_SQUARE_SHOWN

@@ -16,9 +16,9 @@ DAMPED = 0.02
 """Damping ratio of a resonance that is looked for: wide enough not to fall between two lines."""
 DAMPINGS = (0.001, 0.003, 0.006, 0.06)
 """Those at which the best is looked at more closely: it may stand between two lines and show at one of them alone..."""
-BESIDE = 17
+GRID_BETWEEN = 17
 """... at so many frequencies from the one beside it to the other."""
-APART = 8
+LINES_APART = 8
 """Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
 
 
@@ -58,11 +58,11 @@ def resonances(effect: Effect, left: Left, count: int = 2) -> list[dict[str, flo
     grid = np.sort(np.concatenate([o.frequency_hz, between]))
     order = np.argsort([-score(own, DAMPED)[0] for own in grid])
     best = [int(order[0])]
-    best += [int(k) for k in order if abs(int(k) - best[0]) > APART][: count - 1]
+    best += [int(k) for k in order if abs(int(k) - best[0]) > LINES_APART][: count - 1]
     found = []
     for k in best:
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-        tried = [(own, damping) for damping in (DAMPED, *DAMPINGS) for own in np.geomspace(low, high, BESIDE)]
+        tried = [(own, damping) for damping in (DAMPED, *DAMPINGS) for own in np.geomspace(low, high, GRID_BETWEEN)]
         own, damping = max(tried, key=lambda at: score(*at)[0])
         shape = _shape(effect, score(own, damping)[1]) if shaped else {}
         found.append({"frequency_hz": float(own), "damping_ratio": float(damping), **shape})

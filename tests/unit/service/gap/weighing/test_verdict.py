@@ -9,7 +9,7 @@ import pytest
 from service.gap.document import sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked, ranked
 from service.gap.weighing.verdict import HeldOut, Verdict, decide
 from sim.effect import End
@@ -139,7 +139,7 @@ def test_a_predicted_gap_that_is_absent_costs_probability_and_then_the_verdict()
 )
 def test_what_fits_as_well_but_is_far_less_likely_is_told_as_that(behind: float, told: str) -> None:
     """It stays in the class, but "not told apart" beside a probability of 0 % would contradict itself."""
-    assert abs(behind - ALIKE) > 1
+    assert abs(behind - ALIKE_LOG_EVIDENCE) > 1
     order = [
         explanation(("loop_delay",), -50.0, 0.0, (0.0,)),
         explanation(("amplifier_bandwidth",), -50.0 - behind, 0.0, (0.0,)),
@@ -149,7 +149,7 @@ def test_what_fits_as_well_but_is_far_less_likely_is_told_as_that(behind: float,
     words = sentence(SimpleNamespace(**shown, within_the_datasheet=False))
     assert told in words
     assert "amplifier bandwidth" in words
-    assert ("not told apart" in words) == (behind < ALIKE)
+    assert ("not told apart" in words) == (behind < ALIKE_LOG_EVIDENCE)
 
 
 def test_what_another_part_would_explain_as_well_is_in_the_class_and_shares_its_probability() -> None:
@@ -159,7 +159,7 @@ def test_what_another_part_would_explain_as_well_is_in_the_class_and_shares_its_
     shared = decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[other])
     assert shared.effects == ("sensor_gain",)
     assert shared.indistinguishable == (("sensor_gain", "loop_delay"),)
-    far = replace(other, log_evidence=-50.0 - ALIKE - 1)
+    far = replace(other, log_evidence=-50.0 - ALIKE_LOG_EVIDENCE - 1)
     assert decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0, elsewhere=[far]).indistinguishable == ()
 
 
@@ -175,9 +175,15 @@ def test_what_the_other_sweep_rejects_is_what_is_fitted_to_half_of_it_first() ->
 def test_an_effect_of_a_mixture_that_an_alias_could_stand_for_is_told_with_it() -> None:
     left = (0.01, 0.0, 0.02, 0.0)
     best = replace(explanation(("eddy_currents", "support_resonance"), 0.0, 0.01, left), probability=0.8)
-    like = replace(explanation(("support_resonance", "sensor_lag"), -ALIKE / 2, 0.01, left), probability=0.15)
-    far = replace(explanation(("eddy_currents", "extra_flexible_mode"), -2 * ALIKE, 0.01, left), probability=0.01)
-    other = replace(explanation(("eddy_currents", "sensor_gain"), -ALIKE / 2, 0.01, left), probability=0.01)
+    like = replace(
+        explanation(("support_resonance", "sensor_lag"), -ALIKE_LOG_EVIDENCE / 2, 0.01, left), probability=0.15
+    )
+    far = replace(
+        explanation(("eddy_currents", "extra_flexible_mode"), -2 * ALIKE_LOG_EVIDENCE, 0.01, left), probability=0.01
+    )
+    other = replace(
+        explanation(("eddy_currents", "sensor_gain"), -ALIKE_LOG_EVIDENCE / 2, 0.01, left), probability=0.01
+    )
     found = decide([best, like, far, other, PLAIN], 12.0, CLOSED, significant=50.0)
     assert found.effects == best.candidate.effects
     assert found.indistinguishable == (("eddy_currents", "sensor_lag"),)

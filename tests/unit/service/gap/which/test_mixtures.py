@@ -10,9 +10,9 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task, fit_task
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import TOLERANCE_BOUND
-from service.gap.weighing.alike import ALIKE
+from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
-from service.gap.weighing.verdict import MIXED
+from service.gap.weighing.verdict import MIXTURE_SHARE
 from service.gap.which.mixtures import from_the_other_side, worth_it
 from service.gap.which.refined import best_of_each, cost
 from sim.reference import reference_rig
@@ -88,7 +88,7 @@ def test_what_couples_the_planes_is_found_beside_what_makes_a_gap_fifty_times_as
     }
     e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet, most=2)
     alone = next(r for r in e.order if r.candidate.effects == ("support_resonance",))
-    assert max(alone.shares) < MIXED
+    assert max(alone.shares) < MIXTURE_SHARE
     assert set(e.order[0].candidate.effects) == set(both)
 
 
@@ -110,7 +110,7 @@ def test_iron_that_bends_little_is_found_beside_a_lag_and_so_is_what_else_could_
     found = [set(r.candidate.effects) for r in e.order[:2]]
     assert {"magnetic_saturation", "sensor_lag"} in found
     assert {"magnetic_saturation", "eddy_currents"} in found
-    assert abs(e.order[0].log_evidence - e.order[1].log_evidence) < ALIKE
+    assert abs(e.order[0].log_evidence - e.order[1].log_evidence) < ALIKE_LOG_EVIDENCE
 
 
 def test_an_effect_that_was_found_first_is_looked_for_anew_beside_the_second() -> None:
