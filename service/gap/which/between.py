@@ -20,6 +20,10 @@ from service.gap.which.explained import Explained
 from service.gap.which.refined import LOG_EVIDENCE_IN_REACH
 from sim.effects import aliases
 
+HARDLY_EXPLAINED = 0.5
+"""Share of the plant's gap left from which its best explanation says nothing of the amplifiers: of what no effect is
+like, one effect's law takes as little as another's, and the plant would be searched twice for nothing."""
+
 Through = Callable[[Candidate], Ground]
 """The plant's ground behind an explanation of the amplifiers."""
 
@@ -42,6 +46,8 @@ def between(fitter: Fitter, amplifiers: Explained, plant: Explained, through: Th
     has to be explained anew behind them.
     """
     chosen, best = amplifiers.order[0], plant.order[0]
+    if best.unexplained > HARDLY_EXPLAINED:
+        return amplifiers, plant
     found = list(_exchanges(fitter, amplifiers, plant, through))
     if not found:
         return amplifiers, plant

@@ -103,13 +103,28 @@ def test_inherited_values_move_the_plant_but_at_the_price_of_the_other_parts_dat
     assert step @ problem.unknowns.prior @ step > 1.0, "their currents know it better than its tolerance"
 
 
+def ranked(evidence: float, *effects: str, left: float = 0.0) -> Ranked:
+    """An explanation that leaves so much of the gap."""
+    fit = Fit(effects, np.zeros(1), (), true_rig(known_datasheet()[1]), (), 0.0, np.arange(1), np.eye(1), "")
+    return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.5, left)
+
+
+@pytest.mark.parametrize(("left", "moved"), [(0.1, True), (0.9, False)])
+def test_a_plant_that_hardly_anything_explains_says_nothing_of_the_amplifiers(
+    monkeypatch: pytest.MonkeyPatch, left: float, moved: bool
+) -> None:
+    ground = ground_of({}, "amplifier")
+    plain, delay = ranked(-5.0), ranked(-6.0, "loop_delay")
+    amplifiers = Explained(ground, (plain, delay), (), ())
+    plant = Explained(ground, (ranked(-20.0, "sensor_lag", left=left), ranked(-300.0, left=1.0)), (), ())
+    monkeypatch.setattr(between_parts, "_exchanges", lambda *_: [Exchange(delay, frozenset(), -10.0)])
+    monkeypatch.setattr(between_parts, "residuals", lambda *_: ())
+    now, _ = between_parts.between(Fitter(), amplifiers, plant, lambda _: ground)
+    assert now.chosen is (delay.candidate if moved else plain.candidate)
+
+
 def test_what_a_mixture_leaves_of_itself_need_not_be_in_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of three effects one is given to the amplifiers; the other two alone were no mixture that needs both."""
-
-    def ranked(evidence: float, *effects: str) -> Ranked:
-        fit = Fit(effects, np.zeros(1), (), true_rig(known_datasheet()[1]), (), 0.0, np.arange(1), np.eye(1), "")
-        return Ranked(Candidate(effects, fit, 0.0, ()), evidence, 0.5, 0.0)
-
     ground = ground_of({}, "amplifier")
     plain, delay = ranked(-5.0), ranked(-6.0, "loop_delay")
     others = frozenset(("touchdown_contact", "sensor_gain"))
