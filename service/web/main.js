@@ -84,6 +84,9 @@ async function show() {
     form.hidden = true;
     document.documentElement.setAttribute("data-shown", location.hash || "#/");
   } catch (error) {
+    if (context.signal.aborted) return;
+    // What stood here before is of another address; at the same one it is still the last that is known.
+    if (document.documentElement.getAttribute("data-shown") !== (location.hash || "#/")) view.replaceChildren();
     told(error);
   }
 }

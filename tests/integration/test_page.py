@@ -394,6 +394,16 @@ def test_what_the_service_refuses_is_said_on_the_page(service):
 
 
 @needs_browser
+def test_what_is_refused_does_not_leave_another_page_under_the_error(service, ids):
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{ids['rig']}")
+        page.until("document.querySelectorAll('#view table').length > 0")
+        page.run(f"location.hash = '#/rig/{new_id('rig')}'")
+        page.until("!document.getElementById('problem').hidden")
+        assert page.run("document.querySelectorAll('#view table').length") == 0
+
+
+@needs_browser
 def test_the_description_of_the_api_is_read_in_a_browser(service):
     with tab() as page:
         page.open(f"{service.url}/docs")
