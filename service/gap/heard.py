@@ -10,7 +10,7 @@ import numpy as np
 from service.experiment.data import Sweep
 from service.gap.compose import Composition
 from service.gap.fitting.candidates import Candidate
-from service.gap.interference import DISTANCE_BINS, NEAR_HUM, Interference, hums_hz, quiet_cells
+from service.gap.interference import DISTANCE_BINS, NEAR_HUM, Interference, at_speed, hums_hz, quiet_cells
 from service.gap.measured.coherent import heard_in, without_hum
 from service.gap.measured.observation import near_hum, usable
 from service.gap.measured.scatter import block_scatter
@@ -61,7 +61,8 @@ def _near(e: Explained, sources: Sequence[Interference]) -> bool:
     """Whether what the best explanation of a part leaves lies near the interference, and nothing of it elsewhere."""
     for z, o in zip(e.left, e.ground.observations, strict=True):
         at = (o.points_hz[:, None] * np.array(o.harmonics))[..., None]
-        away = np.abs(at / np.array(hums_hz(sources)) - 1).min(axis=-1).min(axis=-1) > DISTANCE_BINS[-1]
+        hums = np.array(hums_hz(sources, o.speed_rad_s))
+        away = (np.abs(at / hums - 1) > DISTANCE_BINS[-1]).all(axis=(1, 2))
         if away.any() and significance(z[away], replace(o, line=o.line[away], axis=o.axis[away])) > SIGNIFICANT:
             return False
     return True
@@ -104,7 +105,7 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     quiet = quiet_cells(sweep, rig)
     before, after = np.empty(0), np.empty(0)
-    for source in sources:
+    for source in at_speed(sources, sweep.speed_rad_s):
         variance, away = (of_i if source.signal == "i" else of_y), np.abs(at / source.frequency_hz - 1)
         far, near, without = quiet & ~near_hum(sweep, (source.frequency_hz,)), quiet & (away < NEAR_HUM), variance
         if source.heard_hz:

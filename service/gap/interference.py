@@ -82,7 +82,7 @@ def interference(sweep: Sweep, rig: Rig) -> list[Interference]:
     sweep = usable(sweep)
     wanted: dict[str, tuple[float, ...]] = {"mains_interference": MAINS_HZ}
     if sweep.speed_rad_s:
-        wanted["runout"] = (sweep.speed_rad_s / (2 * np.pi),)
+        wanted["runout"] = (once_a_turn_hz(sweep.speed_rad_s),)
     if sweep.block_samples is not None:
         return _all_told_by_phase(sweep, rig, wanted)
     _, of_i, of_y = block_scatter(sweep, rig)
@@ -220,6 +220,23 @@ def _near_modes(at_hz: Real, rig: Rig) -> NDArray[np.bool_]:
     return np.asarray(np.any(np.abs(at_hz[..., None] - modes) < 0.1 * modes, axis=-1))
 
 
-def hums_hz(sources: Sequence[Interference]) -> tuple[float, ...]:
-    """Frequencies at which the sources are to be expected, each source's own first."""
-    return tuple(k * s.frequency_hz for s in sources for k in MULTIPLES)
+def at_speed(sources: Sequence[Interference], speed_rad_s: float) -> tuple[Interference, ...]:
+    """The sources as a sweep at this speed has them: runout turns with the rotor, and is not there at standstill."""
+    out = []
+    for s in sources:
+        if s.effect != "runout":
+            out.append(s)
+        elif speed_rad_s:
+            hz = once_a_turn_hz(speed_rad_s)
+            out.append(replace(s, frequency_hz=hz, heard_hz=(hz,) if s.heard_hz else ()))
+    return tuple(out)
+
+
+def once_a_turn_hz(speed_rad_s: float) -> float:
+    """Turns a second, whichever way."""
+    return abs(speed_rad_s) / (2 * np.pi)
+
+
+def hums_hz(sources: Sequence[Interference], speed_rad_s: float) -> tuple[float, ...]:
+    """Frequencies at which a sweep at this speed may have the sources, each source's own first."""
+    return tuple(k * s.frequency_hz for s in at_speed(sources, speed_rad_s) for k in MULTIPLES)

@@ -107,7 +107,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     span = span_s(pair.main, pair.other)
     nu, undated = _drifting_over(nu, span)
     notes += undated
-    o, unseen = pair.observations(nu.rig, hums_hz(sources), span)
+    hums = [hums_hz(sources, sweep.speed_rad_s) for sweep in (pair.main, pair.other)]
+    o, unseen = pair.observations(nu.rig, hums, span)
     if o.unsettled > TOLD_DRIFTING_SHARE:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not pair.lines_only and (same := same_condition(o, unseen)):

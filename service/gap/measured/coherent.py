@@ -137,6 +137,18 @@ def left_in_mean(sweep: Sweep, signal: Complex, frequencies_hz: Sequence[float])
     return np.asarray(np.sqrt(power))
 
 
+def slow_leaks(sweep: Sweep, signal: Complex, frequencies_hz: Sequence[float]) -> Real:
+    """Amplitude of hums in a block where they turn too slowly to be told from a slow drift, (P, H, n)."""
+    at, block_s = sweep.frequency_hz[:, None] * np.array(sweep.harmonics), _block_s(sweep)[:, None]
+    leaks = np.zeros((*at.shape, signal.shape[3]))
+    for f in frequencies_hz:
+        slow = (_turning(sweep, f) <= TURNS)[:, None]
+        in_a_block = sum(np.abs(np.sinc((at + way * f) * block_s)) for way in (-1, 1))
+        leaks += (in_a_block * slow)[..., None] * _size(sweep, signal, f)
+        signal = _less(signal, beside_hum(sweep, f))
+    return leaks
+
+
 def _size(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
     """Amplitude of a hum in each channel, (n,), from wherever it leaks to."""
     near = heard_in(sweep, frequency_hz)

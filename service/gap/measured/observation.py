@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.measured.coherent import PATTERNS, beside_hum, left_in_mean, without_hum
+from service.gap.measured.coherent import PATTERNS, beside_hum, left_in_mean, slow_leaks, without_hum
 from service.gap.measured.leak import leaked, periods
 from service.gap.measured.scatter import mean_scatter
 from service.gap.measured.settling import drifting, trend
@@ -172,6 +172,9 @@ def observe(
         by = beside_hum(sweep, hums_hz[0])
         sweep = without_hum(sweep, hums_hz[0])
         U, Y = sweep.U, sweep.Y
+    leaks = None
+    if hums_hz and heard.block_samples is not None:
+        leaks = slow_leaks(heard, heard.U, hums_hz), slow_leaks(heard, heard.Y, hums_hz)
     sds = tuple(np.sqrt(v) for v in mean_scatter(sweep, rig, by))
     sd_u, sd_i, sd_y = _with_hum(sds, heard, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
@@ -209,7 +212,7 @@ def observe(
         sd_i,
         sd_y,
         _progress(sweep, progress, span_s),
-        *drifting(sweep),
+        *drifting(sweep, leaks),
         sweep.speed_rad_s,
         together,
     )

@@ -68,15 +68,15 @@ class Pair:
         return replace(self, main=main, other=other), notes, next((words for words, several in lost if several), None)
 
     def observations(
-        self, rig: Rig, hums: Sequence[float], span: tuple[float, float] | None
+        self, rig: Rig, hums_hz: Sequence[Sequence[float]], span: tuple[float, float] | None
     ) -> tuple[Observation, Observation]:
-        """Both as a diagnosis fits them.
+        """Both as a diagnosis fits them; ``hums_hz`` are of each, as of `observe`.
 
         A file that does not date its points has them in their order, the other sweep after the main one.
         """
         during, after = ((0.0, 1.0), (0.0, 1.0)) if self.lines_only else ((0.0, 0.8), (0.8, 1.0))
-        o = observe(thinned(usable(self.main)), rig, during, hums, span, self.together[0])
-        return o, observe(thinned(usable(self.other)), rig, after, hums, span, self.together[1])
+        o = observe(thinned(usable(self.main)), rig, during, hums_hz[0], span, self.together[0])
+        return o, observe(thinned(usable(self.other)), rig, after, hums_hz[1], span, self.together[1])
 
 
 def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]]]:

@@ -22,6 +22,9 @@ ENOUGH_BLOCKS = 3
 TOLD_DRIFTING_SHARE = 0.3
 """Share of drifting points that is told. On 72 campaigns of three programs that let their rigs settle it was at most
 0.15, `FALSE_DRIFT_PROBABILITY` and what rings near sharp modes."""
+HALF_A_TURN = 2.5
+"""Change along a trend that a hum of amplitude one makes at most, which is two while it turns by half, and what its
+amplitude is off by."""
 UNSETTLED = 0.5
 """Share from which nothing is named: where most points are wrong no fit holds, however robust (breakdown point)."""
 
@@ -54,18 +57,22 @@ def trend(X: Complex) -> tuple[Real, Real]:
     return np.asarray(f_tail(ratio, 2, 2 * (blocks - 2))), np.abs(slope) * (along[-1] - along[0])
 
 
-def drifting(sweep: Sweep) -> tuple[NDArray[np.bool_], Real]:
+def drifting(sweep: Sweep, leaks: tuple[Real, Real] | None = None) -> tuple[NDArray[np.bool_], Real]:
     """Which points had not settled, (P,), and the change of each from first block to last relative to its size, (P,).
 
     Judged by u and y of the excited axis at the excited frequency; blocks that are not in sequence tell of no trend.
+    ``leaks`` are the amplitudes that hums which turn too slowly to be told from a trend have in a block of u and of y,
+    (P, H, n): what such a one can make is no sign of a rig that did not settle.
     """
     f, points = sweep.harmonics.index(1), np.arange(sweep.n_points)
     found, change = np.zeros(sweep.n_points, dtype=bool), np.zeros(sweep.n_points)
     if not sweep.in_sequence:
         return found, change
-    for X in (sweep.U[:, :, f], sweep.Y[:, :, f]):
+    of_hums = leaks or (np.zeros(sweep.U[:, 0].shape), np.zeros(sweep.Y[:, 0].shape))
+    for X, leak in zip((sweep.U[:, :, f], sweep.Y[:, :, f]), of_hums, strict=True):
         probability, moved = (v[points, sweep.axis] for v in trend(X))
         size = np.abs(X.mean(axis=1))[points, sweep.axis]
-        found |= probability < FALSE_DRIFT_PROBABILITY / 2
+        beyond_hums = moved > HALF_A_TURN * leak[points, f, sweep.axis]
+        found |= (probability < FALSE_DRIFT_PROBABILITY / 2) & beyond_hums
         change = np.maximum(change, moved / np.maximum(size, np.finfo(float).tiny))
     return found, change

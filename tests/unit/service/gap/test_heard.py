@@ -11,7 +11,7 @@ from service.gap.document import gap_document
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.heard import heard_too, once_a_turn, with_interference
-from service.gap.interference import Interference
+from service.gap.interference import Interference, at_speed, hums_hz
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
@@ -132,3 +132,13 @@ def test_interference_louder_than_most_is_named_with_what_was_measured(effect: s
     null = Candidate((), Fit((), np.zeros(1), (), rig, (), 0.0, np.arange(1), np.eye(1), ""), 0.0, ())
     whole = with_interference(Composition((Ranked(null, 0.0, 1.0, 0.0),)), (effect,), [source])
     assert whole.order[0].candidate.fit.values[0] == {**loud, **at}
+
+
+def test_runout_turns_with_the_rotor_and_the_mains_do_not() -> None:
+    """The other sweep may be at another speed, or at standstill, where there is none."""
+    runout = Interference("runout", 20.0, {"amplitude_m": 1e-6}, 1e-8, 0.0, 9.0, 20.0, "y", heard_hz=(20.0,))
+    there = at_speed([runout, BY_PHASE], -2 * np.pi * 35.0)
+    assert [round(s.frequency_hz, 9) for s in there] == [35.0, HUM_HZ]
+    assert there[0].heard_hz == pytest.approx((35.0,))
+    assert at_speed([runout, BY_PHASE], 0.0) == (BY_PHASE,)
+    assert hums_hz([runout], 0.0) == ()

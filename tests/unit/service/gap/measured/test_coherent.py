@@ -7,8 +7,9 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.gap.interference import interference
-from service.gap.measured.coherent import beside_hum, coherence, hum_power, left_in_mean, without_hum
+from service.gap.measured.coherent import beside_hum, coherence, hum_power, left_in_mean, slow_leaks, without_hum
 from service.gap.measured.scatter import mean_scatter
+from service.gap.measured.settling import UNSETTLED, drifting
 from service.gap.measured.sweeps import timed
 from sim.reference import reference_rig
 
@@ -138,3 +139,15 @@ def test_a_file_that_does_not_tell_its_blocks_is_heard_as_well_where_its_lines_t
     assert coherence(told, told.Y, 50.0)[1] > 0.8 * coherence(loud, loud.Y, 50.0)[1]
     odd = replace(loud, block_samples=None, frequency_hz=loud.frequency_hz * np.pi / 3)
     assert timed(odd).block_samples is None, "no whole number of samples holds whole periods"
+
+
+def test_a_hum_that_hardly_turns_from_block_to_block_is_no_drift_and_a_drift_beside_it_is_one() -> None:
+    """Of a rotor that turns nearly once a block: its runout looks like a trend in most points."""
+    hz = 18.4
+    loud, _ = played(3e-7, hz, seed=1)
+    decay = 1 + 2 * np.exp(-np.arange(BLOCKS) / 2)
+    restless = replace(loud, Y=loud.Y * decay[:, None, None])
+    leaks = slow_leaks(loud, loud.U, (hz,)), slow_leaks(loud, loud.Y, (hz,))
+    assert drifting(loud)[0].mean() > 0.2
+    assert drifting(loud, leaks)[0].mean() < 0.05
+    assert drifting(restless, leaks)[0].mean() > UNSETTLED
