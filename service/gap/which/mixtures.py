@@ -14,7 +14,7 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import PROBE
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import at_bound, hopeless
-from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, ranked, renormalised
+from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import MIXTURE_SHARE
 from service.gap.which.begun import beside, residuals, rough_beside
@@ -35,6 +35,10 @@ ANOTHER_LAW = 0.15
 HARMONICS_OF_ANOTHER_LAW = 0.05
 """Share of the harmonics that another program's law of a nonlinear effect may leave: one stop that gives some of its
 force back late left 1.8 or 2.3 % as one half or the other of a sweep's lines was fitted, and hysteresis took that."""
+WHOLE_OF_ANOTHER_LAW = 0.01
+"""Share of the whole gap that another law of a nonlinear effect may leave in one group, however large a share of that
+group's own it is: the error of a law goes with all that the effect does. Six plays in the place of a band of them left
+0.0024 in harmonics that held 0.005, and eddy currents took that."""
 HOPEFUL = 0.75
 """Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
 a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
@@ -199,19 +203,32 @@ def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     left = np.array(mixture.apart)
     # Others explain by what the datasheet does not allow.
     allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]
-    return all(np.any((np.array(r.apart) > _little(r, alias)) & (left < np.array(r.apart) / 3)) for r in allowed)
+    gap = _gap_of_groups(order)
+    return all(np.any((np.array(r.apart) > _little(r, alias, gap)) & (left < np.array(r.apart) / 3)) for r in allowed)
 
 
-def _little(r: Ranked, alias: bool) -> Real:
+def _gap_of_groups(order: Sequence[Ranked]) -> Real:
+    """What the plain twin leaves of each of `Fit.groups` beyond noise, chi-square; zeros where it is not there."""
+    null = next((r.candidate for r in order if not r.candidate.effects), None)
+    if null is None:
+        return np.zeros(len(order[0].shares))
+    noise = noise_levels(null, [r.candidate for r in order])
+    return np.array([max(chi - level, 0.0) for (chi, _), level in zip(null.fit.groups, noise, strict=True)])
+
+
+def _little(r: Ranked, alias: bool, gap: Real) -> Real:
     """Share of what is told apart that an explanation may leave before another effect is needed, one each.
 
     Another program's law of an effect is some way off, and an alias would make up for it. But what a linear effect
-    leaves at one amplitude and not at the other is no matter of its law.
+    leaves at one amplitude and not at the other is no matter of its law. ``gap`` as of `_gap_of_groups`.
     """
     little = np.full(len(r.apart), ANOTHER_LAW if alias else MIXTURE_SHARE)
     nonlinear = any(CATALOGUE[name].nonlinear for name in r.candidate.effects)
     if nonlinear and not alias:
         little[1 : len(r.shares) : 2] = HARMONICS_OF_ANOTHER_LAW
+    if nonlinear and alias:
+        of_whole = WHOLE_OF_ANOTHER_LAW * gap.sum() / np.maximum(gap, np.finfo(float).tiny)
+        little[: len(r.shares)] = np.maximum(little[: len(r.shares)], of_whole)
     if alias and not nonlinear:
         of_sweep = np.array(r.shares)[::2]  # fundamentals
         at_one = of_sweep > 3 * of_sweep.min(initial=np.inf)

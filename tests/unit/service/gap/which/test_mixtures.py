@@ -65,6 +65,24 @@ def test_what_a_linear_effect_leaves_at_one_amplitude_alone_is_no_other_law_of_i
     assert worth_it(both, [both, *singles]) is worth
 
 
+@pytest.mark.parametrize(("harmonics", "worth"), [(200.0, False), (9_000.0, True)])
+def test_a_law_s_error_goes_with_the_whole_effect_in_a_group_that_holds_little_of_the_gap(
+    harmonics: float, worth: bool
+) -> None:
+    """Half of what harmonics show is another law of hysteresis where that is 3 in 1000 of the gap, and eddy currents
+    beside it where it is an eighth."""
+
+    def leaving(effects: tuple[str, ...], evidence: float, *shares: float) -> Ranked:
+        gap = (30_000.0, harmonics)
+        r = explanation(effects, evidence, shares)
+        groups = tuple((1000.0 + share * size, 1000) for share, size in zip(shares, gap, strict=True))
+        return replace(r, candidate=replace(r.candidate, fit=replace(r.candidate.fit, groups=groups)))
+
+    both = leaving(("magnetic_hysteresis", "eddy_currents"), -10.0, 0.0, 0.0)
+    singles = [leaving(("magnetic_hysteresis",), -90.0, 0.03, 0.5), leaving(("eddy_currents",), -99.0, 0.5, 0.9)]
+    assert worth_it(both, [both, *singles, leaving((), -200.0, 1.0, 1.0)]) is worth
+
+
 def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needless() -> None:
     both = explanation(("rotor_inertia", "sensor_position"), -10.0, (0.01, 0.01))
     singles = [explanation(("rotor_inertia",), -90.0, (0.3, 0.3)), explanation(("sensor_position",), -99.0, (0.9, 0.9))]
