@@ -18,7 +18,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sim.datasheet import AXES, ISO_14839_3_DB, Datasheet, Mode, Tolerance
-from sim.errors import DatasheetError
+from sim.errors import DatasheetError, EffectError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -36,6 +36,8 @@ SignedPair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
 DEEPEST = 8
 """Parts of a dotted key, and brackets within brackets: a datasheet has three, and a parser's work grows with them."""
+BYTE_ORDER_MARK = "\ufeff"
+"""What some editors begin a file of UTF-8 with; TOML has none."""
 _QUOTED = re.compile(
     r'''"""(?:[^"\\]++|\\.?|"(?!""))*+(?:"{3,5}|\Z)'''  # texts of several lines
     r"""|'{3}(?:[^']++|'(?!''))*+(?:'{3,5}|\Z)"""
@@ -225,6 +227,7 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
         One line that names ``source``, the field and what it must be.
     """
     try:
+        text = text.removeprefix(BYTE_ORDER_MARK)
         _must_be_shallow(text)
         raw = _whole_numbers_to_float(tomllib.loads(text))
     except DatasheetError as error:
@@ -242,7 +245,7 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
         natural = f.amplifier.natural_frequency_hz if f.amplifier.bandwidth_hz is None else f.amplifier.bandwidth_hz
         assert natural is not None
         stated = {k: v for k, v in (f.tolerance.model_dump() if f.tolerance else {}).items() if v is not None}
-        return Datasheet(
+        datasheet = Datasheet(
             name=f.rig.name,
             axes=tuple(f.rig.axes),
             mass_kg=f.rotor.mass_kg,
@@ -291,6 +294,14 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
         )
     except DatasheetError as error:
         raise DatasheetError(f"{source}: {error}") from error
+    if datasheet.effects:  # or a typing error would be told once the whole experiment is measured
+        from sim.twin import rig_from_datasheet  # which knows the catalogue, and that the parts of a rig
+
+        try:
+            rig_from_datasheet(datasheet)
+        except EffectError as error:
+            raise DatasheetError(f"{source}: {error}") from error
+    return datasheet
 
 
 def read(path: Path) -> Datasheet:

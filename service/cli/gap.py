@@ -45,9 +45,9 @@ def diagnose(
     for note in document["notes"]:
         console.print(f"note: {note}", soft_wrap=True)
     if document["candidates"]:
-        console.print(_candidates(document["candidates"][:5]))
-    if document["next_experiment"]:
-        console.print(f"next: {document['next_experiment']['description']}", soft_wrap=True)
+        console.print(_candidates(_likeliest(document)))
+    if proposed := document["next_experiment"]:
+        console.print(_proposal(proposed), soft_wrap=True, markup=False)
     for name, path in files.items():
         console.print(f"{name}: {path}", soft_wrap=True)
 
@@ -83,6 +83,8 @@ def apply(
         print(f"{out}: {twin.name} as its datasheet has it: the diagnosis found no gap, so there is no effect to add")
     else:
         print(f"{out}: {twin.name} with {', '.join(name for name, _ in twin.effects)}")
+    if off := document.get("datasheet_off"):
+        print(f"note: the datasheet's own values stay, far off as they are ({', '.join(off)}); identify measures them")
     for note in ends_reached(document):
         print(f"note: {note}")
     if of_another(datasheet, document):
@@ -202,6 +204,20 @@ def _told(scores: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _end(parameter: dict[str, Any]) -> str:
     return f" ({parameter['at_bound']} end of its range)" if parameter.get("at_bound") else ""
+
+
+def _proposal(proposed: dict[str, Any]) -> str:
+    """The next experiment in words, with how long it takes, what it promises, and what asks for it."""
+    odds, minutes = 100 * proposed["odds_of_telling_apart"], proposed["rig_seconds"] / 60
+    words = f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell them apart"
+    return f"{words}: {proposed['command']}"
+
+
+def _likeliest(document: dict[str, Any], most: int = 5) -> list[dict[str, Any]]:
+    """The explanation that the verdict names, then the likeliest of the others."""
+    named = "+".join(document["verdict"]["effects"])
+    order = sorted(document["candidates"], key=lambda c: (c["effect"] != named, -c["probability"]))
+    return order[:most]
 
 
 def _candidates(found: list[dict[str, Any]]) -> Table:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 from service.experiment.data import Experiment
-from service.gap.compose import composed
+from service.gap.compose import Composition, composed
 from service.gap.dated import dated
 from service.gap.diagnosis import Diagnosis, closures_of, listed
 from service.gap.doubts.swings import swinging
-from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.predict import at_speed_of
 from service.gap.heard import once_a_turn, scatter_shrinkage, with_interference
 from service.gap.hints import hints, one_point
-from service.gap.interference import measured_by
+from service.gap.interference import Interference, measured_by
 from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import Proposal
@@ -25,7 +25,8 @@ from service.gap.outdated import fewer, outdated
 from service.gap.passes import PERCENT_FITTED, Found, found_in
 from service.gap.proposal.case import Grounds
 from service.gap.telling import ProgressCallback, Telling
-from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinkage
+from service.gap.weighing.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
+from service.gap.weighing.verdict import Verdict
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
 from service.gap.which.beyond import OFF_TOLERANCES
@@ -82,66 +83,92 @@ def _told(
 ) -> Diagnosis:
     """What was found, judged and measured on data that no fit has seen; ``propose``: and what to measure next."""
     nu, o, unseen = data.nuisance, data.o, found.unseen
-    notes = [*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts)]
     whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
-    fitted = at_speed_of(whole.order[0].candidate.fit.rig, o)
-    sources = [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
     null = whole.null.candidate
-    swings = swinging([data.main, data.other], nu.rig)
-    gap = relative_gap(null.fit.rig, o)
-    verdict = judged(found.parts, o, unseen, gap, sources, found.fault, swings, data.lines_only, data.erratic)
+    sources = _measured_sources(data, whole)
+    verdict = judged(
+        found.parts,
+        o,
+        unseen,
+        relative_gap(null.fit.rig, o),
+        sources,
+        found.fault,
+        swinging([data.main, data.other], nu.rig),
+        data.lines_only,
+        data.erratic,
+    )
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     pair = left_together(whole.order, verdict) if propose else None
     proposal = Proposal(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
+    shrunk = _shrinkages(whole, data, found, verdict, sources)
+    where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
+    twins = {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
+    told = Diagnosis(
+        rig=rig,
+        where=where,
+        order=whole.order,
+        verdict=verdict,
+        shrinkage=shrunk[chosen.effects if verdict.effects else ()],
+        closures=closures_of(whole.order, shrunk, verdict.effects),
+        gap_before=relative_gap(null.fit.rig, unseen),
+        noise_floor=relative_noise(unseen, nu.rig.n_axes),
+        gaps_after={
+            r.candidate.effects: relative_gap(r.candidate.fit.rig, unseen) for r in listed(whole.order, verdict.effects)
+        },
+        observation=o,
+        held_out=unseen,
+        loop=loop_figures(null.fit.rig, chosen.fit.rig, o, twins),
+        next_experiment=proposal.document() if proposal else None,
+        discrepancy=discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
+        datasheet_off=tuple(nu.clearly_off(chosen.fit.theta)),
+    )
+    notes = (*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts))
+    return replace(told, notes=(*notes, *_notes(told, data, found), *_undecided(told, pair)))
+
+
+def _measured_sources(data: Observed, whole: Composition) -> list[Interference]:
+    """The interference that was heard, as loud as the best twin has it."""
+    fitted = at_speed_of(whole.order[0].candidate.fit.rig, data.o)
+    return [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
+
+
+def _shrinkages(
+    whole: Composition, data: Observed, found: Found, verdict: Verdict, sources: Sequence[Interference]
+) -> dict[tuple[str, ...], Shrinkage]:
+    """How far the gap on unseen data shrinks with each explanation that the report lists, and with none."""
+    null = whole.null.candidate
     shrunk = {
-        r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, unseen, found.name)
+        r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, found.unseen, found.name)
         for r in (*listed(whole.order, verdict.effects), whole.null)
     }
-    closed = shrunk[chosen.effects if verdict.effects else ()]
     if sources and len(verdict.effects) == len(sources):
-        closed = scatter_shrinkage(data.other, nu.rig, sources, found.name) or closed
-        shrunk[verdict.effects] = closed
-    where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
+        of_scatter = scatter_shrinkage(data.other, data.nuisance.rig, sources, found.name)
+        shrunk[verdict.effects] = of_scatter or shrunk[verdict.effects]
+    return shrunk
+
+
+def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
+    """What a person should know beside the verdict."""
+    nu, verdict = data.nuisance, d.verdict
     if verdict.also_alike:
-        told = ", ".join(name.replace("_", " ") for name in verdict.also_alike)
-        notes.append(f"not told apart either: {told}")
+        yield f"not told apart either: {', '.join(name.replace('_', ' ') for name in verdict.also_alike)}"
     if verdict.effects:
-        notes += hints(chosen, nu.rig, (o, unseen))
+        yield from hints(d.chosen, nu.rig, (d.observation, d.held_out))
     elif not data.o.together:
-        notes += one_point(found.parts, unseen, (data.main_name, found.name))
-    if far := nu.far_off(chosen.fit.theta):
+        yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
+    if far := nu.far_off(d.chosen.fit.theta):
         drawn = " (what nothing explains may have drawn it there)" if verdict.kind == "none_of_these" else ""
-        notes.append(f"the datasheet is off beyond its tolerances: {', '.join(far)}{drawn}")
-    figures = loop_figures(
-        null.fit.rig, chosen.fit.rig, o, {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
-    )
-    proposed = proposal.document() if proposal else None
-    if pair and proposed is None:
-        one, other_one = (" + ".join(c.effects).replace("_", " ") for c in pair)
-        notes.append(f"no affordable experiment is likely to tell {one} from {other_one}")
-    found_out = Diagnosis(
-        rig,
-        where,
-        whole.order,
-        verdict,
-        closed,
-        closures_of(whole.order, shrunk, verdict.effects),
-        relative_gap(null.fit.rig, unseen),
-        relative_noise(unseen, nu.rig.n_axes),
-        {r.candidate.effects: relative_gap(r.candidate.fit.rig, unseen) for r in listed(whole.order, verdict.effects)},
-        o,
-        unseen,
-        figures,
-        proposed,
-        tuple(notes),
-        discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
-    )
-    off = nu.far_off(null.fit.theta, OFF_TOLERANCES) if found_out.within_the_datasheet else []
-    without = (
-        [f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"] if off else []
-    )
-    return replace(found_out, notes=(*found_out.notes, *without))
+        yield f"the datasheet is off beyond its tolerances: {', '.join(far)}{drawn}"
+    if d.within_the_datasheet and (off := nu.far_off(d.null.fit.theta, OFF_TOLERANCES)):
+        yield f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"
+
+
+def _undecided(d: Diagnosis, pair: tuple[Candidate, Candidate] | None) -> Iterator[str]:
+    """That nothing is proposed for two explanations that are left together."""
+    if pair and d.next_experiment is None:
+        one, other = (" + ".join(c.effects).replace("_", " ") for c in pair)
+        yield f"no affordable experiment is likely to tell {one} from {other}"
 
 
 def not_weighed(lost: Collection[tuple[str, ...]], parts: Sequence[Explained]) -> list[str]:

@@ -50,7 +50,7 @@ def runner_up(order: Sequence[Ranked], chosen: tuple[str, ...]) -> Ranked | None
     return next(rivals, None) if chosen else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Everything that a diagnosis found; `service.gap.document` turns it into gap.json."""
 
@@ -71,6 +71,8 @@ class Diagnosis:
     notes: tuple[str, ...] = field(default=())
     discrepancy: dict[str, Any] | None = None
     """where nothing explains the gap, its shape over frequency, amplitude and channel"""
+    datasheet_off: tuple[str, ...] = ()
+    """what the chosen twin shows the datasheet to be off by beyond doubt, in words, the farthest first"""
     of: dict[str, str] = field(default_factory=dict)
     """what it was made from: `origin.origin`"""
 

@@ -135,6 +135,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
         "discrepancy": d.discrepancy,
         "loop": d.loop,
         "next_experiment": d.next_experiment,
+        "datasheet_off": list(d.datasheet_off),
         "notes": list(d.notes),
     }
     document["notes"] += ends_reached(document)
@@ -175,13 +176,18 @@ def sentence(d: Diagnosis) -> str:
     """The diagnosis in one sentence: where, which, how far, how sure."""
     v, s = d.verdict, d.shrinkage
     gap, sure = f"{100 * d.gap_before:.2g} %", f"probability {100 * v.probability:.0f} %"
-    if v.kind == "no_gap" and d.gap_before > FEW_POINTS * d.noise_floor:
-        return (
-            f"No gap ({sure}): the twin explains the rig but for a few points, which make {gap} where noise makes "
-            f"{100 * d.noise_floor:.2g} %."
-        )
     if v.kind == "no_gap":
-        return f"No gap ({sure}): the twin explains the rig to {gap}, which is noise and the datasheet's tolerances."
+        few = d.gap_before > FEW_POINTS * d.noise_floor
+        but = f" but for a few points, which make {gap} where noise makes {100 * d.noise_floor:.2g} %"
+        if d.datasheet_off:
+            to = f" to {gap}, which is noise"
+            off = d.datasheet_off[0] + (f" and {len(d.datasheet_off) - 1} more" if len(d.datasheet_off) > 1 else "")
+            return (
+                f"No effect is missing ({sure}), but the datasheet is off beyond its tolerances ({off}): with those "
+                f"values the twin explains the rig{but if few else to}."
+            )
+        to = f" to {gap}, which is noise and the datasheet's tolerances"
+        return f"No gap ({sure}): the twin explains the rig{but if few else to}."
     if not v.settled:
         return f"Nothing can be said of the gap: {v.reasons[0]}."
     if v.another_rig:

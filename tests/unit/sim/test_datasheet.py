@@ -295,3 +295,23 @@ def test_a_unit_that_no_rig_can_have_is_told_before_anything_moves(key, value, t
 def test_of_a_name_that_is_wrong_the_name_is_told_and_not_what_is_missing_for_it():
     with pytest.raises(DatasheetError, match=r"rotor\.mass: Extra inputs"):
         rig_file.parse(TEXT.replace("mass_kg = ", "mass = "))
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("[effects.loop_delayy]\ndelay_s = 1e-5", "no effect 'loop_delayy' in the catalogue; known are .*loop_delay"),
+        ("[effects.loop_delay]\ndelay = 1e-5", "effect loop_delay has no parameter 'delay'; it has delay_s"),
+        ("[effects.loop_delay]\ndelay_s = 0.5", "loop_delay.delay_s = 0.5 s is outside"),
+    ],
+)
+def test_an_effect_that_cannot_be_is_refused_where_the_file_is_read(section: str, said: str) -> None:
+    """And not once the experiment is measured."""
+    with pytest.raises(DatasheetError, match=f"bench.toml: {said}"):
+        rig_file.parse(f"{TEXT}\n{section}\n", "bench.toml")
+
+
+def test_a_byte_order_mark_as_some_editors_write_it_is_no_matter(tmp_path: Path) -> None:
+    sheet = reference_datasheet()
+    (tmp_path / "rig.toml").write_text(rig_file.to_toml(sheet), encoding="utf-8-sig")
+    assert rig_file.read(tmp_path / "rig.toml") == sheet

@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from typer.testing import CliRunner
 
-from service.cli.gap import _candidates, app
+from service.cli.gap import _candidates, _likeliest, _proposal, app
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 
@@ -51,3 +51,34 @@ def test_a_twin_with_a_value_that_was_not_measured_is_written_with_a_note(tmp_pa
     paths = ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "twin.toml")]
     printed = CliRunner().invoke(app, ["apply", str(tmp_path / "gap.json"), *paths])
     assert "note: delay of loop delay is at the high end of its range" in printed.stdout
+
+
+def test_a_datasheet_that_is_far_off_is_said_to_stay_so_in_the_twin(tmp_path: Path) -> None:
+    sheet = reference_datasheet()
+    report = {
+        "format": "amb-gap-report", "version": 1, "rig": sheet.name, "candidates": [],
+        "verdict": {"kind": "no_gap", "effects": []}, "datasheet_off": ["current stiffness yB +88 %"],
+    }  # fmt: skip
+    (tmp_path / "rig.toml").write_text(to_toml(sheet))
+    (tmp_path / "gap.json").write_text(json.dumps(report))
+    paths = ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "twin.toml")]
+    printed = CliRunner().invoke(app, ["apply", str(tmp_path / "gap.json"), *paths])
+    assert "values stay, far off as they are (current stiffness yB +88 %); identify measures them" in printed.stdout
+
+
+def test_the_named_explanation_comes_first_and_then_the_likeliest() -> None:
+    of = {"runout": 0.2, "loop_delay": 0.1, "sensor_lag": 0.0, "eddy_currents": 0.03}
+    candidates = [explanation(effect=name, probability=p) for name, p in of.items()]
+    found = _likeliest({"verdict": {"effects": ["loop_delay"]}, "candidates": candidates}, 3)
+    assert [c["effect"] for c in found] == ["loop_delay", "runout", "eddy_currents"]
+
+
+def test_what_to_measure_next_is_told_with_its_price_and_the_command_that_asks_for_it() -> None:
+    proposed = {
+        "description": "each axis from 1 kHz up to 3 kHz", "rig_seconds": 754.0, "odds_of_telling_apart": 0.96,
+        "command": "ambit submit experiment --rig bench --profile wide",
+    }  # fmt: skip
+    assert _proposal(proposed) == (
+        "next: each axis from 1 kHz up to 3 kHz; 13 min on the rig, 96 % likely to tell them apart: "
+        "ambit submit experiment --rig bench --profile wide"
+    )

@@ -188,6 +188,10 @@ def test_what_a_datasheet_without_tolerances_says_is_no_proof_of_an_effect_where
     (told,) = [note for note in d.notes if "off beyond its tolerances" in note]
     percents = [float(x) for x in re.findall(r"current stiffness \w+ ([-+\d]+) %", told)]
     assert [100 / (1 + p / 100) for p in percents] == pytest.approx([100 / factor] * 2, abs=4)
+    document = gap_document(d)
+    assert document["verdict"]["sentence"].startswith("No effect is missing (probability ")
+    assert "the datasheet is off beyond its tolerances (current stiffness " in document["verdict"]["sentence"]
+    assert len(document["datasheet_off"]) >= 2
 
 
 @pytest.mark.no_cover

@@ -56,6 +56,22 @@ def test_one_value_off_moves_that_value_of_the_rig_and_is_told_alone() -> None:
     assert [words.rsplit(" ", 2)[0] for words in told] == ["current stiffness xA", "mode1 frequency y"]
 
 
+@pytest.mark.parametrize(
+    ("off", "beyond_doubt"),
+    [
+        ({"ki_xA": 3.0}, 0),
+        ({"ki_xA": 3.0, "ki_yB": -3.0}, 2),
+        ({"ki_xA": 3.0, "ks_xA": 3.0}, 0),
+        ({"mass": -3.8}, 1),
+        ({"mode1_frequency_x": 3.0, "mode1_frequency_y": 3.0}, 0),
+    ],
+)
+def test_one_value_of_fifty_may_be_off_by_chance_and_several_of_a_kind_are_not(
+    off: dict[str, float], beyond_doubt: int
+) -> None:
+    assert len(NU.clearly_off(vector(NU, off))) == beyond_doubt
+
+
 def test_a_rig_with_two_axes_has_no_other_plane() -> None:
     one = nuisance(sheet_of_one_plane(DATASHEET))
     assert one.rig.n_axes == 2
