@@ -89,8 +89,10 @@ class _Difference:
     """(P,) what a delay of one sample does."""
     u: Complex
     """(P, B) A, as logged."""
-    computed: Complex
-    """(P, B) A, r - C y."""
+    r: Complex
+    """(P, B) A."""
+    fed_back: Complex
+    """(P, B) A, C y."""
 
     @classmethod
     def of(cls, sweep: Sweep, law: tuple[Real, Real], sample_time_s: float) -> _Difference | None:
@@ -106,15 +108,20 @@ class _Difference:
         omega = 2 * np.pi * np.asarray(sweep.frequency_hz, dtype=float)[usable]
         c = discrete_response(*law, omega, sample_time_s)[:, None]
         turn = np.exp(-1j * omega * sample_time_s)
-        return cls(np.asarray(sweep.axis)[usable], turn, u[usable], r[usable] - c * y[usable])
+        return cls(np.asarray(sweep.axis)[usable], turn, u[usable], r[usable], c * y[usable])
 
-    def at(self, offset_samples: float) -> Complex:
-        """u - r + C y, (P, B) A, of a u that was logged so many samples early."""
-        return np.asarray(self.u * self.turn[:, None] ** offset_samples - self.computed)
+    def at(self, offset_samples: float, turned: str = "") -> Complex:
+        """u - r + C y, (P, B) A, of a u that was logged so many samples early, and a signal ``turned`` in sign."""
+        u, r, fed_back = ((-1 if turned == name else 1) * x for name, x in zip("ury", self._signals, strict=True))
+        return np.asarray(u * self.turn[:, None] ** offset_samples - (r - fed_back))
 
-    def share(self, offset_samples: float) -> Real:
+    def share(self, offset_samples: float, turned: str = "") -> Real:
         """Its mean over the blocks, as a share of u, (P,)."""
-        return np.asarray(np.abs(self.at(offset_samples).mean(axis=1)) / np.abs(self.u.mean(axis=1)))
+        return np.asarray(np.abs(self.at(offset_samples, turned).mean(axis=1)) / np.abs(self.u.mean(axis=1)))
+
+    @property
+    def _signals(self) -> tuple[Complex, Complex, Complex]:
+        return self.u, self.r, self.fed_back
 
 
 def _offset(seen: Sequence[_Difference], expected: float) -> tuple[float, list[str]]:
@@ -165,8 +172,9 @@ def _without(sweep: Sweep, spoilt: NDArray[np.int64]) -> tuple[Sweep, str]:
 
 
 def _other_controller(seen: Sequence[_Difference], offset: float, axes: tuple[str, ...]) -> list[str]:
-    """Axes whose control signal is not that of the datasheet's controller."""
-    differing = []
+    """Axes whose u is not that of the datasheet's controller, and those with a signal of the wrong sign, in words."""
+    differing: list[str] = []
+    turned: dict[str, list[str]] = {}
     for place, name in enumerate(axes):
         of_axis = [(d, d.axis == place) for d in seen if np.any(d.axis == place)]
         if not of_axis:
@@ -174,14 +182,25 @@ def _other_controller(seen: Sequence[_Difference], offset: float, axes: tuple[st
         share = np.concatenate([d.share(offset)[at] for d, at in of_axis])
         noise = np.concatenate([_noise(d, offset)[at] for d, at in of_axis])
         if np.median(share) > DIFFERS and np.median(share / np.maximum(noise, 1e-300)) > BEYOND_NOISE:
-            differing.append(f"{name} ({100 * np.median(share):.2g} % of u)")
+            left = {x: np.median(np.concatenate([d.share(offset, x)[at] for d, at in of_axis])) for x in "ury"}
+            signal = min(left, key=lambda x: left[x])
+            if left[signal] < CURED * np.median(share):
+                turned.setdefault(signal, []).append(name)
+            else:
+                differing.append(f"{name} ({100 * np.median(share):.2g} % of u)")
+    said = [
+        f"{signal} of {', '.join(names)} is logged with the opposite sign of what the controller had: with {signal} "
+        "turned, u is r - C y; turn it in the log, or everything that is found is of another rig"
+        for signal, names in turned.items()
+    ]
     if not differing:
-        return []
+        return said
     where = ", ".join(differing)
     return [
+        *said,
         f"u is not r - C y, C being the datasheet's controller, on {where}: either another one ran, and the predicted "
         "loop, its margins and damping are off (give the one that ran), or u, r or y are not logged as it had them, "
-        "and the plant is off too (ambit gap diagnose)"
+        "and the plant is off too (ambit gap diagnose)",
     ]
 
 

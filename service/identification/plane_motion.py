@@ -66,10 +66,12 @@ def loop_of(model: PlaneModel, omega: Real) -> Loop:
     closed[0, 0], closed[1, 1] = 1.0 - back[2], 1.0 - back[0]
     closed[1, 0] = back[1]
     closed[0, 1] = ks[0] * h_bb[1]
-    closed /= closed[0, 0] * closed[1, 1] - closed[0, 1] * closed[1, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a fit may try a plant that is singular: it costs too much
+        closed /= closed[0, 0] * closed[1, 1] - closed[0, 1] * closed[1, 0]
     sensor = np.ascontiguousarray(model.sensor_response(omega).T)
     h_sb = h_sb * sensor[:, None]
-    through = h_sb[:, :1] * closed[0] + h_sb[:, 1:] * closed[1]
+    with np.errstate(invalid="ignore"):
+        through = h_sb[:, :1] * closed[0] + h_sb[:, 1:] * closed[1]
     return Loop(omega, gain, bearings, sensors, sensor, h_bb, through, closed)
 
 

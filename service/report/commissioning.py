@@ -23,6 +23,10 @@ GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
 POOR_PERCENT = 50.0
 """NRMSE below which it is not to be believed: a model that says nothing but the mean has 0."""
+NOTHING_PERCENT = -100.0
+"""NRMSE below which what a model leaves is twice what was measured: noise alone, as near instability, leaves no more."""
+UNKNOWN = 1.0
+"""Relative standard deviation of a stiffness from which nothing is known of it."""
 MARGINS = [
     "loop",
     "peak |S|, dB",
@@ -87,6 +91,13 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
         f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
         f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone}{_standard(loudest)}."
     )
+    if worst < NOTHING_PERCENT or not relative < UNKNOWN:
+        known = "" if relative < UNKNOWN else "; some stiffness is known to no more than its own size"
+        return "bad", (
+            f"The rig {result.rig!r} is not identified: the model agrees with {where} by {worst_percent} in its worst "
+            f"entry, where 0 % is no model at all{known}. Its figures say nothing: check that the datasheet is of this "
+            "rig and its units, and the signs and units of the logged signals, by the notes."
+        )
     if wrong := [p for p in planes if not p.adequate]:
         names = " and ".join(f"{p.plane}-plane" for p in wrong)
         size = number(max(p.residual_rms_total for p in wrong), 2)

@@ -116,3 +116,17 @@ def test_another_controller_is_told_and_the_log_left_as_it_is(experiment: Experi
     assert "controller" in said
     for s, t in zip(found.experiment.sweeps, experiment.sweeps, strict=True):
         assert s is t
+
+
+@pytest.mark.parametrize("signal", ["U", "R", "Y"])
+def test_a_signal_of_the_wrong_sign_is_told_with_its_axes(
+    experiment: Experiment, datasheet: Datasheet, signal: str
+) -> None:
+    """A displacement is logged as its sensor has it, a controller may have turned it; a plane is fitted to it all the
+    same, and ends anywhere."""
+    main = experiment.main
+    X = getattr(main, signal).copy()
+    X[..., 1] *= -1
+    turned = replace(experiment, sweeps=(replace(main, **{signal: X}),))
+    (said,) = check(turned, datasheet).warnings
+    assert f"{signal.lower()} of {experiment.axes[1]} is logged with the opposite sign" in said

@@ -94,6 +94,21 @@ def test_a_model_that_does_not_agree_with_the_data_is_not_said_to_be_identified(
     assert "-36.10 % NRMSE only" in text
 
 
+@pytest.mark.parametrize(("fit_percent", "std"), [(-1296.0, 0.01), (99.0, 3.0)])
+def test_of_a_model_that_says_nothing_no_figure_is_told_in_the_sentence(result, fit_percent, std):
+    """As of a displacement with the wrong sign."""
+    nothing = {}
+    for name, p in result.planes.items():
+        unseen = np.full_like(p.cross_validation_fit_percent, fit_percent)
+        stiffness = {k: replace(e, std=std * abs(e.value)) for k, e in p.stiffness.items()}
+        nothing[name] = replace(p, cross_validation_fit_percent=unseen, stiffness=stiffness)
+    tone, text = verdict(replace(result, planes=nothing))
+    assert tone == "bad"
+    assert "is not identified" in text
+    assert "N/A" not in text
+    assert "signs and units of the logged signals" in text
+
+
 def test_zones_of_the_datasheet_are_those_of_the_verdict_and_the_plots(measured, result):
     experiment, datasheet = measured
     own = (("fine", 40.0), ("bad", math.inf))
