@@ -1,4 +1,9 @@
-"""What the gap means for the loop: sensitivity peaks predicted and measured, and the nu-gap by frequency."""
+"""What the gap means for the loop: sensitivity peaks predicted and measured, and the nu-gap by frequency.
+
+The nu-gap of two loops is the largest chordal distance of their responses, and 1 where a condition on winding numbers
+does not hold (Vinnicombe 2001, definition 3.1). Responses at some lines cannot show that: what is told of measured ones
+is a lower bound.
+"""
 
 from __future__ import annotations
 
@@ -36,18 +41,16 @@ def measured_responses(
 ) -> tuple[Complex, Complex, Complex, NDArray[np.int64]] | None:
     """u/r, y/u and y/r at the lines where every axis has a usable point, (F, n, n) each, and those lines.
 
-    None where they are fewer than three.
+    Of a line that was measured more than once all points count, by least squares. None where fewer than three are.
     """
     n, f = o.U.shape[2], o.fundamental
     lines = [k for k in range(len(o.frequency_hz)) if set(o.axis[(o.line == k) & usable].tolist()) == set(range(n))]
     if len(lines) < 3:
         return None
-    R, U, Y = (np.empty((len(lines), n, n), dtype=complex) for _ in range(3))
-    for row, k in enumerate(lines):
-        for point in np.flatnonzero((o.line == k) & usable):
-            column = o.axis[point]
-            R[row, :, column], U[row, :, column], Y[row, :, column] = o.R[point, f], o.U[point, f], o.Y[point, f]
-    return _right_divided(U, R), _right_divided(Y, U), _right_divided(Y, R), np.array(lines)
+    at = [np.flatnonzero((o.line == k) & usable) for k in lines]
+    pairs = ((o.U, o.R), (o.Y, o.U), (o.Y, o.R))
+    u_r, y_u, y_r = (np.stack([A[p, f].T @ np.linalg.pinv(B[p, f].T) for p in at]) for A, B in pairs)
+    return u_r, y_u, y_r, np.array(lines)
 
 
 def settled(o: Observation) -> NDArray[np.bool_]:
@@ -55,14 +58,8 @@ def settled(o: Observation) -> NDArray[np.bool_]:
     return ~(o.drifting & (o.drift > MATTERS))
 
 
-def _right_divided(a: Complex, b: Complex) -> Complex:
-    """A B^-1 for stacks of matrices."""
-    quotient = np.linalg.solve(np.swapaxes(b, 1, 2), np.swapaxes(a, 1, 2))
-    return np.asarray(np.swapaxes(quotient, 1, 2))
-
-
 def chordal_distance(a: Complex, b: Complex) -> Real:
-    """Pointwise nu-gap of two loop matrices, (F, n, n) -> (F,): 0 equal, 1 as far apart as can be.
+    """Chordal distance of two loop matrices, (F, n, n) -> (F,): 0 equal, 1 as far apart as can be.
 
     Source: Vinnicombe, Uncertainty and Feedback, 2001, eq. 3.20.
     """
@@ -79,7 +76,7 @@ def chordal_distance(a: Complex, b: Complex) -> Real:
 def loop_figures(
     before: Rig, after: Rig, o: Observation, drawn: Mapping[str, Sequence[Rig]] = NOTHING
 ) -> dict[str, Any]:
-    """What the gap means for the loop: S, T and dynamic stiffness, and the largest nu-gap, before and after.
+    """What the gap means for the loop: S, T and dynamic stiffness, and the nu-gap at the measured lines, before and after.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """What a gap means for the loop: S, T and stiffness are those of the rig, whatever lies between the measured lines."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
-from service.gap.loop import QUANTITIES, drawn_twins, loop_figures
+from service.gap.loop import QUANTITIES, drawn_twins, loop_figures, measured_responses
 from service.gap.measured.observation import observe
 from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
@@ -108,3 +108,18 @@ def test_the_stated_deviation_of_a_measured_figure_is_that_of_campaign_after_cam
             ratios.append(np.std([t["value"] for t in told], ddof=1) / np.mean([t["std"] for t in told]))
         # noise is least where T and the compliance are largest, and no twin is trusted as far: that counts, too
         assert (0.6 if quantity == "sensitivity" else 0.25) < np.mean(ratios) < 1.6, quantity
+
+
+def test_of_a_line_that_was_measured_twice_both_points_count() -> None:
+    twice = {
+        f.name: np.concatenate([v, v])
+        for f in fields(O)
+        if isinstance(v := getattr(O, f.name), np.ndarray) and f.name != "frequency_hz"
+    }
+    off = np.repeat([1.1, 0.9], len(O.axis))[:, None, None]
+    both = replace(O, **twice | {"Y": twice["Y"] * off})
+    once, of_both = (measured_responses(o, np.ones(len(o.axis), dtype=bool)) for o in (O, both))
+    assert once is not None
+    assert of_both is not None
+    for one, other in zip(once[:3], of_both[:3], strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-6, atol=1e-9 * np.abs(one).max())
