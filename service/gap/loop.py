@@ -76,7 +76,7 @@ def chordal_distance(a: Complex, b: Complex) -> Real:
 def loop_figures(
     before: Rig, after: Rig, o: Observation, drawn: Mapping[str, Sequence[Rig]] = NOTHING
 ) -> dict[str, Any]:
-    """What the gap means for the loop: S, T and dynamic stiffness, and the nu-gap at the measured lines, before and after.
+    """What the gap means for the loop: S, T, dynamic stiffness, and the nu-gap at the measured lines, before and after.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ GOOD_PERCENT = 90.0
 POOR_PERCENT = 50.0
 """NRMSE below which it is not to be believed: a model that says nothing but the mean has 0."""
 NOTHING_PERCENT = -100.0
-"""NRMSE below which what a model leaves is twice what was measured: noise alone, as near instability, leaves no more."""
+"""NRMSE below which a model leaves twice what was measured: noise alone, as near instability, leaves no more."""
 UNKNOWN = 1.0
 """Relative standard deviation of a stiffness from which nothing is known of it."""
 MARGINS = [
