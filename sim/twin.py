@@ -108,7 +108,7 @@ def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:
     return rig
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LinearModel:
     """Small-signal responses of a rig at F frequencies; matrices are (F, output, input)."""
 
@@ -219,18 +219,18 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     base = own[0, :, :, None] * cross
     logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
     return LinearModel(
-        rig,
-        point,
-        omega,
-        _mixed(y_per_u, cross) * logged_early,
-        y_per_magnet * per_current[0, :, None, :],
-        base,
-        control_law.response(rig.controller, omega),
-        eddy[0, :, :, None] * base,
-        _mixed(_mixed(bearing_per_force, rotation) * per_control[0, :, None, :], cross),
-        bearing_per_force,
-        y_per_force,
-        logged_early[:, 0, 0],
+        rig=rig,
+        point=point,
+        omega_rad_s=omega,
+        y_per_u=_mixed(y_per_u, cross) * logged_early,
+        plant=y_per_magnet * per_current[0, :, None, :],
+        baseband=base,
+        controller=control_law.response(rig.controller, omega),
+        flux_per_u=eddy[0, :, :, None] * base,
+        bearing_per_u=_mixed(_mixed(bearing_per_force, rotation) * per_control[0, :, None, :], cross),
+        bearing_per_force=bearing_per_force,
+        y_per_force=y_per_force,
+        log_phase=logged_early[:, 0, 0],
     )
 
 

@@ -28,7 +28,7 @@ FEWEST_LINES = 5
 its datasheet has uncertain values."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Observed:
     """What a diagnosis works on."""
 

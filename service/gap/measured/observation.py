@@ -70,7 +70,7 @@ class GapError(AmbError):
     """The data do not allow a diagnosis; the message says what is missing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Observation:
     """One sweep. P points, H harmonics, n axes; standard deviations are of the complex mean, E|e|^2 = sd^2."""
 
@@ -199,22 +199,24 @@ def observe(
         sd_u, sd_i, sd_y = _with_leak((sd_u, sd_i, sd_y), sweep, rig, k)
         means = (mean_u, mean_u if mean_i is None else mean_i, mean_y)
         sd_y[:, k] = np.hypot(sd_y[:, k], wander(rig, means, sd_y[:, k], k, f, sweep))
+    restless, change = drifting(sweep, leaks)
     return Observation(
-        frequency,
-        line,
-        sweep.axis,
-        sweep.harmonics,
-        sweep.R.mean(axis=1),
-        mean_u,
-        mean_i,
-        mean_y,
-        sd_u,
-        sd_i,
-        sd_y,
-        _progress(sweep, progress, span_s),
-        *drifting(sweep, leaks),
-        sweep.speed_rad_s,
-        together,
+        frequency_hz=frequency,
+        line=line,
+        axis=sweep.axis,
+        harmonics=sweep.harmonics,
+        R=sweep.R.mean(axis=1),
+        U=mean_u,
+        I=mean_i,
+        Y=mean_y,
+        sd_u=sd_u,
+        sd_i=sd_i,
+        sd_y=sd_y,
+        progress=_progress(sweep, progress, span_s),
+        drifting=restless,
+        drift=change,
+        speed_rad_s=sweep.speed_rad_s,
+        together=together,
     )
 
 
