@@ -97,7 +97,7 @@ def _among(mode: ModeResult, named_rad_s: Sequence[float]) -> bool:
 def _mean(modes: Sequence[ModeResult]) -> Mode:
     """A mode as the mean of what the planes show of it."""
     of_planes = [_shape(m) for m in modes]
-    # its sign is nobody's, and of ends that move alike noise decides which is the larger
+    # The sign of a mode shape is arbitrary, and where both ends move alike noise decides which is the larger.
     shapes = np.mean([shape * np.sign(shape @ of_planes[0]) for shape in of_planes], axis=0)
     return Mode(
         float(np.mean([m.natural_frequency_rad_s.value for m in modes]) / (2 * np.pi)),

@@ -1,7 +1,7 @@
 """What a diagnosis was made from: digests of datasheet and experiment, and which controller measured it.
 
-They say whether two diagnoses are of the same data, and whether one is of a rig that was served, and nothing of what
-is withheld: who diagnoses has all of it.
+They say whether two diagnoses are of the same data, and whether one is of a rig that was served. They are computed from
+the inputs of the diagnosis alone, and so hold nothing of what a blind trial withholds.
 """
 
 from __future__ import annotations

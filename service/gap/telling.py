@@ -12,7 +12,7 @@ ProgressCallback = Callable[[float, str], None]
 STAGES = {"plant": 3}
 """Stages of a fit; of the other parts, one: they have no resonances."""
 FIRST_ROUND = 0.9
-"""Share of a part's time that its plain twin and single effects take; mixtures come after, nobody knows how many."""
+"""Share of a part's time that its plain twin and single effects take; mixtures come after, of unknown number."""
 
 
 class Telling:
@@ -21,7 +21,7 @@ class Telling:
     Parameters
     ----------
     progress
-        Told after every fit; None tells nobody.
+        Called after every fit; None for no callback.
     """
 
     def __init__(self, progress: ProgressCallback | None) -> None:
@@ -46,7 +46,7 @@ class Telling:
         self._tell(self._begin + share * (self._end - self._begin), f"{self._words}, {self._fits} fitted")
 
     def without(self, effects: Sequence[str], percent: float) -> None:
-        """The twin is diagnosed without some of its effects; how long that takes, nobody knows."""
+        """The twin is diagnosed without some of its effects; how long that takes is not known before."""
         self._begin = self._end = percent
         self._words = f"the twin without {' and '.join(name.replace('_', ' ') for name in effects)}"
         self._tell(percent, self._words)

@@ -115,7 +115,7 @@ def weights(o: Observation) -> Real:
 
 
 def centred(e: Complex, w: Real, o: Observation) -> Complex:
-    """``e`` (P, H, 3 n, ...) with each line's weighted mean of harmonic 0 taken out: static loads are nobody's effect.
+    """``e`` (P, H, 3 n, ...) without the weighted mean of harmonic 0 of each line: no effect predicts a static load.
 
     They wander, as magnets keep some of their flux after a large swing and as rigs warm up; what counts is how the mean
     differs with the axis that is excited.

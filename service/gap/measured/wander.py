@@ -36,7 +36,7 @@ def wander(rig: Rig, means: tuple[Complex, Complex, Complex], sd: Real, k: int, 
     load = (Y[:, k] - U[:, k] @ linear_model(rig, np.array([STATIC_HZ])).y_per_u[0].T).real
     x, i = Y[:, f], I[:, f]
     laws = np.concatenate([np.abs(x) ** 2, (x * i.conj()).real, np.abs(i) ** 2], axis=1)
-    of_line = 1.0 * (line[:, None] == np.arange(line.max() + 1))  # the line's own mean is nobody's effect
+    of_line = 1.0 * (line[:, None] == np.arange(line.max() + 1))  # no effect predicts a static load
     columns = np.concatenate([laws / np.maximum(np.abs(laws).max(axis=0), 1e-300), of_line], axis=1)
     free = len(load) - columns.shape[1]
     if free < laws.shape[1]:

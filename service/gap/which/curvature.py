@@ -139,7 +139,7 @@ def _system(
 
 
 def _columns(law: CurvedLaw, rig: Rig, o: Observation, powers: Sequence[int]) -> Complex:
-    """Change of a part's signal per curvature, (P, H, n, powers * n). Means are left out: they are nobody's effect."""
+    """Change of a part's signal per curvature, (P, H, n, powers * n). Without means: no effect predicts them."""
     n = rig.n_axes
     out = np.zeros((len(o.axis), len(o.harmonics), n, len(powers), n), dtype=complex)
     for row, power in enumerate(powers):

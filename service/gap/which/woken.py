@@ -1,7 +1,7 @@
-"""Effects with more of their law than most rigs need, where the law that all have leaves much.
+"""Effects with the optional parameters of their law, which are fitted only where the basic law leaves too much.
 
-A disc that modes tilt, damping of one mode that turns with the shaft: such parameters lie where their law is the
-plainest, at no price, until the best explanation leaves too much. Then fits begin where they do something.
+A disc that modes tilt, damping of one mode that turns with the shaft: such a parameter is held at its null, and costs
+no evidence, until the best explanation leaves too much. Then fits begin at values where it acts.
 """
 
 from __future__ import annotations
