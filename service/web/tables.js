@@ -105,7 +105,7 @@ async function diagnosed(id, place, context) {
 
 function results(now) {
   const paths = {
-    experiment: (id) => ["/experiments/" + id + "/experiment.h5", "experiment.h5"],
+    experiment: (id) => ["/experiments/" + id + "/file", "experiment.h5"],
     model: (id) => ["/models/" + id + "/report.html", "report.html"],
     gap: (id) => ["/gaps/" + id + "/report.html", "gap.html"],
     health: (id) => ["/health-checks/" + id + "/report.html", "health.html"],

@@ -60,7 +60,7 @@ def ids(service: Serving) -> dict[str, str]:
     with database.write() as session:
         rig = rigs.create(session, NAME, to_toml(SHEET), "", "a note & <b>more</b>", "local")
         experiment = ExperimentRow(
-            id=new_id("exp"), rig_id=rig.id, source="uploaded", complete=True, file_sha256="0" * 64, file_bytes=1,
+            id=new_id("exp"), rig_id=rig.id, source="uploaded", complete=True, file_sha256=blobs.put(b"\x89HDF"), file_bytes=4,
             media_type="application/x-hdf5", file_name="e.h5", summary={}, created_by="local", **common,
         )  # fmt: skip
         session.add(experiment)
@@ -84,9 +84,10 @@ def ids(service: Serving) -> dict[str, str]:
         session.flush()
         checks = _checks()
         second = rigs.create(session, "bench 2", to_toml(SHEET), NOBODY, "", "local")
+        health = new_id("hc")
         session.add(
             HealthRow(
-                id=new_id("hc"), rig_id=second.id, rig_version=1, experiment_id=experiment.id, model_id=model.id,
+                id=health, rig_id=second.id, rig_version=1, experiment_id=experiment.id, model_id=model.id,
                 schedule_id=None, job_id=None, document=checks[0], report_sha256=blobs.put(b""), alarm=False,
                 created_at=now(),
             )
@@ -112,7 +113,7 @@ def ids(service: Serving) -> dict[str, str]:
         running, ended = (jobs.submit(session, "identification", rig.id, 1, "laptop") for _ in range(2))
         running.state, ended.state = jobs.RUNNING, jobs.FAILED
         ended.error_title, ended.error_detail = "too few points", "plane x: 3 usable points"
-        made = {"experiment": experiment.id, "gap": gap}
+        made = {"experiment": experiment.id, "model": model.id, "gap": gap, "health": health}
         return {"rig": rig.id, "second": second.id, "running": running.id, "failed": ended.id, **made}
 
 
@@ -363,6 +364,34 @@ def test_a_job_that_failed_is_tried_again_from_the_page(service, ids):
         assert page.complaints == []
     with service.services.database.read() as session:
         assert (jobs.get(session, job).run, jobs.get(session, job).requested_by) == (2, "local")
+
+
+@needs_browser
+@pytest.mark.parametrize(
+    ("kind", "made"),
+    [
+        ("experiment", ["experiment"]),
+        ("identification", ["model"]),
+        ("gap", ["gap"]),
+        ("health", ["experiment", "health"]),
+    ],
+)
+def test_every_document_that_a_finished_job_links_to_is_there(service, ids, kind, made):
+    with service.services.database.write() as session:
+        job = jobs.submit(session, kind, ids["rig"], 1, "laptop")
+        job.state, job.started_at, job.ended_at = jobs.DONE, now(), now()
+        job.result = {name: ids[name] for name in made}
+        place = f"#/job/{job.id}"
+    with tab() as page:
+        page.open(f"{service.url}/{place}")
+        page.until(f"document.documentElement.dataset.shown === '{place}'")
+        if kind == "gap":
+            page.until("document.body.innerText.includes('report of the diagnosis')")
+        links = page.run("[...document.querySelectorAll('#view a')].map((a) => a.href).filter((a) => !a.includes('#'))")
+        assert len(set(links)) == len(made)
+        for link in links:
+            assert httpx.get(link).status_code == 200, link
+        assert page.complaints == []
 
 
 @needs_browser
