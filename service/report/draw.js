@@ -2,9 +2,11 @@
 (function () {
   "use strict";
   var PAPER_WIDTH = 1030; // style.css scales it to the sheet
-  var places = Array.from(document.querySelectorAll("figure > .plot"));
+  var NARROW = window.matchMedia("(max-width: 760px)").matches; // there a finger scrolls, and does not zoom
+  var places = Array.from(document.querySelectorAll("figure .plot"));
   places.forEach(function (place) {
     var figure = JSON.parse(document.getElementById(place.id + "-data").textContent);
+    if (NARROW) figure.layout.dragmode = false;
     Plotly.newPlot(place, figure.data, figure.layout, {
       responsive: true,
       displaylogo: false,

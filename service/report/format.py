@@ -120,8 +120,10 @@ def count(n: int, noun: str) -> str:
 def table(head: list[str], rows: list[list[str]], caption: str = "", left: int = 1) -> str:
     """An HTML table; the first ``left`` columns are words, the others numbers. Cells are escaped.
 
+    It scrolls in a box of its own where the screen is narrower.
+
     >>> table(["a", "b"], [["x", "1 < 2"]]).partition("<tbody>")[2]
-    '<tr><td>x</td><td class="n">1 &lt; 2</td></tr></tbody></table>'
+    '<tr><td>x</td><td class="n">1 &lt; 2</td></tr></tbody></table></div>'
     """
 
     def row(tag: str, cells: list[str]) -> str:
@@ -131,7 +133,7 @@ def table(head: list[str], rows: list[list[str]], caption: str = "", left: int =
 
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     body = "".join(row("td", r) for r in rows)
-    return f"<table>{title}<thead>{row('th', head)}</thead><tbody>{body}</tbody></table>"
+    return f'<div class="scroll"><table>{title}<thead>{row("th", head)}</thead><tbody>{body}</tbody></table></div>'
 
 
 def paragraph(text: str, kind: str = "") -> str:

@@ -50,7 +50,7 @@ class Page:
 
     def html(self) -> str:
         """The page as one self-contained file."""
-        links = "".join(f'<a href="#{s.anchor}">{escape(s.title)}</a>' for s in self.sections)
+        links = " ".join(f'<a href="#{s.anchor}">{escape(s.title)}</a>' for s in self.sections)
         notes = "".join(f'<p class="note">{escape(n)}</p>' for n in self.notes)
         body = "".join(_section(s) for s in self.sections)
         drawn = any(isinstance(p, Captioned) for s in self.sections for p in s.parts)
@@ -74,8 +74,9 @@ def _section(section: Section) -> str:
 def _figure(captioned: Captioned) -> str:
     figure = captioned.figure
     data = json.dumps(figure.document(), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    style = f"height:{figure.height_px}px; --columns:{figure.columns}"
     return (
-        f'<figure><div class="plot" id="{figure.name}" style="height:{figure.height_px}px"></div>'
+        f'<figure><div class="scroll"><div class="plot" id="{figure.name}" style="{style}"></div></div>'
         f"<figcaption>{escape(captioned.caption)}</figcaption>"
         f'<script type="application/json" id="{figure.name}-data">{data}</script></figure>'
     )

@@ -60,8 +60,9 @@ def ids(service: Serving) -> dict[str, str]:
     with database.write() as session:
         rig = rigs.create(session, NAME, to_toml(SHEET), "", "a note & <b>more</b>", "local")
         experiment = ExperimentRow(
-            id=new_id("exp"), rig_id=rig.id, source="uploaded", complete=True, file_sha256=blobs.put(b"\x89HDF"), file_bytes=4,
-            media_type="application/x-hdf5", file_name="e.h5", summary={}, created_by="local", **common,
+            id=new_id("exp"), rig_id=rig.id, source="uploaded", complete=True, file_bytes=4,
+            file_sha256=blobs.put(b"\x89HDF"), media_type="application/x-hdf5", file_name="e.h5", summary={},
+            created_by="local", **common,
         )  # fmt: skip
         session.add(experiment)
         session.flush()

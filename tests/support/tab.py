@@ -80,6 +80,10 @@ class Tab:
         size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": True}
         self._call("Emulation.setDeviceMetricsOverride", size)
 
+    def wide(self) -> int:
+        """How wide the whole page is, px; more than its window where it scrolls sideways."""
+        return int(self.run("document.documentElement.scrollWidth"))
+
     def press(self, key: str) -> None:
         """A key, by its name, wherever the focus is."""
         more = {"text": "\r"} if key == "Enter" else {}

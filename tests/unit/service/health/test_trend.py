@@ -7,6 +7,10 @@ import pytest
 
 from service.health.trend import Checked, trend
 from service.report.health import health_page
+from tests.support.browser import BROWSER
+from tests.support.tab import tab
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
 START = datetime(2026, 1, 1, 6, tzinfo=UTC)
 
@@ -105,3 +109,15 @@ def test_the_page_warns_of_a_steady_change():
     assert 'id="trend-magnets"' in page
     first = health_page(checks[0].document, checks[:1])
     assert "first check" in first
+
+
+@needs_browser
+def test_the_whole_page_is_as_wide_as_a_phone(tmp_path):
+    checks = history(0.006, 40)
+    file = tmp_path / "page.html"
+    file.write_text(health_page(checks[-1].document, checks))
+    with tab() as phone:
+        phone.narrow(390)
+        phone.open(file.as_uri())
+        phone.until("document.documentElement.dataset.drawn")
+        assert phone.wide() == 390

@@ -11,6 +11,10 @@ import pytest
 from service.identification.fit import identify
 from service.report.commissioning import commissioning_page, verdict
 from service.report.format import figures
+from tests.support.browser import BROWSER
+from tests.support.tab import tab
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
 LARGEST_BYTES = 6_000_000
 
@@ -163,3 +167,14 @@ def test_the_time_on_the_rig_goes_to_its_sweep(result, measured):
     page = commissioning_page(result, replace(experiment, sweeps=tuple(sweeps)), datasheet)
     n = experiment.sweeps[0].n_points
     assert f">{round(n * 0.5) // 60} min {round(n * 0.5) % 60:02d} s<" in page
+
+
+@needs_browser
+def test_the_whole_page_is_as_wide_as_a_phone(page, tmp_path):
+    file = tmp_path / "page.html"
+    file.write_text(page)
+    with tab() as phone:
+        phone.narrow(390)
+        phone.open(file.as_uri())
+        phone.until("document.documentElement.dataset.drawn")
+        assert phone.wide() == 390

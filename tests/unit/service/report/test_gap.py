@@ -22,6 +22,10 @@ from service.identification.synthetic import plane_model_of, synthetic_sweep
 from service.report.gap import gap_page
 from sim.effects import CATALOGUE, effect
 from sim.reference import reference_rig
+from tests.support.browser import BROWSER
+from tests.support.tab import tab
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
 DELAY_S = 40e-6
 
@@ -302,3 +306,14 @@ def test_an_axis_that_was_not_excited_has_no_column(diagnosis):
     shown = figure(gap_page(one), "quotient")
     assert [a["text"] for a in shown["layout"]["annotations"]] == ["<b>i<sub>xA</sub></b>"]
     assert sum(t["name"] == "measured over twin before" for t in shown["data"]) == 2  # magnitude and phase
+
+
+@needs_browser
+def test_the_whole_page_is_as_wide_as_a_phone(diagnosis, tmp_path):
+    file = tmp_path / "page.html"
+    file.write_text(gap_page(diagnosis))
+    with tab() as phone:
+        phone.narrow(390)
+        phone.open(file.as_uri())
+        phone.until("document.documentElement.dataset.drawn")
+        assert phone.wide() == 390

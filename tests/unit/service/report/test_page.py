@@ -4,9 +4,15 @@ import json
 import re
 
 import numpy as np
+import pytest
 
 from service.report.figure import Figure, line
+from service.report.format import table
 from service.report.page import Captioned, Page, Section
+from tests.support.browser import BROWSER
+from tests.support.tab import tab
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
 
 def page_with(*parts, title="A title", lead="A lead.") -> str:
@@ -51,3 +57,44 @@ def test_links_lead_to_their_parts():
     page = Page("t", "", "", "good", (), [Section("x-plane", []), Section("The end", [])]).html()
     for target in re.findall(r'href="#([^"]+)"', page):
         assert f'id="{target}"' in page
+
+
+WIDE = table([f"a column of words {k}" for k in range(12)], [["12345.678 ± 0.012"] * 12])
+FOUR = Figure("four", 1, 4, 300)
+
+
+@needs_browser
+def test_on_a_phone_tables_and_figures_scroll_in_their_own_boxes(tmp_path):
+    for c in range(4):
+        FOUR.add(0, c, line(np.arange(3.0), np.arange(3.0), f"a line {c}"))
+    code = f"<p>Submit it: <code>{'x' * 200}</code></p>"
+    sections = [Section("Part", [WIDE, code, Captioned(figure(), "one panel"), Captioned(FOUR, "four panels")])]
+    sections += [Section(f"The part after that, {k}", []) for k in range(8)]
+    file = tmp_path / "page.html"
+    file.write_text(Page("A" * 80, "about", "A lead of " + "b" * 80, "good", (), sections).html())
+    with tab() as page:
+        page.narrow(390)
+        page.open(file.as_uri())
+        page.until("document.documentElement.dataset.drawn && document.querySelectorAll('.main-svg').length >= 2")
+        assert page.wide() == 390
+        assert page.run("document.querySelector('nav').offsetHeight") > 60, "the links wrap"
+        hidden = "[...document.querySelectorAll('.scroll')].map((e) => e.scrollWidth > e.clientWidth)"
+        assert page.run(hidden) == [True, True, True]
+        drawn = page.run("[...document.querySelectorAll('figure .main-svg:first-child')].map((e) => e.clientWidth)")
+        assert drawn[0] >= 700
+        assert drawn[1] >= 1000, "four panels need more than one"
+        assert page.run("[...document.querySelectorAll('.modebar')].every((e) => !e.offsetHeight)")
+        assert page.run("document.getElementById('four').layout.dragmode") is False, "a finger scrolls"
+        assert page.complaints == []
+
+
+@needs_browser
+def test_on_a_desk_nothing_scrolls_but_what_is_wider_than_the_page(tmp_path):
+    file = tmp_path / "page.html"
+    file.write_text(page_with(Captioned(figure(), "c"), table(["a", "b"], [["1", "2"]]), WIDE))
+    with tab() as page:
+        page.open(file.as_uri())
+        page.until("document.documentElement.dataset.drawn && document.querySelector('.main-svg')")
+        assert page.wide() == page.run("document.documentElement.clientWidth")
+        hidden = "[...document.querySelectorAll('.scroll')].map((e) => e.scrollWidth > e.clientWidth)"
+        assert page.run(hidden) == [False, False, True]
