@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -117,6 +118,7 @@ def trend(
     from service import checkup
     from service.errors import DocumentError
     from service.health.trend import trend as series_of
+    from service.report.format import change
 
     checks = checkup.read_history(history)
     if not checks:
@@ -133,9 +135,10 @@ def trend(
     for head in ("last change, %", "slope, % a year", "in std. dev.", ""):
         table.add_column(head, justify="right")
     for name, s in found.items():
-        slope = "" if s.slope_percent_per_year is None else f"{s.slope_percent_per_year:+z.3g} ± {s.slope_std:.2g}"
+        last = change(s.change_percent[-1], math.hypot(s.std_percent[-1], s.baseline_std_percent))
+        slope = "" if s.slope_percent_per_year is None else change(s.slope_percent_per_year, s.slope_std or 0.0)
         sigma = "" if s.significance is None else f"{s.significance:+z.1f}"
-        table.add_row(name, f"{s.change_percent[-1]:+z.3f}", slope, sigma, "steady" if s.drifting else "")
+        table.add_row(name, last, slope, sigma, "steady" if s.drifting else "")
     stdout().print(table)
 
 
@@ -164,7 +167,7 @@ def _table(document: dict[str, Any]) -> Table:
     from rich import box
     from rich.table import Table
 
-    from service.report.format import figures
+    from service.report.format import change, figures, in_unit
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("figure")
@@ -173,6 +176,7 @@ def _table(document: dict[str, Any]) -> Table:
     for name, p in document["parameters"].items():
         was, _ = figures(p["baseline"]["value"], p["baseline"]["std"])
         now, _ = figures(p["now"]["value"], p["now"]["std"])
-        change = f"{p['change_percent']:+z.3f} ± {p['change_std_percent']:.3f}"
-        table.add_row(name, was, now, change, f"{p['significance']:+z.1f}", "drifted" if p["drifted"] else "")
+        by = change(p["change_percent"], p["change_std_percent"])
+        sigma, mark = f"{p['significance']:+z.1f}", "drifted" if p["drifted"] else ""
+        table.add_row(in_unit(name, p["unit"]), was, now, by, sigma, mark)
     return table

@@ -25,6 +25,26 @@ def figures(value: float, std: float) -> tuple[str, str]:
     return f"{round(value / step) * step}", f"{round(std / step) * step}"
 
 
+def change(value: float, std: float) -> str:
+    """A change with its sign and its standard deviation, as many digits as the latter allows.
+
+    >>> change(-2.97, 0.0451), change(-2.0998e-05, 0.00057), change(0.01, 1.4), change(1.5, 0.0)
+    ('-2.970 ± 0.045', '-0.00002 ± 0.00057', '+0.0 ± 1.4', '+1.5')
+    """
+    shown, spread = figures(value, std)
+    told = shown if shown.startswith(("-", MISSING)) else f"+{shown}"
+    return told if spread == MISSING else f"{told} ± {spread}"
+
+
+def in_unit(name: str, unit: str) -> str:
+    """A figure's name with its unit, if it has one.
+
+    >>> in_unit("x.kiA", "N/A"), in_unit("x.zeta1", "1")
+    ('x.kiA, N/A', 'x.zeta1')
+    """
+    return name if unit in ("", "1") else f"{name}, {unit}"
+
+
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 

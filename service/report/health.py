@@ -9,7 +9,7 @@ import numpy as np
 
 from service.health.trend import Checked, Series, trend
 from service.report.figure import BAD, GRID, MEASURED, MODEL, Figure, points
-from service.report.format import count, figures, fixed, paragraph, signed, table
+from service.report.format import change, count, figures, fixed, in_unit, paragraph, signed, table
 from service.report.page import Captioned, Page, Section, Tone
 
 GROUPS = (
@@ -58,10 +58,9 @@ def _changes(document: Mapping[str, Any]) -> Section:
     for name, p in document["parameters"].items():
         was, was_std = figures(p["baseline"]["value"], p["baseline"]["std"])
         now, now_std = figures(p["now"]["value"], p["now"]["std"])
-        unit = f", {p['unit']}" if p["unit"] not in ("", "1") else ""
         mark = "drifted" if p["drifted"] else ""
-        change = f"{signed(p['change_percent'], 3)} ± {fixed(p['change_std_percent'], 3)}"
-        rows.append([name + unit, was, was_std, now, now_std, change, signed(p["significance"], 1), mark])
+        by = change(p["change_percent"], p["change_std_percent"])
+        rows.append([in_unit(name, p["unit"]), was, was_std, now, now_std, by, signed(p["significance"], 1), mark])
     head = ["figure", "commissioned", "std", "now", "std", "change, %", "in std. dev.", ""]
     threshold = next(iter(document["parameters"].values()))["threshold"] if document["parameters"] else 0.0
     text = (
@@ -93,7 +92,7 @@ def _history(series: Mapping[str, Series], n: int) -> Section:
     rows = [
         [
             k,
-            f"{signed(s.slope_percent_per_year, 3)} ± {fixed(s.slope_std, 3)}",
+            change(s.slope_percent_per_year, s.slope_std or 0.0),
             signed(s.significance, 1),
             "steady" if s.drifting else "",
         ]
@@ -126,7 +125,7 @@ def trend_figure(name: str, chosen: Mapping[str, Series]) -> Figure:
         }
         figure.add(r, c, trace)
         figure.x(r, c, type="date", nticks=3)
-        figure.y(r, c, title="%" if c == 0 else "", nticks=5)
+        figure.y(r, c, title="%" if c == 0 else "", nticks=5, exponentformat="none")
     return figure
 
 

@@ -101,11 +101,15 @@ def test_a_person_reads_the_alarm_its_figures_and_how_they_went(baseline, tmp_pa
     assert said[0].startswith("ALARM: reference")
     (changed,) = (line for line in said if line.startswith(" x.kiA"))
     assert "drifted" in changed
+    assert " x.kiA, N/A " in changed
+    (mode,) = (line for line in said if line.startswith(" x.wn1, rad/s "))
+    assert float(mode.split("±")[1].split()[0]) > 0, "as many digits as the deviation asks for"
     assert float(changed.split("±")[0].split()[-1]) == pytest.approx(-3.0, abs=0.3)
     assert f"report: {out / 'health.html'}" in said
     assert run(["health", "trend", str(history)]) == 0
     (went,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith(" x.kiA"))
     assert float(went.split()[1]) == pytest.approx(-3.0, abs=0.3)
+    assert float(went.split()[3]) == pytest.approx(0.05, abs=0.04), "and how well that is known"
     assert run(["health", "plan", "--baseline", str(baseline)]) == 0
     planned = capsys.readouterr().out
     assert "Hz, every axis; about" in planned

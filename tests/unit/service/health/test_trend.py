@@ -1,5 +1,6 @@
 """A slow drift shows in the slope before any single check is an alarm."""
 
+import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -109,6 +110,16 @@ def test_the_page_warns_of_a_steady_change():
     assert 'id="trend-magnets"' in page
     first = health_page(checks[0].document, checks[:1])
     assert "first check" in first
+
+
+def test_a_figure_that_is_known_to_millionths_is_told_with_its_digits():
+    checks = history(0.0, 8, offset=2.1e-4, std=5e-5)
+    checks[-1].document["parameters"]["x.kiA"] |= {"change_percent": 2.1e-4, "change_std_percent": 7e-5}
+    page = health_page(checks[-1].document, checks)
+    told, slope = re.findall(r">([+-][0-9.]+ ± [0-9.]+)<", page)
+    assert told == "+0.000210 ± 0.000070"
+    assert len(slope.split("± ")[1].lstrip("0.")) == 2
+    assert '"exponentformat":"none"' in page, "an axis in % has no 400µ"
 
 
 @needs_browser
