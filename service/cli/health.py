@@ -154,8 +154,10 @@ def _show(document: dict[str, Any], files: dict[str, Path], as_json: bool) -> No
     if as_json:
         print_json(document | {"files": {k: str(v) for k, v in files.items()}})
         return
+    from service.report.health import headline
+
     console = stdout()
-    console.print(("ALARM: " if document["alarm"] else "") + document["sentence"], soft_wrap=True)
+    console.print(headline(document), soft_wrap=True)
     for note in document.get("notes", []):
         console.print(f"note: {note}", soft_wrap=True)
     console.print(_table(document))

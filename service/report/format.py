@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from html import escape
 
 MISSING = "–"
@@ -116,6 +117,15 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def moment(iso: str) -> str:
+    """A time as people write it, to the minute, in UTC.
+
+    >>> moment("2026-11-26T08:49:31.079657Z"), moment("2026-11-26T09:49:31+01:00")
+    ('2026-11-26 08:49 UTC', '2026-11-26 08:49 UTC')
+    """
+    return f"{datetime.fromisoformat(iso).astimezone(UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def span(values: list[float], digits: int = 4) -> str:

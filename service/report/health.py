@@ -9,7 +9,7 @@ import numpy as np
 
 from service.health.trend import Checked, Series, trend
 from service.report.figure import BAD, GRID, MEASURED, MODEL, Figure, points
-from service.report.format import change, count, figures, fixed, in_unit, paragraph, signed, table
+from service.report.format import change, count, figures, fixed, in_unit, moment, paragraph, signed, table
 from service.report.page import Captioned, Page, Section, Tone
 
 GROUPS = (
@@ -36,21 +36,23 @@ def health_page(document: Mapping[str, Any], history: Sequence[Checked]) -> str:
     drifting = [n for n, s in series.items() if s.drifting and n not in document["drifted"]]
     notes = [f"{n} changes steadily over the checks, although no single one shows it" for n in drifting]
     notes += document.get("notes", [])
-    about = f"Checked {document.get('checked_at', 'at an unknown time')}"
+    at = document.get("checked_at")
+    about = f"Checked {moment(at) if at else 'at an unknown time'}"
     if document["rig_seconds"]:
         about += f"; the rig was busy for {document['rig_seconds']:.0f} s"
     return Page(
         f"Health of {document['rig']}",
         about,
-        _capital(document["sentence"].removeprefix(f"{document['rig']}: ")),
+        headline(document),
         tone,
         notes,
         [_changes(document), _margins(document), _history(series, len(history)), _method(document)],
     ).html()
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def headline(document: Mapping[str, Any]) -> str:
+    """A check in one sentence, that names the rig and says whether it is an alarm."""
+    return ("ALARM: " if document["alarm"] else "") + str(document["sentence"])
 
 
 def _changes(document: Mapping[str, Any]) -> Section:
@@ -107,7 +109,7 @@ def trend_figure(name: str, chosen: Mapping[str, Series]) -> Figure:
     """Change of some figures over time, percent, each in its panel, with one standard deviation."""
     columns = min(COLUMNS, len(chosen))
     rows = -(-len(chosen) // columns)
-    figure = Figure(name, rows, columns, 90 + 170 * rows, titles=list(chosen), legend=False, column_gap=0.06)
+    figure = Figure(name, rows, columns, 90 + 170 * rows, titles=list(chosen), legend=False, column_gap=0.075)
     for k, s in enumerate(chosen.values()):
         r, c = divmod(k, columns)
         times = np.array([a.isoformat() for a in s.at])

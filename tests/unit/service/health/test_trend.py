@@ -122,6 +122,15 @@ def test_a_figure_that_is_known_to_millionths_is_told_with_its_digits():
     assert '"exponentformat":"none"' in page, "an axis in % has no 400µ"
 
 
+def test_the_page_says_first_that_it_is_an_alarm_and_of_which_rig():
+    (check,) = history(0.0, 1)
+    assert '<p class="lead good">r: nothing drifted</p>' in health_page(check.document, [check])
+    document = {**check.document, "alarm": True, "sentence": "r: current stiffness xA -10 %"}
+    page = health_page(document, [check])
+    assert '<p class="lead bad">ALARM: r: current stiffness xA -10 %</p>' in page
+    assert "Checked 2026-01-01 06:00 UTC; " in page
+
+
 @needs_browser
 def test_the_whole_page_is_as_wide_as_a_phone(tmp_path):
     checks = history(0.006, 40)
