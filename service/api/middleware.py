@@ -9,6 +9,7 @@ import time
 from math import ceil
 from typing import Any
 
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import logs
@@ -21,6 +22,8 @@ _ID = re.compile(rb"[\w.:-]{1,64}")
 _UPLOAD = re.compile(r"/api/v1/rigs/[^/]+/experiments")
 PUBLIC = Rate(per_s=50.0, burst=200)
 """Requests of one address for what needs no key: pages, description, readiness, metrics."""
+GONE = 499
+"""What the log and the metrics call a request whose caller went away before it was answered: nobody reads a status."""
 _LARGER = "the body is larger than {:,} bytes"
 _READING = ("GET", "HEAD", "OPTIONS")
 _METHODS = {*_READING, "POST", "PUT", "PATCH", "DELETE", "CONNECT", "TRACE"}
@@ -93,7 +96,11 @@ class Around:
                 elif _too_large(headers, limit):
                     await _refuse(sending, 413, _LARGER.format(limit), request_id)
                 else:
-                    await self._app(scope, body.receive, sending)
+                    try:
+                        await self._app(scope, body.receive, sending)
+                    except ClientDisconnect:  # the rest of the body never came, or was too much of it
+                        if not body.exceeded and status == 500:
+                            status = GONE
                     if body.exceeded and status == 500:
                         body.exceeded = False
                         await _refuse(sending, 413, _LARGER.format(limit), request_id)

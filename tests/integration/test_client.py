@@ -1,5 +1,6 @@
 """The client against the real application: typed answers, errors that say what to do, a watch that goes on."""
 
+import socket
 import threading
 import time
 
@@ -25,7 +26,8 @@ from service.storage.database import now
 from service.storage.tables import JobRow
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
-from tests.support.api import commissioned
+from tests.support.api import assert_problem, commissioned
+from tests.support.command import wait_until
 from tests.support.service import rig_device
 from tests.support.serving import serving
 from tests.support.two_axes import sheet_of_one_plane
@@ -226,6 +228,27 @@ def test_a_file_larger_than_the_limit(tmp_path, rig):
         with pytest.raises(RefusedError) as refused:
             client.experiments.upload(known.id, good(tmp_path / "a.h5"))
         assert refused.value.status == 413
+
+
+def test_a_file_that_does_not_tell_its_length_is_larger_than_the_limit(tmp_path, caplog):
+    small = Settings(home=tmp_path / "small", port=0, max_upload_bytes=5000)
+    with serving(small) as service, Client(service.url) as client:
+        path = f"{service.url}/api/v1/rigs/{client.rigs.create(SHEET).id}/experiments"
+        parts = iter([b"x" * 2000] * 4)
+        answer = httpx.post(path, content=parts, headers={"content-type": "application/x-hdf5"})
+        assert_problem(answer, 413, "5,000 bytes")
+    assert not [r for r in caplog.records if r.levelname == "ERROR"]
+
+
+def test_a_sender_that_goes_away_in_the_middle_of_a_file_is_no_defect(tmp_path, caplog):
+    caplog.set_level("INFO", "service.api.middleware")
+    with serving(Settings(home=tmp_path / "home", port=0)) as service, Client(service.url) as client:
+        where = httpx.URL(f"{service.url}/api/v1/rigs/{client.rigs.create(SHEET).id}/experiments")
+        head = f"POST {where.path} HTTP/1.1\r\nHost: {where.host}\r\nContent-Type: application/x-hdf5\r\n"
+        with socket.create_connection((where.host, where.port)) as sender:
+            sender.sendall(f"{head}Content-Length: 1000\r\n\r\nhalf of it".encode())
+        wait_until(lambda: " 499 in " in caplog.text, "the end of the request")
+    assert not [r for r in caplog.records if r.levelname == "ERROR"]
 
 
 def test_a_job_is_watched_to_its_end(service, ambit, rig, sent):
