@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.commission import Excitation
-from service.cli.console import print_json, say, stderr
+from service.cli.console import one_line, print_json, say, stderr
 from service.cli.usage import job_id
 from service.experiment.progress import PHASE_WORDS
 
@@ -28,6 +28,7 @@ Key = Annotated[str | None, typer.Option(help="API key.", envvar="AMBIT_KEY", sh
 Ca = Annotated[Path | None, typer.Option(help="Authority of the service's certificate, PEM.", envvar="AMBIT_CA")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 LOG_EVERY_S = 5.0
+AGAIN = "{}; trying again"
 STILL = "the job goes on; stop it with: ambit cancel {}"
 
 
@@ -152,13 +153,19 @@ def fetch(
         must_be_done(found)  # a script must not take what is there for a result
 
 
-def client(url: str | None, key: str | None, ca: Path | None) -> Client:
-    """The service that the options, or the environment, name."""
+def client(url: str | None, key: str | None, ca: Path | None, waiting: str = AGAIN) -> Client:
+    """The service that the options, or the environment, name.
+
+    Parameters
+    ----------
+    waiting
+        What is said, once for each request, of a service that is away or busy, with the reason.
+    """
     from service.client import Client
 
     if url is not None and not url.startswith(("http://", "https://")):
         raise typer.BadParameter(f"{url!r} is no address of a service, as http://127.0.0.1:8311", param_hint="--url")
-    return Client(url, key, ca)
+    return Client(url, key, ca, waiting=lambda why: say(waiting.format(one_line(why))))
 
 
 def _must_have_or_not(experiment: str | None, kind: Kind) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from service.client import Client, Rig
     from service.client.shapes import Status
 
+NOT_STOPPED = "not stopped yet: {}; trying on, use the hardware stop meanwhile"
 Named = Annotated[str, typer.Argument(help="Name or id of the rig.")]
 
 
@@ -52,7 +53,7 @@ def status(rig: Named, url: Url = None, key: Key = None, ca: Ca = None, as_json:
 
 def stop(rig: Named, url: Url = None, key: Key = None, ca: Ca = None, as_json: Json = False) -> None:
     """Stop a rig now: its excitation ramps to zero, and no job that there is moves its rotor again."""
-    with client(url, key, ca) as ambit:
+    with client(url, key, ca, NOT_STOPPED) as ambit:
         known = ambit.rigs.named(rig)
         ambit.rigs.stop(known.id)
     if as_json:

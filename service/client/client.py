@@ -26,7 +26,7 @@ from service.client.shapes import (
     Status,
     Stiffness,
 )
-from service.client.transport import Transport
+from service.client.transport import Transport, Waiting, quietly
 from service.errors import OutputError
 
 DEFAULT_URL = "http://127.0.0.1:8311"
@@ -272,6 +272,8 @@ class Client:
         For an answer to begin.
     patience_s
         How long a service that is away or busy is asked again.
+    waiting
+        Told why, as soon as a request is to be sent again.
     """
 
     def __init__(
@@ -281,6 +283,7 @@ class Client:
         ca: Path | str | None = None,
         timeout_s: float = 30.0,
         patience_s: float = 30.0,
+        waiting: Waiting = quietly,
     ) -> None:
         self._transport = Transport(
             url or os.environ.get("AMBIT_URL") or DEFAULT_URL,
@@ -288,6 +291,7 @@ class Client:
             os.environ.get("AMBIT_CA") if ca is None else ca,
             timeout_s,
             patience_s,
+            waiting,
         )
         self.rigs = Rigs(self._transport)
         self.experiments = Experiments(self._transport)

@@ -22,6 +22,13 @@ PREFIX = "/api/v1"
 BUSY = (429, 502, 503, 504)
 PAUSE_S = 0.2
 LONGEST_PAUSE_S = 5.0
+WHERE = "; is it running? give its address with --url or AMBIT_URL"
+Waiting = Callable[[str], None]
+"""Told why a request waits to be sent again: once, at its first failed try."""
+
+
+def quietly(why: str) -> None:
+    """Tells nobody."""
 
 
 class Transport:
@@ -39,15 +46,26 @@ class Transport:
         For an answer to begin.
     patience_s
         How long a service that is away or busy is asked again.
+    waiting
+        Told why, as soon as a request is to be sent again.
     """
 
-    def __init__(self, url: str, key: str | None, ca: Path | str | None, timeout_s: float, patience_s: float) -> None:
+    def __init__(
+        self,
+        url: str,
+        key: str | None,
+        ca: Path | str | None,
+        timeout_s: float,
+        patience_s: float,
+        waiting: Waiting = quietly,
+    ) -> None:
         headers = {"Accept": "application/json", "User-Agent": "ambit-client"}
         if key:
             headers["Authorization"] = f"Bearer {key}"
         self.url = url.rstrip("/")
         self.shows_key = bool(key)
         self.patience_s = patience_s
+        self.waiting = waiting
         verify: Any = _authority(ca) if ca else True
         try:
             parts = httpx.URL(self.url)
@@ -134,15 +152,20 @@ class Transport:
                 hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.InvalidURL)
                 if hopeless or time.monotonic() + wait > deadline:
                     raise self._unreachable(error) from error
+                why = self._silent(error)
             else:
                 if response.is_success or response.status_code == 304:
                     return response
                 if response.status_code == 412 and lost and made is not None and (found := made()) is not None:
                     return found
                 told = _retry_after(response)
+                refusal = of_response(response)
                 if response.status_code not in BUSY or time.monotonic() + (told or wait) > deadline:
-                    raise of_response(response)
+                    raise refusal
                 wait = told or wait
+                why = str(refusal)
+            if not lost:
+                self.waiting(why)
             lost = True  # also when a proxy says so
             time.sleep(wait)
             pause = min(2 * pause, LONGEST_PAUSE_S)
@@ -194,10 +217,10 @@ class Transport:
             raise self._unreachable(error) from error
 
     def _unreachable(self, error: Exception) -> UnreachableError:
-        return UnreachableError(
-            f"the service at {self.url} does not answer ({reason(error)}); "
-            "is it running? give its address with --url or AMBIT_URL"
-        )
+        return UnreachableError(self._silent(error) + WHERE)
+
+    def _silent(self, error: Exception) -> str:
+        return f"the service at {self.url} does not answer ({reason(error)})"
 
 
 def _given(query: Mapping[str, Any]) -> dict[str, Any]:

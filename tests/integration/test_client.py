@@ -1,8 +1,10 @@
 """The client against the real application: typed answers, errors that say what to do, a watch that goes on."""
 
+import re
 import socket
 import threading
 import time
+from functools import partial
 
 import httpx
 import pytest
@@ -338,6 +340,35 @@ def test_a_service_that_is_away():
             list(nobody.rigs.list())
         with pytest.raises(UnreachableError):
             list(nobody.jobs.watch("job_0"))
+
+
+def test_whoever_waits_for_a_service_that_is_away_is_told_at_once():
+    """Once for each request, and not only when the patience is at its end."""
+    told = []
+    with Client("http://127.0.0.1:1", patience_s=1.0, waiting=told.append) as nobody:
+        for ask in (lambda: nobody.rigs.stop("rig_0"), lambda: list(nobody.jobs.watch("job_0"))):
+            with pytest.raises(UnreachableError):
+                ask()
+            (why,) = told
+            assert why.startswith("the service at http://127.0.0.1:1 does not answer (")
+            told.clear()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["stop", "bench"], r"not stopped yet: (.*); trying on, use the hardware stop meanwhile"),
+        (["acknowledge", "bench"], r"(.*); trying again"),
+        (["jobs"], r"(.*); trying again"),
+    ],
+)
+def test_a_command_says_that_the_service_is_away_before_it_gives_up(monkeypatch, capsys, words, said):
+    monkeypatch.setattr("service.client.Client", partial(Client, patience_s=0.5))
+    assert run([*words, "--url", "http://127.0.0.1:1"]) == 1
+    first, last = capsys.readouterr().err.splitlines()
+    why = re.fullmatch(said, first)
+    assert why, first
+    assert last.startswith(f"ambit: {why[1]}; is it running?")
 
 
 @pytest.mark.parametrize("url", ["rotor", "ftp://127.0.0.1", "http://127.0.0.1:x", "http://["])
