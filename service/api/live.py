@@ -293,7 +293,8 @@ async def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> 
     """Ramp the rig's excitation to zero at once, and let no job that there is move its rotor again.
 
     The rig's controller is stopped, and that of every job that moves the rotor or waits to do so, which may be the one
-    of an earlier version. The job that holds a lease hears of it from the controller and fails, "stopped at the rig".
+    of an earlier version. The job that holds a lease hears of it from the controller and fails, "rig stopped", and says
+    who asked for it.
     Every other one is cancelled, that one too when its controller does not answer, which is told as a problem all the
     same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched off.
     """

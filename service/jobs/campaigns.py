@@ -22,7 +22,7 @@ from service.jobs.control import Control
 from service.jobs.progress import WHOLE, Part, Share
 from service.jobs.rotor import AuditedController
 from service.jobs.steps import datasheet_file
-from service.storage import jobs, results, rigs
+from service.storage import audit, jobs, results, rigs
 from service.storage.database import now
 from service.storage.ids import derived_id
 from service.storage.tables import ExperimentRow, JobRow
@@ -40,6 +40,8 @@ RECONNECT_S = 1.0
 UNHEARD_S = 5.0
 """A rotor that nobody could stop by cancelling for so long, because the database is away, is left alone until it is
 back."""
+STOP_NOTED_S = 2.0
+"""So soon after the controller has stopped, the audit log has who asked for it over this service."""
 MEDIA_TYPE = "application/x-hdf5"
 
 
@@ -132,10 +134,7 @@ class _Campaign:
                 self._wait_for_database()
             except CancelledError:
                 self._raise_if_stopped()
-                title = "stopped at the rig"
-                raise JobError(
-                    title, "the excitation was stopped by hand or by another host; see to the rig, then try again"
-                ) from None
+                raise self._stopped_elsewhere() from None
             finally:
                 with suppress(Exception):
                     controller.close()
@@ -194,6 +193,23 @@ class _Campaign:
         while time.monotonic() < deadline:
             self._raise_if_stopped()
             time.sleep(0.1)
+
+    def _stopped_elsewhere(self) -> JobError:
+        """Why the controller says that somebody stopped it: whom this service has done it for, if anybody."""
+        began = self.job.started_at or self.job.created_at
+        deadline = time.monotonic() + STOP_NOTED_S
+        while True:
+            stop = self.worker.database.surely(
+                lambda session: audit.stop_of_rig(session, self.job.rig_id, began), self.control.stopped
+            )
+            if stop is not None:
+                by = f"{stop.who} stopped the rig over this service at {stop.at:%Y-%m-%d %H:%M:%S} UTC"
+                return JobError("rig stopped", f"{by}; see to the rig, then try again")
+            if time.monotonic() > deadline:
+                why = "the excitation was stopped by hand or by another host; see to the rig, then try again"
+                return JobError("stopped at the rig", why)
+            time.sleep(0.1)
+            self._raise_if_stopped()
 
     def _raise_if_stopped(self) -> None:
         if self.control.stopped():

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from service.access.audit import AuditEvent
+from service.access.audit import Action, AuditEvent
 from service.storage.ids import new_id
 from service.storage.listing import Page, page
 from service.storage.tables import AuditRow
@@ -40,3 +43,10 @@ def listed(
     wanted = ((AuditRow.rig_id, rig_id), (AuditRow.action, action), (AuditRow.resource, resource))
     conditions = [column == value for column, value in wanted if value is not None]
     return page(session, AuditRow, *conditions, after=after, limit=limit)
+
+
+def stop_of_rig(session: Session, rig_id: str, since: datetime) -> AuditRow | None:
+    """The last stop of a rig that was asked for over this service since then; None where there was none."""
+    of_rig = (AuditRow.action == str(Action.rotor_released)) & (AuditRow.resource == rig_id)  # else it is of a job
+    query = select(AuditRow).where(of_rig, AuditRow.at >= since).order_by(AuditRow.at.desc()).limit(1)
+    return session.scalar(query)

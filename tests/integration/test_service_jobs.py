@@ -115,7 +115,8 @@ def test_a_rig_that_is_stopped_by_hand_ends_its_job_with_the_reason_and_begins_n
     seen = len(rig.events())
     job, waited = running.wait(job_id), running.job(next_id)
     assert job["state"] == "failed"
-    assert job["error"]["title"] == "stopped at the rig"
+    assert job["error"]["title"] == "rig stopped"
+    assert job["error"]["detail"].startswith("local stopped the rig over this service at ")
     assert not running.get(f"/experiments/{job['result']['experiment']}")["complete"]
     assert (waited["state"], waited["progress"]["phase"]) == ("cancelled", "cancelled: the rig was stopped by hand")
     assert rig.status().excitation_a == 0
@@ -123,7 +124,7 @@ def test_a_rig_that_is_stopped_by_hand_ends_its_job_with_the_reason_and_begins_n
     running.post(f"/jobs/{next_id}/retry")
     running.wait(next_id, lambda j: j["progress"]["point"] > 3)
     assert running.client.post(f"/api/v1/rigs/{rig_id}/stop").status_code == 204
-    assert running.wait(next_id)["error"]["title"] == "stopped at the rig"  # else the next test's job hears it
+    assert running.wait(next_id)["error"]["title"] == "rig stopped"  # else the next test's job hears it
 
 
 def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, rig, rig_id):
@@ -147,7 +148,7 @@ def test_a_stop_while_nobody_works_on_the_job_is_heard_by_who_goes_on_with_it(ru
     finally:
         running.workers["w1"].start()
     job = running.wait(job_id)
-    assert (job["state"], job["error"]["title"]) == ("failed", "stopped at the rig")
+    assert (job["state"], job["error"]["title"]) == ("failed", "rig stopped")
     assert not [e for e in rig.events()[seen:] if e["text"].startswith("excitation on")]
 
 

@@ -1,0 +1,108 @@
+"""What a job on a rig tells while its controller does not do as it should."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.errors import StoppedElsewhereError
+from service import bootstrap
+from service.access.audit import Action, audited
+from service.access.keys import Identity, Scope
+from service.config import Settings
+from service.errors import JobError
+from service.experiment.aims import Profile
+from service.jobs import campaigns
+from service.storage import audit, jobs, rigs
+from service.storage.database import now
+from tests.support.databases import migrated
+from tests.support.service import reference_sheet
+
+
+class Told:
+    """A control that keeps what it is told."""
+
+    stopping = superseded = False
+
+    def __init__(self) -> None:
+        self.told = []
+
+    def report(self, **values) -> None:
+        self.told.append(values)
+
+    def stopped(self) -> bool:
+        return False
+
+    def unheard_s(self) -> float:
+        return 0.0
+
+    def begin_journal(self, shipped: int) -> None:
+        pass
+
+    def measured(self) -> int:
+        return 0
+
+
+@pytest.fixture
+def control():
+    return Told()
+
+
+@pytest.fixture
+def worker(tmp_path):
+    with migrated("sqlite", tmp_path) as database:
+        yield SimpleNamespace(database=database, settings=Settings(home=tmp_path), folder=lambda _: tmp_path)
+
+
+@pytest.fixture
+def job(worker):
+    with worker.database.write() as session:
+        rig = rigs.create(session, "bench", reference_sheet(), "modbus://127.0.0.1:9", "", "me")
+        job = jobs.submit(session, "experiment", rig.id, 1, "me")
+        return jobs.claim(session, job.id, 1, "w1")
+
+
+@pytest.fixture
+def measure(worker, job, control, monkeypatch):
+    """Run the job with a controller that does nothing and a campaign that does what it is given."""
+
+    def measure(*campaign, controller=None):
+        steps = iter(campaign)
+        monkeypatch.setattr(bootstrap, "connect", lambda _: controller or SimpleNamespace(close=lambda: None))
+        monkeypatch.setattr(campaigns, "run_campaign", lambda *words, **more: next(steps)(*words, **more))
+        return campaigns.measure(worker, job, control, Profile(), "commissioning")
+
+    return measure
+
+
+def stopped(*_, **__):
+    raise StoppedElsewhereError("the excitation was stopped by another host")
+
+
+def asked_to_stop(worker, job, who):
+    """What the API writes once it has stopped the rig."""
+    by = Identity(key_id="key_1", name=who, scope=Scope.operator)
+    with worker.database.write() as session:
+        audit.record(session, audited(by, Action.rotor_released, job.rig_id, job.rig_id, how="stopped by hand"))
+
+
+def test_a_stop_over_this_service_is_told_with_who_asked_for_it_and_when(worker, job, measure, monkeypatch):
+    """Though it is written down only after the controller has stopped."""
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 30.0)
+    later = threading.Timer(0.3, asked_to_stop, (worker, job, "tablet"))
+    later.start()
+    with pytest.raises(JobError, match=f"tablet stopped the rig over this service at {now():%Y-%m-%d}") as ended:
+        measure(stopped)
+    later.join()
+    assert ended.value.title == "rig stopped"
+
+
+def test_a_stop_at_the_rig_is_not_told_as_one_of_an_earlier_run(worker, job, measure, monkeypatch):
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 0.0)
+    asked_to_stop(worker, job, "tablet")
+    time.sleep(0.01)
+    job.started_at = now()
+    with pytest.raises(JobError, match="by hand or by another host") as ended:
+        measure(stopped)
+    assert ended.value.title == "stopped at the rig"
