@@ -320,8 +320,9 @@ def _line(job: Job) -> str:
     p = job.progress
     points = f", point {p.point} of {p.points}" if p.points else ""
     left = _left(job)
-    words = PHASE_WORDS.get(p.phase, p.phase)
-    return f"{job.state} {words}".rstrip() + f": {p.percent:.0f} %{points}" + (f", {left}" if left else "")
+    ended = p.phase.startswith(job.state)  # the phase of a job that has ended is its state, and why
+    words = p.phase if ended else f"{job.state} {PHASE_WORDS.get(p.phase, p.phase)}".rstrip()
+    return f"{words}: {p.percent:.0f} %{points}" + (f", {left}" if left else "")
 
 
 def _left(job: Job) -> str:
