@@ -169,8 +169,7 @@ class _Campaign:
     def _wait_for_lease(self, controller: Controller, error: LeaseError) -> None:
         """Until the rig is free; another host's excitation is not ours to stop."""
         while True:
-            left = f" for another {error.seconds_left:.0f} s" if error.seconds_left else ""
-            self.control.report(phase=f"waiting for the rig, which {error.holder or 'another host'} holds{left}")
+            self.control.report(phase=self._waiting(error))
             time.sleep(LEASE_POLL_S)
             self._raise_if_stopped()
             try:
@@ -180,6 +179,14 @@ class _Campaign:
             if not status.lease_holder:
                 return
             error = LeaseError(status.lease_holder, status.lease_seconds_left)
+
+    def _waiting(self, error: LeaseError) -> str:
+        """What is told of the wait; the lease may be this job's own, of the worker that it had before."""
+        left = f"{error.seconds_left:.0f} s"
+        if error.holder == self.job.id:
+            return f"going on after a restart in {left}"
+        more = f" for another {left}" if error.seconds_left else ""
+        return f"waiting for the rig, which {error.holder or 'another host'} holds{more}"
 
     def _away(self, error: Exception) -> None:
         silent = time.monotonic() - self.answered

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.errors import StoppedElsewhereError
+from drivers.errors import LeaseError, StoppedElsewhereError
 from service import bootstrap
 from service.access.audit import Action, audited
 from service.access.keys import Identity, Scope
@@ -106,3 +106,23 @@ def test_a_stop_at_the_rig_is_not_told_as_one_of_an_earlier_run(worker, job, mea
     with pytest.raises(JobError, match="by hand or by another host") as ended:
         measure(stopped)
     assert ended.value.title == "stopped at the rig"
+
+
+def test_a_job_that_goes_on_waits_for_nobody_but_its_own_lease(job, control, measure, monkeypatch):
+    """The one that a worker held when it was killed lapses by itself."""
+    monkeypatch.setattr(campaigns, "LEASE_POLL_S", 0.0)
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 0.0)
+    free = SimpleNamespace(close=lambda: None, status=lambda: SimpleNamespace(lease_holder=""))
+
+    def held(by):
+        def campaign(*_, **__):
+            raise LeaseError(by, 7.2)
+
+        return campaign
+
+    with pytest.raises(JobError):
+        measure(held(job.id), held("plc 7"), stopped, controller=free)
+    assert [told["phase"] for told in control.told if told["phase"] != "connected"] == [
+        "going on after a restart in 7 s",
+        "waiting for the rig, which plc 7 holds for another 7 s",
+    ]
