@@ -122,7 +122,7 @@ class _Campaign:
                 self._away(error)
                 continue
             try:
-                return self._run(AuditedController(controller, self.worker, self.job, self.control.stopped))
+                return self._run(controller)
             except LeaseError as error:
                 self.answered = time.monotonic()
                 self._wait_for_lease(controller, error)
@@ -139,10 +139,10 @@ class _Campaign:
                 with suppress(Exception):
                     controller.close()
 
-    def _run(self, controller: AuditedController) -> Experiment:
+    def _run(self, controller: Controller) -> Experiment:
         self.control.report(phase="connected")
         return run_campaign(
-            controller,
+            AuditedController(controller, self.worker, self.job, self.control.stopped, self._silent),
             self.sheet,
             self.folder,
             self._progress,
@@ -188,6 +188,10 @@ class _Campaign:
         more = f" for another {left}" if error.seconds_left else ""
         return f"waiting for the rig, which {error.holder or 'another host'} holds{more}"
 
+    def _silent(self, error: Exception) -> None:
+        """Tell that the controller is away, until the next point tells of the plan again."""
+        self.control.report(phase=f"controller does not answer, waiting: {error}"[:500], time_left_s=None)
+
     def _away(self, error: Exception) -> None:
         silent = time.monotonic() - self.answered
         patience = self.worker.settings.controller_patience_s
@@ -195,7 +199,7 @@ class _Campaign:
             raise JobError(
                 "controller does not answer", f"{error}; waited {silent:.0f} s: see to the controller, then try again"
             ) from error
-        self.control.report(phase=f"waiting for the controller: {error}"[:500])
+        self._silent(error)
         deadline = time.monotonic() + RECONNECT_S
         while time.monotonic() < deadline:
             self._raise_if_stopped()

@@ -17,6 +17,7 @@ from drivers.controller import (
     Waveform,
     WaveformResult,
 )
+from drivers.errors import BusError
 from service.access.audit import Action, AuditEvent
 from service.jobs.context import Context
 from service.storage import audit
@@ -32,13 +33,23 @@ class AuditedController:
         Does everything.
     stopped
         Whether the job shall end: then a database that is away is not waited for.
+    silent
+        Told each time that the bus failed while a point was measured, which whoever measures may try again.
     """
 
-    def __init__(self, controller: Controller, worker: Context, job: JobRow, stopped: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        controller: Controller,
+        worker: Context,
+        job: JobRow,
+        stopped: Callable[[], bool],
+        silent: Callable[[BusError], None] = lambda error: None,
+    ) -> None:
         self._controller = controller
         self._worker = worker
         self._job = job
         self._stopped = stopped
+        self._silent = silent
         self._tones = 0
 
     def capabilities(self) -> Capabilities:
@@ -69,13 +80,23 @@ class AuditedController:
     def measure(self, tone: Tone) -> PointResult:
         """Excite with one tone, wait, measure, and ramp back to zero."""
         self._tones += 1
-        return self._controller.measure(tone)
+        with self._telling():
+            return self._controller.measure(tone)
 
     def measure_periodic(self, waveform: Waveform) -> WaveformResult:
         """The same with a periodic waveform on all axes, where the capabilities say ``periodic``."""
         assert isinstance(self._controller, PeriodicController)
         self._tones += 1
-        return self._controller.measure_periodic(waveform)
+        with self._telling():
+            return self._controller.measure_periodic(waveform)
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        try:
+            yield
+        except BusError as error:
+            self._silent(error)
+            raise
 
     def stop(self) -> None:
         """Ramp the excitation to zero."""

@@ -6,13 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.errors import LeaseError, StoppedElsewhereError
+from drivers.errors import BusError, LeaseError, StoppedElsewhereError
 from service import bootstrap
 from service.access.audit import Action, audited
 from service.access.keys import Identity, Scope
 from service.config import Settings
 from service.errors import JobError
 from service.experiment.aims import Profile
+from service.experiment.progress import Progress
 from service.jobs import campaigns
 from service.storage import audit, jobs, rigs
 from service.storage.database import now
@@ -126,3 +127,23 @@ def test_a_job_that_goes_on_waits_for_nobody_but_its_own_lease(job, control, mea
         "going on after a restart in 7 s",
         "waiting for the rig, which plc 7 holds for another 7 s",
     ]
+
+
+def test_a_job_whose_controller_is_silent_says_so_while_the_point_is_tried_again(control, measure, monkeypatch):
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 0.0)
+
+    def silent(_):
+        raise BusError("no answer")
+
+    def tries_again(controller, sheet, folder, progress, *_, **__):
+        progress(Progress("main", 5, 10, 1.0, 5.0, 5.0, "main 5"))
+        with pytest.raises(BusError):
+            controller.measure(None)
+        progress(Progress("main", 6, 10, 1.0, 4.0, 6.0, "main 6"))
+        return stopped()
+
+    with pytest.raises(JobError):
+        measure(tries_again, controller=SimpleNamespace(close=lambda: None, measure=silent))
+    before, waiting, after = control.told[1:]
+    assert (before["phase"], after["phase"]) == ("main", "main")
+    assert waiting == {"phase": "controller does not answer, waiting: no answer", "time_left_s": None}
