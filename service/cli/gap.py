@@ -29,6 +29,7 @@ def diagnose(
     from service import bootstrap
     from service.cli.progress import percent_progress
     from service.experiment import file
+    from service.gap.document import likeliest
     from service.output import ready_folder
     from sim.rig_file import read
 
@@ -45,7 +46,7 @@ def diagnose(
     for note in document["notes"]:
         console.print(f"note: {note}", soft_wrap=True)
     if document["candidates"]:
-        console.print(_candidates(_likeliest(document)))
+        console.print(_candidates(likeliest(document)[:5]))
     if proposed := document["next_experiment"]:
         console.print(_proposal(proposed), soft_wrap=True, markup=False)
     for name, path in files.items():
@@ -211,13 +212,6 @@ def _proposal(proposed: dict[str, Any]) -> str:
     odds, minutes = 100 * proposed["odds_of_telling_apart"], proposed["rig_seconds"] / 60
     words = f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell them apart"
     return f"{words}: {proposed['command']}"
-
-
-def _likeliest(document: dict[str, Any], most: int = 5) -> list[dict[str, Any]]:
-    """The explanation that the verdict names, then the likeliest of the others."""
-    named = "+".join(document["verdict"]["effects"])
-    order = sorted(document["candidates"], key=lambda c: (c["effect"] != named, -c["probability"]))
-    return order[:most]
 
 
 def _candidates(found: list[dict[str, Any]]) -> Table:

@@ -61,6 +61,12 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
     }
 
 
+def likeliest(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The candidates of a gap.json as they are shown: the one that the verdict names, then by falling probability."""
+    named = "+".join(document["verdict"]["effects"])
+    return sorted(document["candidates"], key=lambda c: (c["effect"] != named, -c["probability"]))
+
+
 def ends_reached(document: Mapping[str, Any]) -> list[str]:
     """What strength of the verdict's effects is at an end of its range, in words; ``document`` is a gap.json.
 

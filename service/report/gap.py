@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from service.gap.diagnosis import Diagnosis
-from service.gap.document import alike, gap_document
+from service.gap.document import alike, gap_document, likeliest
 from service.gap.weighing.significance import SIGNIFICANT
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, fixed, number, paragraph, quantity, table
@@ -51,7 +51,7 @@ def gap_page(diagnosis: Diagnosis) -> str:
         f"Gap between rig {diagnosis.rig} and its twin",
         about,
         verdict["sentence"],
-        TONES[verdict["kind"]],
+        "warn" if document["datasheet_off"] and verdict["kind"] == "no_gap" else TONES[verdict["kind"]],
         document["notes"],
         sections,
         footer,
@@ -167,12 +167,14 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
     parts.append(
         Captioned(
             bars,
-            "The best explanations: probability among those of the catalogue, and share of the gap that each closes. "
+            "The best explanations: probability of each among those of the part, where the sentence above counts a whole "
+            "alias class and all parts, and share of the gap that each closes. "
             "Of one that grows with amplitude, and that the fitted data do not show, nothing tells what it closes.",
         )
     )
-    parts.append(_parameters(document["candidates"][:SHOWN]))
-    if rest := document["candidates"][SHOWN:]:
+    candidates = likeliest(document)
+    parts.append(_parameters(candidates[:SHOWN]))
+    if rest := candidates[SHOWN:]:
         parts.append(f"<details><summary>The other explanations</summary>{_parameters(rest)}</details>")
     return parts
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.diagnosis import Diagnosis
+from service.gap.document import likeliest
 from service.gap.fitting.predict import answer, control, measured, residual, weights
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT
@@ -239,11 +242,9 @@ def _hz(value: float) -> str:
     return f"{value:.0f}" if value >= 20 else f"{value:.1f}"
 
 
-def candidate_figure(d: Diagnosis, document: dict[str, object], most: int = 8) -> Figure | None:
-    """Probability and closure of the best candidates; None without any."""
-    found = document["candidates"]
-    assert isinstance(found, list)
-    best = found[:most]
+def candidate_figure(d: Diagnosis, document: Mapping[str, Any], most: int = 8) -> Figure | None:
+    """Probability and closure of the likeliest candidates, the one that is named first; None without any."""
+    best = likeliest(document)[:most]
     if not best:
         return None
     names = [_in_lines(c["effect"].replace("_", " ").split("+")) for c in best]

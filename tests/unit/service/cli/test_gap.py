@@ -7,7 +7,8 @@ from typing import Any
 from rich.console import Console
 from typer.testing import CliRunner
 
-from service.cli.gap import _candidates, _likeliest, _proposal, app
+from service.cli.gap import _candidates, _proposal, app
+from service.gap.document import likeliest
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 
@@ -69,8 +70,8 @@ def test_a_datasheet_that_is_far_off_is_said_to_stay_so_in_the_twin(tmp_path: Pa
 def test_the_named_explanation_comes_first_and_then_the_likeliest() -> None:
     of = {"runout": 0.2, "loop_delay": 0.1, "sensor_lag": 0.0, "eddy_currents": 0.03}
     candidates = [explanation(effect=name, probability=p) for name, p in of.items()]
-    found = _likeliest({"verdict": {"effects": ["loop_delay"]}, "candidates": candidates}, 3)
-    assert [c["effect"] for c in found] == ["loop_delay", "runout", "eddy_currents"]
+    found = likeliest({"verdict": {"effects": ["loop_delay"]}, "candidates": candidates})
+    assert [c["effect"] for c in found] == ["loop_delay", "runout", "eddy_currents", "sensor_lag"]
 
 
 def test_what_to_measure_next_is_told_with_its_price_and_the_command_that_asks_for_it() -> None:
