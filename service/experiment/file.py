@@ -6,6 +6,7 @@ place at once, so that a reader sees the old file or the new one and never half 
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Mapping
@@ -143,27 +144,37 @@ def write(path: Path, experiment: Experiment) -> None:
         The folder cannot be written.
     """
     path = Path(path)
+    content = _hdf5(experiment)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with h5py.File(temporary, "w", libver="v110") as file:  # check sums on all that describes the data
-            file.attrs.update(
-                format=contract.FORMAT,
-                version=contract.VERSION,
-                rig=experiment.rig,
-                axes=json.dumps(list(experiment.axes)),
-            )
-            file.attrs.update(experiment.attributes)
-            for k, sweep in enumerate(experiment.sweeps):
-                _write_sweep(file.create_group(f"sweeps/{k}"), sweep)
+        with temporary.open("wb") as stream:
+            stream.write(content.getbuffer())
         _to_disk(temporary)
         os.replace(temporary, path)
         _to_disk(path.parent)
     except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
         raise ExperimentFileError(
             f"cannot write {path}: {reason(error)}; free space or choose another folder"
         ) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _hdf5(experiment: Experiment) -> io.BytesIO:
+    """An experiment as HDF5 in memory: the library does not survive a disk that is full when it closes a file."""
+    content = io.BytesIO()
+    with h5py.File(content, "w", libver="v110") as file:  # check sums on all that describes the data
+        file.attrs.update(
+            format=contract.FORMAT,
+            version=contract.VERSION,
+            rig=experiment.rig,
+            axes=json.dumps(list(experiment.axes)),
+        )
+        file.attrs.update(experiment.attributes)
+        for k, sweep in enumerate(experiment.sweeps):
+            _write_sweep(file.create_group(f"sweeps/{k}"), sweep)
+    return content
 
 
 def _write_sweep(group: Any, sweep: Sweep) -> None:

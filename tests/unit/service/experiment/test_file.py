@@ -1,5 +1,7 @@
 """Experiment files: what the contract allows is read, everything else gets one line that names the place."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -318,3 +320,46 @@ def test_a_folder_that_cannot_be_written(tmp_path, experiment):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExperimentFileError, match="cannot write"):
         write(tmp_path / "file" / "e.h5", experiment)
+
+
+FULL_DISK = """
+import resource, signal, sys
+from pathlib import Path
+from service.experiment.errors import ExperimentFileError
+from service.experiment.file import read, write
+
+source, target = map(Path, sys.argv[1:])
+experiment = read(source)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+for room in (2_000, 20_000, 100_000, 500_000):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+    try:
+        write(target, experiment)
+    except ExperimentFileError as error:
+        print(error)
+"""
+
+
+def test_a_full_disk_is_told_and_leaves_nothing_behind(tmp_path, write_hdf5, demodulated):
+    """In a process of its own: the HDF5 library, let to write to a full disk, ends the whole process."""
+    rng = np.random.default_rng(0)
+    points = 400
+    for name in ("frequency_hz", "axis", "amplitude_a"):
+        demodulated[name] = np.resize(demodulated[name], points)
+    for name in "RUIY":
+        shape = (points, *np.shape(demodulated[name])[1:])
+        demodulated[name] = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    source, folder = write_hdf5(demodulated), tmp_path / "full"
+    folder.mkdir()
+    write(folder / "e.h5", read(source))
+    before = (folder / "e.h5").read_bytes()
+    assert len(before) > 500_000
+    run = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, source, folder / "e.h5"], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    told = run.stdout.splitlines()
+    assert len(told) == 4
+    assert all(line.startswith(f"cannot write {folder / 'e.h5'}: ") for line in told)
+    assert [p.name for p in folder.iterdir()] == ["e.h5"]
+    assert (folder / "e.h5").read_bytes() == before
