@@ -156,6 +156,8 @@ class Dialogue:
         ------
         BusError
             It was not heard within a second.
+        ControllerError
+            The device refused it for as long: it may go on exciting.
         """
         deadline = time.monotonic() + STOP_PATIENCE_S
         while True:
@@ -163,9 +165,11 @@ class Dialogue:
                 with self._urgent_lock:
                     self._urgent.write("stop", {"token": token})
                 return
-            except RefusedError:
+            except RefusedError as refused:
                 if time.monotonic() > deadline:
-                    return
+                    raise ControllerError(
+                        f"{self.links.description}: the controller refused to stop: {refused}; end the excitation there"
+                    ) from refused
             except BusError as error:
                 if time.monotonic() > deadline:
                     raise BusError(

@@ -312,7 +312,7 @@ def _stop(request: Request, rig_id: str, who: Identity, api: Services, lines: Li
         ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holders)]
         if not urls and not ended:
             _must_be_seen(rig, current)
-        how = "stop asked for by hand; the controller does not answer" if failures else "stopped by hand"
+        how = "stop asked for by hand; the controller did not confirm it" if failures else "stopped by hand"
         audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how=how, cancelled=" ".join(ended))
     if failures:
         told = "; ".join(f"{url}: {why}" for url, why in sorted(failures.items()))

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.device.machine import RigDevice
 from drivers.device.serve import ModbusOptions, serve_modbus
+from drivers.errors import LimitError
 from service import bootstrap
 from service.access.keys import Scope
 from service.api.app import THREADS
@@ -106,6 +107,18 @@ def tripping():
     """A controller that a test can trip."""
     with closing(serve_modbus(RigDevice(reference_rig(), seed=1), ModbusOptions(port=0))) as served:
         yield served
+
+
+def test_a_stop_that_the_controller_refuses_is_not_said_to_have_stopped_anything(api, rig, tripping, monkeypatch):
+    def refuse(token: int = 0) -> None:
+        raise LimitError("not now")
+
+    changed(api, rig, tripping.url)
+    with monkeypatch.context() as patch:
+        patch.setattr(tripping.device, "stop", refuse)
+        assert_problem(api.post(f"/rigs/{rig}/stop"), 503, "refused to stop")
+    line = api.get("/audit", params={"rig": rig}).json()["items"][0]
+    assert line["detail"]["how"] == "stop asked for by hand; the controller did not confirm it"
 
 
 def test_a_latched_trip_is_acknowledged_by_whoever_says_so_and_that_is_kept(api, rig, tripping):
