@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.controller import (
@@ -120,19 +120,17 @@ def run_campaign(
             if not resume:
                 put_aside(out_dir / JOURNAL)
             log = journal.Journal(out_dir / JOURNAL, header)
-            make_ready(controller)
-            measure = Patient(controller, cancelled or (lambda: False))
-            recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
-            _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
+            with _quiet_on_failure(controller):
+                make_ready(controller)
+                measure = Patient(controller, cancelled or (lambda: False))
+                recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
+                _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
         result = assembled()
         make_way(out_dir / EXPERIMENT, result)
         file.write(out_dir / EXPERIMENT, result)
     except BaseException as error:
         if log is None and not isinstance(error, KeyboardInterrupt | CancelledError):
             raise  # nothing was begun
-        if not isinstance(error, LeaseError):  # what another host excites is not ours to stop
-            with suppress(Exception):  # the first error is the one to tell
-                controller.stop()
         extra[INCOMPLETE] = str(error) or "stopped from the keyboard"
         kept = _keep(out_dir / EXPERIMENT, assembled)
         if log is not None:
@@ -146,6 +144,19 @@ def run_campaign(
     log.close()
     (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
+
+
+@contextmanager
+def _quiet_on_failure(controller: Controller) -> Iterator[None]:
+    """Stop the rig when what is done under its lease fails: once that is given back, another host may excite it."""
+    try:
+        yield
+    except LeaseError:
+        raise  # what another host excites is not ours to stop
+    except BaseException:
+        with suppress(Exception):  # the first error is the one to tell
+            controller.stop()
+        raise
 
 
 class _EndOfJournal(Exception):

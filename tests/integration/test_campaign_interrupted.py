@@ -7,6 +7,7 @@ import pytest
 
 from drivers.errors import BusError, CancelledError
 from service.experiment.campaign import recover
+from service.experiment.errors import ExperimentFileError
 from service.experiment.file import read
 from service.experiment.incomplete import incomplete
 from sim.reference import reference_rig
@@ -137,3 +138,16 @@ def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_pa
     assert rig.n == 65
     assert rig.stops
     assert read(tmp_path / "experiment.h5").main.n_points > 4
+
+
+def test_a_file_that_cannot_be_written_stops_nobody_who_has_leased_the_rig_since(tmp_path, monkeypatch):
+    def full(path, experiment):
+        raise ExperimentFileError("the disk is full")
+
+    monkeypatch.setattr("service.experiment.file.write", full)
+    rig = Faulty(lambda k: None)
+    with pytest.raises(ExperimentFileError, match="the disk is full"):
+        campaign(rig, tmp_path)
+    assert rig.n
+    assert rig.stops == 0
+    assert recover(tmp_path).main.n_points > 4
