@@ -176,8 +176,10 @@ class RemoteController:
         StoppedElsewhereError
             At its end: somebody else had stopped the last tone, and the bus failed before that was heard.
         """
-        self._acquire(holder, seconds)
+        if self._dialogue.token:
+            raise LeaseError(self._dialogue.holder, seconds)
         try:
+            self._acquire(holder, seconds)
             yield
         finally:
             if self._release():
@@ -185,8 +187,6 @@ class RemoteController:
 
     def _acquire(self, holder: str, seconds: float) -> None:
         to = self._dialogue
-        if to.token:
-            raise LeaseError(to.holder, seconds)
         to.boot_id = int(number(to.status(expect_boot=False).get("boot_id", 0)))
         self._lost = None
         token = self._next_token

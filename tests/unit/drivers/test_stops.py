@@ -282,3 +282,17 @@ def test_own_stop_before_the_tone_is_accepted_keeps_it_from_being_played(bus: _B
         with pytest.raises(CancelledError, match="before the tone began"):
             controller.measure(LONG)
         assert lost.is_set()
+
+
+def test_lease_whose_heartbeat_cannot_begin_is_given_back(bus: _Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(urgent: bool = False) -> _Bus:
+        raise KeyboardInterrupt
+
+    controller = RemoteController(bus, patience_s=0.05)
+    with monkeypatch.context() as patch:
+        patch.setattr(bus, "link", interrupted)
+        with pytest.raises(KeyboardInterrupt), controller.lease("job"):
+            pass
+    assert bus.front.device.status().lease_holder == ""
+    with controller.lease("job"):
+        assert controller.measure(TONE).tone == TONE
