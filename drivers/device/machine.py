@@ -6,6 +6,7 @@ for all of them. The rig levitates from the moment it is made.
 
 from __future__ import annotations
 
+import itertools
 import secrets
 import threading
 import time
@@ -104,7 +105,7 @@ class RigDevice:
         self._sequence = 0
         self._snapshot = 0
         self._events: deque[Event] = deque(maxlen=1000)
-        self._event_number = 0
+        self._event_numbers = itertools.count(1)
         self._on_event = on_event
         self._closed = threading.Event()
         self.boot_id = secrets.randbelow(2**31 - 1) + 1
@@ -286,6 +287,7 @@ class RigDevice:
 
     def _played(self, play: Callable[[], tuple[R | None, Interruption | None]]) -> R:
         """Result of an excitation that was accepted, or the error that its early end is."""
+        result: R | None = None
         interruption: Interruption | None = None
         elsewhere = False
         try:
@@ -297,14 +299,15 @@ class RigDevice:
                 if interruption is not None and interruption.cause == TripCause.NONE and self._stops.untold:
                     elsewhere = True
                     self._stops.tell()
-                self._playing = False
-                self._play_token = 0
-                if self._gauges.state in (State.ARMED, State.SETTLING, State.RECORDING):
+                if interruption is None and result is not None:
+                    self._sequence = result.sequence
+                    self._gauges.state = State.DONE
+                elif self._gauges.state in (State.ARMED, State.SETTLING, State.RECORDING):
                     self._gauges.state = State.LEVITATED
+                self._play_token = 0
+                self._playing = False  # last: from now on the next one may be accepted
         if interruption is None:
             assert result is not None
-            self._sequence = result.sequence
-            self._gauges.state = State.DONE
             return result
         self._log("excitation off")
         if elsewhere:
@@ -393,8 +396,7 @@ class RigDevice:
             time.sleep(0)
 
     def _log(self, text: str) -> None:
-        self._event_number += 1
-        event = Event(self._event_number, time.monotonic(), text)
+        event = Event(next(self._event_numbers), time.monotonic(), text)
         self._events.append(event)
         if self._on_event is not None:
             self._on_event(event)

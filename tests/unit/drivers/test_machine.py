@@ -177,3 +177,25 @@ def test_wrong_lease_is_refused(device: RigDevice) -> None:
     for holder, seconds in (("", 5.0), ("host", 0.0), ("host", 1e6), ("host", float("nan"))):
         with pytest.raises(LimitError):
             device.acquire(holder, seconds)
+
+
+def test_tone_that_begins_the_moment_another_has_ended_has_a_number_of_its_own(device, monkeypatch) -> None:
+    token = device.acquire("host", attached=True)
+    lock, later = device._state_lock, []
+
+    class Handed:
+        """The lock; whoever gets it after the first tone's end plays another."""
+
+        def __enter__(self) -> None:
+            lock.acquire()
+
+        def __exit__(self, *_: object) -> None:
+            lock.release()
+            if not device._playing:
+                monkeypatch.setattr(device, "_state_lock", lock)
+                later.append(device.measure(TONE, token).sequence)
+
+    monkeypatch.setattr(device, "_state_lock", Handed())
+    first = device.measure(TONE, token).sequence
+    assert [first, *later] == [1, 2]
+    assert device.measure(TONE, token).sequence == 3
