@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from drivers.controller import (
@@ -22,6 +24,8 @@ from service.access.audit import Action, AuditEvent
 from service.jobs.context import Context
 from service.storage import audit
 from service.storage.tables import JobRow
+
+log = logging.getLogger(__name__)
 
 
 class AuditedController:
@@ -75,7 +79,10 @@ class AuditedController:
             raise
         finally:
             if leased:
-                self._record(Action.rotor_released, how=how, tones=self._tones)
+                try:
+                    self._record(Action.rotor_released, how=how, tones=self._tones)
+                except SQLAlchemyError:  # what ended the lease is the error to tell
+                    log.exception("job %s: the audit log lacks that the rotor was released: %s", self._job.id, how)
 
     def measure(self, tone: Tone) -> PointResult:
         """Excite with one tone, wait, measure, and ramp back to zero."""
