@@ -14,7 +14,7 @@ from service.experiment import file, journal, phases
 from service.experiment.aims import Limits, Profile
 from service.experiment.beginning import checked_limits, fingerprint, profile_of
 from service.experiment.data import Experiment
-from service.experiment.errors import CampaignError, ExperimentFileError, JournalError
+from service.experiment.errors import CampaignError, JournalError
 from service.experiment.incomplete import INCOMPLETE
 from service.experiment.leased import Patient, alone, make_ready, stopped_by
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
@@ -232,10 +232,11 @@ def _run(
 
 def _keep(path: Path, assembled: Callable[[], Experiment]) -> int:
     """Write what there is of an unfinished campaign; the number of points kept. Never hides the first error."""
-    partial = assembled()
-    count = sum(s.n_points for s in partial.sweeps)
-    if any(s.kind != "noise" for s in partial.sweeps) and not holds_all(path, partial):
-        with suppress(ExperimentFileError, OSError):
+    count = 0
+    with suppress(Exception):  # the journal has all of it
+        partial = assembled()
+        count = sum(s.n_points for s in partial.sweeps)
+        if any(s.kind != "noise" for s in partial.sweeps) and not holds_all(path, partial):
             make_way(path, partial)
             file.write(path, partial)
     return count

@@ -151,3 +151,11 @@ def test_a_file_that_cannot_be_written_stops_nobody_who_has_leased_the_rig_since
     assert rig.n
     assert rig.stops == 0
     assert recover(tmp_path).main.n_points > 4
+
+
+def test_points_that_cannot_be_put_together_do_not_hide_what_ended_the_campaign(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("service.experiment.campaign.experiment", lambda *_: 1 // 0)
+        with pytest.raises(CancelledError, match="run it again"):
+            campaign(Faulty(interrupted_at(40, KeyboardInterrupt())), tmp_path)
+    assert recover(tmp_path).named("preliminary").n_points > 0
