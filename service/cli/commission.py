@@ -122,14 +122,22 @@ def commission_directly(
 
     ``truth`` is what a simulated rig's result is compared with.
     """
+    from drivers.errors import BusError
     from service import bootstrap
     from service.cli.interrupt import asked_to_stop
     from service.cli.progress import campaign_progress
+    from service.experiment.campaign import JOURNAL
 
     began = time.monotonic()
     profile = bootstrap.profile_for(excitation.value, quick)
     with asked_to_stop(STOPPING) as cancelled, connection as controller, campaign_progress() as progress:
-        experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
+        try:
+            experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
+        except BusError as error:
+            if not (out / JOURNAL).exists():  # nothing was measured
+                raise
+            kept = f"what was measured is kept in {out}: run it again to go on where it stopped"
+            raise BusError(f"{error}; {kept}") from error
     measured = time.monotonic() - began
     done = bootstrap.identify_into(experiment, datasheet, out, announce=say, priors=priors)
     files = {**done.files, "experiment": out / bootstrap.EXPERIMENT}
