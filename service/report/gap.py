@@ -167,7 +167,7 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
     parts.append(
         Captioned(
             bars,
-            "The likeliest explanations: probability of each among those of its part, where the first sentence counts a "
+            "The likeliest explanations: probability among those of the part, where the first sentence counts a "
             "whole alias class and all parts, and share of the gap that each closes. "
             "Of one that grows with amplitude, and that the fitted data do not show, nothing tells what it closes.",
         )
