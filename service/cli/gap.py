@@ -210,7 +210,10 @@ def _end(parameter: dict[str, Any]) -> str:
 def _proposal(proposed: dict[str, Any]) -> str:
     """The next experiment in words, with how long it takes, what it promises, and what asks for it."""
     odds, minutes = 100 * proposed["odds_of_telling_apart"], proposed["rig_seconds"] / 60
-    words = f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell them apart"
+    one, other = (name.replace("+", " + ").replace("_", " ") for name in proposed["separates"])
+    words = (
+        f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell {one} from {other}"
+    )
     return f"{words}: {proposed['command']}"
 
 

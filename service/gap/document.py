@@ -62,9 +62,12 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
 
 
 def likeliest(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The candidates of a gap.json as they are shown: the one that the verdict names, then by falling probability."""
+    """The candidates of a gap.json as they are shown: the one that the verdict names, then by falling probability.
+
+    By whole per cent; of those with none, rivals stay before what only adds to the named one.
+    """
     named = "+".join(document["verdict"]["effects"])
-    return sorted(document["candidates"], key=lambda c: (c["effect"] != named, -c["probability"]))
+    return sorted(document["candidates"], key=lambda c: (c["effect"] != named, -round(c["probability"], 2)))
 
 
 def ends_reached(document: Mapping[str, Any]) -> list[str]:

@@ -68,18 +68,18 @@ def test_a_datasheet_that_is_far_off_is_said_to_stay_so_in_the_twin(tmp_path: Pa
 
 
 def test_the_named_explanation_comes_first_and_then_the_likeliest() -> None:
-    of = {"runout": 0.2, "loop_delay": 0.1, "sensor_lag": 0.0, "eddy_currents": 0.03}
+    of = {"runout": 0.2, "loop_delay": 0.1, "sensor_lag": 0.001, "loop_delay+runout": 0.002, "eddy_currents": 0.03}
     candidates = [explanation(effect=name, probability=p) for name, p in of.items()]
     found = likeliest({"verdict": {"effects": ["loop_delay"]}, "candidates": candidates})
-    assert [c["effect"] for c in found] == ["loop_delay", "runout", "eddy_currents", "sensor_lag"]
+    assert [c["effect"] for c in found] == ["loop_delay", "runout", "eddy_currents", "sensor_lag", "loop_delay+runout"]
 
 
 def test_what_to_measure_next_is_told_with_its_price_and_the_command_that_asks_for_it() -> None:
     proposed = {
         "description": "each axis from 1 kHz up to 3 kHz", "rig_seconds": 754.0, "odds_of_telling_apart": 0.96,
-        "command": "ambit submit experiment --rig bench --profile wide",
+        "command": "ambit submit experiment --rig bench", "separates": ["loop_delay", "eddy_currents+runout"],
     }  # fmt: skip
     assert _proposal(proposed) == (
-        "next: each axis from 1 kHz up to 3 kHz; 13 min on the rig, 96 % likely to tell them apart: "
-        "ambit submit experiment --rig bench --profile wide"
+        "next: each axis from 1 kHz up to 3 kHz; 13 min on the rig, 96 % likely to tell loop delay from "
+        "eddy currents + runout: ambit submit experiment --rig bench"
     )
