@@ -52,6 +52,18 @@ def _saturating_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
 
 
 @_compiled
+def _slewed(rate, most, fall):  # type: ignore[no-untyped-def]
+    """Rate from which a first-order amplifier without limit gets as far in a step as one with it from ``rate``.
+
+    The rate asked for falls as the current comes nearer; within the step it may come to lie below the limit.
+    """
+    if abs(rate) <= most:
+        return rate
+    at_limit = min(abs(rate) / most - 1.0, fall)
+    return math.copysign(most * (at_limit - math.expm1(at_limit - fall)) / -math.expm1(-fall), rate)
+
+
+@_compiled
 def plain_corrections(now, at, law, d):  # type: ignore[no-untyped-def]
     """Force beyond the linear one of magnets without saturation, play, contact, slew limit or rotation."""
     n = law.shape[1]
@@ -62,8 +74,14 @@ def plain_corrections(now, at, law, d):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, play_t, scale, f, d):  # type: ignore[no-untyped-def]
-    """Force and slew beyond the linear ones, with every nonlinear effect; moves the plays along."""
+def corrections(  # type: ignore[no-untyped-def]
+    now, at, law, rotation, contact, slews, slew, driven, fall, plays, play_w, play_t, scale, f, d
+):
+    """Force and slew beyond the linear ones, with every nonlinear effect; moves the plays along.
+
+    ``driven`` is the rate that the control signal asks of each amplifier beside what ``now`` tells of its state;
+    ``fall`` how many time constants of such an amplifier a step takes, 0 for one that u does not drive at once.
+    """
     n = law.shape[1]
     for a in range(n):
         x = now[at + n + a]
@@ -80,8 +98,8 @@ def corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pla
         force = _saturating_magnet(law, a, i, x) if law[11, a] > 0.0 else _magnet(law, a, i, x)
         f[a] = scale[0, a] * force + (scale[1, a] - scale[0, a]) * law[5, a] * x
         if slews:
-            rate = now[at + 2 * n + a]
-            d[n + a] = min(max(rate, -slew[a]), slew[a]) - rate
+            rate = now[at + 2 * n + a] + driven[a]
+            d[n + a] = (_slewed(rate, slew[a], fall[a]) if fall[a] > 0.0 else min(max(rate, -slew[a]), slew[a])) - rate
     for a in range(n):
         total = law[6, a]
         for b in range(n):
@@ -91,6 +109,20 @@ def corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, pla
         if depth > 0.0:
             total -= contact[1 if x > 0.0 else 2, a] * math.copysign(depth, x)
         d[a] = total
+
+
+@_compiled
+def _driven(rate_input, late, state, first_u, s, out):  # type: ignore[no-untyped-def]
+    """Rate that the control signal asks for in step s of a sample: that of its mean, as it may change within."""
+    n = out.shape[0]
+    for a in range(n):
+        out[a] = 0.0
+    for b in range(n):
+        at = first_u + int(late[0, b]) * n + b
+        old = min(max(late[1, b] - s, 0.0), 1.0)
+        u = (1.0 - old) * state[at] + (old * state[at + n] if old > 0.0 else 0.0)
+        for a in range(n):
+            out[a] += rate_input[a, b] * u
 
 
 @_compiled
@@ -141,6 +173,9 @@ def advance(  # type: ignore[no-untyped-def]
     law,
     contact,
     slew,
+    rate_input,
+    late,
+    fall,
     play_w,
     play_t,
     lag,
@@ -160,6 +195,7 @@ def advance(  # type: ignore[no-untyped-def]
     first_u, first_d = n_z, n_z + history * n
     last_seen, z_at = n_seen * (substeps - 1), n_seen * substeps
     scale, f, d = np.ones((2, n)), np.zeros(n), np.zeros(later.shape[1])
+    driven, drives = np.zeros(n), slews and np.any(fall > 0.0)
     delayed = np.max(lag) > 0.0
     for t in range(n_samples):
         if drift_time[0] > 0.0:
@@ -195,8 +231,12 @@ def advance(  # type: ignore[no-untyped-def]
                 exceeded = 2
         for s in range(substeps):
             at = n_seen * (s - 1) if s > 0 else last_seen
+            if drives:
+                _driven(rate_input, late, state, first_u, s, driven)
             if general:
-                corrections(now, at, law, rotation, contact, slews, slew, plays, play_w, play_t, scale, f, d)
+                corrections(
+                    now, at, law, rotation, contact, slews, slew, driven, fall, plays, play_w, play_t, scale, f, d
+                )
             else:
                 plain_corrections(now, at, law, d)
             if s == 0:

@@ -102,7 +102,8 @@ class Loop:
     def levitate(self) -> None:
         """Put the rotor at rest at its operating point, time zero."""
         ss, n, p = self._ss, self.n_axes, self._p
-        u = np.linalg.solve(self.rig.amplifiers.gain[:, None] * self.rig.amplifiers.crosstalk, self._point.current_a)
+        gain = self.rig.amplifiers.gain[:, None] * self.rig.amplifiers.crosstalk
+        u = np.asarray(np.linalg.solve(gain, self._point.current_a), dtype=float)
         # Amplifiers and eddy currents at rest under that u; the rotor does not move.
         moving = np.flatnonzero(
             np.any(ss.drive != 0, axis=1)
@@ -121,9 +122,9 @@ class Loop:
         depth = int(np.ceil(np.max(self._lag_steps))) + 4
         self._y_past = np.zeros((n, depth))
         self._plays = np.zeros((n, len(self._play_widths)))
-        self._rest_corrections()
+        self._rest_corrections(u)
 
-    def _rest_corrections(self) -> None:
+    def _rest_corrections(self, u: Array) -> None:
         """Corrections at rest as those of a step before: the first step sees no slope in them."""
         p, d = self._p, np.zeros(self._p.later.shape[1])
         at, first = p.z_at - p.n_seen, p.n_z + p.history * self.n_axes
@@ -136,6 +137,8 @@ class Loop:
                 self._contact,
                 self._slews,
                 self._slew,
+                self._ss.current_rate_input @ u,
+                p.fall,
                 self._plays,
                 self._play_weights,
                 self._play_widths,
@@ -216,6 +219,9 @@ class Loop:
             self._law,
             self._contact,
             self._slew,
+            self._ss.current_rate_input,
+            p.late,
+            p.fall,
             self._play_weights,
             self._play_widths,
             self._lag_steps,

@@ -35,6 +35,10 @@ class Propagators:
     """Signals that are seen at each step."""
     n_d: int
     """Corrections of each step."""
+    fall: Array
+    """(n,) time constants in a step of amplifiers whose rate u drives at once, 0 for others."""
+    late: Array
+    """(2, n) whole samples after which a new value of each control signal acts, and the integration steps beyond."""
 
     @property
     def z_at(self) -> int:
@@ -65,14 +69,20 @@ def propagators(rig: Rig, ss: StateSpace, seen: Array, substeps: int, slews: boo
     free, constant, growing = input_integrals(
         np.hstack([ss.force_input, ss.slew_input] if slews else [ss.force_input]), step
     )
+    at_once = np.any(ss.current_rate_input != 0, axis=1)
+    fall = np.where(at_once, rig.amplifiers.natural_frequency_rad_s * step, 0.0)
+    if slews:  # a rate that u drives at once jumps with it: it has no slope to go on with
+        growing[:, n:] *= ~at_once
     drive = np.zeros((substeps, HISTORY, n, n_z))
     delays = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    late = np.zeros((2, n))
     for axis in range(n):
         column = ss.drive[:, axis : axis + 1]
         whole, rest = divmod(delays[axis] / rig.controller.sample_time_s + 1e-9, 1.0)
         rest = rest if rest > 2e-9 else 0.0
         if whole + 1 >= HISTORY:
             raise LevitationError(f"rig {rig.name}: a loop delay of {delays[axis]:.2e} s cannot be levitated")
+        late[:, axis] = whole, rest * substeps
         entire = input_integrals(column, step)[1][:, 0]
         for k in range(substeps):
             # The new value acts from `switch` on, within this step or before or after it.
@@ -100,4 +110,4 @@ def propagators(rig: Rig, ss: StateSpace, seen: Array, substeps: int, slews: boo
     first[0, :known, : weights.shape[1]] = weights[:known]
     later = np.zeros((substeps - 1, -(-n_d // 4) * 4, columns))
     later[:, :n_d, : weights.shape[1]] = weights[known:].reshape(substeps - 1, n_d, weights.shape[1])
-    return Propagators(first, later, history, n_z, len(seen), n_d)
+    return Propagators(first, later, history, n_z, len(seen), n_d, fall, late)

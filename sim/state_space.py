@@ -32,7 +32,9 @@ class StateSpace:
     current: Array
     """(n, z) coil current"""
     current_rate: Array
-    """(n, z) rate of the coil current that the linear amplifier asks for"""
+    """(n, z) rate of the coil current that the linear amplifier asks for, per state"""
+    current_rate_input: Array
+    """(n, n) the same per control signal: what drives an amplifier of first order drives its rate at once"""
     flux: Array
     """(n, z) current after eddy currents"""
     bearing: Array
@@ -63,7 +65,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     n_z = int(starts[-1])
     A, drive = np.zeros((n_z, n_z)), np.zeros((n_z, n))
     current, rate, flux = np.zeros((n, n_z)), np.zeros((n, n_z)), np.zeros((n, n_z))
-    slew = np.zeros((n_z, n))
+    slew, rate_input = np.zeros((n_z, n)), np.zeros((n, n))
     e, lagged = int(starts[1]), int(starts[5])
     for axis in range(n):
         k, w = order * axis, amp.natural_frequency_rad_s[axis]
@@ -72,12 +74,10 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         if amp.damping_ratio is None:
             A[k, k] = -w
             drive[k] = w * amp.gain[axis] * amp.crosstalk[axis]
-            rate[axis, k] = -w
         else:
             A[k, k + 1] = 1.0
             A[k + 1, k : k + 2] = -(w**2), -2 * amp.damping_ratio[axis] * w
             drive[k + 1] = w**2 * amp.gain[axis] * amp.crosstalk[axis]
-            rate[axis, k + 1] = 1.0
             slew[k + 1, axis] = -2 * amp.damping_ratio[axis] * w * amp.slew_seen
         if amp.lag_s > SHORTEST_LAG_S:  # the lag stands between u and the amplifier
             entry = k + order - 1
@@ -85,6 +85,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
             drive[entry] = 0.0
             A[lagged + axis, lagged + axis] = -1 / amp.lag_s
             drive[lagged + axis] = amp.crosstalk[axis] / amp.lag_s
+        rate[axis], rate_input[axis] = A[k], drive[k]
         realisation = eddy[axis]
         if realisation is None:
             flux[axis] = current[axis]
@@ -121,4 +122,4 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
             sensor[axis] = 0.0
             sensor[axis, s] = 1.0
             s += 1
-    return StateSpace(A, drive, force_input, slew, current, rate, flux, bearing, sensor)
+    return StateSpace(A, drive, force_input, slew, current, rate, rate_input, flux, bearing, sensor)
