@@ -16,7 +16,7 @@ from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
-from service.identification.etfe import etfe
+from service.identification.etfe import SingularInputError, etfe
 from service.identification.known import as_identified, computed, led_back
 from service.identification.logged import checked
 from service.identification.points import PlanePoints
@@ -194,7 +194,7 @@ def _measured_peaks(points: PlanePoints) -> tuple[float, float] | None:
     """Largest measured |S| of both axes; the tones of a check are few, so the true peak may be higher."""
     try:
         s = np.abs(etfe(points, "r->u").value)
-    except ValueError:  # both axes excited at once: S cannot be told apart
+    except SingularInputError:  # both axes excited at once: S cannot be told apart
         return None
     return float(s[:, 0, 0].max()), float(s[:, 1, 1].max())
 

@@ -16,7 +16,7 @@ from service.identification.combine import (
     transmission_zeros,
     zero_pencil,
 )
-from service.identification.etfe import FrequencyResponse, etfe
+from service.identification.etfe import FrequencyResponse, SingularInputError, etfe
 from service.identification.extended import extended_report
 from service.identification.figures import (
     amplifier_scatter,
@@ -182,5 +182,5 @@ def _displacement(points: PlanePoints, datasheet: Datasheet) -> Displacement:
 def _measured_sensitivity(points: PlanePoints) -> FrequencyResponse | None:
     try:
         return etfe(points, "r->u")
-    except ValueError:  # two axes excited at once, with the same r: S cannot be told apart
+    except SingularInputError:  # two axes excited at once, with the same r: S cannot be told apart
         return None

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from service.identification.amplifier import Amplifier
 from service.identification.combine import physical_matrices
-from service.identification.etfe import etfe
+from service.identification.etfe import SingularInputError, etfe
 from service.identification.known import computed
 from service.identification.margins import computed_response, sensitivity
 from service.identification.plane_model import PlaneModel
@@ -235,7 +235,7 @@ def predicted_closed_loop(model: PlaneModel, controller: tuple[Real, Real], poin
     points = computed(points, model.known.chain)
     try:
         u, y = etfe(points, "r->u"), etfe(points, "r->y")
-    except ValueError:
+    except SingularInputError:
         return None
     s = sensitivity(model, controller, u.omega)
     t = np.asarray(computed_response(model, u.omega) @ s)

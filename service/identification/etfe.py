@@ -20,6 +20,10 @@ Path = Literal["u->i", "u->y", "i->y", "r->u", "r->y"]
 MAX_CONDITION = 1e4
 
 
+class SingularInputError(AmbError):
+    """The inputs of no frequency, or not those of one that is wanted, tell the axes apart."""
+
+
 @dataclass(frozen=True)
 class FrequencyResponse:
     """A measured frequency response with the covariance of its entries."""
@@ -49,8 +53,10 @@ def etfe(points: PlanePoints, path: Path) -> FrequencyResponse:
 
     Raises
     ------
+    SingularInputError
+        No frequency with both inputs; a singular input matrix.
     AmbError
-        No currents logged; no frequency with both inputs; a singular input matrix.
+        No currents logged.
     """
     signals: Mapping[str, Complex | None] = {"u": points.U, "i": points.I, "y": points.Y, "r": points.R}
     source, target = path.split("->")
@@ -93,7 +99,7 @@ def _estimate(
     mean_x, mean_z = x.mean(axis=1), z.mean(axis=1)
     groups = [g for g in same_frequency(omega) if len(np.unique(axis[g])) == n_in]
     if not groups:
-        raise AmbError(
+        raise SingularInputError(
             f"{where}: {path} needs every one of {', '.join(axes)} excited at the same frequency, and none has that"
         )
     value = np.empty((len(groups), z.shape[2], n_in), dtype=complex)
@@ -104,7 +110,7 @@ def _estimate(
         columns = mean_x[g].T  # (n_in, experiments)
         condition = conditions[k]
         if not condition < MAX_CONDITION:
-            raise AmbError(
+            raise SingularInputError(
                 f"{where}: the {path[0]} matrix at {omega[g[0]] / 2 / np.pi:.4g} Hz is singular (condition number "
                 f"{condition:.2g}); excite the axes one at a time, or with independent phases, at this frequency"
             )

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.health import compare
+from service.identification import assemble, closed_loop
 from service.identification.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
 from service.identification.controller_check import check_controller
 from service.identification.margins import zone_table
@@ -165,6 +167,37 @@ def test_predicted_against_measured_closed_loop_in_percent():
     wrong = predicted_closed_loop(truth["x"].at(theta), LAW, points)
     assert wrong is not None
     assert wrong.u_percent[0, 0] < 98
+
+
+def of_axes_excited_at_once():
+    """Points of one plane with the same excitation in both experiments."""
+    truth = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    points = plane_points(synthetic_sweep(truth, AXES, LAW, np.geomspace(12, 990, 20), 1e-3, seed=3), AXES, "x")
+    return truth["x"], replace(points, R=np.ones_like(points.R))
+
+
+CALLERS = {
+    closed_loop: lambda model, points: closed_loop.predicted_closed_loop(model, LAW, points),
+    assemble: lambda _, points: assemble._measured_sensitivity(points),
+    compare: lambda _, points: compare._measured_peaks(points),
+}
+callers = pytest.mark.parametrize(("module", "ask"), CALLERS.items(), ids=lambda x: getattr(x, "__name__", ""))
+
+
+@callers
+def test_axes_that_were_excited_at_once_have_no_measured_sensitivity(module, ask):
+    assert ask(*of_axes_excited_at_once()) is None
+
+
+@callers
+@pytest.mark.parametrize("error", [ValueError("operands could not be broadcast together"), AmbError("of another kind")])
+def test_any_other_error_of_a_measured_sensitivity_is_told(module, ask, error, monkeypatch):
+    def failing(*_):
+        raise error
+
+    monkeypatch.setattr(module, "etfe", failing)
+    with pytest.raises(type(error), match=str(error)):
+        ask(*of_axes_excited_at_once())
 
 
 def test_the_result_tells_the_prediction_on_the_unseen_sweep():
