@@ -110,33 +110,60 @@ def companion(poles: Complex, gain: float) -> tuple[Real, Real, Real]:
 def sampled(model: PlaneModel) -> Sampled:
     """Exact discretisation with zero-order hold and delay (Astrom and Wittenmark, Computer-Controlled Systems, 3.2).
 
-    A dead time of the sensors acts as one before the amplifiers does.
+    The dead time that both sensors have acts as one before the amplifiers does; what one has more delays its output.
     """
     a, b, c = continuous(model)
-    period = model.known.sample_time_s
-    delay = max(model.delay_s + model.known.computing_delay_s + float(np.mean(model.known.chain.sensor_delay_s)), 0.0)
+    period, dead_s = model.known.sample_time_s, model.known.chain.sensor_delay_s
+    delay = max(model.delay_s + model.known.computing_delay_s + float(np.min(dead_s)), 0.0)
     whole = math.floor(delay / period + 1e-9)
     rest = max(delay - whole * period, 0.0)
-    phi_late, gamma_late = integrated(a, b, rest)
-    phi_first, gamma_first = integrated(a, b, period - rest)
-    older = phi_first @ gamma_late  # the input of one sample earlier acts first
-    phi = phi_first @ phi_late
-    if delay < 1e-12:
-        return Sampled(phi, gamma_first, c)
-    n, kept = len(a), whole + 1
+    kept = 0 if delay < 1e-12 else whole + 1
+    n = len(a)
+    # past inputs, the latest first: u(k - 1), ..., u(k - whole - 1)
     big = np.zeros((n + 2 * kept, n + 2 * kept))
     drive = np.zeros((n + 2 * kept, 2))
-    big[:n, :n] = phi
-    # past inputs, the latest first: u(k - 1), ..., u(k - whole - 1)
-    big[:n, n + 2 * whole :] = older
+    big[:n], drive[:n] = _within(a, b, period, rest, whole, kept)
+    for k in range(kept):
+        if k == 0:
+            drive[n : n + 2] = np.eye(2)
+        else:
+            big[n + 2 * k : n + 2 * k + 2, n + 2 * k - 2 : n + 2 * k] = np.eye(2)
+    plant = Sampled(big, drive, np.hstack([c, np.zeros((2, 2 * kept))]))
+    for j, late in enumerate(dead_s - np.min(dead_s)):
+        if late > 1e-12:
+            samples = math.ceil(late / period - 1e-9)
+            state, now = _within(a, b, max(samples * period - late, 0.0), rest, whole, kept)
+            plant = _late_output(plant, j, samples, c[j] @ state, c[j] @ now)
+    return plant
+
+
+def _within(a: Real, b: Real, seconds: float, rest: float, whole: int, kept: int) -> tuple[Real, Real]:
+    """State so long after a sample, up to the next one, of that at the sample with past inputs, and of its u."""
+    phi_late, gamma_late = integrated(a, b, min(rest, seconds))
+    phi_first, gamma_first = integrated(a, b, max(seconds - rest, 0.0))
+    n = len(a)
+    state, now = np.zeros((n, n + 2 * kept)), np.zeros((n, 2))
+    state[:, :n] = phi_first @ phi_late
+    if kept:
+        state[:, n + 2 * whole :] = phi_first @ gamma_late  # the input of one sample earlier acts first
     if whole == 0:
-        drive[:n] = gamma_first
+        now[:] = gamma_first
     else:
-        big[:n, n + 2 * (whole - 1) : n + 2 * whole] = gamma_first
-    drive[n : n + 2] = np.eye(2)
-    for k in range(1, kept):
-        big[n + 2 * k : n + 2 * k + 2, n + 2 * k - 2 : n + 2 * k] = np.eye(2)
-    return Sampled(big, drive, np.hstack([c, np.zeros((2, 2 * kept))]))
+        state[:, n + 2 * (whole - 1) : n + 2 * whole] = gamma_first
+    return state, now
+
+
+def _late_output(plant: Sampled, j: int, samples: int, state: Real, now: Real) -> Sampled:
+    """The plant whose output ``j`` is what ``state`` and ``now`` make of state and u, so many samples later."""
+    n = len(plant.A)
+    size = n + samples
+    A, B, C = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((len(plant.C), size))
+    A[:n, :n], B[:n], C[:, :n] = plant.A, plant.B, plant.C
+    A[n, : len(state)], B[n] = state, now
+    A[n + 1 :, n : size - 1] = np.eye(samples - 1)
+    C[j] = 0.0
+    C[j, -1] = 1.0
+    return Sampled(A, B, C)
 
 
 def integrated(a: Real, b: Real, seconds: float) -> tuple[Real, Real]:

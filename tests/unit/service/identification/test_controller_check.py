@@ -9,7 +9,7 @@ from service.health import compare
 from service.identification import assemble, closed_loop
 from service.identification.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
 from service.identification.controller_check import check_controller
-from service.identification.margins import zone_table
+from service.identification.margins import computed_response, zone_table
 from service.identification.points import plane_points
 from service.identification.saved import saved_planes
 from service.identification.synthetic import plane_model_of, synthetic_sweep
@@ -43,6 +43,19 @@ def test_the_sampled_loop_has_the_response_of_the_frequency_domain_model(planes,
     theirs = model.response(omega)
     assert np.abs(ours - theirs).max(axis=(1, 2)) == pytest.approx(0, abs=5e-4 * np.abs(theirs).max())
     np.testing.assert_allclose(ours[:4], theirs[:4], rtol=2e-5)
+
+
+@pytest.mark.parametrize("dead_s", [(0.0, 40e-6), (70e-6, 20e-6), (0.0, 100e-6), (250e-6, 10e-6)])
+@pytest.mark.parametrize("delay_s", [0.0, 37e-6, 100e-6, 237e-6])
+def test_each_sensor_has_its_own_dead_time_in_the_sampled_loop(planes, delay_s, dead_s):
+    model = planes["x"].model
+    theta = model.theta.copy()
+    theta[model.layout.delay] = delay_s
+    chain = replace(model.known.chain, sensor_delay_s=np.array(dead_s))
+    model = replace(model.at(theta), known=replace(model.known, chain=chain))
+    omega = 2 * np.pi * np.array([5.0, 80.0, 492.0, 907.0])
+    ours, theirs = sampled(model).response(omega, SHEET.sample_time_s), computed_response(model, omega)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4 * np.abs(theirs).min())
 
 
 def test_sensor_lag_and_first_order_amplifiers_are_in_the_loop():
