@@ -83,6 +83,10 @@ def run(arguments: list[str]) -> int:
         return _bad_usage(error)
     except (typer.Abort, KeyboardInterrupt):
         status = INTERRUPTED
+    except ImportError as error:
+        if not _interrupted(error):
+            raise
+        status = INTERRUPTED
     except BrokenPipeError:
         return _reader_left()
     except AmbError as error:
@@ -96,6 +100,14 @@ def run(arguments: list[str]) -> int:
         say("ambit: stopped by the user; files that were finished are kept")
         return FAILED
     return status if isinstance(status, int) else DONE
+
+
+def _interrupted(error: BaseException) -> bool:
+    """Whether Ctrl-C is behind an error: a compiled module that it stops while it loads cannot say so otherwise."""
+    causes = [error]
+    while (cause := causes[-1].__cause__ or causes[-1].__context__) is not None:
+        causes.append(cause)
+    return any(isinstance(cause, KeyboardInterrupt) for cause in causes)
 
 
 def _bad_usage(error: typer.TyperException) -> int:
