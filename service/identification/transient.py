@@ -89,7 +89,8 @@ def told(transient: Transient) -> str:
     where = f"{hz:.4g} Hz mode of the closed loop" if hz > 1 else "slow part of the closed loop"
     return (
         f"points were recorded while the {where} still rang (it decays with {rate:.2g} 1/s): what it left, up to "
-        f"{_few(transient.share)} times the noise, was taken out, and what is not known of it is in the standard deviations"
+        f"{_few(transient.share)} times the noise, was taken out, and what is not known of it is in the "
+        "standard deviations"
     )
 
 
