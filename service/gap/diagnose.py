@@ -8,30 +8,30 @@ from dataclasses import replace
 
 from service.experiment.data import Experiment
 from service.gap.compose import Composition, composed
-from service.gap.dated import dated
 from service.gap.diagnosis import Diagnosis, closures_of, listed
-from service.gap.doubts.swings import swinging
+from service.gap.doubts.modulated_stiffness import modulated_stiffness
+from service.gap.drift_rate import with_drift_rate
+from service.gap.explain_parts import PERCENT_FITTED, Found, explain_parts
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.predict import at_speed_of
-from service.gap.heard import once_a_turn, scatter_shrinkage, with_interference
 from service.gap.hints import hints, one_point
 from service.gap.interference import Interference, measured_by
-from service.gap.judged import judged
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
 from service.gap.outdated import fewer, outdated
-from service.gap.passes import PERCENT_FITTED, Found, found_in
+from service.gap.overall_verdict import overall_verdict
+from service.gap.progress import Progress, ProgressCallback
 from service.gap.proposal.case import Grounds
-from service.gap.telling import ProgressCallback, Telling
 from service.gap.weighing.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
 from service.gap.weighing.verdict import Verdict
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
-from service.gap.which.beyond import OFF_TOLERANCES
+from service.gap.which.beyond_tolerance import OFF_TOLERANCES
 from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
+from service.gap.with_interference import once_a_turn, scatter_shrinkage, with_interference
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 
@@ -53,27 +53,27 @@ def diagnose(
     GapError
         The data do not allow it: no excited sweep, too few points or blocks, axes that do not match.
     """
-    data, telling = observed(experiment, datasheet), Telling(progress)
-    with Fitter(jobs, telling.fitted) as fitter:
-        found = found_in(data, fitter, telling)
-        telling.judging(PERCENT_FITTED)
+    data, done = observed(experiment, datasheet), Progress(progress)
+    with Fitter(jobs, done.fitted) as fitter:
+        found = explain_parts(data, fitter, done)
+        done.judging(PERCENT_FITTED)
         told = _told(experiment.rig, datasheet, data, found, fitter)
         if datasheet.effects and told.verdict.kind != "no_gap" and told.verdict.settled:
-            told = _of_a_twin(told, experiment, datasheet, fitter, telling)
+            told = _of_a_twin(told, experiment, datasheet, fitter, done)
     return replace(told, of=origin(experiment, datasheet))
 
 
 def _of_a_twin(
-    told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter, telling: Telling
+    told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter, progress: Progress
 ) -> Diagnosis:
     """What was told, or that the twin is out of date: it is held against the twin without some of its effects."""
     without = {}
     for names, sheet in fewer(datasheet):
-        telling.without(names, PERCENT_FITTED)
+        progress.without(names, PERCENT_FITTED)
         fitter.lost.clear()  # of this twin alone
         with suppress(AmbError):  # without them it may be no rig that can be fitted
             data = observed(experiment, sheet)
-            found = found_in(data, fitter, Telling(None))
+            found = explain_parts(data, fitter, Progress(None))
             without[names] = _told(experiment.rig, sheet, data, found, fitter, propose=False)
     return outdated(told, without) or told
 
@@ -83,17 +83,17 @@ def _told(
 ) -> Diagnosis:
     """What was found, judged and measured on data that no fit has seen; ``propose``: and what to measure next."""
     nu, o, unseen = data.nuisance, data.o, found.unseen
-    whole = dated(composed(nu, found.parts), nu.rig, data.duration_s)
+    whole = with_drift_rate(composed(nu, found.parts), nu.rig, data.duration_s)
     null = whole.null.candidate
     sources = _measured_sources(data, whole)
-    verdict = judged(
+    verdict = overall_verdict(
         found.parts,
         o,
         unseen,
         relative_gap(null.fit.rig, o),
         sources,
         found.fault,
-        swinging([data.main, data.other], nu.rig),
+        modulated_stiffness([data.main, data.other], nu.rig),
         data.lines_only,
         data.erratic,
     )

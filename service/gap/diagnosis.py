@@ -12,7 +12,7 @@ from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Shrinkage
 from service.gap.weighing.verdict import Verdict
 from service.gap.where.where import Where
-from service.gap.which.beyond import ERRORS_OF_STATED_VALUES
+from service.gap.which.beyond_tolerance import ERRORS_OF_STATED_VALUES
 
 CANDIDATES_REPORTED = 10
 """Candidates in the report."""

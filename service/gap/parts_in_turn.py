@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.doubts.log import faint_log_fault, log_fault
+from service.gap.fitting.amplifiers_uncertainty import inherited_from
 from service.gap.fitting.candidates import Candidate, Fitter
-from service.gap.fitting.inherited import inherited_from
 from service.gap.fitting.part import Ground, Part, Values, driven_by_current, parts
 from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
-from service.gap.telling import Telling
-from service.gap.which.begun import residuals
-from service.gap.which.between import between
+from service.gap.progress import Progress
 from service.gap.which.explained import Explained
+from service.gap.which.one_more_effect import residuals
+from service.gap.which.plant_or_amplifiers import plant_or_amplifiers
 from service.gap.which.search import LARGEST_MIXTURE, explain, plain_twin
 
 Real = NDArray[np.float64]
@@ -41,7 +41,7 @@ class PartsInTurn:
     fault: str | None = None
 
     def explain_all(
-        self, telling: Telling, percent: tuple[float, float], known: Mapping[str, Explained] | None = None
+        self, progress: Progress, percent: tuple[float, float], known: Mapping[str, Explained] | None = None
     ) -> None:
         """Explain every part; those ``known``, by path, are not looked at again."""
         known = known or {}
@@ -51,7 +51,7 @@ class PartsInTurn:
             if part.path in known:
                 self.explained.append(self._rebased(known[part.path]))
             else:
-                telling.part(part, looked_at, *percent)
+                progress.part(part, looked_at, *percent)
                 self._explain(part)
 
     def _explain(self, part: Part) -> None:
@@ -108,7 +108,7 @@ class PartsInTurn:
         def through(candidate: Candidate) -> Ground:
             return _through(plant.ground, amplifiers, candidate)
 
-        self.explained[-1], plant = between(self.fitter, amplifiers, plant, through)
+        self.explained[-1], plant = plant_or_amplifiers(self.fitter, amplifiers, plant, through)
         if self.explained[-1].chosen is amplifiers.chosen:
             return plant
         return explain(self.fitter, through(self.explained[-1].chosen))

@@ -13,9 +13,9 @@ from service.experiment.multisine_plan import MultisineProfile
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
 from service.gap.fitting.predict import displacement, measured_signal, weight, whole_displacement
+from service.gap.measured.excited_together import PhasesError, Together
 from service.gap.measured.observation import observe
 from service.gap.measured.sweeps import sweeps_for
-from service.gap.measured.together import PhasesError, Together
 from service.report.gap import gap_page
 from sim.reference import reference_rig
 from sim.twin import with_effects

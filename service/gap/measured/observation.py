@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
 from service.gap.measured.coherent import PATTERNS, beside_hum, left_in_mean, slow_leaks, without_hum
+from service.gap.measured.excited_together import Together
 from service.gap.measured.leak import leaked, periods
 from service.gap.measured.scatter import mean_scatter
 from service.gap.measured.settling import drifting, trend
-from service.gap.measured.together import Together
 from service.gap.measured.wander import wander
 from sim.errors import AmbError
 from sim.harmonic_balance import time_points

@@ -10,10 +10,10 @@ import numpy as np
 from service.experiment.data import Sweep
 from service.experiment.resting import about_rest
 from service.gap.measured.erratic import FEWEST_AXES, erratic, erratic_in_words
+from service.gap.measured.excited_together import Together
+from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe, usable
 from service.gap.measured.sweeps import best_check, timed
-from service.gap.measured.thin import thinned
-from service.gap.measured.together import Together
 from sim.rig import Rig
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.gap.measured.block_ends import NEIGHBOURS, share
 from service.gap.measured.coherent import deviation
-from service.gap.measured.ends import NEIGHBOURS, share
 from service.gap.measured.estimate import Estimate, plain_mean
 from sim.harmonic_balance import time_points
 from sim.rig import Rig

@@ -12,8 +12,8 @@ from service.experiment.aims import Limits, Profile
 from service.experiment.data import Sweep
 from service.experiment.points import Point
 from service.gap.measured.condition import ANOTHER_AMPLITUDE, ANOTHER_SPEED
+from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe
-from service.gap.measured.thin import thinned
 from service.gap.observed import Observed
 from service.gap.proposal.options import LOUD, Option
 from service.gap.proposal.rehearsal import HARMONICS, MOST_SAMPLES, Rehearsal, rehearsed

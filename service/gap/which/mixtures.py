@@ -17,9 +17,9 @@ from service.gap.weighing.another_rig import at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import MIXTURE_SHARE
-from service.gap.which.begun import beside, residuals, rough_beside
-from service.gap.which.refined import LOST_COST, best_of_each, contained, cost, refined, to_the_end
-from service.gap.which.woken import awake
+from service.gap.which.one_more_effect import beside, residuals, rough_beside
+from service.gap.which.optional_parameters import with_all_parameters
+from service.gap.which.refits import LOST_COST, best_of_each, contained, cost, refitted, to_the_end
 from sim.effects import CATALOGUE, aliases
 
 Real = NDArray[np.float64]
@@ -80,7 +80,7 @@ def with_one_more(
 ) -> list[Candidate]:
     """What was found and the mixtures of one effect more than was extended, the best fit of each."""
     null = next(r.candidate for r in order if not r.candidate.effects)
-    larger = refined(fitter, ground, null, fitter.run(_larger(order, extension, ground)))
+    larger = refitted(fitter, ground, null, fitter.run(_larger(order, extension, ground)))
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
@@ -133,7 +133,7 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
         tried.add(frozenset((*best.effects, name)))
         task = beside(name, best, null, left, ground, best.fit.theta, rough)
         yield task
-        if (more := awake(task)) is not None:
+        if (more := with_all_parameters(task)) is not None:
             yield more
     if not extension.pairs:
         return

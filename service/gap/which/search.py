@@ -15,15 +15,15 @@ from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError
 from service.gap.weighing.ranking import Ranked, noise_levels, ranked
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVERAL
-from service.gap.which.begun import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
-from service.gap.which.beyond import beyond_tolerance
+from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
-from service.gap.which.plainer import plainer_law
-from service.gap.which.refined import alike, best_of_each, contained, cost, refined, settled
-from service.gap.which.uneven import uneven
-from service.gap.which.woken import woken
+from service.gap.which.one_more_effect import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
+from service.gap.which.optional_parameters import with_optional_parameters
+from service.gap.which.plainest_law import plainer_law
+from service.gap.which.refits import best_of_each, contained, cost, refitted, refitted_from_best, same_twin
+from service.gap.which.uneven_effects import with_uneven_effects
 from sim.effects import CATALOGUE
 
 Real = NDArray[np.float64]
@@ -109,13 +109,13 @@ class _Search:
         kept = [] if before is None else self.fitter.run(_gone_on_with(self.ground, before))
         done = {c.effects[0] for c in kept if _holds(c, self.null)}
         begun = [name for name in self.ground.part.effects if name not in done]
-        found = refined(
+        found = refitted(
             self.fitter, self.ground, self.null, _least_of_each([*self.fitter.run(self._begun(begun, before)), *kept])
         )
         if plainer := contained(self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)):
             self.null, self.plain = plainer[0], residuals(self.ground, plainer[0])
-            found = refined(self.fitter, self.ground, self.null, found)
-        self.found = settled(self.fitter, self.ground, found)
+            found = refitted(self.fitter, self.ground, self.null, found)
+        self.found = refitted_from_best(self.fitter, self.ground, found)
         self.order = ranked(self.null, self.found)
 
     def _begun(self, names: Iterable[str], before: Explained | None) -> Iterable[Task]:
@@ -153,13 +153,13 @@ class _Search:
         best = self.order[0].candidate
         asks = leaves_something(self.ground, self.order[0]) or leaves_much(self.null, self.order)
         # what looks like the best is held against it with all of its law: to be told apart takes both
-        wider = [c for c in of if asks or alike(c, best)]
+        wider = [c for c in of if asks or same_twin(c, best)]
         more = [
-            *(uneven(self.fitter, self.ground, self.null, of) if asks else ()),
-            *woken(self.fitter, self.ground, wider),
+            *(with_uneven_effects(self.fitter, self.ground, self.null, of) if asks else ()),
+            *with_optional_parameters(self.fitter, self.ground, wider),
         ]
         if more:
-            self.found = settled(self.fitter, self.ground, best_of_each(self.null, [*self.found, *more]))
+            self.found = refitted_from_best(self.fitter, self.ground, best_of_each(self.null, [*self.found, *more]))
             self.order = worthy(ranked(self.null, self.found))
 
     def mixtures(self, most: int) -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from service.gap.compose import composed
+from service.gap.explain_parts import explain_parts
 from service.gap.fitting.candidates import Fitter
 from service.gap.observed import observed
-from service.gap.passes import found_in
-from service.gap.telling import Telling
+from service.gap.progress import Progress
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
@@ -21,7 +21,7 @@ def test_an_alternative_of_the_amplifiers_keeps_its_own_values() -> None:
     rig = with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 2e-5}})
     data = observed(*one_plane(experiment(rig), datasheet))
     with Fitter() as fitter:
-        parts = found_in(data, fitter, Telling(None)).parts
+        parts = explain_parts(data, fitter, Progress(None)).parts
     amplifiers, plant = (next(e for e in parts if e.part.path == path) for path in ("amplifier", "plant"))
     assert (amplifiers.chosen.effects, plant.chosen.effects) == ((), ("sensor_lag",))
     order = composed(data.nuisance, parts).order

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.gap.explain_parts import told_by_the_other
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, Values, parts
 from service.gap.measured.observation import Observation, observe
-from service.gap.passes import told_by_the_other
 from service.gap.weighing.ranking import ranked
 from service.gap.weighing.significance import SIGNIFICANT, significance
 from service.gap.which.explained import Explained

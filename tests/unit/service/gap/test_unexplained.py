@@ -8,10 +8,10 @@ import pytest
 from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
+from service.gap.explain_parts import explain_parts
 from service.gap.fitting.candidates import Fitter
 from service.gap.observed import observed
-from service.gap.passes import found_in
-from service.gap.telling import Telling
+from service.gap.progress import Progress
 from service.gap.where.where import locate
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects
@@ -75,7 +75,7 @@ def test_what_only_another_sweep_shows_is_told_of_its_part() -> None:
     datasheet, truth = known_datasheet(seed=36)
     data = observed(experiment(true_rig(truth)), datasheet)
     with Fitter() as fitter:
-        found = found_in(data, fitter, Telling(None))
+        found = explain_parts(data, fitter, Progress(None))
     assert locate(found.parts, data.unseen).path == "controller"
     where = locate(found.parts, data.unseen, unexplained="plant")
     assert where.path == where.blamed == "plant"

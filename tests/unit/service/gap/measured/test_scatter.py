@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.measured.ends import NEIGHBOURS
+from service.gap.measured.block_ends import NEIGHBOURS
 from service.gap.measured.scatter import block_scatter, mean_scatter
 from sim.harmonic_balance import time_points
 from sim.rig import Rig

@@ -14,7 +14,7 @@ from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import MIXTURE_SHARE
 from service.gap.which.mixtures import from_the_other_side, worth_it
-from service.gap.which.refined import best_of_each, cost
+from service.gap.which.refits import best_of_each, cost
 from sim.reference import reference_rig
 from sim.twin import with_effects
 from tests.support.plant import plant_of

@@ -7,19 +7,19 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.gap.diagnose import diagnose
+from service.gap.fitting.amplifiers_uncertainty import inherited_from
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
-from service.gap.fitting.inherited import inherited_from
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.stage import Stage
 from service.gap.measured.observation import observe
 from service.gap.weighing.ranking import Ranked
-from service.gap.which import between as between_parts
-from service.gap.which.begun import residuals
-from service.gap.which.between import Exchange
+from service.gap.which import plant_or_amplifiers as between_parts
 from service.gap.which.explained import Explained
+from service.gap.which.one_more_effect import residuals
+from service.gap.which.plant_or_amplifiers import Exchange
 from service.gap.which.search import explain
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
@@ -119,7 +119,7 @@ def test_a_plant_that_hardly_anything_explains_says_nothing_of_the_amplifiers(
     plant = Explained(ground, (ranked(-20.0, "sensor_lag", left=left), ranked(-300.0, left=1.0)), (), ())
     monkeypatch.setattr(between_parts, "_exchanges", lambda *_: [Exchange(delay, frozenset(), -10.0)])
     monkeypatch.setattr(between_parts, "residuals", lambda *_: ())
-    now, _ = between_parts.between(Fitter(), amplifiers, plant, lambda _: ground)
+    now, _ = between_parts.plant_or_amplifiers(Fitter(), amplifiers, plant, lambda _: ground)
     assert now.chosen is (delay.candidate if moved else plain.candidate)
 
 
@@ -132,6 +132,6 @@ def test_what_a_mixture_leaves_of_itself_need_not_be_in_the_order(monkeypatch: p
     plant = Explained(ground, (ranked(-20.0, "sensor_lag", *others), ranked(-300.0)), (), ())
     monkeypatch.setattr(between_parts, "_exchanges", lambda *_: [Exchange(delay, others, -10.0)])
     monkeypatch.setattr(between_parts, "residuals", lambda *_: ())
-    now, same = between_parts.between(Fitter(), amplifiers, plant, lambda _: ground)
+    now, same = between_parts.plant_or_amplifiers(Fitter(), amplifiers, plant, lambda _: ground)
     assert now.chosen is delay.candidate
     assert same.order == plant.order

@@ -33,7 +33,7 @@ OF_THE_MAGNETS = 2 * HARMONIC_ERROR
 """Share of what the twin's own magnets leave at a harmonic that is no proof: it may be their law's error."""
 
 
-def curved(e: Explained, unseen: Seen) -> str | None:
+def curved_signal(e: Explained, unseen: Seen) -> str | None:
     """What curvature the best explanation of a part leaves in its displacement or current, in words; None where none.
 
     ``unseen`` is the sweep that no fit saw and what the explanation leaves there, weighted, (P, H, n).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.gap.doubts.curved import Seen
+from service.gap.doubts.curved_signal import Seen
 from service.gap.weighing.ranking import noise_levels
 from service.gap.weighing.verdict import MAX_SHARE_LEFT
 from service.gap.which.changing_mode import ChangingMode, changing_mode

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.gap.fitting.part import Part
-from service.gap.telling import Telling
+from service.gap.progress import Progress
 
 NONE = np.zeros(0, dtype=np.int64)
 CONTROLLER = Part("controller", NONE, ("a", "b"))
@@ -14,14 +14,14 @@ PLANT = Part("plant", NONE, tuple("abcdefghijklmno"))
 @pytest.mark.parametrize("mixtures", [0, 40])
 def test_percent_never_fall_and_stay_within_the_part(mixtures: int) -> None:
     heard: list[tuple[float, str]] = []
-    telling = Telling(lambda percent, words: heard.append((percent, words)))
+    progress = Progress(lambda percent, words: heard.append((percent, words)))
     ends = []
     for part in (CONTROLLER, PLANT):
-        telling.part(part, [CONTROLLER, PLANT], 20.0, 80.0)
+        progress.part(part, [CONTROLLER, PLANT], 20.0, 80.0)
         for _ in range(1 + len(part.effects) + mixtures):
-            telling.fitted()
+            progress.fitted()
         ends.append(heard[-1][0])
-    telling.judging(97.0)
+    progress.judging(97.0)
     percents = [percent for percent, _ in heard]
     assert percents == sorted(percents)
     assert percents[0] == 20.0

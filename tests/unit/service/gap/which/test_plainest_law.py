@@ -7,7 +7,7 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
-from service.gap.which.plainer import plainer_law
+from service.gap.which.plainest_law import plainer_law
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 

@@ -10,12 +10,12 @@ from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.heard import heard_too, once_a_turn, with_interference
 from service.gap.interference import Interference, at_speed, hums_hz
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
+from service.gap.with_interference import heard_too, once_a_turn, with_interference
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from tests.support.synthetic import experiment, known_datasheet, true_rig

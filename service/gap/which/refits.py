@@ -25,7 +25,7 @@ LOST_COST = 2.0
 """Cost above the plain twin's from which a probe has not found its valley."""
 
 
-def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:
+def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:
     """The probed candidates, those that may win fitted to the end.
 
     One that does worse than the plain twin, which it contains, is lost: it begins again at the plain twin.
@@ -35,17 +35,17 @@ def refined(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Ca
     probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - LOG_EVIDENCE_IN_REACH][:REFINED]
-    near += [r.candidate for r in order if r.candidate not in near and alike(r.candidate, near[0])][:ALIASES]
-    refined = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
-    lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refined[: len(near)], refined))}
+    near += [r.candidate for r in order if r.candidate not in near and same_twin(r.candidate, near[0])][:ALIASES]
+    refitted = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
+    lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refitted[: len(near)], refitted))}
     kept = []
-    for c in refined:
+    for c in refitted:
         other = lent.pop(frozenset(c.effects), c)
         kept.append(c if cost(c) <= cost(other) else other)
     return [*kept, *lent.values()]
 
 
-def settled(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
+def refitted_from_best(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
     """What was found, the one that leaves least fitted on where its steps ran out: mixtures would seem to explain more.
 
     A force law that bends much takes many steps; another effect beside it would only go on from there, for minutes.
@@ -111,7 +111,7 @@ def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task
     return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
 
 
-def alike(a: Candidate, b: Candidate) -> bool:
+def same_twin(a: Candidate, b: Candidate) -> bool:
     """Whether two explanations are the same but for one effect that looks like the other's."""
     one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
     return len(one) == len(other) == 1 and aliases(*one, *other)

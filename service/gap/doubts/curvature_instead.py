@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.doubts.curved import Seen, in_words, systematic
+from service.gap.doubts.curved_signal import Seen, in_words, systematic
 from service.gap.weighing.ranking import noise_levels
 from service.gap.weighing.verdict import MAX_SHARE_LEFT
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, Curvature, curvatures

@@ -7,7 +7,7 @@ import pytest
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.fitted import OUT_OF_STEPS
-from service.gap.which.refined import cost, settled
+from service.gap.which.refits import cost, refitted_from_best
 from tests.unit.service.gap.where.test_dependence import plant
 
 
@@ -35,7 +35,7 @@ def at(chi_square: float, effects: tuple[str, ...] = ("magnetic_saturation",)) -
 )
 def test_the_best_fit_goes_on_while_that_gains_something(gains: tuple[float, ...], asked: int, ends: float) -> None:
     fitter, other = Going(gains), at(1200.0, ("eddy_currents",))
-    found = settled(fitter, plant("none")[0].ground, [other, at(1000.0)])
+    found = refitted_from_best(fitter, plant("none")[0].ground, [other, at(1000.0)])
     assert fitter.asked == asked
     assert [cost(c) for c in found] == [1200.0, ends]
 
@@ -43,5 +43,5 @@ def test_the_best_fit_goes_on_while_that_gains_something(gains: tuple[float, ...
 def test_one_that_settled_stays() -> None:
     fitter, best = Going([300.0]), at(1000.0)
     still = replace(best, fit=replace(best.fit, status="converged"))
-    assert settled(fitter, plant("none")[0].ground, [still]) == [still]
+    assert refitted_from_best(fitter, plant("none")[0].ground, [still]) == [still]
     assert fitter.asked == 0

@@ -37,7 +37,7 @@ CHANNELS = 20
 """Channels times lines from which a sweep tells enough."""
 
 
-def swinging(sweeps: Sequence[Sweep], rig: Rig) -> str | None:
+def modulated_stiffness(sweeps: Sequence[Sweep], rig: Rig) -> str | None:
     """That the answer swings in every sweep, in words; None where it does not or where they cannot tell."""
     told = [scatter_of_answer(s, rig) for s in sweeps if s.in_sequence]
     if not told or len(told) < len(sweeps):

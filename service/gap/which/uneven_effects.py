@@ -26,7 +26,7 @@ from service.gap.fitting.predict import centred
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import TOLERANCE_BOUND, asleep
 from service.gap.weighing.ranking import noise_levels
-from service.gap.which.refined import cost
+from service.gap.which.refits import cost
 from sim import imbalance
 from sim.effect import Effect
 from sim.effects import CATALOGUE
@@ -54,7 +54,7 @@ class _Promise:
     task: Task
 
 
-def uneven(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
+def with_uneven_effects(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
     """Explanations of ``found`` with an effect that differs from axis to axis, where that leaves far less than any.
 
     ``null`` is the plain twin.

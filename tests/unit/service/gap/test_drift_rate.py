@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.gap.compose import Composition
-from service.gap.dated import dated
 from service.gap.document import stated
+from service.gap.drift_rate import with_drift_rate
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.weighing.ranking import Ranked
@@ -26,7 +26,7 @@ def found() -> Composition:
 def test_its_rate_is_that_of_the_campaign_and_its_time_one_that_a_twin_takes(
     campaign_s: float, stated_s: float
 ) -> None:
-    candidate = dated(found(), RIG, campaign_s).order[0].candidate
+    candidate = with_drift_rate(found(), RIG, campaign_s).order[0].candidate
     values = candidate.fit.values[0]
     assert values["duration_s"] == stated_s
     for name in ("ki_change", "ks_change"):
@@ -38,13 +38,13 @@ def test_its_rate_is_that_of_the_campaign_and_its_time_one_that_a_twin_takes(
 
 def test_the_time_is_told_as_given_and_not_as_found() -> None:
     """Nothing was fitted that has a deviation of 0."""
-    told = stated(dated(found(), RIG, 1200.0).order[0].candidate)
+    told = stated(with_drift_rate(found(), RIG, 1200.0).order[0].candidate)
     assert told["duration_s"] == {"value": 1200.0, "std": 0.0, "at_bound": None, "given": True}
     assert told["ki_change"] == {"value": FOUND["ki_change"], "std": 0.001, "at_bound": None}
     assert not any("given" in e for e in stated(found().order[0].candidate).values())
 
 
 def test_without_a_clock_or_beside_a_drift_of_the_datasheet_it_stays_as_it_is() -> None:
-    assert dated(found(), RIG, None).order[0].candidate.fit.values[0] == FOUND
+    assert with_drift_rate(found(), RIG, None).order[0].candidate.fit.values[0] == FOUND
     drifting = DRIFT.on(RIG, **FOUND)
-    assert dated(found(), drifting, 1200.0).order[0].candidate.fit.values[0] == FOUND
+    assert with_drift_rate(found(), drifting, 1200.0).order[0].candidate.fit.values[0] == FOUND

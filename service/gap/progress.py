@@ -15,7 +15,7 @@ FIRST_ROUND = 0.9
 """Share of a part's time that its plain twin and single effects take; mixtures come after, of unknown number."""
 
 
-class Telling:
+class Progress:
     """Counts fits, and tells how far the diagnosis is.
 
     Parameters

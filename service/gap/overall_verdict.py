@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from service.gap.compose import excess_of
-from service.gap.doubts.across import Across, across_alike
-from service.gap.doubts.changing import changing_instead
-from service.gap.doubts.curved import Seen, curved
-from service.gap.doubts.curved_instead import curved_alike, curved_instead
-from service.gap.doubts.loss import lag_missing
+from service.gap.doubts.changing_mode_instead import changing_instead
+from service.gap.doubts.curvature_instead import curved_alike, curved_instead
+from service.gap.doubts.curved_signal import Seen, curved_signal
+from service.gap.doubts.hysteresis_loss import lag_missing
+from service.gap.doubts.other_plane import Across, across_alike
 from service.gap.fitting.part import STANDSTILL
-from service.gap.heard import heard_too
 from service.gap.interference import Interference
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
@@ -23,6 +22,7 @@ from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import between_lines, held_out, on_sweep
+from service.gap.with_interference import heard_too
 from sim.effects import CATALOGUE
 
 NEGLIGIBLE = 0.02
@@ -42,7 +42,7 @@ UNDECIDED = 0.5
 """Probability of a verdict that says nothing either way."""
 
 
-def judged(
+def overall_verdict(
     found: Sequence[Explained],
     o: Observation,
     unseen: Observation,
@@ -176,7 +176,7 @@ def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> s
                 return reason
     # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
     blunt = verdict.kind == "no_gap" or (verdict.effects and e.order[0].unexplained > MAX_SHARE_LEFT)
-    return curved(e, best) if blunt else None
+    return curved_signal(e, best) if blunt else None
 
 
 def _alone(e: Explained, plain: Seen) -> str | None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.doubts.swings import LATE, SWINGS, scatter_of_answer, swinging
+from service.gap.doubts.modulated_stiffness import LATE, SWINGS, modulated_stiffness, scatter_of_answer
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 RIG = true_rig(known_datasheet(seed=6)[1])
@@ -21,11 +21,11 @@ def answering(s: Sweep, gain: Callable[[np.random.Generator, tuple[int, int]], n
 
 
 def told(gain: Callable[[np.random.Generator, tuple[int, int]], np.ndarray]) -> str | None:
-    return swinging([answering(s, gain) for s in MEASURED], RIG)
+    return modulated_stiffness([answering(s, gain) for s in MEASURED], RIG)
 
 
 def test_a_rig_that_only_makes_noise_does_not_swing() -> None:
-    assert swinging(MEASURED, RIG) is None
+    assert modulated_stiffness(MEASURED, RIG) is None
     assert all(abs(z) < LATE for s in MEASURED for z in scatter_of_answer(s, RIG)[:2])
 
 
@@ -53,7 +53,7 @@ def test_noise_that_a_tone_takes_away_is_told() -> None:
         mean = s.Y.mean(axis=1, keepdims=True)
         return replace(s, Y=mean + (s.Y - mean) * np.where(own, 0.2, 1.0)[:, None, None])
 
-    said = swinging([quiet(s) for s in MEASURED], RIG)
+    said = modulated_stiffness([quiet(s) for s in MEASURED], RIG)
     assert said is not None
     assert "scatter less" in said
 

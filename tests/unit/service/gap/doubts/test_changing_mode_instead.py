@@ -11,8 +11,8 @@ import pytest
 from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
+from service.gap.fitting.amplifiers_uncertainty import inherited_from
 from service.gap.fitting.candidates import Task, fit_task
-from service.gap.fitting.inherited import inherited_from
 from service.gap.fitting.jacobian import swing_of
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts

@@ -12,7 +12,7 @@ from sim.effects import CATALOGUE
 from sim.rig import Rig
 
 
-def dated(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Composition:
+def with_drift_rate(whole: Composition, datasheet: Rig, campaign_s: float | None) -> Composition:
     """The same twins, a drift that was found stated over the time that the experiment took, s.
 
     A fit knows a point's share of the campaign only. Where the file does not tell the time, or the datasheet has a

@@ -9,8 +9,8 @@ import pytest
 from service.experiment.data import Experiment, Sweep
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
-from service.gap.doubts.curved import curved
-from service.gap.doubts.curved_instead import curved_instead
+from service.gap.doubts.curvature_instead import curved_instead
+from service.gap.doubts.curved_signal import curved_signal
 from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
@@ -93,19 +93,20 @@ def test_what_magnets_bend_more_or_less_than_their_datasheet_says_is_no_sensor()
     bias = tuple(1.05 * b for b in truth.bias_current_a)
     measured = experiment(true_rig(replace(truth, bias_current_a=bias)), amplitude_a=0.5)
     e, unseen = plain(measured, datasheet, "plant")
-    assert curved(e, unseen) is None
+    assert curved_signal(e, unseen) is None
     bent = tuple(with_bent_sensors(true_rig(truth), s, 10 * CUBIC_PER_M2) for s in measured.sweeps)
-    assert curved(*plain(replace(measured, sweeps=bent), datasheet, "plant")) is not None
+    assert curved_signal(*plain(replace(measured, sweeps=bent), datasheet, "plant")) is not None
 
 
 def test_a_current_probe_bent_too_little_for_any_line_to_show_it_is_told_of_the_amplifiers() -> None:
     datasheet, truth = known_datasheet(seed=43)
     measured = experiment(true_rig(truth))
-    assert curved(*plain(measured, datasheet, "amplifier")) is None
+    assert curved_signal(*plain(measured, datasheet, "amplifier")) is None
     e, unseen = plain(with_bent_probes(measured, 0.015), datasheet, "amplifier")
     assert e.remaining < 4.0, "no line or band shows it"
     told = re.search(
-        r"current is curved.*x\^3 with c = ([\d.e+-]+) per A\^2 \(standard.* ([\d.e+-]+)\)", curved(e, unseen) or ""
+        r"current is curved.*x\^3 with c = ([\d.e+-]+) per A\^2 \(standard.* ([\d.e+-]+)\)",
+        curved_signal(e, unseen) or "",
     )
     assert told is not None
     assert abs(float(told[1]) - 0.015) < 4 * float(told[2])
@@ -117,7 +118,7 @@ def test_a_harmonic_of_the_size_of_an_integrator_s_error_is_no_probe_however_lit
     largest = max(float(np.abs(s.I[:, :, HARMONICS.index(1)]).max()) for s in measured.sweeps if s.I is not None)
     for share, told in ((1e-4, False), (1e-2, True)):
         bent = with_bent_probes(measured, 4 * share / largest**2)
-        assert (curved(*plain(bent, datasheet, "amplifier")) is not None) is told
+        assert (curved_signal(*plain(bent, datasheet, "amplifier")) is not None) is told
 
 
 def test_a_sensor_that_bends_less_than_two_programs_integrators_do_is_told_where_the_rotor_swings_slowly() -> None:
@@ -126,10 +127,10 @@ def test_a_sensor_that_bends_less_than_two_programs_integrators_do_is_told_where
     measured = experiment(rig, noise=0.2)
     largest = max(float(np.abs(s.Y[:, :, HARMONICS.index(1)]).max()) for s in measured.sweeps)
     cubic_per_m2 = 4 * 0.5 * MODEL_FLOOR / largest**2
-    assert curved(*plain(measured, datasheet, "plant")) is None
+    assert curved_signal(*plain(measured, datasheet, "plant")) is None
     bent = replace(measured, sweeps=tuple(with_bent_sensors(rig, s, cubic_per_m2) for s in measured.sweeps))
     words = r"x\^3 with c = ([\d.e+-]+) per m\^2 \(standard deviation ([\d.e+-]+)\)"
-    told = re.search(words, curved(*plain(bent, datasheet, "plant")) or "")
+    told = re.search(words, curved_signal(*plain(bent, datasheet, "plant")) or "")
     assert told is not None
     assert abs(float(told[1]) - cubic_per_m2) < 4 * float(told[2])
 
@@ -148,7 +149,7 @@ def test_what_an_integrator_s_harmonic_of_the_currents_moves_the_rotor_by_is_no_
         share = MODEL_FLOOR * np.minimum(3 * s.frequency_hz / 1000, 1)[:, None, None]
         Y[:, :, k] += share * np.abs(moved) * np.exp(3j * np.angle(s.Y[:, :, f]))  # in phase as a curved sensor's
         sweeps.append(replace(s, Y=Y))
-    assert curved(*plain(replace(measured, sweeps=tuple(sweeps)), datasheet, "plant")) is None
+    assert curved_signal(*plain(replace(measured, sweeps=tuple(sweeps)), datasheet, "plant")) is None
 
 
 def with_bent_probes(measured: Experiment, cubic_per_a2: float) -> Experiment:

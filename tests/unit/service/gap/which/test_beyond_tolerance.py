@@ -12,7 +12,7 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.weighing.ranking import Ranked, ranked
-from service.gap.which.beyond import beyond_tolerance
+from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.search import plain_twin
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig

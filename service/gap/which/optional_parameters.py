@@ -14,14 +14,14 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import asleep
-from service.gap.which.refined import cost
+from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
 SHOWS = 0.2
 """Share of a typical strength from which such a fit begins, too: at none, no shape of an effect moves anything."""
 
 
-def woken(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
+def with_optional_parameters(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
     """Explanations of ``found`` with more of an effect's law, those that leave less.
 
     What the plain law explains is no hint: of a small disc that modes tilt far, the rigid body shows nothing.
@@ -30,7 +30,7 @@ def woken(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Ca
     return [c for c in fitter.run(task for c in found for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
 
 
-def awake(task: Task) -> Task | None:
+def with_all_parameters(task: Task) -> Task | None:
     """The task with more of its last effect's law, from each of its starts; None where that has no more."""
     *_, name = task.effects
     wakes = _wakes(name, task.ground)

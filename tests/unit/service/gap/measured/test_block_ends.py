@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.gap.measured.ends import share
+from service.gap.measured.block_ends import share
 
 SIZE = np.exp(np.random.default_rng(2).standard_normal((300, 1, 2)))
 """Of each channel's scatter."""

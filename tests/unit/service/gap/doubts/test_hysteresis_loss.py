@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.doubts.loss import lag_missing, lag_share
-from service.gap.judged import verdict_of
+from service.gap.doubts.hysteresis_loss import lag_missing, lag_share
 from service.gap.measured.observation import observe
+from service.gap.overall_verdict import verdict_of
 from service.gap.which.held_out import held_out
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects

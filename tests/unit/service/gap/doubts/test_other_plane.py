@@ -7,10 +7,10 @@ import pytest
 
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
-from service.gap.doubts.across import across_alike, signatures
+from service.gap.doubts.other_plane import across_alike, signatures
 from service.gap.fitting.nuisance import nuisance
-from service.gap.judged import with_across
 from service.gap.measured.observation import observe
+from service.gap.overall_verdict import with_across
 from service.gap.weighing.verdict import Verdict
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE

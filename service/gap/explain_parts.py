@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.gap.doubts.curved import curved
+from service.gap.doubts.curved_signal import curved_signal
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
 from service.gap.parts_in_turn import PartsInTurn
-from service.gap.telling import Telling
+from service.gap.progress import Progress
 from service.gap.weighing.another_rig import hopeless
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, VISIBLE_J, rejected
@@ -39,10 +39,10 @@ class Found:
     notes: tuple[str, ...] = ()
 
 
-def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
+def explain_parts(data: Observed, fitter: Fitter, progress: Progress) -> Found:
     """The explanations of every part of the loop."""
     main = PartsInTurn(fitter, data, (data.o,))
-    main.explain_all(telling, (0.0, PERCENT_FITTED if data.lines_only else PERCENT_ONE_SWEEP))
+    main.explain_all(progress, (0.0, PERCENT_FITTED if data.lines_only else PERCENT_ONE_SWEEP))
     of_main = Found(tuple(main.explained), main.fault, data.unseen, data.name)
     if data.lines_only or main.fault:
         return of_main
@@ -59,7 +59,7 @@ def found_in(data: Observed, fitter: Fitter, telling: Telling) -> Found:
     failing |= {e.part.path: e for e in undecided if e.part.path in alone}
     known = {e.part.path: e for e in main.explained if e.part.path not in failing}
     both = PartsInTurn(fitter, data, (data.o, seen), before=failing)
-    both.explain_all(telling, (PERCENT_ONE_SWEEP, PERCENT_FITTED), known)
+    both.explain_all(progress, (PERCENT_ONE_SWEEP, PERCENT_FITTED), known)
     note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
     return Found(tuple(both.explained), both.fault, unseen, name, (note,))
 
@@ -76,7 +76,7 @@ def _fails_on(e: Explained, unseen: Observation) -> bool:
     """
     o, z = on_sweep(e, e.chosen, unseen)
     clear = mean_power(z) > VISIBLE_J and significance(z, o) > SIGNIFICANT
-    bent = not e.chosen.effects and curved(e, (o, z)) is not None
+    bent = not e.chosen.effects and curved_signal(e, (o, z)) is not None
     return clear or bent or held_out(e, unseen).fails or told_by_the_other(e, unseen)
 
 

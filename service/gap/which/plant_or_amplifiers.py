@@ -15,9 +15,9 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT, Ranked, noise_levels, renormalised
-from service.gap.which.begun import residuals
 from service.gap.which.explained import Explained
-from service.gap.which.refined import LOG_EVIDENCE_IN_REACH
+from service.gap.which.one_more_effect import residuals
+from service.gap.which.refits import LOG_EVIDENCE_IN_REACH
 from sim.effects import aliases
 
 HARDLY_EXPLAINED = 0.5
@@ -39,7 +39,9 @@ class Exchange:
     """of the plant with those alone"""
 
 
-def between(fitter: Fitter, amplifiers: Explained, plant: Explained, through: Through) -> tuple[Explained, Explained]:
+def plant_or_amplifiers(
+    fitter: Fitter, amplifiers: Explained, plant: Explained, through: Through
+) -> tuple[Explained, Explained]:
     """Amplifiers and plant as explained, with what would explain as well by an effect of the other part.
 
     Where one effect more of the amplifiers explains both parts better, they get it. The plant is returned as it was and
