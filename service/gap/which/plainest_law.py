@@ -9,14 +9,51 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
+from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT, Ranked, ranked, renormalised
+from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
 WORTH_CHI_SQUARE = 6.0
 """Chi-square that a parameter has to explain to be one of the law's, in units of what is left per residual: noise gives
 more once in seventy times. By evidence a parameter would be kept or not as its range is wide or narrow."""
+LOG_EVIDENCE_PER_CHOICE = float(np.log(2))
+"""Log evidence that leaving out a parameter costs: whether a law has it or not was even before the data were seen."""
+
+NEARLY = 15.0
+"""Log evidence by which an effect beats the plain twin whatever parameters its law has: as many as they cost."""
+
+
+def weighed_plainly(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) -> list[Ranked]:
+    """Explanations by falling evidence, none of them thought unlikely for what its law may do without.
+
+    Of four amplifiers a tenth slow, the plain twin may move each within its tolerance; their law has lags, dampings and
+    shares too, each of which would have to be nothing by chance. Only where the plain twin is the best explanation or
+    nearly so, though others leave less.
+    """
+    null = next(r for r in order if not r.candidate.effects)
+    if order[0].log_evidence - null.log_evidence > NEARLY:
+        return list(order)
+    least, others = 2 * LOG_EVIDENCE_PER_EFFECT, [r for r in order if r is not null]
+    doubted = [r for r in others if cost(null.candidate) - cost(r.candidate) > least * len(r.candidate.effects)]
+    found, price = [r.candidate for r in others], {}
+    for r in doubted:
+        plain = plainer_law(fitter, ground, r.candidate)
+        if plain is not r.candidate:
+            found.append(plain)
+            price[id(plain)] = LOG_EVIDENCE_PER_CHOICE * (len(_used(r.candidate)) - len(_used(plain)))
+    if not price:
+        return list(order)
+    again = ranked(null.candidate, found)
+    priced = [replace(r, log_evidence=r.log_evidence - price.get(id(r.candidate), 0.0)) for r in again]
+    likeliest: dict[tuple[str, ...], Ranked] = {}
+    for r in sorted(priced, key=lambda r: -r.log_evidence):
+        likeliest.setdefault(r.candidate.effects, r)
+    return renormalised(list(likeliest.values()))
 
 
 def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
@@ -25,12 +62,7 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
     Without all of it, or else without all that can be left out one by one, or else without one. What is not known of
     the others for that stays their deviation.
     """
-    used = [
-        (name, p.name)
-        for name, values in zip(best.effects, best.fit.values, strict=True)
-        for p in CATALOGUE[name].parameters
-        if p.optional and values[p.name] != p.null
-    ]
+    used = _used(best)
     per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
 
     def as_good(without: Sequence[frozenset[tuple[str, str]]]) -> dict[frozenset[tuple[str, str]], Candidate]:
@@ -48,3 +80,13 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
     if everything not in plain and len(several) > 1 and several != everything:
         plain |= as_good([several])
     return max(plain.items(), key=lambda one: (len(one[0]), -one[1].fit.cost))[1] if plain else best
+
+
+def _used(c: Candidate) -> list[tuple[str, str]]:
+    """Optional parameters of its effects' laws that an explanation uses, (effect, parameter) each."""
+    return [
+        (name, p.name)
+        for name, values in zip(c.effects, c.fit.values, strict=True)
+        for p in CATALOGUE[name].parameters
+        if p.optional and values[p.name] != p.null
+    ]

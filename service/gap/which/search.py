@@ -21,7 +21,7 @@ from service.gap.which.explained import Explained
 from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
 from service.gap.which.one_more_effect import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
 from service.gap.which.optional_parameters import with_optional_parameters
-from service.gap.which.plainest_law import plainer_law
+from service.gap.which.plainest_law import plainer_law, weighed_plainly
 from service.gap.which.refits import best_of_each, contained, cost, refitted, refitted_from_best, same_twin
 from service.gap.which.uneven_effects import with_uneven_effects
 from sim.effects import CATALOGUE
@@ -84,7 +84,7 @@ def explain(
     if most > 1 and not search.curved():
         search.wider_laws(search.found)
         search.mixtures(most)
-    order = beyond_tolerance(fitter, ground, search.order)
+    order = beyond_tolerance(fitter, ground, weighed_plainly(fitter, ground, search.order))
     # it leaves so little more that its evidence and shares stand
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     return Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))

@@ -1,5 +1,7 @@
 """Of a law and a plainer one that the data do not tell apart, the plainer one is told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,9 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
+from service.gap.which.explained import Explained
 from service.gap.which.plainest_law import plainer_law
+from service.gap.which.search import explain
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
@@ -55,3 +59,33 @@ def test_of_three_shapes_the_two_that_are_not_needed_are_left_out_together() -> 
     found = plain.fit.values[0]
     assert (found["end_imbalance"], found["plane_imbalance"]) == (0.0, 0.0)
     assert found["curvature"] == pytest.approx(5.0, rel=0.25)
+
+
+SLOW = {"frequency_change": -0.035, "damping_change": 0.0, "lag_s": 0.0, "end_imbalance": 0.0, "plane_imbalance": 0.0}
+
+
+def amplifiers(changes: tuple[float, float, float, float], effects: dict[str, dict[str, float]]) -> Explained:
+    """What is found in amplifiers whose frequencies are these shares off a datasheet with a tolerance of 1 %."""
+    _, truth = known_datasheet(seed=4)
+    stated = zip(truth.amplifier_natural_frequency_hz, changes, strict=True)
+    nu = nuisance(replace(truth, amplifier_natural_frequency_hz=tuple(f / (1 + change) for f, change in stated)))
+    o = observe(sweep(with_effects(true_rig(truth), effects), lines(30), 0.4, 1, noise=4.0), nu.rig)
+    part = next(p for p in parts(nu, (o,)) if p.path == "amplifier")
+    with Fitter(1) as fitter:
+        return explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))))
+
+
+@pytest.mark.parametrize("change", [-0.031, -0.034])
+def test_amplifiers_all_slow_by_what_each_may_be_by_chance_are_slow(change: float) -> None:
+    """Their law has lags, dampings and shares too: that these are nothing is no chance to be paid for."""
+    best = amplifiers((0.0, 0.0, 0.0, 0.0), {"amplifier_bandwidth": {**SLOW, "frequency_change": change}}).order[0]
+    assert best.candidate.effects == ("amplifier_bandwidth",)
+    assert best.probability > 0.9
+    values = best.candidate.fit.values[0]
+    assert values["frequency_change"] == pytest.approx(change, abs=0.01)
+    assert values["lag_s"] == 0.0
+
+
+@pytest.mark.parametrize("changes", [(0.01, -0.015, 0.005, -0.01), (-0.02, -0.01, 0.0, -0.01), (0.0, 0.0, 0.025, 0.0)])
+def test_amplifiers_that_are_off_as_tolerances_allow_are_no_effect(changes: tuple[float, float, float, float]) -> None:
+    assert amplifiers(changes, {}).order[0].candidate.effects == ()
