@@ -33,7 +33,7 @@ class Sampled:
     C: Real
 
     def response(self, omega: Real, sample_time_s: float) -> Complex:
-        """Response at frequencies, (P, 2, 2)."""
+        """Response at frequencies, (P, outputs, inputs)."""
         z = np.exp(1j * omega * sample_time_s)[:, None, None]
         inner = z * np.eye(len(self.A)) - self.A
         right = np.broadcast_to(self.B.astype(complex), (len(omega), *self.B.shape))
@@ -108,48 +108,81 @@ def companion(poles: Complex, gain: float) -> tuple[Real, Real, Real]:
 
 
 def sampled(model: PlaneModel) -> Sampled:
-    """Exact discretisation with zero-order hold and delay (Astrom and Wittenmark, Computer-Controlled Systems, 3.2).
+    """Exact discretisation with zero-order hold and delay, each sensor with its own dead time: see `held`."""
+    known = model.known
+    return held(
+        *continuous(model), known.sample_time_s, [model.delay_s + known.computing_delay_s], known.chain.sensor_delay_s
+    )
 
-    The dead time that both sensors have acts as one before the amplifiers does; what one has more delays its output.
+
+def held(
+    a: Real, b: Real, c: Real, period: float, delays_s: Sequence[float], dead_s: Real, keeps_all: bool = False
+) -> Sampled:
+    """x' = A x + B u, y = C x with hold and delays (Astrom and Wittenmark, Computer-Controlled Systems, 3.2).
+
+    The dead time that all outputs have acts as one before the inputs do; what one has more delays that output.
+
+    Parameters
+    ----------
+    delays_s
+        Of the inputs, which are shared out in turn among as many planes of two, s.
+    dead_s
+        Of each output, s.
+    keeps_all
+        Whether u(k - 1) is among the states where nothing is delayed, too: so that no step of a delay adds states.
+
+    Returns
+    -------
+    The plant's states first, then the past inputs of each plane, the latest first, then those of outputs that are late.
     """
-    a, b, c = continuous(model)
-    period, dead_s = model.known.sample_time_s, model.known.chain.sensor_delay_s
-    delay = max(model.delay_s + model.known.computing_delay_s + float(np.min(dead_s)), 0.0)
-    whole = math.floor(delay / period + 1e-9)
-    rest = max(delay - whole * period, 0.0)
-    kept = 0 if delay < 1e-12 else whole + 1
-    n = len(a)
-    # past inputs, the latest first: u(k - 1), ..., u(k - whole - 1)
-    big = np.zeros((n + 2 * kept, n + 2 * kept))
-    drive = np.zeros((n + 2 * kept, 2))
-    big[:n], drive[:n] = _within(a, b, period, rest, whole, kept)
-    for k in range(kept):
-        if k == 0:
-            drive[n : n + 2] = np.eye(2)
-        else:
-            big[n + 2 * k : n + 2 * k + 2, n + 2 * k - 2 : n + 2 * k] = np.eye(2)
-    plant = Sampled(big, drive, np.hstack([c, np.zeros((2, 2 * kept))]))
-    for j, late in enumerate(dead_s - np.min(dead_s)):
+    n, common = len(a), float(np.min(dead_s))
+    drives = []
+    for delay_s in delays_s:
+        delay = max(delay_s + common, 0.0)
+        whole = math.floor(delay / period + 1e-9)
+        drives.append((whole, max(delay - whole * period, 0.0), 0 if delay < 1e-12 and not keeps_all else whole + 1))
+    size = n + 2 * sum(kept for _, _, kept in drives)
+    big, drive = np.zeros((size, size)), np.zeros((size, b.shape[1]))
+    big[:n], drive[:n] = _within(a, b, period, drives)
+    at = n
+    for k, (_, _, kept) in enumerate(drives):
+        for j in range(kept):
+            rows = slice(at + 2 * j, at + 2 * j + 2)
+            if j == 0:
+                drive[rows, 2 * k : 2 * k + 2] = np.eye(2)
+            else:
+                big[rows, at + 2 * j - 2 : at + 2 * j] = np.eye(2)
+        at += 2 * kept
+    plant = Sampled(big, drive, np.hstack([c, np.zeros((len(c), size - n))]))
+    for j, late in enumerate(dead_s - common):
         if late > 1e-12:
             samples = math.ceil(late / period - 1e-9)
-            state, now = _within(a, b, max(samples * period - late, 0.0), rest, whole, kept)
+            state, now = _within(a, b, max(samples * period - late, 0.0), drives)
             plant = _late_output(plant, j, samples, c[j] @ state, c[j] @ now)
     return plant
 
 
-def _within(a: Real, b: Real, seconds: float, rest: float, whole: int, kept: int) -> tuple[Real, Real]:
-    """State so long after a sample, up to the next one, of that at the sample with past inputs, and of its u."""
-    phi_late, gamma_late = integrated(a, b, min(rest, seconds))
-    phi_first, gamma_first = integrated(a, b, max(seconds - rest, 0.0))
+def _within(a: Real, b: Real, seconds: float, drives: Sequence[tuple[int, float, int]]) -> tuple[Real, Real]:
+    """State so long after a sample, up to the next one, of that at the sample with past inputs, and of its u.
+
+    Of each plane's two inputs: whole samples of delay, what there is beyond them, s, and how many past ones are kept.
+    """
     n = len(a)
-    state, now = np.zeros((n, n + 2 * kept)), np.zeros((n, 2))
-    state[:, :n] = phi_first @ phi_late
-    if kept:
-        state[:, n + 2 * whole :] = phi_first @ gamma_late  # the input of one sample earlier acts first
-    if whole == 0:
-        now[:] = gamma_first
-    else:
-        state[:, n + 2 * (whole - 1) : n + 2 * whole] = gamma_first
+    state, now = np.zeros((n, n + 2 * sum(kept for _, _, kept in drives))), np.zeros((n, b.shape[1]))
+    at = n
+    for k, (whole, rest, kept) in enumerate(drives):
+        columns = slice(2 * k, 2 * k + 2)
+        phi_late, gamma_late = integrated(a, b[:, columns], min(rest, seconds))
+        phi_first, gamma_first = integrated(a, b[:, columns], max(seconds - rest, 0.0))
+        state[:, :n] = phi_first @ phi_late  # of each plane the same
+        if kept:
+            # the input of one sample earlier acts first
+            state[:, at + 2 * whole : at + 2 * whole + 2] = phi_first @ gamma_late
+        if whole == 0:
+            now[:, columns] = gamma_first
+        else:
+            state[:, at + 2 * (whole - 1) : at + 2 * whole] = gamma_first
+        at += 2 * kept
     return state, now
 
 
@@ -157,7 +190,7 @@ def _late_output(plant: Sampled, j: int, samples: int, state: Real, now: Real) -
     """The plant whose output ``j`` is what ``state`` and ``now`` make of state and u, so many samples later."""
     n = len(plant.A)
     size = n + samples
-    A, B, C = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((len(plant.C), size))
+    A, B, C = np.zeros((size, size)), np.zeros((size, plant.B.shape[1])), np.zeros((len(plant.C), size))
     A[:n, :n], B[:n], C[:, :n] = plant.A, plant.B, plant.C
     A[n, : len(state)], B[n] = state, now
     A[n + 1 :, n : size - 1] = np.eye(samples - 1)

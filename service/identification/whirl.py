@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eig
 
 from service.identification.closed_loop import (
+    Sampled,
     block_diagonal,
     controller_states,
     driven,
-    integrated,
+    held,
     with_known_sensors,
 )
 from service.identification.rotating_model import RotatingModel
@@ -33,7 +33,7 @@ class Whirl:
     direction: Real
     """(n,) from -1, a circle from y to x at the sensors, over 0, to and fro, to 1, one from x to y."""
     shape: Complex
-    """(n, 4) at the sensors, of length 1."""
+    """(n, 4) of the sensors' signals as sampled, of length 1."""
     covariance: Real
     """(n, 2, 2) of the pole's real and imaginary part."""
 
@@ -62,45 +62,19 @@ class Whirl:
 
 
 def loop_matrix(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s: float) -> tuple[Real, Real]:
-    """One sample of the closed loop as a matrix, and its map from state to y.
-
-    Hold and delay are exact (Astrom and Wittenmark, Computer-Controlled Systems, 3.2); the same law in all axes.
-    """
-    a, b, c = _continuous(model, speed_rad_s)
-    n, period = len(a), model.known[0].sample_time_s
-    phi, drives, past = None, [], []
-    for k, plane in enumerate(model.planes):
-        dead_s = float(np.mean(plane.known.chain.sensor_delay_s))
-        delay = max(plane.delay_s + plane.known.computing_delay_s + dead_s, 0.0)
-        whole = math.floor(delay / period + 1e-9)
-        rest = max(delay - whole * period, 0.0)
-        columns = b[:, 2 * k : 2 * k + 2]
-        phi_late, late = integrated(a, columns, rest)
-        phi_first, first = integrated(a, columns, period - rest)
-        phi = phi_first @ phi_late
-        drives.append((whole, first, phi_first @ late))
-        past.append(whole + 1)
-    assert phi is not None
-    size = n + 2 * sum(past)
-    big, drive, seen = np.zeros((size, size)), np.zeros((size, 4)), np.zeros((4, size))
-    big[:n, :n], seen[:, :n] = phi, c
-    at = n
-    for k, (whole, first, older) in enumerate(drives):
-        # past inputs of the plane, the latest first: u(k - 1), ..., u(k - whole - 1)
-        columns_k = slice(2 * k, 2 * k + 2)
-        big[:n, at + 2 * whole : at + 2 * whole + 2] = older
-        if whole == 0:
-            drive[:n, columns_k] = first
-        else:
-            big[:n, at + 2 * whole - 2 : at + 2 * whole] = first
-        drive[at : at + 2, columns_k] = np.eye(2)
-        for j in range(1, past[k]):
-            big[at + 2 * j : at + 2 * j + 2, at + 2 * j - 2 : at + 2 * j] = np.eye(2)
-        at += 2 * past[k]
+    """One sample of the closed loop as a matrix, and its map from state to y as sampled; the same law in all axes."""
+    plant = sampled(model, speed_rad_s)
     ca, cb, cc, cd = (block_diagonal([x] * 4) for x in controller_states(controller))
-    top = np.hstack([big - drive @ cd @ seen, drive @ cc])
-    closed = np.vstack([top, np.hstack([-cb @ seen, ca])])
-    return closed, np.hstack([seen, np.zeros((4, len(ca)))])
+    top = np.hstack([plant.A - plant.B @ cd @ plant.C, plant.B @ cc])
+    closed = np.vstack([top, np.hstack([-cb @ plant.C, ca])])
+    return closed, np.hstack([plant.C, np.zeros((4, len(ca)))])
+
+
+def sampled(model: RotatingModel, speed_rad_s: float) -> Sampled:
+    """From u of the four axes to y at the samples, hold, delays and each sensor's dead time exact: see `held`."""
+    delays_s = [p.delay_s + p.known.computing_delay_s for p in model.planes]
+    dead_s = np.concatenate([k.chain.sensor_delay_s for k in model.known])
+    return held(*_continuous(model, speed_rad_s), model.known[0].sample_time_s, delays_s, dead_s, keeps_all=True)
 
 
 def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, Real]:

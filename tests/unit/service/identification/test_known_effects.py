@@ -9,11 +9,13 @@ import pytest
 from service.experiment.data import Experiment
 from service.exports.linear import of_result
 from service.health.compare import Baseline, compare
+from service.identification import whirl
 from service.identification.closed_loop import closed_loop_poles, sampled
 from service.identification.controller_check import check_controller
 from service.identification.etfe import etfe
 from service.identification.fit import identify
 from service.identification.margins import computed_response
+from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
 from service.identification.result import CommissioningResult
 from service.identification.rotating_model import TurningPoints, joined
@@ -180,6 +182,33 @@ def test_a_rotor_that_turns_has_the_chain_in_both_planes():
     whole = np.sort(np.abs(np.linalg.eigvals(loop_matrix(turning, law, 0.0)[0])))
     own = np.sort(np.abs(closed_loop_poles(model, law)))
     np.testing.assert_allclose(whole[-12:], np.repeat(own[-6:], 2), rtol=1e-7)
+
+
+def dead(dead_s: tuple[float, float]) -> PlaneModel:
+    """The plane of a rig without effects whose sensors have these dead times."""
+    plain = identify(measured(rig_from_datasheet(TRUTH)), SHEET).planes["x"].model
+    chain = replace(plain.known.chain, sensor_delay_s=np.array(dead_s))
+    return replace(plain, known=replace(plain.known, chain=chain))
+
+
+def test_at_standstill_each_sensor_s_own_dead_time_is_in_both_planes_loops():
+    model, law = dead((0.0, 40e-6)), law_of(rig_from_datasheet(TRUTH))
+    turning = joined(model, model, tuple((k, k) for k in range(model.layout.n_modes)), 1.9)
+    whole = np.sort(np.abs(np.linalg.eigvals(loop_matrix(turning, law, 0.0)[0])))
+    own = np.sort(np.abs(closed_loop_poles(model, law)))
+    np.testing.assert_allclose(whole[-12:], np.repeat(own[-6:], 2), rtol=1e-7)
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.0, 300.0])
+@pytest.mark.parametrize("dead_s", [(0.0, 40e-6, 0.0, 40e-6), (70e-6, 20e-6, 5e-6, 130e-6), (9e-6, 9e-6, 60e-6, 60e-6)])
+def test_a_rotor_that_turns_is_seen_as_late_as_each_sensor_is(dead_s, speed_rad_s):
+    x, y = dead(dead_s[:2]), dead(dead_s[2:])
+    turning = joined(x, y, tuple((k, k) for k in range(x.layout.n_modes)), 1.9)
+    omega = 2 * np.pi * np.array([5.0, 80.0, 492.0, 907.0])
+    ours = whirl.sampled(turning, speed_rad_s).response(omega, SHEET.sample_time_s)
+    theirs = turning.response(omega, speed_rad_s)
+    off = np.linalg.norm(ours - theirs, axis=(1, 2)) / np.linalg.norm(theirs, axis=(1, 2))
+    assert off.max() < 2e-4
 
 
 def test_result_json_and_report_say_what_the_model_holds():
