@@ -52,15 +52,36 @@ def _saturating_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _slewed(rate, most, fall):  # type: ignore[no-untyped-def]
-    """Rate from which a first-order amplifier without limit gets as far in a step as one with it from ``rate``.
+def _towards(gone, rate, most, time):  # type: ignore[no-untyped-def]
+    """How far a first-order amplifier has gone after a time, in time constants; ``rate`` where nothing was gone yet.
 
-    The rate asked for falls as the current comes nearer; within the step it may come to lie below the limit.
+    The rate asked for falls as the current comes nearer; in between it may come to lie below the limit.
     """
-    if abs(rate) <= most:
-        return rate
-    at_limit = min(abs(rate) / most - 1.0, fall)
-    return math.copysign(most * (at_limit - math.expm1(at_limit - fall)) / -math.expm1(-fall), rate)
+    left = rate - gone
+    at_limit = min(max(abs(left) / most - 1.0, 0.0), time)
+    gone += math.copysign(most * at_limit, left)
+    return rate + (gone - rate) * math.exp(at_limit - time)
+
+
+@_compiled
+def _slewed(before, after, share, lag, most, fall):  # type: ignore[no-untyped-def]
+    """Rate to add in a step to a first-order amplifier without limit, for it to get as far as one with it.
+
+    ``before`` and ``after`` are the rates that are asked of its current at the beginning of the step, until its signal
+    steps after a ``share`` of it and from then on; ``fall`` is the step in time constants. A ``lag``, in steps, that is
+    part of that share lets the signal rise only gradually: it is at the limit later by what the rest of its rise takes.
+    """
+    if lag > 0.0 and share > 0.0 and share < 1.0 and abs(after) > most:
+        room = (math.copysign(most, after) - before) / (after - before)
+        if room > 0.0 and room < 1.0:
+            share = min(share - lag * math.log(1.0 - room), 1.0)
+    first = share * fall
+    free = -before * math.expm1(-first)
+    if (share == 0.0 or abs(before) <= most) and abs(after - free) <= most:
+        return 0.0
+    limited = _towards(_towards(0.0, before, most, first), after, most, fall - first)
+    free = after + (free - after) * math.exp(first - fall)
+    return (limited - free) / -math.expm1(-fall)
 
 
 @_compiled
@@ -75,12 +96,13 @@ def plain_corrections(now, at, law, d):  # type: ignore[no-untyped-def]
 
 @_compiled
 def corrections(  # type: ignore[no-untyped-def]
-    now, at, law, rotation, contact, slews, slew, driven, fall, plays, play_w, play_t, scale, f, d
+    now, at, law, rotation, contact, slews, slew, driven, lag, fall, plays, play_w, play_t, scale, f, d
 ):
     """Force and slew beyond the linear ones, with every nonlinear effect; moves the plays along.
 
-    ``driven`` is the rate that the control signal asks of each amplifier beside what ``now`` tells of its state;
-    ``fall`` how many time constants of such an amplifier a step takes, 0 for one that u does not drive at once.
+    ``driven`` is of `_driven` what the control signal asks of each amplifier beside what ``now`` tells of its state, by
+    a lag of so many steps; ``fall`` how many time constants of such an amplifier a step takes, 0 for one that u does
+    not drive at once.
     """
     n = law.shape[1]
     for a in range(n):
@@ -98,8 +120,11 @@ def corrections(  # type: ignore[no-untyped-def]
         force = _saturating_magnet(law, a, i, x) if law[11, a] > 0.0 else _magnet(law, a, i, x)
         f[a] = scale[0, a] * force + (scale[1, a] - scale[0, a]) * law[5, a] * x
         if slews:
-            rate = now[at + 2 * n + a] + driven[a]
-            d[n + a] = (_slewed(rate, slew[a], fall[a]) if fall[a] > 0.0 else min(max(rate, -slew[a]), slew[a])) - rate
+            rate = now[at + 2 * n + a]
+            if fall[a] > 0.0:
+                d[n + a] = _slewed(rate + driven[0, a], rate + driven[1, a], driven[2, a], lag[a], slew[a], fall[a])
+            else:
+                d[n + a] = min(max(rate, -slew[a]), slew[a]) - rate
     for a in range(n):
         total = law[6, a]
         for b in range(n):
@@ -113,16 +138,21 @@ def corrections(  # type: ignore[no-untyped-def]
 
 @_compiled
 def _driven(rate_input, late, state, first_u, s, out):  # type: ignore[no-untyped-def]
-    """Rate that the control signal asks for in step s of a sample: that of its mean, as it may change within."""
-    n = out.shape[0]
+    """Rates that the control signals ask for in step s of a sample, before and after their axis's own one steps.
+
+    The third row is the share of the step until then; of another axis's signal its mean over the step counts.
+    """
+    n = out.shape[1]
     for a in range(n):
-        out[a] = 0.0
+        out[0, a], out[1, a], out[2, a] = 0.0, 0.0, min(max(late[1, a] - s, 0.0), 1.0)
     for b in range(n):
         at = first_u + int(late[0, b]) * n + b
-        old = min(max(late[1, b] - s, 0.0), 1.0)
-        u = (1.0 - old) * state[at] + (old * state[at + n] if old > 0.0 else 0.0)
+        old = out[2, b]
+        new, last = state[at], state[at + n] if old > 0.0 else state[at]
+        mean = old * last + (1.0 - old) * new
         for a in range(n):
-            out[a] += rate_input[a, b] * u
+            out[0, a] += rate_input[a, b] * (last if a == b else mean)
+            out[1, a] += rate_input[a, b] * (new if a == b else mean)
 
 
 @_compiled
@@ -195,7 +225,7 @@ def advance(  # type: ignore[no-untyped-def]
     first_u, first_d = n_z, n_z + history * n
     last_seen, z_at = n_seen * (substeps - 1), n_seen * substeps
     scale, f, d = np.ones((2, n)), np.zeros(n), np.zeros(later.shape[1])
-    driven, drives = np.zeros(n), slews and np.any(fall > 0.0)
+    driven, drives = np.zeros((3, n)), slews and np.any(fall > 0.0)
     delayed = np.max(lag) > 0.0
     for t in range(n_samples):
         if drift_time[0] > 0.0:
@@ -235,7 +265,22 @@ def advance(  # type: ignore[no-untyped-def]
                 _driven(rate_input, late, state, first_u, s, driven)
             if general:
                 corrections(
-                    now, at, law, rotation, contact, slews, slew, driven, fall, plays, play_w, play_t, scale, f, d
+                    now,
+                    at,
+                    law,
+                    rotation,
+                    contact,
+                    slews,
+                    slew,
+                    driven,
+                    late[2],
+                    fall,
+                    plays,
+                    play_w,
+                    play_t,
+                    scale,
+                    f,
+                    d,
                 )
             else:
                 plain_corrections(now, at, law, d)

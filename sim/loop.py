@@ -15,7 +15,7 @@ from sim import actuator, control_law
 from sim.actuator import force_rotation
 from sim.errors import LevitationError
 from sim.kernel import NONE, advance, corrections, plain_corrections
-from sim.propagators import propagators
+from sim.propagators import asked_rate, propagators
 from sim.rig import Array, Rig
 from sim.state_space import state_space
 
@@ -58,8 +58,9 @@ class Loop:
             or d
             or np.any(self._rotation != np.eye(rig.n_axes))
         )
+        self._asked = asked_rate(rig, self._ss, substeps)
         self._seen = self._seen_rows()
-        self._p = propagators(rig, self._ss, self._seen, substeps, self._slews)
+        self._p = propagators(rig, self._ss, self._seen, self._asked, substeps, self._slews)
         self._drift, self._drift_time = np.zeros((2, rig.n_axes)), np.zeros(2)
         if d:
             self._drift = np.stack([d.ki_change, d.ks_change])
@@ -74,7 +75,7 @@ class Loop:
     def _seen_rows(self) -> Array:
         """Rows of what each step shows of the state: flux, displacement at the bearings, rate, sensor output."""
         ss = self._ss
-        rate = [ss.current_rate] if self._slews else []
+        rate = [self._asked.per_state] if self._slews else []
         sensor = [ss.sensor] if np.any(self._lag_steps > 0) else []
         return np.vstack([ss.flux, ss.bearing, *rate, *sensor])
 
@@ -137,7 +138,8 @@ class Loop:
                 self._contact,
                 self._slews,
                 self._slew,
-                self._ss.current_rate_input @ u,
+                np.stack([self._asked.per_input @ u, self._asked.per_input @ u, np.zeros(self.n_axes)]),
+                p.late[2],
                 p.fall,
                 self._plays,
                 self._play_weights,
@@ -219,7 +221,7 @@ class Loop:
             self._law,
             self._contact,
             self._slew,
-            self._ss.current_rate_input,
+            self._asked.per_input,
             p.late,
             p.fall,
             self._play_weights,
