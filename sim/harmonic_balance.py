@@ -13,15 +13,12 @@ from functools import cached_property
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim import amplifier, magnetic_force, periodic, sensor
+from sim import amplifier, magnetic_force, sensor, slew_limit
 from sim.actuator import OperatingPoint
+from sim.alternating import Complex, Index, amplitudes, period_samples
 from sim.rig import Array, Rig
 from sim.twin import LinearModel, linear_model
-
-Complex = NDArray[np.complex128]
-Index = NDArray[np.int64]
 
 RESPONSE = (0, 1, 2, 3)
 """Harmonics with which the force answers, whether or not they were logged: the mean and the second one of an
@@ -30,35 +27,12 @@ STATIC_HZ = 1e-2
 """Frequency at which the static response (harmonic 0) is evaluated: far below every pole of an AMB rig."""
 
 
-SLEW_STEPS = 256
-"""Fewest time steps of a period in which a supply's voltage limit is followed."""
-
-
 @dataclass(frozen=True)
 class Answer:
     """Coil current and sensor signal, complex amplitudes, each (P, H, n)."""
 
     I: Complex
     Y: Complex
-
-
-def _samples(X: Complex, harmonics: tuple[int, ...], n_time: int) -> Array:
-    """Time samples over one period of sum Re(X_h exp(j h wt)), X (P, H, n) -> (P, n_time, n)."""
-    basis = np.exp(2j * np.pi * np.outer(harmonics, np.arange(n_time)) / n_time)
-    P, H, n = X.shape
-    parts = np.ascontiguousarray(X.transpose(2, 0, 1), dtype=complex).view(float).reshape(n * P, 2 * H)
-    real_and_imag = np.stack([basis.real, -basis.imag], axis=1).reshape(2 * H, n_time)
-    # Axes outermost in memory: what an axis's own values are applied to lies in one piece.
-    return np.asarray((parts @ real_and_imag).reshape(n, P, n_time).transpose(1, 2, 0))
-
-
-def _amplitudes(x: Array, harmonics: tuple[int, ...]) -> Complex:
-    """Complex amplitudes of time samples (P, n_time, n) -> (P, H, n)."""
-    P, n_time, n = x.shape
-    scale = np.where(np.array(harmonics) == 0, 1.0, 2.0) / n_time
-    basis = np.exp(-2j * np.pi * np.outer(np.arange(n_time), harmonics) / n_time) * scale
-    parts = np.ascontiguousarray(x.transpose(2, 0, 1)).reshape(n * P, n_time) @ basis.view(float)
-    return np.asarray(parts.view(complex).reshape(n, P, len(harmonics)).transpose(1, 2, 0))
 
 
 def _times(matrices: Complex, x: Complex) -> Complex:
@@ -232,16 +206,16 @@ class Responder:
         m = self.rig.magnets
         banded = np.any(m.hysteresis_rad > 0) and (m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a)
         n_time = 64 if banded else 32 if self._strongly else 16
-        i_t = _samples(flux, self.harmonics, n_time) + self._point.current_a
+        i_t = period_samples(flux, self.harmonics, n_time) + self._point.current_a
         return i_t, magnetic_force.effective(m, i_t)
 
     def _beyond_linear(self, drawn: tuple[Array, Array], x: Complex) -> Complex:
         """Bearing force beyond the linear one, on the rotor, (P, H, n), of what `_drawn` gives at a displacement."""
         i_t, effective = drawn
         passed = None if self.progress is None else self.progress[:, None, None]
-        x_t = _samples(x, self.harmonics, i_t.shape[1])
+        x_t = period_samples(x, self.harmonics, i_t.shape[1])
         excess = magnetic_force.beyond_linear(self.rig, self._point, i_t, effective, x_t, passed)
-        return _amplitudes(excess, self.harmonics)
+        return amplitudes(excess, self.harmonics)
 
     def _current(self, U: Complex, seen: Complex | None = None) -> tuple[Complex, Complex]:
         """Sampled coil current, and the control signal that a linear amplifier would need for it."""
@@ -249,50 +223,26 @@ class Responder:
         linear = self._static_real(self._at_points(m.i_per_u, U))
         if not self._slews:
             return linear, U
-        # i' = v + dv, dv = clip(v) - v, inside the amplifier's own loop; i = A u + N dv with
-        # N = (s + 2 zeta w) / (s^2 + 2 zeta w s + w^2) for second order, 1 / (s + w) for first.
-        amp, s = self.rig.amplifiers, 1j * self._omega[:, None]
-        w = amp.natural_frequency_rad_s
+        amp, line = self.rig.amplifiers, self._lines
+        omega = self._omega[line]
         if amp.damping_ratio is None:
-            per_slew = 1 / (s + w)
+            sampled, change = slew_limit.first_order(self.rig, omega, self.harmonics, U)
         else:
-            unseen = 2 * amp.damping_ratio * w * (1 - amp.slew_seen)
-            per_slew = (s + unseen) / (s**2 + 2 * amp.damping_ratio * w * s + w**2)
-        H, P = len(self.harmonics), len(self.line)
-        line = self.line[:, None] + np.arange(H) * (len(s) // H)
-        v_linear = s[line] * self._at_points(m.baseband, U)
-        dv = np.zeros((P, H, w.size), dtype=complex)
-        limit = amp.slew_limit_a_per_s
-        slewing = np.flatnonzero(np.any(np.abs(v_linear).sum(axis=1) > limit, axis=1))
-        if len(slewing):
-            omega = self._omega.reshape(H, -1)[self.harmonics.index(1), self.line[slewing]]
-            dv[slewing] = self._slewing(v_linear[slewing], omega)
-            if seen is not None and amp.damping_ratio is not None:
-                asked, per, wanted = v_linear[slewing], per_slew[line[slewing]], (seen - linear)[slewing]
-                opposed = self._slewing(asked, omega, opposed=True)
-                misses = [np.abs(wanted - per * taken).sum(axis=1, keepdims=True) for taken in (opposed, dv[slewing])]
-                dv[slewing] = np.where(misses[0] < misses[1], opposed, dv[slewing])
-        change = per_slew[line] * dv
+            asked = 1j * omega[..., None] * self._at_points(m.baseband, U)
+            wanted = None if seen is None else seen - linear
+            sampled = change = slew_limit.second_order(amp, omega, self.harmonics, asked, wanted)
         with np.errstate(divide="ignore", invalid="ignore"):
             drive = amplifier.continuous(amp, self._omega)[line]
         hold = amplifier.hold(self._omega, self.rig.controller.sample_time_s)[line]
-        delay = np.exp(-1j * self._omega[line][..., None] * (amp.delay_s + self.rig.controller.computing_delay_s))
+        delay = np.exp(-1j * omega[..., None] * (amp.delay_s + self.rig.controller.computing_delay_s))
         equivalent = U + np.linalg.solve(amp.crosstalk, (change / (drive * hold[..., None] * delay))[..., None])[..., 0]
-        return linear + change, equivalent
+        return linear + sampled, equivalent
 
-    def _slewing(self, v_linear: Complex, omega: Array, opposed: bool = False) -> Complex:
-        """What the limit takes off the slope of the current, (P, H, n), in the steady state.
-
-        Stepped through time, as it has more harmonics than are asked for and a loop that winds up.
-        """
-        amp = self.rig.amplifiers
-        w, limit = amp.natural_frequency_rad_s, amp.slew_limit_a_per_s
-        finest = (4 if opposed else 1) * SLEW_STEPS  # it is at its limit all the time, and when it turns counts
-        steps = int(np.clip(8 * w.max() / omega.min(), finest, 8 * SLEW_STEPS))
-        damping = np.zeros_like(w) if amp.damping_ratio is None else 2 * amp.damping_ratio * w
-        asked = np.ascontiguousarray(_samples(v_linear, self.harmonics, steps))
-        taken = periodic.slewing(asked, 2 * np.pi / omega / steps, w, damping, float(amp.slew_seen), limit, opposed)
-        return _amplitudes(taken, self.harmonics)
+    @property
+    def _lines(self) -> Index:
+        """Place of each point's harmonics among all lines, (P, H)."""
+        H = len(self.harmonics)
+        return np.asarray(self.line[:, None] + np.arange(H) * (len(self._omega) // H))
 
 
 def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> tuple[Complex, Answer]:

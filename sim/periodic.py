@@ -38,11 +38,10 @@ def played(i: Array, weights: Array, half_widths: Array) -> Array:  # pragma: no
 
 
 def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limit: Array, opposed: bool) -> Array:
-    """What a slew limit takes off the slopes that are asked of an amplifier, A/s, (P, T, n).
+    """What a slew limit takes off the slopes that are asked of a second-order amplifier, A/s, (P, T, n).
 
-    With dv, what the limit changes, i' = v + dv and v' = -w^2 i - damping (v + seen dv), or v = -w i where the
-    damping is 0: a first-order amplifier. The amplifier's own loop is stepped exactly, so that no step is too long for
-    it; dv goes in a straight line from step to step.
+    With dv, what the limit changes, i' = v + dv and v' = -w^2 i - damping (v + seen dv). The amplifier's own loop is
+    stepped exactly, so that no step is too long for it; dv goes in a straight line from step to step.
 
     Parameters
     ----------
@@ -54,19 +53,69 @@ def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limi
     opposed : whether the loop begins with a current opposed to the one without limit, instead of with that one. A loop
         that winds up may settle in two ways beyond its limit: it lags a little, or by half a period.
     """
-    first = damping == 0
-    c, share = np.where(first, w, damping), np.where(first, 1.0, seen)
     A = np.zeros((w.size, 3, 3))  # of i, v, and dv held
     A[:, 0, 1] = A[:, 0, 2] = 1.0
-    A[:, 1] = np.stack([np.where(first, 0.0, -(w**2)), -c, -c * share], axis=-1)
+    A[:, 1] = np.stack([-(w**2), -damping, -damping * seen], axis=-1)
     over = scipy.linalg.expm(A * dt[:, None, None, None])
     begin = np.zeros((2, *dt.shape, w.size))
     if opposed:
         t = np.arange(asked.shape[1])[:, None] * (dt / asked.shape[1])[:, None, None]
         begin[0] = -2 * (asked * t).sum(axis=1)  # of a current that has these slopes, and no mean
-        begin[1] = np.where(first, -w * begin[0], -2 * asked[:, 0])
+        begin[1] = -2 * asked[:, 0]
     swing = limit * (asked.shape[1] * dt / (2 * np.pi))[:, None]
     return np.asarray(_slewing(asked, over, limit, swing, begin[0], begin[1]))
+
+
+@_compiled
+def held_slewing(
+    asked: Array, period: float, late: Array, lag_s: float, w: Array, limit: Array, steps: int
+) -> Array:  # pragma: no cover (compiled)
+    """What a slew limit changes of the current of a first-order amplifier that a held signal drives, A, (K steps, n).
+
+    What is asked for jumps with the signal, so the slope does; between, i' = clip(w (asked - i)) in closed form. Begun
+    without a change; at the samples, and in equal steps between them.
+
+    Parameters
+    ----------
+    asked : (K + 1, n) current that the signal asks for in turn, A; the first one is of the sample before
+    period : of the samples, s
+    late : (n,) how long after a sample its signal acts, s, less than a period
+    lag_s : time constant of a lag between signal and amplifier, s, 0 for none
+    w : (n,) rad/s
+    limit : (n,) A/s, inf where none acts
+    steps : integration steps of a sample
+    """
+    samples, axes = asked.shape[0] - 1, asked.shape[1]
+    h = period / steps
+    change = np.zeros((samples * steps, axes))
+    for a in range(axes):
+        if not limit[a] < np.inf:
+            continue
+        falls = np.exp(-w[a] * h)
+        lagged = i = free = asked[0, a]
+        for k in range(samples):
+            for s in range(steps):
+                change[k * steps + s, a] = i - free
+                old = min(max(late[a] - s * h, 0.0), h)
+                for part in range(2):
+                    goal, time = (asked[k, a], old) if part == 0 else (asked[k + 1, a], h - old)
+                    if time == 0.0:
+                        continue
+                    if lag_s > 0.0:
+                        kept = np.exp(-time / lag_s)
+                        mean = goal + (lagged - goal) * (1.0 - kept) * lag_s / time
+                        lagged = goal + (lagged - goal) * kept
+                    else:
+                        mean = goal
+                    left = falls if time == h else np.exp(-w[a] * time)
+                    free = mean + (free - mean) * left
+                    slope = w[a] * (mean - i)
+                    if abs(slope) > limit[a]:
+                        at_limit = min((abs(slope) / limit[a] - 1.0) / w[a], time)
+                        i += np.copysign(limit[a], slope) * at_limit
+                        left = np.exp(-w[a] * (time - at_limit))
+                    i = mean + (i - mean) * left
+    return change
 
 
 @_compiled

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.periodic import slewing
+from sim.periodic import held_slewing, slewing
 
 T = 2048
 PHASE = 2 * np.pi * np.arange(T) / T
@@ -13,16 +13,40 @@ def fundamental(x):
     return 2 / T * np.sum(x * np.exp(-1j * PHASE))
 
 
-@pytest.mark.parametrize("damping", [0.0, 1.6 * 9244.0])
-def test_far_beyond_its_limit_an_amplifier_makes_a_triangle(damping):
+def test_far_beyond_its_limit_an_amplifier_makes_a_triangle():
     """A current that slews all the time is a triangle of slope s: amplitude s T / 4, fundamental 8/pi^2 of it."""
-    hz, w, limit = 2000.0, 9244.0, np.array([1000.0])
+    hz, w, damping, limit = 2000.0, 9244.0, 1.6 * 9244.0, np.array([1000.0])
     asked = 6.0 * limit[0] * np.cos(PHASE)[None, :, None]
     taken = slewing(asked, np.array([1 / hz / T]), np.array([w]), np.array([damping]), 0.0, limit, False)
     s = 2j * np.pi * hz
-    per_slew = (s + damping) / (s**2 + damping * s + w**2) if damping else 1 / (s + w)
+    per_slew = (s + damping) / (s**2 + damping * s + w**2)
     i = fundamental(asked[0, :, 0]) / s + per_slew * fundamental(taken[0, :, 0])
     assert abs(i) == pytest.approx(limit[0] / (4 * hz) * 8 / np.pi**2, rel=0.02)
+
+
+def stepped_held(asked, period, late, lag_s, w, limit, steps):
+    """The same first-order amplifier with and without its limit by many short steps, at the samples."""
+    dt, i, free, lagged, out = period / steps, asked[0], asked[0], asked[0], []
+    for k in range(len(asked) - 1):
+        out.append(i - free)
+        for s in range(steps):
+            goal = asked[k] if (s + 0.5) * dt < late else asked[k + 1]
+            lagged = goal + (lagged - goal) * np.exp(-dt / lag_s) if lag_s else goal
+            i += dt * min(max(w * (lagged - i), -limit), limit)
+            free += dt * w * (lagged - free)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("late", [0.0, 13e-6, 80e-6])
+@pytest.mark.parametrize(("lag_s", "off_a"), [(0.0, 3e-4), (5e-6, 3e-3), (40e-6, 1e-3)])
+def test_a_first_order_amplifier_slews_as_its_held_signal_steps(late, lag_s, off_a):
+    asked, w, limit = 1.1 * np.cos(2 * np.pi * 700.0 * 1e-4 * np.arange(-1, 30)), 9244.0, 4000.0
+    expected = stepped_held(asked, 1e-4, late, lag_s, w, limit, 1000)
+    two, limits = asked[:, None] * np.ones(2), np.array([limit, np.inf])
+    found = held_slewing(two, 1e-4, np.full(2, late), lag_s, np.full(2, w), limits, 16)
+    assert np.abs(expected).max() > 0.03
+    np.testing.assert_allclose(found[::16, 0], expected, rtol=0, atol=off_a)
+    assert np.all(found[:, 1] == 0.0)
 
 
 def test_below_its_limit_nothing_is_taken():
