@@ -53,6 +53,9 @@ class Settings(BaseModel):
     public_url: str = ""
     """Address at which people reach the service, https://host/path; the links of webhooks begin with it. Empty for
     links that are paths only."""
+    webhook_loopback: bool = False
+    """Whether webhooks may lead to this machine itself, as to a receiver beside the service: whoever may make a
+    schedule then reaches all that listens here. Private networks are always possible, link-local addresses never."""
 
     worker_name: str = Field("", max_length=60)
     """Stable and unique per worker; empty for the host's name."""

@@ -11,13 +11,13 @@ import base64
 import binascii
 import hashlib
 import hmac
-import ipaddress
 import json
 import math
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -31,6 +31,15 @@ RETRY_S = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 36000.0)
 TOLERANCE_S = 300.0
 """A receiver refuses what is older: a recorded message cannot be sent again later."""
 LONGEST_WAIT_S = 86_400.0
+LOOPBACK_SETTING = "webhook_loopback"
+"""Field of `service.config.Settings` that lets messages go to receivers on the machine itself."""
+METADATA = frozenset(ip_address(a) for a in ("fd00:ec2::254", "100.100.100.200", "192.0.0.192"))
+"""Where clouds hand credentials to whoever asks, beside the link-local 169.254.169.254: AWS, Alibaba, Oracle."""
+
+
+NAT64 = bytes.fromhex("0064ff9b") + bytes(8)
+"""The well-known prefix 64:ff9b::/96."""
+Address = IPv4Address | IPv6Address
 
 
 class WebhookError(AmbError):
@@ -212,13 +221,19 @@ def worth_retrying(status: int | None) -> bool:
     return status != 410 and not (status is not None and 200 <= status < 300)
 
 
-def checked_url(url: str) -> str:
-    """The address, when messages can go there.
+def checked_url(url: str, loopback: bool = True) -> str:
+    """The address, when messages can go there; whether its name leads elsewhere is seen when they are sent.
+
+    Parameters
+    ----------
+    loopback
+        Whether a receiver may be on the machine itself.
 
     Raises
     ------
     WebhookError
-        Not http or https, no host or one that no name server can know, a password, a space or a control character.
+        Not http or https, no host or one that no name server can know, a password, a space or a control character; or
+        an address as of `permitted_address`.
     """
     if any(c <= " " or c == "\x7f" for c in url):  # looked for first: urlsplit leaves some of them out
         raise WebhookError(f"webhook address {url!r} has a space or control character; write it as %20 and the like")
@@ -234,13 +249,60 @@ def checked_url(url: str) -> str:
         raise WebhookError(f"webhook address {url!r} is no http or https address of a host")
     if parts.username or parts.password:
         raise WebhookError("a webhook address holds no user or password: messages are signed instead")
+    try:
+        address = ip_address(host)
+    except ValueError:  # a name
+        return url
+    permitted_address(url, address, loopback)
     return url
+
+
+def permitted_address(url: str, address: Address, loopback: bool) -> Address:
+    """The address to which a webhook leads, when messages may go there: the service sends from inside the network.
+
+    A plant's receivers are on private networks, which stay possible. What only this machine or this link answers, and
+    where clouds hand out credentials, is no receiver.
+
+    Raises
+    ------
+    WebhookError
+        Link-local, multicast, reserved or unspecified, where a cloud keeps credentials; or loopback, unless allowed.
+    """
+    inner = _embedded(address)
+    if inner.is_loopback:
+        if loopback:
+            return address
+        raise WebhookError(
+            f"webhook address {url!r} leads to this machine itself ({address}); give the receiver's address on the "
+            f"network, or allow it by the setting {LOOPBACK_SETTING} = true (AMBIT_{LOOPBACK_SETTING.upper()}=true)"
+        )
+    this_network = isinstance(inner, IPv4Address) and inner.packed[0] == 0
+    if inner.is_link_local or inner.is_multicast or inner.is_reserved or this_network or inner.is_unspecified:
+        raise WebhookError(
+            f"webhook address {url!r} leads to {address}, which is link-local, multicast or no host's; "
+            "give the receiver's address on the network"
+        )
+    if inner in METADATA:
+        raise WebhookError(
+            f"webhook address {url!r} leads to {address}, where a cloud keeps its machines' credentials; "
+            "give the receiver's address"
+        )
+    return address
+
+
+def _embedded(address: Address) -> Address:
+    """The address of version 4 in one of version 6 that stands for it: mapped, 6to4, or NAT64 (RFC 6052)."""
+    if isinstance(address, IPv4Address):
+        return address
+    if address.packed[:12] == NAT64:
+        return IPv4Address(address.packed[12:])
+    return address.ipv4_mapped or address.sixtofour or address
 
 
 def _must_be_encodable(host: str) -> None:
     """Raise ValueError for a host that a sender fails to encode: it would come to grief there with every message."""
     if not host.strip("0123456789."):
-        ipaddress.IPv4Address(host)
+        IPv4Address(host)
     name = host if host.isascii() else idna.encode(host).decode("ascii")
     name.encode("idna")  # as a socket does: no label is empty, or longer than 63 letters
     for label in name.split("."):

@@ -5,8 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
+import socket
 import time
+from ipaddress import ip_address
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import getproxies, proxy_bypass
 
 import httpx
 from sqlalchemy.orm import Session
@@ -104,7 +108,7 @@ def attempt(delivery_id: str) -> float | None:
         why = str(error) if secret else REMOVED
         worker.database.surely(lambda session: schedules.give_up_deliveries(session, delivery.schedule_id, why))
         return None
-    status, detail, asked = _post(delivery.url, message)
+    status, detail, asked = _post(delivery.url, message, worker.settings.webhook_loopback)
     wait_s: float | None = None
     if status is not None and 200 <= status < 300:
         state = DELIVERED
@@ -126,23 +130,69 @@ def attempt(delivery_id: str) -> float | None:
     return wait_s
 
 
-def _post(url: str, message: webhook.Message) -> tuple[int | None, str, float | None]:
+def _post(url: str, message: webhook.Message, loopback: bool) -> tuple[int | None, str, float | None]:
     """Status, what went wrong, and how long the receiver asks to be left alone."""
     try:
-        return asyncio.run(_answer(url, message))
+        return asyncio.run(_answer(url, message, loopback))
     except TimeoutError:
         return None, f"no whole answer within {DEADLINE_S:g} s", None
-    except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:  # an address that an earlier version took
+    except webhook.WebhookError as error:
+        return None, str(error)[:500], None
+    except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:  # an address that an older version took
         return None, f"{type(error).__name__}: {error}"[:500], None
 
 
-async def _answer(url: str, message: webhook.Message) -> tuple[int, str, float | None]:
-    headers = message.headers | {"accept-encoding": "identity"}  # a few bytes that unfold to many are not unfolded
-    async with (
-        asyncio.timeout(DEADLINE_S),
-        httpx.AsyncClient(timeout=TIMEOUT_S, follow_redirects=False) as client,
-        client.stream("POST", url, content=message.body, headers=headers) as answer,
-    ):
+async def _answer(url: str, message: webhook.Message, loopback: bool) -> tuple[int, str, float | None]:
+    async with asyncio.timeout(DEADLINE_S):
+        proxied = _by_proxy(webhook.checked_url(url, loopback))
+        targets = [httpx.URL(url)] if proxied else await _targets(httpx.URL(url), loopback)
+        trusted = httpx.create_ssl_context()  # with the authorities of SSL_CERT_FILE, which trust_env would leave out
+        async with httpx.AsyncClient(
+            timeout=TIMEOUT_S, follow_redirects=False, trust_env=proxied, verify=trusted
+        ) as client:
+            for target in targets[:-1]:
+                try:
+                    return await _sent(client, target, httpx.URL(url), message)
+                except (httpx.ConnectError, httpx.ConnectTimeout):  # the receiver's next address
+                    continue
+            return await _sent(client, targets[-1], httpx.URL(url), message)
+
+
+def _by_proxy(url: str) -> bool:
+    """Whether the environment names a proxy for an address: it then looks up the name, and decides where one gets."""
+    parts, proxies = urlsplit(url), getproxies()
+    return bool(proxies.get(parts.scheme) or proxies.get("all")) and not proxy_bypass(parts.netloc)
+
+
+async def _targets(url: httpx.URL, loopback: bool) -> list[httpx.URL]:
+    """The same URL by each address that its host has now and that messages may go to.
+
+    What is looked up once more when it is connected to could lead elsewhere by then (DNS rebinding).
+    """
+    loop = asyncio.get_running_loop()
+    host = url.raw_host.decode("ascii").strip("[]")
+    found = await loop.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    addresses = dict.fromkeys(str(entry[4][0]) for entry in found)
+    targets, refused = [], None
+    for address in addresses:
+        try:
+            webhook.permitted_address(str(url), ip_address(address), loopback)
+            targets.append(url.copy_with(host=address))
+        except webhook.WebhookError as error:
+            refused = error
+    if refused is not None and not targets:
+        raise refused
+    return targets
+
+
+async def _sent(
+    client: httpx.AsyncClient, target: httpx.URL, url: httpx.URL, message: webhook.Message
+) -> tuple[int, str, float | None]:
+    """Send to an address of the receiver, which shows and is asked for the certificate of its name."""
+    # a few bytes that unfold to many are not unfolded
+    headers = message.headers | {"accept-encoding": "identity", "host": url.netloc.decode("ascii")}
+    named = {"sni_hostname": url.raw_host.decode("ascii")}
+    async with client.stream("POST", target, content=message.body, headers=headers, extensions=named) as answer:
         why = "" if answer.is_success else await _beginning(answer)
     after = answer.headers.get("retry-after", "")
     return answer.status_code, why, float(after) if after.isascii() and after.isdigit() else None

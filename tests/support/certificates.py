@@ -25,7 +25,7 @@ class Authority:
 
 
 def make_authority(folder: Path) -> Authority:
-    """CA, a server certificate for 127.0.0.1 and a client certificate, as PEM files in the folder."""
+    """CA, a server certificate for 127.0.0.1 and plant.example and a client certificate, as PEM files in the folder."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "test authority")])
     root = _builder(name, name, key).add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
@@ -53,7 +53,9 @@ def _builder(subject, issuer, key) -> x509.CertificateBuilder:
 def _issue(folder: Path, role: str, issuer: x509.Name, ca_key) -> Certificate:
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, role)])
-    names = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
+    names = x509.SubjectAlternativeName(
+        [x509.IPAddress(ipaddress.ip_address("127.0.0.1")), x509.DNSName("plant.example")]
+    )
     authority_key = x509.AuthorityKeyIdentifier.from_issuer_public_key(ca_key.public_key())
     certificate = (
         _builder(subject, issuer, key)

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import pytest
 
+from service.config import Settings
 from service.health.webhook import (
     RETRY_S,
     Message,
@@ -136,6 +137,40 @@ def test_addresses_that_cannot_be_used_are_refused(bad):
 )
 def test_addresses_that_can_be_used_are_left_as_they_are(host):
     assert checked_url(f"http://{host}/x%20y?z=ü") == f"http://{host}/x%20y?z=ü"
+
+
+LOCAL = ["127.0.0.1", "127.8.9.1", "[::1]", "[::ffff:127.0.0.1]"]
+NOWHERE = [
+    *("169.254.169.254", "169.254.1.1", "[fe80::1]", "[::ffff:169.254.169.254]", "[64:ff9b::a9fe:a9fe]"),
+    *("[2002:a9fe:a9fe::1]", "[fd00:ec2::254]", "100.100.100.200", "192.0.0.192", "0.0.0.0", "0.1.2.3", "[::]"),
+    *("224.0.0.1", "[ff02::1]", "255.255.255.255", "240.0.0.1"),
+]
+
+
+@pytest.mark.parametrize("host", NOWHERE)
+@pytest.mark.parametrize("loopback", [False, True])
+def test_no_message_goes_where_a_cloud_keeps_credentials_or_to_no_host(host, loopback):
+    url = f"http://{host}:8000/latest"
+    with pytest.raises(WebhookError) as told:
+        checked_url(url, loopback)
+    assert url in str(told.value)
+    assert "give the receiver's address" in str(told.value)
+
+
+@pytest.mark.parametrize("host", LOCAL)
+def test_a_receiver_on_the_machine_itself_is_allowed_by_a_setting(host):
+    url = f"http://{host}:8311/hook"
+    with pytest.raises(WebhookError) as told:
+        checked_url(url, loopback=False)
+    assert url in str(told.value)
+    assert "AMBIT_WEBHOOK_LOOPBACK=true" in str(told.value)
+    assert "webhook_loopback" in Settings.model_fields
+    assert checked_url(url, loopback=True) == url
+
+
+@pytest.mark.parametrize("host", ["10.1.2.3", "172.16.0.9", "192.168.1.7", "[fd12::9]", "100.64.0.1", "192.0.2.1", "h"])
+def test_a_receiver_may_be_on_a_private_network(host):
+    assert checked_url(f"http://{host}/", loopback=False)
 
 
 @pytest.mark.parametrize("bad", ["", "whsec_", "whsec_c2hvcnQ=", "not base64!"])

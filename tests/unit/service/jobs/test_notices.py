@@ -1,6 +1,8 @@
 """Webhooks: a real receiver checks the signature; what it does not take is sent again, and then given up."""
 
+import asyncio
 import json
+import ssl
 import threading
 import time
 from contextlib import suppress
@@ -17,6 +19,7 @@ from service.jobs import notices, steps, workflows
 from service.storage import jobs, rigs, schedules
 from service.storage.database import now
 from service.storage.tables import ExperimentRow, HealthRow, ModelRow, ScheduleRow, WebhookRow
+from tests.support.certificates import make_authority
 from tests.support.databases import migrated
 from tests.support.service import reference_sheet
 
@@ -26,7 +29,7 @@ class Receiver(HTTPServer):
 
     def __init__(self):
         self.messages, self.answers, self.heard, self.more = [], [], lambda: None, None
-        self.after, self.sent = "", 0
+        self.after, self.sent, self.location = "", 0, ""
         super().__init__(("127.0.0.1", 0), Handler)
 
 
@@ -38,6 +41,8 @@ class Handler(BaseHTTPRequestHandler):
         self.send_response(self.server.answers.pop(0) if self.server.answers else 204)
         if self.server.after:
             self.send_header("retry-after", self.server.after)
+        if self.server.location:
+            self.send_header("location", self.server.location)
         if self.server.more is None:
             self.send_header("content-length", "0")
         self.end_headers()
@@ -69,10 +74,10 @@ def told(tmp_path, monkeypatch):
         context = SimpleNamespace(
             database=database,
             dispatcher=SimpleNamespace(notify=handed.append),
-            settings=Settings(home=tmp_path, public_url="https://rotor.example.org"),
+            settings=Settings(home=tmp_path, public_url="https://rotor.example.org", webhook_loopback=True),
         )
         monkeypatch.setattr(contexts, "_context", context)
-        yield SimpleNamespace(database=database, handed=handed, dispatcher=context.dispatcher)
+        yield SimpleNamespace(database=database, handed=handed, dispatcher=context.dispatcher, context=context)
 
 
 def check(database, url, alarm, secret="", on="alarm"):
@@ -214,6 +219,87 @@ def test_an_address_that_cannot_be_used_is_a_failed_attempt(told, url):
     assert notices.attempt("whd_1") > 4
     assert (delivery(told).state, delivery(told).attempts) == ("pending", 1)
     assert delivery(told).detail
+
+
+def resolved(monkeypatch, *addresses):
+    """Every name leads to these addresses in turn, the last one for ever; the names that were asked for."""
+    asked, left = [], list(addresses)
+
+    async def getaddrinfo(_, host, port, **__):
+        asked.append(host)
+        found = left.pop(0) if len(left) > 1 else left[0]
+        return [(0, 0, 0, "", (address, port)) for address in found]
+
+    monkeypatch.setattr(asyncio.BaseEventLoop, "getaddrinfo", getaddrinfo)
+    return asked
+
+
+def test_a_receiver_on_the_machine_itself_is_told_only_where_a_setting_allows_it(told, receiver):
+    told.context.settings = Settings(home=told.context.settings.home)
+    notices.begin(check(told.database, f"http://localhost:{receiver.server_port}/", True, new_secret()))
+    assert notices.attempt("whd_1") > 4
+    assert receiver.messages == []
+    assert (delivery(told).state, delivery(told).status_code) == ("pending", None)
+    assert f"http://localhost:{receiver.server_port}/" in delivery(told).detail
+    assert "AMBIT_WEBHOOK_LOOPBACK=true" in delivery(told).detail
+    told.context.settings = Settings(home=told.context.settings.home, webhook_loopback=True)
+    assert notices.attempt("whd_1") is None
+    assert len(receiver.messages) == 1
+    assert receiver.messages[0].headers["host"] == f"localhost:{receiver.server_port}"
+
+
+def test_a_name_that_has_come_to_lead_elsewhere_is_looked_at_when_it_is_sent_to(told, receiver, monkeypatch):
+    """By what it leads to at the first look: at a second one it may be another."""
+    asked = resolved(monkeypatch, ["127.0.0.1"], ["169.254.169.254"])
+    notices.begin(check(told.database, f"http://plant.example:{receiver.server_port}/", True, new_secret()))
+    assert notices.attempt("whd_1") is None
+    assert asked[0] == "plant.example"
+    assert len(receiver.messages) == 1
+
+
+def test_a_name_that_leads_to_credentials_is_told_nothing(told, receiver, monkeypatch):
+    resolved(monkeypatch, ["fe80::1", "169.254.169.254"])
+    notices.begin(check(told.database, f"http://plant.example:{receiver.server_port}/", True, new_secret()))
+    assert notices.attempt("whd_1") > 4
+    assert receiver.messages == []
+    assert "leads to 169.254.169.254, which is link-local" in delivery(told).detail
+
+
+def test_of_a_receiver_s_addresses_the_next_one_is_tried(told, receiver, monkeypatch):
+    resolved(monkeypatch, ["fe80::1", "127.77.0.1", "127.0.0.1"])
+    notices.begin(check(told.database, f"http://plant.example:{receiver.server_port}/", True, new_secret()))
+    assert notices.attempt("whd_1") is None
+    assert len(receiver.messages) == 1
+
+
+@pytest.mark.parametrize(("name", "heard"), [("plant.example", 1), ("another.example", 0)])
+def test_a_receiver_shows_the_certificate_of_its_name(told, receiver, monkeypatch, tmp_path, name, heard):
+    """Not of the address that it has: the authority is one of the machine's own."""
+    made, context = make_authority(tmp_path), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(made.server.certificate, made.server.key)
+    receiver.socket = context.wrap_socket(receiver.socket, server_side=True)
+    monkeypatch.setenv("SSL_CERT_FILE", str(made.ca))
+    resolved(monkeypatch, ["127.0.0.1"])
+    notices.begin(check(told.database, f"https://{name}:{receiver.server_port}/", True, new_secret()))
+    assert (notices.attempt("whd_1") is None) == bool(heard)
+    assert len(receiver.messages) == heard
+    assert ("certificate verify failed" in delivery(told).detail) == (not heard)
+
+
+def test_a_redirect_is_not_followed(told, receiver):
+    receiver.answers, receiver.location = [307], f"http://127.0.0.1:{receiver.server_port}/elsewhere"
+    notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
+    assert notices.attempt("whd_1") > 4
+    assert len(receiver.messages) == 1
+    assert (delivery(told).state, delivery(told).status_code) == ("pending", 307)
+
+
+def test_a_proxy_looks_up_the_name_itself(told, receiver, monkeypatch):
+    monkeypatch.setenv("http_proxy", f"http://127.0.0.1:{receiver.server_port}")
+    monkeypatch.delenv("no_proxy", raising=False)
+    notices.begin(check(told.database, "http://no-such-host.invalid/", True, new_secret()))
+    assert notices.attempt("whd_1") is None
+    assert len(receiver.messages) == 1
 
 
 @pytest.mark.parametrize(("after", "least", "most"), [("60", 60, 61), ("²", 4, 6)])
