@@ -31,11 +31,11 @@ from service.identification.residuals import Data, Weights
 from service.identification.result import PlaneResult
 from service.identification.split import Knowledge, Posterior, Split, log_prior, log_ratios
 from service.identification.start import with_split
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
 from service.identification.whitening import whitener
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 Real = NDArray[np.float64]
 

@@ -9,12 +9,17 @@ datasheet's ki is 88 % off, ks 37 %, and no mode is known. Seeds are fixed.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 import _peers
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 from _monte_carlo import experiment, no_mode_known, reference_plane, splits_drawn, splits_known
 
 from service.experiment.data import Experiment

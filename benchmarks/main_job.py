@@ -15,17 +15,19 @@ import tempfile
 import time
 from pathlib import Path
 
-from service import bootstrap
+from drivers.simulated.driver import SimulatedController
 from service.experiment import file
 from service.experiment.campaign import run_campaign
 from service.identification.fit import identify
 from sim import rig_file
+from sim.reference import reference_datasheet, reference_rig
 
 PRACTICE = Path(__file__).resolve().parents[2] / "shared" / "practice" / "p01"
 
 
 def main_job() -> None:
-    controller, rig, datasheet = bootstrap.simulated_reference(seed=1)
+    rig, datasheet = reference_rig(), reference_datasheet()
+    controller = SimulatedController(rig, seed=1)
     begin, cpu = time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         experiment = run_campaign(controller, datasheet, Path(folder))

@@ -19,6 +19,7 @@ as they are, and as many that wait only until periods agree with one another, no
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -27,6 +28,8 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import profile_for
@@ -37,10 +40,10 @@ from service.experiment.multisine_plan import MultisineProfile
 from service.identification.closed_loop import closed_loop_poles
 from service.identification.fit import identify
 from service.identification.input_design import best_powers, closed_loop, line_information
-from service.identification.synthetic import plane_model_of
 from sim.reference import reference_datasheet, reference_rig
 from sim.rig import Rig
 from sim.twin import with_effects
+from tests.support.planes import plane_model_of, relative_std
 
 RIG = reference_rig()
 PROFILE = MultisineProfile()
@@ -96,7 +99,7 @@ def bounds(experiment: Experiment) -> dict[str, float]:
         played = np.stack([main.amplitude_a[main.axis == 2 * p + j] ** 2 for j in range(2)], axis=1)
         top = [np.max(np.einsum("lsj,lj->s", s, played)) for s in shares[0]]
         use = np.concatenate([s / t for s, t in zip(shares[1], top, strict=True)], axis=1)
-        least = 100 * information.relative_std(seconds * best_powers([information], use))
+        least = 100 * relative_std(information, seconds * best_powers([information], use))
         names = ["kiA", "kiB", "ksA", "ksB"] + [f"zeta{k + 1}" for k in range(len(least) - 4)]
         out |= {f"{plane} {n}": float(s) for n, s in zip(names, least, strict=True)}
     return out

@@ -25,7 +25,7 @@ from service.experiment.campaign import run_campaign
 from service.experiment.multisine_plan import MultisineProfile
 from service.experiment.progress import Progress
 from service.identification.fit import identify
-from service.identification.synthetic import plane_model_of
+from tests.support.planes import plane_model_of
 from tests.support.whole_rigs import levitating
 
 

@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from service.experiment.data import Experiment
 from service.identification.fit import identify
-from service.identification.synthetic import synthetic_experiment
 from service.identification.transient import settled
+from tests.support.planes import synthetic_experiment
 from tests.support.ringing import AXES, late, run, sheet
 
 CASES = ((0.0, 0.25), (0.0, 2.0), (20e-6, 1.5), (30e-6, 0.3), (30e-6, 3.0), (34e-6, 0.5))

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from service.experiment.progress import ProgressCallback
     from service.identification.result import CommissioningResult
     from sim.datasheet import Datasheet
-    from sim.rig import Rig
 
 EXPERIMENT = "experiment.h5"
 RESULT = "result.json"
@@ -60,15 +59,6 @@ def connect(url: str) -> Controller:
     from drivers import url as controllers
 
     return controllers.connect(url)
-
-
-def simulated_reference(seed: int) -> tuple[Controller, Rig, Datasheet]:
-    """The reference rig in this process, its true parameters, and the datasheet that knows them badly."""
-    from drivers.simulated.driver import SimulatedController
-    from sim.reference import reference_datasheet, reference_rig
-
-    rig = reference_rig()
-    return SimulatedController(rig, seed), rig, reference_datasheet()
 
 
 @contextmanager

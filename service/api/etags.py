@@ -12,7 +12,6 @@ from pydantic import BaseModel
 from service.api.problems import Documented, PreconditionError, PreconditionRequiredError, documented
 from service.storage.blobs import Blobs
 
-IMMUTABLE = "private, max-age=31536000, immutable"
 REVALIDATE = "private, no-cache"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 

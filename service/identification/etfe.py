@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import chi2_above
-from service.experiment.data import Sweep
 from service.identification.noise import block_noise
 from service.identification.points import PlanePoints, same_frequency
 from service.identification.zoh import Complex, Real
@@ -68,20 +67,6 @@ def etfe(points: PlanePoints, path: Path) -> FrequencyResponse:
         variances = np.einsum("pcc->pc", points.unsettled.mean).real
         more = variances[:, -2:] if target == "y" else variances[:, :2]
     return _estimate(x, z, points.omega, points.axis, f"plane {points.plane}", points.axes, path, more)
-
-
-def etfe_all(sweep: Sweep, axes: tuple[str, ...], path: Path) -> FrequencyResponse:
-    """Frequency response of all axes together, (F, n, n), at every frequency at which all were excited."""
-    h = sweep.harmonic(1)
-    stored: Mapping[str, Complex | None] = {"u": sweep.U, "i": sweep.I, "y": sweep.Y, "r": sweep.R}
-    source, target = path.split("->")
-    raw_x, raw_z = stored[source], stored[target]
-    if raw_x is None or raw_z is None:
-        raise AmbError(f"{path} needs the coil currents, which this experiment does not log")
-    x, z = np.asarray(raw_x[:, :, h, :], dtype=complex), np.asarray(raw_z[:, :, h, :], dtype=complex)
-    good = np.isfinite(x).all(axis=(1, 2)) & np.isfinite(z).all(axis=(1, 2)) & (sweep.amplitude_a > 0)
-    omega = 2 * np.pi * sweep.frequency_hz.astype(float)
-    return _estimate(x[good], z[good], omega[good], sweep.axis[good], f"sweep {sweep.comment!r}", axes, path)
 
 
 def _estimate(

@@ -37,11 +37,6 @@ class LineInformation:
     wanted: Real
     """(k, n) gradients of the logarithms of the wanted figures: ki, ks, damping ratios of modes within the band."""
 
-    def relative_std(self, power: Real) -> Real:
-        """(k,) Cramer-Rao bound of the wanted figures, relative, for powers times seconds (L, 2), A^2 s."""
-        covariance = np.linalg.inv(np.einsum("lj,ljab->ab", power, self.matrices) + self.held)
-        return np.asarray(np.sqrt(np.einsum("ka,ab,kb->k", self.wanted, covariance, self.wanted)))
-
 
 @dataclass(frozen=True)
 class ClosedLoop:

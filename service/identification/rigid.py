@@ -15,21 +15,6 @@ FAR = 1e3
 """How many times larger or smaller than where it starts a factor may become: beyond, y does not tell it at all."""
 
 
-def inverse_mass(mass_kg: float, inertia_kgm2: float, bearing_from_cog_m: tuple[float, float]) -> Real:
-    """M^-1 from forces to accelerations at the bearings (Appendix B), (2, 2).
-
-    >>> inverse_mass(280.0, 10.87, (0.418, 0.404)).round(3).tolist()
-    [[0.02, -0.012], [-0.012, 0.019]]
-    """
-    a, b = bearing_from_cog_m
-    return np.array(
-        [
-            [1 / mass_kg + a * a / inertia_kgm2, 1 / mass_kg - a * b / inertia_kgm2],
-            [1 / mass_kg - a * b / inertia_kgm2, 1 / mass_kg + b * b / inertia_kgm2],
-        ]
-    )
-
-
 def bearing_from_sensor(model: PlaneModel) -> Real:
     """Exact rigid-body map from sensor to bearing displacements, (2, 2)."""
     bearings, sensors = model.rigid_shapes

@@ -8,13 +8,13 @@ import pytest
 from service.identification.margins import sensitivity
 from service.identification.plane_start import known_of
 from service.identification.points import planes_of
-from service.identification.synthetic import plane_model_of
 from sim import effects as catalogue
 from sim.datasheet import Datasheet
 from sim.effect import Effect
 from sim.effects import CATALOGUE
 from sim.folded import Folded, folded
 from sim.twin import linear_model, rig_from_datasheet
+from tests.support.planes import plane_model_of
 from tests.support.synthetic import known_datasheet
 
 TRUTH = known_datasheet()[1]

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from service.experiment import file
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_rig
 from tests.support import command
 from tests.support.commissioned import LAW
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.processes import ROOT
 from tests.support.service import QUICK, SLOW, rig_device, service
 from tests.support.two_axes import true_and_known

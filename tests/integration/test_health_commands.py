@@ -10,12 +10,12 @@ from service.cli import run
 from service.experiment import file
 from service.health.tones import short_plan
 from service.identification.fit import identify
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from sim.rig_file import to_toml
 from tests.support.commissioned import LAW
 from tests.support.measured import small_experiment
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again

@@ -16,7 +16,6 @@ from drivers.device.serve import ModbusOptions, serve_modbus
 from service import web
 from service.config import Settings
 from service.health.compare import Baseline, compare
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.jobs.calculations import model_summary
 from service.report.curves import curves
 from service.storage import jobs, rigs
@@ -27,6 +26,7 @@ from sim.reference import reference_rig
 from sim.rig_file import to_toml
 from tests.support.browser import BROWSER
 from tests.support.commissioned import AXES, LAW, SHEET, commissioned, plan, result
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.serving import Serving, serving
 from tests.support.tab import tab
 

@@ -15,9 +15,9 @@ from service.identification.points import plane_points
 from service.identification.refine import refine
 from service.identification.residuals import Data
 from service.identification.rigid import rigid_start
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet
 from sim.reference import pid_with_biquad, reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 TRUTH = plane_model_of(reference_rig(), "x")
 OMEGA = 2 * np.pi * np.geomspace(10, 1000, 30)

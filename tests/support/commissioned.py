@@ -13,10 +13,10 @@ from service.experiment.data import Experiment
 from service.health.tones import ShortPlan, short_plan
 from service.identification.fit import identify
 from service.identification.result import CommissioningResult
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
 from sim.rig import Rig
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 AXES = ("xA", "xB", "yA", "yB")
 SHEET: Datasheet = reference_datasheet()

@@ -3,9 +3,9 @@
 import numpy as np
 
 from service.experiment.data import Experiment
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 
 def small_experiment(planes: str = "xy") -> tuple[Experiment, Datasheet]:

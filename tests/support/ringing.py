@@ -5,9 +5,9 @@ import numpy as np
 from service.experiment.data import Sweep
 from service.identification.closed_loop import companion, sampled
 from service.identification.plane_model import PlaneModel
-from service.identification.synthetic import plane_model_of
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of
 from tests.support.two_axes import sheet_of_one_plane
 
 SHEET = reference_datasheet()

@@ -10,9 +10,9 @@ from scipy.linalg import eigh
 
 from service.experiment.data import Experiment
 from service.identification.plane_model import Known, Layout, PlaneModel
-from service.identification.synthetic import synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet
 from sim.reference import pid_with_biquad, reference_datasheet
+from tests.support.planes import synthetic_experiment, synthetic_sweep
 
 KINDS = ("light and stiff", "heavy and flexible", "three modes", "close modes", "node at a sensor")
 BAND_HZ = 1000.0

@@ -13,10 +13,10 @@ import numpy as np
 
 from service.identification.closed_loop import closed_loop_poles
 from service.identification.margins import sensitivity_peaks
-from service.identification.synthetic import plane_model_of
 from sim.datasheet import Datasheet
 from sim.reference import pid_with_biquad, reference_datasheet, reference_rig
 from sim.rig import ControlLaw, FlexibleMode, Rig
+from tests.support.planes import plane_model_of
 from tests.support.rotors import shaft
 
 HIGHEST_PEAK = 5.0

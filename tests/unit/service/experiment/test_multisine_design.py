@@ -13,8 +13,8 @@ from service.experiment.multisine_design import FLOOR, Design, PlaneDesign, desi
 from service.experiment.multisine_phases import LONGEST_S, MultisinePhases
 from service.experiment.multisine_plan import MultisineProfile
 from service.identification.input_design import line_information
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, relative_std, synthetic_experiment, synthetic_sweep
 
 SHEET = reference_datasheet()
 CONTROLLER = (np.array(SHEET.numerator), np.array(SHEET.denominator))
@@ -108,7 +108,7 @@ def test_damping_is_told_far_better_and_stiffness_no_worse_at_the_same_limits(
         told = line_information(model, CONTROLLER, 2 * np.pi * MAIN, noise, 2 * np.pi * 1000)
         pair = slice(2 * p, 2 * p + 2)
         designed, usual = (
-            told.relative_std(a[:, pair] ** 2 / mean_squares(design, a)[:, pair].max()) for a in (amplitudes, flat)
+            relative_std(told, a[:, pair] ** 2 / mean_squares(design, a)[:, pair].max()) for a in (amplitudes, flat)
         )
         assert np.all(designed[4:] < 0.3 * usual[4:])
         assert np.all(designed[:4] < usual[:4])

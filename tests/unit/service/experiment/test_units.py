@@ -8,8 +8,8 @@ import pytest
 from service.experiment.data import Experiment
 from service.experiment.errors import ExperimentFileError
 from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 SHEET = reference_datasheet()
 

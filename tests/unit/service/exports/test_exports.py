@@ -14,10 +14,10 @@ from service.exports import files, linear, responses
 from service.exports.control import control_of, from_control, to_control
 from service.exports.errors import ExportError
 from service.identification.saved import saved_planes
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from service.output import json_text, write_text
 from sim.reference import reference_rig
 from tests.support.commissioned import AXES, LAW, SHEET, result
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 ONE = np.ones(1)
 

@@ -9,9 +9,9 @@ from service.experiment.data import Experiment
 from service.identification.fit import identify
 from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 FREQUENCY_HZ = np.unique(
     np.concatenate([np.geomspace(10, 1000, 60), 493 + np.linspace(-6, 6, 7), 907.5 + np.linspace(-9, 9, 7)])

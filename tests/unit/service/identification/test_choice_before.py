@@ -18,8 +18,8 @@ from service.identification.residuals import Data
 from service.identification.selection import Selected, choose_modes
 from service.identification.staged import StagedFit, staged_fit
 from service.identification.start import joint_start, with_modes
-from service.identification.synthetic import synthetic_sweep
 from sim.datasheet import Datasheet
+from tests.support.planes import synthetic_sweep
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
 

@@ -12,12 +12,12 @@ from service.identification.controller_check import check_controller
 from service.identification.margins import computed_response, zone_table
 from service.identification.points import plane_points
 from service.identification.saved import saved_planes
-from service.identification.synthetic import plane_model_of, synthetic_sweep
 from sim.errors import AmbError, LevitationError
 from sim.reference import reference_rig
 from sim.stepping import Simulation
 from sim.twin import linear_model
 from tests.support.commissioned import AXES, LAW, SHEET, result
+from tests.support.planes import plane_model_of, synthetic_sweep
 
 SOFT = (np.array([18e3 * 0.3]), np.array([1.0]))
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.etfe import etfe, etfe_all
+from service.identification.etfe import etfe
 from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
-from service.identification.synthetic import synthetic_sweep
 from sim.errors import AmbError
+from tests.support.planes import synthetic_sweep
 
 
 def test_two_by_two_within_its_own_confidence_regions(datasheet, controller, truth: dict[str, PlaneModel]) -> None:
@@ -35,17 +35,6 @@ def test_currents_are_diagonal_and_sampled(experiment, datasheet, truth: dict[st
     assert np.max(np.abs(a.value[:, 0, 1])) < 6 * a.std[:, 0, 1].max()
 
 
-def test_four_by_four_has_nothing_between_the_planes(experiment, datasheet, truth: dict[str, PlaneModel]) -> None:
-    g = etfe_all(experiment.main, datasheet.axes, "u->y")
-    assert g.value.shape[1:] == (4, 4)
-    inside = np.linalg.norm(g.value[:, :2, :2], axis=(1, 2))
-    across = np.linalg.norm(g.value[:, 2:, :2], axis=(1, 2))
-    assert np.median(across / inside) < 1e-3
-    p = etfe_all(experiment.main, datasheet.axes, "i->y")
-    low = p.omega < 2 * np.pi * 50
-    assert np.allclose(p.value[low][:, :2, :2], truth["x"].plant_response(p.omega[low]), rtol=0.02)
-
-
 def test_more_experiments_than_inputs_are_averaged(experiment, datasheet) -> None:
     main = experiment.main
     twice = replace(
@@ -65,8 +54,6 @@ def test_a_sweep_without_currents_says_so(experiment, datasheet) -> None:
     blind = replace(experiment.main, I=None)
     with pytest.raises(AmbError, match="coil currents"):
         etfe(plane_points(blind, datasheet.axes, "x"), "u->i")
-    with pytest.raises(AmbError, match="coil currents"):
-        etfe_all(blind, datasheet.axes, "i->y")
 
 
 def test_frequencies_that_do_not_meet_are_refused(experiment, datasheet) -> None:

@@ -13,9 +13,9 @@ from service.identification.fit import identify
 from service.identification.options import Options
 from service.identification.plane_model import PlaneModel
 from service.identification.result import CommissioningResult
-from service.identification.synthetic import synthetic_experiment, synthetic_sweep
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.errors import AmbError
+from tests.support.planes import synthetic_experiment, synthetic_sweep
 from tests.support.two_axes import one_plane, sheet_of_one_plane
 
 

@@ -12,10 +12,11 @@ from service.identification.points import plane_points
 from service.identification.refine import refine
 from service.identification.residuals import Data, Weights
 from service.identification.split import Posterior, Split, log_ratios
-from service.identification.synthetic import closed_loop_points, plane_model_of, synthetic_experiment, synthetic_sweep
+from service.identification.synthetic import closed_loop_points
 from service.identification.uncertainty import uncertainty_of
 from service.identification.whitening import whitener
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.planes import plane_model_of, relative_std, synthetic_experiment, synthetic_sweep
 
 SHEET = reference_datasheet()
 CONTROLLER = (np.array(SHEET.numerator), np.array(SHEET.denominator))
@@ -66,7 +67,7 @@ def test_the_bound_is_the_deviation_of_a_fit_that_knows_the_noise(model: PlaneMo
         return np.log(np.concatenate([m.ki, m.ks, m.damping_ratios]))
 
     of_fit = held.std(model, figures)[1]
-    of_lines = told.relative_std(np.full((len(HZ), 2), amplitude**2))
+    of_lines = relative_std(told, np.full((len(HZ), 2), amplitude**2))
     assert np.allclose(of_lines, of_fit, rtol=0.02)
 
 
@@ -77,7 +78,7 @@ def test_no_powers_within_the_limits_tell_more(told: LineInformation, use: np.nd
 
     def value(logs: np.ndarray) -> float:
         p = np.exp(logs).reshape(power.shape)
-        return float(np.sum(np.log(told.relative_std(p / np.einsum("lsj,lj->s", use, p).max()))))
+        return float(np.sum(np.log(relative_std(told, p / np.einsum("lsj,lj->s", use, p).max()))))
 
     best = value(np.log(power).ravel())
     equal = np.zeros(power.size)
@@ -98,6 +99,6 @@ def test_powers_for_several_models_forgive_a_peak_that_was_misplaced(model: Plan
 
     sides = [beside(0.0), beside(10.0), beside(-10.0)]
     alone, together = best_powers(sides[:1], use), best_powers(sides, use)
-    mean = [np.mean([np.log(s.relative_std(p)) for s in sides]) for p in (alone, together)]
+    mean = [np.mean([np.log(relative_std(s, p)) for s in sides]) for p in (alone, together)]
     assert mean[1] < mean[0] - 0.02
-    assert np.all(sides[0].relative_std(together) < 2 * sides[0].relative_std(alone))
+    assert np.all(relative_std(sides[0], together) < 2 * relative_std(sides[0], alone))

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.identification.leakage import leakage
 from service.identification.points import plane_points
-from service.identification.synthetic import plane_model_of, synthetic_sweep
+from tests.support.planes import plane_model_of, synthetic_sweep
 from tests.support.whole_rigs import levitating
 
 AXES = ("xA", "xB")

@@ -17,9 +17,9 @@ from service.identification.combine import (
 from service.identification.force_law import excess_force
 from service.identification.plane_model import Amplitude, Known, Layout, PlaneModel, Points
 from service.identification.refine import amplitude_of
-from service.identification.synthetic import plane_model_of
 from sim.reference import reference_rig
 from sim.twin import linear_model
+from tests.support.planes import plane_model_of
 
 RNG = np.random.default_rng(0)
 OMEGA = 2 * np.pi * np.geomspace(10, 1000, 25)

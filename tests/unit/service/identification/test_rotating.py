@@ -17,12 +17,12 @@ from service.identification.rotating_fit import fit_rotating, held_rows
 from service.identification.rotating_model import RotatingModel, TurningPoints, joined, paired
 from service.identification.rotating_points import speed_points
 from service.identification.split import Split, log_ratios
-from service.identification.synthetic import plane_model_of
 from service.identification.whirl import loop_matrix, whirl
 from sim.datasheet import Datasheet
 from sim.loop import Loop
 from sim.rig import Rig
 from sim.twin import linear_model
+from tests.support.planes import plane_model_of
 from tests.support.turning import COUPLING, HZ, INTERNAL, PERIOD_S, POLAR, SPEEDS, rig_at, sweep_at, told_the_noise
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer

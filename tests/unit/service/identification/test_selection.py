@@ -17,9 +17,9 @@ from service.identification.residuals import Data, noise_of
 from service.identification.selection import Selected, choose_modes
 from service.identification.staged import staged_fit
 from service.identification.start import joint_start, modes_from, with_modes
-from service.identification.synthetic import synthetic_sweep
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.errors import AmbError
+from tests.support.planes import synthetic_sweep
 
 
 def _split_peak(one: PoleResidue) -> PoleResidue:

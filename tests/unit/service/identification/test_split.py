@@ -25,7 +25,7 @@ from service.identification.split import (
 )
 from service.identification.split_posterior import posterior
 from service.identification.start import with_modes, with_split
-from service.identification.synthetic import synthetic_sweep
+from tests.support.planes import synthetic_sweep
 
 NONE = np.empty(0)
 CLOSE = Knowledge(0.2, (True, True), NONE, NONE, 0.1)

@@ -8,9 +8,9 @@ import pytest
 from service.experiment.data import Experiment, Sweep
 from service.exports.responses import of_experiment
 from service.identification.sweeps import chosen_sweeps
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_rig
 from tests.support.commissioned import AXES, LAW
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 HZ = np.geomspace(10, 1000, 9)
 WHOLE = synthetic_sweep({p: plane_model_of(reference_rig(), p) for p in "xy"}, AXES, LAW, HZ, 0.05, seed=1)

@@ -7,11 +7,11 @@ import pytest
 
 from service.identification.fit import identify
 from service.identification.options import Options
-from service.identification.synthetic import plane_model_of
 from service.identification.tolerances import Tolerances
 from sim.datasheet import Mode, Tolerance
 from sim.reference import reference_rig
 from tests.support.measured import small_experiment
+from tests.support.planes import plane_model_of
 
 TRUTH = plane_model_of(reference_rig(), "x")
 LOOSE = Tolerance(

@@ -14,9 +14,9 @@ from service.identification.plane_model import PlaneModel
 from service.identification.points import plane_points
 from service.identification.residuals import Data, noise_of, predicted_blocks, residual_blocks
 from service.identification.ringing import Ringing, RingingPole, as_it_ran, slow_poles
-from service.identification.synthetic import synthetic_experiment, synthetic_sweep
 from service.identification.transient import Transient, settled
 from service.identification.transient_size import Source, Taken
+from tests.support.planes import synthetic_experiment, synthetic_sweep
 from tests.support.ringing import AXES, BLOCKS, CONTROLLER, HZ, RATE, SHEET, TRUTH, late, run, sheet
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer

@@ -10,9 +10,9 @@ from service.identification.points import plane_points
 from service.identification.refine import refine
 from service.identification.residuals import Data, Weights
 from service.identification.split import Posterior, Split, log_ratios
-from service.identification.synthetic import synthetic_sweep
 from service.identification.uncertainty import uncertainty_of
 from service.identification.whitening import whitener
+from tests.support.planes import synthetic_sweep
 from tests.support.ringing import AXES, CONTROLLER, HZ, TRUTH, sheet
 
 NOISE = 0.01

@@ -7,10 +7,10 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.identification.fit import identify
-from service.identification.synthetic import plane_model_of, synthetic_experiment, synthetic_sweep
 from sim.reference import reference_rig
 from tests.support import commissioned
 from tests.support.commissioned import LAW
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.two_axes import sheet_of_one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines

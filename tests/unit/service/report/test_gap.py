@@ -18,11 +18,11 @@ from service.gap.weighing.shrinkage import relative_gap, relative_noise, shrinka
 from service.gap.weighing.verdict import Verdict
 from service.gap.where.dependence import Dependence
 from service.gap.where.where import PathGap, Where
-from service.identification.synthetic import plane_model_of, synthetic_sweep
 from service.report.gap import gap_page
 from sim.effects import CATALOGUE, effect
 from sim.reference import reference_rig
 from tests.support.browser import BROWSER
+from tests.support.planes import plane_model_of, synthetic_sweep
 from tests.support.tab import tab
 
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
