@@ -14,6 +14,7 @@ from typing import Literal
 from sim.errors import EffectError
 from sim.rig import Rig
 from sim.sizes import Size
+from sim.wording import in_words
 
 Path = Literal["controller", "amplifier", "plant", "additive"]
 End = Literal["low", "high"]
@@ -88,7 +89,7 @@ class Parameter:
     @property
     def words(self) -> str:
         """The name as a person says it, without its unit."""
-        return self.name.removesuffix(SUFFIXES.get(self.unit, "")).replace("_", " ")
+        return in_words(self.name.removesuffix(SUFFIXES.get(self.unit, "")))
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from service.storage.blobs import Blobs
 from service.storage.database import Database, now, sqlite_file
 from service.storage.jobs import CANCELLED, QUEUED, RUNNING
 from service.storage.tables import Base, JobRow, WorkerRow
+from sim.wording import in_words
 
 UNFINISHED = (QUEUED, RUNNING)
 ENGINE_UNFINISHED = ("PENDING", "ENQUEUED", "DELAYED")
@@ -127,7 +128,7 @@ def _may_be_replaced(database: Database, replace: bool) -> None:
             if table.name not in passing and session.scalar(select(func.count()).select_from(table))
         ]
     if full and not replace:
-        raise ConflictError(f"the database holds {full[0].replace('_', ' ')} already; --replace gives them up")
+        raise ConflictError(f"the database holds {in_words(full[0])} already; --replace gives them up")
 
 
 def _own(database: Database, url: str, backup: Path, held: Manifest) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.console import print_json, say, stdout
+from sim.wording import in_words
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -210,7 +211,7 @@ def _end(parameter: dict[str, Any]) -> str:
 def _proposal(proposed: dict[str, Any]) -> str:
     """The next experiment in words, with how long it takes, what it promises, and what asks for it."""
     odds, minutes = 100 * proposed["odds_of_telling_apart"], proposed["rig_seconds"] / 60
-    one, other = (name.replace("+", " + ").replace("_", " ") for name in proposed["separates"])
+    one, other = (in_words(name) for name in proposed["separates"])
     words = (
         f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell {one} from {other}"
     )

@@ -18,6 +18,7 @@ from service.report.plane import plane_section
 from service.report.rotating import rotating_section
 from sim.datasheet import Datasheet, source_of
 from sim.folded import folded
+from sim.wording import in_words
 
 GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
@@ -169,7 +170,7 @@ def _known_effects(result: CommissioningResult) -> Iterator[str]:
     if result.known_effects:
         rows = [
             [
-                e.effect.replace("_", " "),
+                in_words(e.effect),
                 ", ".join(f"{name} {number(value, 4)}" for name, value in e.parameters),
                 "; ".join(e.in_model) or MISSING,
                 "; ".join(e.not_in_model) or MISSING,

@@ -15,6 +15,7 @@ from service.report.gap_discrepancy import discrepancy_figure
 from service.report.gap_loop import loop_parts
 from service.report.page import Captioned, Page, Section, Tone
 from sim.effects import CATALOGUE
+from sim.wording import in_words
 
 SHOWN = 3
 """Explanations whose parameters are open; the others are folded away."""
@@ -73,7 +74,7 @@ def _how_far(document: dict[str, Any], unseen: draw.Compared) -> list[Part]:
         rows.append(["closure", f"{_percent(s['closure'])} (95 %: {_percent(low)} to {_percent(high)})"])
         if runner is not None:
             rows.append(
-                [f"closure of the runner-up, {_words('+'.join(runner['effects']))}", _percent(runner["closure"])]
+                [f"closure of the runner-up, {in_words('+'.join(runner['effects']))}", _percent(runner["closure"])]
             )
     caption = "Distance of measured and twin, all axes together, line by line on the sweep that no fit has seen."
     parts: list[Part] = [table(["", document["shrinkage"]["held_out"]], rows)]
@@ -141,16 +142,16 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
     for name in verdict["effects"]:
         effect = CATALOGUE[name]
         parts.append(
-            paragraph(f"{_words(name)} acts in the {effect.path}: {effect.law}. Its signature: {effect.signature}.")
+            paragraph(f"{in_words(name)} acts in the {effect.path}: {effect.law}. Its signature: {effect.signature}.")
         )
     _, unlikely = alike(d)
     for group in verdict["indistinguishable"]:
         left = [g for g in group if g not in unlikely]
         if len(left) > 1:
-            names = ", ".join(_words(g) for g in left)
+            names = ", ".join(in_words(g) for g in left)
             parts.append(paragraph(f"These data cannot tell apart: {names}. {_separated(left)}", "note"))
         for other in (g for g in group if g in unlikely):
-            told = f"{_words(other)} fits about as well as {_words(left[0])} but is far less likely."
+            told = f"{in_words(other)} fits about as well as {in_words(left[0])} but is far less likely."
             parts.append(paragraph(f"{told} What separates them: {_separated([left[0], other])}"))
     parts += [paragraph(f"Why: {r}.") for r in verdict.get("reasons", ())]
     if document["discrepancy"]:
@@ -180,7 +181,7 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
 
 
 def _separated(group: list[str]) -> str:
-    return "; ".join(f"{_words(g)} by {CATALOGUE[g].separated_by}" for g in group if g in CATALOGUE) + "."
+    return "; ".join(f"{in_words(g)} by {CATALOGUE[g].separated_by}" for g in group if g in CATALOGUE) + "."
 
 
 def _gap_after(candidate: dict[str, Any]) -> float | None:
@@ -193,7 +194,7 @@ def _parameters(candidates: list[dict[str, Any]]) -> str:
     """Fitted parameters, one row each; the first row of a candidate names it."""
     rows = []
     for c in candidates:
-        head, tail = _words(c["effect"]), [_percent(_gap_after(c), 3), number(c["log_evidence"], 6)]
+        head, tail = in_words(c["effect"]), [_percent(_gap_after(c), 3), number(c["log_evidence"], 6)]
         for name, e in c["parameters"].items():
             effect, _, parameter = name.rpartition(".")
             p = next(p for p in CATALOGUE[effect or c["effects"][0]].parameters if p.name == parameter)
@@ -202,7 +203,7 @@ def _parameters(candidates: list[dict[str, Any]]) -> str:
                 std = f"{e['at_bound']} end of range"
             if e.get("given"):
                 std = "given"
-            rows.append([head, f"{_words(effect)}: {p.words}" if effect else p.words, value, std, *tail])
+            rows.append([head, f"{in_words(effect)}: {p.words}" if effect else p.words, value, std, *tail])
             head, tail = "", ["", ""]
     found = table(["explanation", "parameter", "value", "std. dev.", "gap after", "log evidence"], rows, left=2)
     if any(e["at_bound"] for c in candidates for e in c["parameters"].values()):
@@ -245,7 +246,7 @@ def _next(document: dict[str, Any]) -> list[Part]:
             else "Nothing is left that an experiment would have to tell apart."
         )
         return [paragraph(text)]
-    a, b = (_words(x) for x in found["separates"])
+    a, b = (in_words(x) for x in found["separates"])
     parts: list[Part] = [
         paragraph(
             f"To tell {a} from {b}: {found['description']}. Predicted distance {number(found['distance_sd'], 3)} "
@@ -260,7 +261,7 @@ def _next(document: dict[str, Any]) -> list[Part]:
         job = escape(json.dumps(found["job"]))
         parts.append(f"<p>Submit it: <code>{command}</code></p><p>or POST /api/v1/jobs: <code>{job}</code></p>")
     others = [
-        [x["experiment"].replace("_", " "), number(x["distance_sd"], 3), number(x.get("rig_seconds", float("nan")), 3)]
+        [in_words(x["experiment"]), number(x["distance_sd"], 3), number(x.get("rig_seconds", float("nan")), 3)]
         for x in found.get("alternatives", ())
     ]
     if others:
@@ -272,10 +273,6 @@ def _next(document: dict[str, Any]) -> list[Part]:
     submit = table(["sweep", "axis", "Hz", "r, A"], tones)
     parts.append(f"<details><summary>{count(len(tones), 'tone')}</summary>{submit}</details>")
     return parts
-
-
-def _words(effect: str) -> str:
-    return effect.replace("_", " ").replace("+", " + ")
 
 
 def _percent(share: float | None, digits: int = 3) -> str:

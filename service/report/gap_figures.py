@@ -31,6 +31,7 @@ from service.report.figure import (
 )
 from service.report.format import MISSING
 from sim.rig import Rig
+from sim.wording import in_words
 
 Complex = NDArray[np.complex128]
 
@@ -247,7 +248,7 @@ def candidate_figure(d: Diagnosis, document: Mapping[str, Any], most: int = 8) -
     best = likeliest(document)[:most]
     if not best:
         return None
-    names = [_in_lines(c["effect"].replace("_", " ").split("+")) for c in best]
+    names = [_in_lines([in_words(e) for e in c["effect"].split("+")]) for c in best]
     height = 96 + 30 * len(best)
     fig = Figure("candidates", 1, 2, height, titles=["probability", "closure on unseen data"], legend=False)
     fig.layout["margin"]["l"] = 210

@@ -12,13 +12,14 @@ from service.identification.validation import CorrelationTest
 from service.report.bode import RADIUS_99
 from service.report.figure import MODEL, REGION, SECOND, THIRD, Figure, band, line, points
 from service.report.format import fixed, number, table
+from sim.wording import in_words
 
 
 def residual_figure(plane: PlaneResult) -> Figure:
     """Whiteness and independence of the displacement's residuals, entry by entry, with 99 % bounds."""
     kinds = [("whiteness", plane.tests["whiteness"]), ("independence", plane.tests["independence"])]
     columns = max(1, len(kinds[0][1]))
-    titles = [t.name.replace("_", " ") for t in kinds[0][1]]
+    titles = [in_words(t.name) for t in kinds[0][1]]
     fig = Figure(
         f"residuals-{plane.plane}", 2, columns, 430, titles=titles, column_gap=0.04, row_gap_px=56, weights=(1, 1)
     )
@@ -46,7 +47,7 @@ def _stems(fig: Figure, row: int, column: int, test: CorrelationTest) -> None:
 def tests_table(plane: PlaneResult) -> str:
     """p-values of both tests and the size of the residuals, entry by entry."""
     rows = [
-        [t.name.replace("_", " "), kind, number(t.statistic, 4), str(t.degrees_of_freedom), number(t.p_value, 2)]
+        [in_words(t.name), kind, number(t.statistic, 4), str(t.degrees_of_freedom), number(t.p_value, 2)]
         for kind, tests in plane.tests.items()
         for t in tests
     ]

@@ -9,6 +9,7 @@ from service.identification.rotating import Turned
 from service.report.figure import FOURTH, MODEL, SECOND, THIRD, Figure, band, line
 from service.report.format import figures, fixed, number, paragraph, table
 from service.report.page import Captioned, Section
+from sim.wording import in_words
 
 COLOUR = {"forward": MODEL, "backward": SECOND, "planar": FOURTH}
 SHADE = {"forward": "rgba(0,114,178,0.22)", "backward": "rgba(213,94,0,0.22)", "planar": "rgba(204,121,167,0.25)"}
@@ -67,7 +68,7 @@ def _inertias(turned: Turned) -> str:
         e = turned.estimate(name, unit)
         rows.append([f"{label}, {unit}", *figures(e.value, e.std)])
     for name, e in turned.stiffness().items():
-        rows.append([f"{name.replace('_', ' ')}, {e.unit}", *figures(e.value, e.std)])
+        rows.append([f"{in_words(name)}, {e.unit}", *figures(e.value, e.std)])
     return table(["all speeds together", "identified", "std. dev."], rows)
 
 
