@@ -16,6 +16,7 @@ from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
+from service.identification.derivatives import central_differences, propagated_std
 from service.identification.etfe import SingularInputError, etfe
 from service.identification.known import as_identified, computed, led_back
 from service.identification.logged import checked
@@ -179,15 +180,10 @@ def _changes(
 
 def _std(figures: PlaneFigures, saved: SavedPlane, covariance: Real) -> Real:
     """Standard deviations of the baseline's figures."""
-    size = np.sqrt(np.diag(covariance))
-    columns = []
-    for place, s in zip(np.flatnonzero(saved.free), size, strict=True):
-        step = np.zeros_like(saved.model.theta)
-        step[place] = max(min(0.1 * s, 1e-5 * abs(saved.model.theta[place])), 1e-12)
-        up, down = (figures.of(saved.model.at(saved.model.theta + sign * step)) for sign in (1, -1))
-        columns.append((up - down) / (2 * step[place]))
-    gradient = np.stack(columns, axis=-1)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("ka,ab,kb->k", gradient, covariance, gradient), 0.0)))
+    model, size = saved.model, np.sqrt(np.diag(covariance))
+    steps = np.maximum(np.minimum(0.1 * size, 1e-5 * np.abs(model.theta[saved.free])), 1e-12)
+    gradient = central_differences(lambda theta: figures.of(model.at(theta)), model.theta, saved.free, steps)
+    return propagated_std(gradient, covariance)
 
 
 def _measured_peaks(points: PlanePoints) -> tuple[float, float] | None:

@@ -19,6 +19,7 @@ import numpy as np
 from service.experiment.aims import Profile
 from service.experiment.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
 from service.health.monitored import plane_figures
+from service.identification.derivatives import central_differences
 from service.identification.known import as_identified
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.saved import SavedPlane, saved_planes
@@ -242,13 +243,9 @@ def _gradient(design: _Design, model: PlaneModel) -> Real:
     """Derivatives of the figures, relative to their values, to the free parameters, (K, n)."""
     saved = design.saved
     sd = np.sqrt(np.diag(saved.covariance_from_data))
-    columns = []
-    for place, s in zip(np.flatnonzero(saved.free), sd, strict=True):
-        step = np.zeros_like(model.theta)
-        step[place] = max(min(0.3 * s, 1e-4 * abs(model.theta[place])), 1e-12)
-        change = design.figures.of(model.at(model.theta + step)) - design.figures.of(model.at(model.theta - step))
-        columns.append(change / (2 * step[place]))
-    return np.stack(columns, axis=-1) / np.abs(design.values)[:, None]
+    steps = np.maximum(np.minimum(0.3 * sd, 1e-4 * np.abs(model.theta[saved.free])), 1e-12)
+    gradient = central_differences(lambda theta: design.figures.of(model.at(theta)), model.theta, saved.free, steps)
+    return gradient / np.abs(design.values)[:, None]
 
 
 def _greedy(designs: list[_Design], seconds: Real, budget_s: float) -> list[int]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.identification.derivatives import central_differences
 from service.identification.margins import computed_response
 from service.identification.plane_model import PlaneModel, Points
 from service.identification.split import Split, log_ratios, split_rows
@@ -105,12 +106,7 @@ def _wanted(model: PlaneModel, free: np.ndarray, end_rad_s: float) -> Real:
         m = model.at(theta)
         return np.asarray(np.log(np.concatenate([m.ki, m.ks, np.maximum(m.damping_ratios[inside], 1e-300)])))
 
-    columns = []
-    for place in np.flatnonzero(free):
-        step = np.zeros_like(model.theta)
-        step[place] = 1e-6 * max(abs(model.theta[place]), 1e-9)
-        columns.append((figures(model.theta + step) - figures(model.theta - step)) / (2 * step[place]))
-    return np.stack(columns, axis=1)
+    return central_differences(figures, model.theta, free, 1e-6 * np.maximum(np.abs(model.theta[free]), 1e-9))
 
 
 def best_powers(lines: Sequence[LineInformation], use: Real, rounds: int = ROUNDS) -> Real:

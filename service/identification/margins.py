@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from service.identification.derivatives import central_differences, propagated_std
 from service.identification.etfe import FrequencyResponse
 from service.identification.loop_margins import REST, loop_margins, moved
 from service.identification.plane_model import PlaneModel
@@ -236,11 +237,7 @@ def _stds(
         loops[known[:-1]] = 1.0 / s[:-1] - 1.0
         return np.append(np.abs(s[-1]), moved(places, loops.reshape(places.shape)))
 
-    gradient = []
     std = np.sqrt(np.maximum(np.diag(covariance), 0))
-    for place, size in zip(np.flatnonzero(free), std, strict=True):
-        step = np.zeros_like(model.theta)
-        step[place] = min(0.1 * size, 1e-4 * abs(model.theta[place])) or 1e-12
-        gradient.append((of(model.theta + step) - of(model.theta - step)) / (2 * step[place]))
-    g = np.array(gradient)
-    return [float(v) for v in np.sqrt(np.maximum(np.einsum("nk,nm,mk->k", g, covariance, g), 0.0))]
+    steps = np.minimum(0.1 * std, 1e-4 * np.abs(model.theta[free]))
+    gradient = central_differences(of, model.theta, free, np.where(steps == 0, 1e-12, steps))
+    return [float(v) for v in propagated_std(gradient, covariance)]

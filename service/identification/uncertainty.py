@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import chi2_above
+from service.identification.derivatives import central_differences, propagated_std
 from service.identification.least_squares import Fit, covariance_of
 from service.identification.noise import ESTIMATED_WEIGHTS as ESTIMATED_WEIGHTS
 from service.identification.plane_model import PlaneModel
@@ -66,22 +67,15 @@ class Uncertainty:
         Linear error propagation with central differences; complex values count as two.
         """
         gradient = self.gradient(model, of)
-        total = np.sqrt(np.maximum(np.einsum("kn,nm,km->k", gradient, self.covariance, gradient), 0.0))
-        data = np.sqrt(np.maximum(np.einsum("kn,nm,km->k", gradient, self.from_data, gradient), 0.0))
-        return total, data
+        return propagated_std(gradient, self.covariance), propagated_std(gradient, self.from_data)
 
     def gradient(self, model: Model, of: Callable[[Model], Real]) -> Real:
         """Derivatives of ``of`` to the free parameters, (K, n)."""
-        size = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        columns = []
-        for place, std in zip(np.flatnonzero(self.free), size, strict=True):
-            value = abs(model.theta[place])
-            step = min(0.1 * std, 1e-5 * value) if value > 0 and std > 0 else max(1e-6 * value, 1e-12)
-            up, down = model.theta.copy(), model.theta.copy()
-            up[place] += step
-            down[place] -= step
-            columns.append((of(model.at(up)) - of(model.at(down))) / (2 * step))
-        return np.stack(columns, axis=-1)
+        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        value = np.abs(model.theta[self.free])
+        usual, otherwise = np.minimum(0.1 * std, 1e-5 * value), np.maximum(1e-6 * value, 1e-12)
+        steps = np.where((value > 0) & (std > 0), usual, otherwise)
+        return central_differences(lambda theta: of(model.at(theta)), model.theta, self.free, steps)
 
 
 def uncertainty_of(
