@@ -71,7 +71,8 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
     Their slope jumps with u as it is held, by more than its sine asks for, and the samples fold the jumps back. So each
     point is stepped through its own samples, whose phases depend on how many of them a period has. What u has beyond
     the harmonics is not known: at 700 Hz it moves the current by 0.06 % where the limit halves it, and by 0.8 % where
-    a quarter is left.
+    a quarter is left. Nor is its noise, whose steps reach a limit that the tone alone does not: of 0.02 A rms, one of
+    769 A/s cut 0.7 % off a current whose slope was 480, and was fitted as one of 580.
 
     Parameters
     ----------
