@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import Request, Security
-from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Receive, Send
@@ -27,6 +26,7 @@ from service.access.loopback import must_be_this_machine
 from service.access.rate import Limiter, Rate
 from service.api.auditing import audit
 from service.api.kept import Kept
+from service.api.query import KnownQuery
 from service.storage import keys as rows
 from service.storage.database import Database, now
 
@@ -198,8 +198,8 @@ def require(scope: Scope) -> Callable[..., Coroutine[Any, Any, Identity]]:
     return allowed
 
 
-class KeyFirst(APIRoute):
-    """A route that asks for a key, as its `require` says, before a body is read and before it tells its methods.
+class KeyFirst(KnownQuery):
+    """A route that asks for a key, as its `require` says, before a body is read and before it tells what it knows.
 
     FastAPI on its own reads the body first, and tells anyone what is wrong with it.
     """

@@ -14,12 +14,13 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.api.kept import Momentary
 from service.api.problems import Documented, documented
+from service.api.query import KnownQuery
 from service.api.shapes import Shape
 from service.api.state import Api, Services
 from service.storage import jobs, migrate, workers
 from service.storage.database import now
 
-router = APIRouter(tags=["operations"])
+router = APIRouter(tags=["operations"], route_class=KnownQuery)
 
 FRESH_S = 1.0
 """Whoever asks again within this time gets the same answer: no key is asked for here."""
@@ -28,7 +29,8 @@ PATIENCE_S = 2.0
 NO_ANSWER = "no answer yet"
 LEAST_BYTES = 10_000_000
 """With less room neither rows nor an experiment can be kept, and what was measured is lost to a full disk."""
-_LIMITED: Documented = {429: documented()[429]}
+_UNKNOWN: Documented = {422: documented()[422]}
+_LIMITED: Documented = _UNKNOWN | {429: documented()[429]}
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 
 
@@ -102,7 +104,7 @@ class Alive(Shape):
     alive: bool = True
 
 
-@router.get("/healthz", response_model=Alive)
+@router.get("/healthz", response_model=Alive, responses=_UNKNOWN)
 async def alive() -> Alive:
     """Whether the process answers: restart it when it does not."""
     return Alive()

@@ -75,6 +75,16 @@ class UnprocessableError(AmbError):
     """The request is well formed, but means nothing here."""
 
 
+class UnknownQueryError(AmbError):
+    """Query parameters were sent that the address does not know."""
+
+    def __init__(self, unknown: list[str], known: list[str]) -> None:
+        knows = f"it knows {', '.join(known)}" if known else "it knows none"
+        many = "s" if len(unknown) > 1 else ""
+        super().__init__(f"unknown query parameter{many} {', '.join(map(repr, unknown))} at this address; {knows}")
+        self.fields = [{"field": f"query.{name}", "reason": f"unknown; {knows}"} for name in unknown]
+
+
 class UnavailableError(AmbError):
     """A part of the service is away."""
 
@@ -140,7 +150,8 @@ async def _amb_error(request: Request, error: Exception) -> Response:
         headers["Retry-After"] = "2"
     elif status == 401:
         headers["WWW-Authenticate"] = 'Bearer realm="ambit"'
-    return problem(request, status, str(error), headers=headers)
+    fields = error.fields if isinstance(error, UnknownQueryError) else None
+    return problem(request, status, str(error), fields, headers)
 
 
 async def _invalid(request: Request, error: Exception) -> Response:
