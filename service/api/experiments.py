@@ -22,7 +22,7 @@ from service.api.auditing import audit
 from service.api.once import Answer, once
 from service.api.problems import MediaTypeError, TooLargeError, documented
 from service.api.shapes import (
-    After,
+    AfterExperiment,
     ExperimentId,
     IdempotencyKey,
     IfNoneMatch,
@@ -234,7 +234,12 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name
 
 @router.get("/experiments", response_model=Listed[ExperimentShape], responses=etags.documented_list())
 def list_experiments(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+    who: Viewer,
+    api: Api,
+    rig: OfRig = None,
+    after: AfterExperiment = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All experiments, newest first."""
     with api.database.read() as session:

@@ -9,7 +9,7 @@ from pydantic import ConfigDict
 
 from service.api import etags, example_documents, examples
 from service.api.access import KeyFirst
-from service.api.shapes import After, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
+from service.api.shapes import AfterGap, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results
 from service.storage.tables import GapRow
@@ -68,7 +68,12 @@ def shape(row: GapRow) -> GapShape:
 
 @router.get("", response_model=Listed[GapShape], responses=etags.documented_list())
 def list_gaps(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+    who: Viewer,
+    api: Api,
+    rig: OfRig = None,
+    after: AfterGap = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All diagnoses, newest first."""
     with api.database.read() as session:

@@ -9,7 +9,7 @@ from pydantic import ConfigDict
 
 from service.api import etags, examples
 from service.api.access import KeyFirst
-from service.api.shapes import After, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
+from service.api.shapes import AfterHealth, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results, rigs
 from service.storage.listing import LARGEST_PAGE
@@ -122,7 +122,7 @@ def list_health_checks(
     api: Api,
     rig: OfRig = None,
     alarm: Annotated[bool | None, Query(description="Only alarms, or only others.")] = None,
-    after: After = None,
+    after: AfterHealth = None,
     limit: Limit = 100,
     if_none_match: IfNoneMatch = None,
 ) -> Response:
@@ -159,7 +159,7 @@ def health_trend(
     rig_id: RigId,
     who: Viewer,
     api: Api,
-    after: After = None,
+    after: AfterHealth = None,
     limit: Limit = LARGEST_PAGE,
     if_none_match: IfNoneMatch = None,
 ) -> Response:

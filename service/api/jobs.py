@@ -16,7 +16,7 @@ from service.api.once import Answer, once
 from service.api.options import OF_A_JOB, checked_options
 from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
-    After,
+    AfterJob,
     IdempotencyKey,
     IfNoneMatch,
     JobId,
@@ -245,7 +245,7 @@ def list_jobs(
     state: Annotated[State | None, Query(description="Only in this state.")] = None,
     kind: Annotated[Kind | None, Query(description="Only of this kind.")] = None,
     rig: OfRig = None,
-    after: After = None,
+    after: AfterJob = None,
     limit: Limit = 100,
     if_none_match: IfNoneMatch = None,
 ) -> Response:

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
 
 from service.access.audit import Action
-from service.api import etags, examples
+from service.api import etags, examples, identifiers
 from service.api.access import KeyFirst
-from service.api.shapes import After, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
+from service.api.shapes import AfterLine, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import audit
 from service.storage.tables import AuditRow
@@ -72,9 +72,9 @@ def list_audit(
     rig: OfRig = None,
     action: Annotated[Action | None, Query(description="Only this action.")] = None,
     subject: Annotated[
-        str | None, Query(description="Only about this thing.", max_length=40, pattern=r"^[a-z]+_[0-9a-z]+$")
+        str | None, Query(description="Only about this thing.", max_length=40, pattern=identifiers.ANY)
     ] = None,
-    after: After = None,
+    after: AfterLine = None,
     limit: Limit = 100,
     if_none_match: IfNoneMatch = None,
 ) -> Response:

@@ -13,7 +13,7 @@ from service.api import etags, examples
 from service.api import example_documents as documents
 from service.api.access import KeyFirst
 from service.api.shapes import (
-    After,
+    AfterModel,
     IfNoneMatch,
     Limit,
     Listed,
@@ -136,7 +136,12 @@ def _exports(row: ModelRow, address: str) -> dict[str, str]:
 
 @router.get("/models", response_model=Listed[ModelShape], responses=etags.documented_list())
 def list_models(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+    who: Viewer,
+    api: Api,
+    rig: OfRig = None,
+    after: AfterModel = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All models, newest first."""
     with api.database.read() as session:
@@ -285,7 +290,12 @@ def _history(api: Api, rig_id: str, after: str | None, limit: int, name: str, if
 
 @router.get("/rigs/{rig_id}/stiffness", response_model=Listed[HistoryEntry], responses=etags.documented_list(404))
 def stiffness_history(
-    rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+    rig_id: RigId,
+    who: Viewer,
+    api: Api,
+    after: AfterModel = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """ki (N/A) and ks (N/m) of a rig's bearings with their standard deviations, newest model first."""
     return _history(api, rig_id, after, limit, "stiffness", if_none_match)
@@ -293,7 +303,12 @@ def stiffness_history(
 
 @router.get("/rigs/{rig_id}/modes", response_model=Listed[HistoryEntry], responses=etags.documented_list(404))
 def mode_history(
-    rig_id: RigId, who: Viewer, api: Api, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+    rig_id: RigId,
+    who: Viewer,
+    api: Api,
+    after: AfterModel = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Natural frequencies (rad/s) and damping ratios of a rig's rotor, newest model first."""
     return _history(api, rig_id, after, limit, "modes", if_none_match)

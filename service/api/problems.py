@@ -17,6 +17,7 @@ from starlette.routing import Match
 
 from drivers.errors import BusError, ControllerError, LeaseError
 from service.access.errors import ForbiddenError, RateError, UnauthorisedError
+from service.api import identifiers
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.uploads.errors import UploadError
 from sim.errors import AmbError, reason
@@ -160,9 +161,19 @@ async def _invalid(request: Request, error: Exception) -> Response:
         return problem(request, 415, "the body is not said to be JSON; send Content-Type: application/json")
     if (unknown := _unknown(request, error)) is not None:
         return problem(request, 404, unknown)
-    found = [{"field": ".".join(str(p) for p in e["loc"]), "reason": e["msg"]} for e in error.errors()]
+    found = [{"field": ".".join(str(p) for p in e["loc"]), "reason": _reason(e)} for e in error.errors()]
     first = f"{found[0]['field']}: {found[0]['reason']}" if found else "the request is not valid"
     return problem(request, 422, first, found)
+
+
+def _reason(wrong: dict[str, Any]) -> str:
+    """What is wrong with a field; a pattern for ids is told in words, which nobody has to decipher."""
+    asked = identifiers.WORDS.get(wrong.get("ctx", {}).get("pattern", ""))
+    if asked is None:
+        return str(wrong["msg"])
+    if wrong["loc"][-1] == "after":
+        return f"{asked}, the field `next` of the page before; {wrong['input']!r} is none"
+    return f"{asked}; {wrong['input']!r} is none"
 
 
 def _unknown(request: Request, error: RequestValidationError) -> str | None:

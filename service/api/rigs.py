@@ -18,7 +18,7 @@ from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
     AFTER,
     Admin,
-    After,
+    AfterRig,
     IdempotencyKey,
     IfMatch,
     IfNoneMatch,
@@ -204,7 +204,7 @@ def create_rig(
 def list_rigs(
     who: Viewer,
     api: Api,
-    after: After = None,
+    after: AfterRig = None,
     limit: Limit = 100,
     retired: Annotated[bool, Query(description="Those too that were retired.")] = False,
     if_none_match: IfNoneMatch = None,

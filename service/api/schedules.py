@@ -17,7 +17,8 @@ from service.api.problems import documented
 from service.api.schedule_shapes import DeliveryShape, RunShape, ScheduleShape, ScheduleWanted, shape
 from service.api.shapes import (
     AFTER,
-    After,
+    AfterDelivery,
+    AfterSchedule,
     IdempotencyKey,
     IfMatch,
     IfNoneMatch,
@@ -100,7 +101,12 @@ def create_schedule(
 
 @router.get("", response_model=Listed[ScheduleShape], responses=etags.documented_list())
 def list_schedules(
-    who: Viewer, api: Api, rig: OfRig = None, after: After = None, limit: Limit = 100, if_none_match: IfNoneMatch = None
+    who: Viewer,
+    api: Api,
+    rig: OfRig = None,
+    after: AfterSchedule = None,
+    limit: Limit = 100,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All schedules, newest first."""
     with api.database.read() as session:
@@ -174,7 +180,7 @@ def list_deliveries(
     schedule_id: ScheduleId,
     who: Viewer,
     api: Api,
-    after: After = None,
+    after: AfterDelivery = None,
     limit: Limit = 100,
     if_none_match: IfNoneMatch = None,
 ) -> Response:

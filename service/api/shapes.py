@@ -9,6 +9,7 @@ from fastapi import Depends, Header, Path, Query
 from pydantic import BaseModel, ConfigDict, PlainSerializer, model_validator
 
 from service.access.keys import Identity, Scope
+from service.api import identifiers
 from service.api.access import require
 from service.storage.listing import LARGEST_PAGE
 
@@ -69,8 +70,13 @@ def identifier(prefix: str) -> Any:
         description=f"Id of the resource, {prefix}_...",
         max_length=40,
         pattern=rf"^{prefix}_[0-9a-z]+$",
-        examples=[f"{prefix}_01k9abcdefghjkmnpqrstvwxyz"],
+        examples=[identifiers.example(prefix)],
     )
+
+
+def cursor(prefix: str) -> Any:
+    """A query parameter: where a page of such resources begins."""
+    return Query(description=AFTER, max_length=40, pattern=identifiers.pattern(prefix))
 
 
 RigId = Annotated[str, identifier("rig")]
@@ -82,9 +88,17 @@ HealthId = Annotated[str, identifier("hc")]
 ScheduleId = Annotated[str, identifier("sch")]
 
 AFTER = "The field `next` of the page before."
-After = Annotated[str | None, Query(description=AFTER, max_length=40, pattern=r"^[a-z]+_[0-9a-z]+$")]
+AfterRig = Annotated[str | None, cursor("rig")]
+AfterJob = Annotated[str | None, cursor("job")]
+AfterExperiment = Annotated[str | None, cursor("exp")]
+AfterModel = Annotated[str | None, cursor("mod")]
+AfterGap = Annotated[str | None, cursor("gap")]
+AfterHealth = Annotated[str | None, cursor("hc")]
+AfterSchedule = Annotated[str | None, cursor("sch")]
+AfterDelivery = Annotated[str | None, cursor("whd")]
+AfterLine = Annotated[str | None, cursor("aud")]
 Limit = Annotated[int, Query(description="Items of a page.", ge=1, le=LARGEST_PAGE)]
-OfRig = Annotated[str | None, Query(description="Only of this rig.", max_length=40, pattern=r"^rig_[0-9a-z]+$")]
+OfRig = Annotated[str | None, Query(description="Only of this rig.", max_length=40, pattern=identifiers.pattern("rig"))]
 
 IfMatch = Annotated[
     str | None,

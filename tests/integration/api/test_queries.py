@@ -47,3 +47,38 @@ def test_a_misspelt_filter_beside_a_good_one_is_named_with_those_that_there_are(
 
 def test_a_method_that_there_is_not_is_told_as_that(api):
     assert_problem(api.patch("/jobs", params={"stat": "x"}), 405, "PATCH")
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "own"),
+    [
+        ("/rigs", "rig", "rig"),
+        ("/jobs", "job", "job"),
+        ("/experiments", "experiment", "exp"),
+        ("/models", "model", "mod"),
+        ("/gaps", "gap diagnosis", "gap"),
+        ("/health-checks", "health check", "hc"),
+        ("/schedules", "schedule", "sch"),
+        ("/audit", "line of the audit log", "aud"),
+        ("/rigs/{rig}/stiffness", "model", "mod"),
+        ("/rigs/{rig}/modes", "model", "mod"),
+        ("/rigs/{rig}/trend", "health check", "hc"),
+    ],
+)
+def test_a_cursor_that_no_page_has_given_is_told_and_gives_no_list(api, rig, address, kind, own):
+    other = "job" if own != "job" else "rig"
+    for bad in ("page2", f"{own}_1", f"{own}_zzzzzzzzzzzzzzzzzzzzzzzzzz", rig.replace("rig_", f"{other}_"), ""):
+        answer = api.get(address.format(rig=rig), params={"after": bad})
+        assert_problem(answer, 422, "query.after", f"the id of a {kind}", f"{own}_01k9", "`next`")
+    good = api.get(address.format(rig=rig), params={"after": rig.replace("rig_", f"{own}_")})
+    assert good.status_code == 200, good.text
+
+
+def test_an_id_that_is_none_is_told_in_words(api):
+    words = "the id of a rig, rig_ and 26 digits and small letters, as rig_01k9abcdefghjkmnpqrstvwxyz; not its name"
+    for name in ("bench", "RIG_01K9ABCDEFGHJKMNPQRSTVWXYZ", "rig_1"):
+        for address in ("/jobs", "/models", "/schedules", "/audit"):
+            answer = api.get(address, params={"rig": name})
+            assert_problem(answer, 422, "query.rig", words, f"{name!r} is none")
+            assert "pattern" not in answer.text
+    assert_problem(api.get("/audit", params={"subject": "bench 3"}), 422, "query.subject", "id", "as job_01k9")

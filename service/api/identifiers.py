@@ -1,0 +1,51 @@
+"""What an id looks like where one is asked for: its pattern for programs, and the same in words for people."""
+
+from __future__ import annotations
+
+_LETTERS = "0-9a-hjkmnp-tv-z"
+_EXAMPLE = "01k9abcdefghjkmnpqrstvwxyz"
+KINDS = {
+    "rig": "rig",
+    "job": "job",
+    "exp": "experiment",
+    "mod": "model",
+    "gap": "gap diagnosis",
+    "hc": "health check",
+    "sch": "schedule",
+    "whd": "delivery",
+    "aud": "line of the audit log",
+}
+ANY = rf"^[a-z]{{2,3}}_[{_LETTERS}]{{26}}[0-9a-z]*$"
+"""Pattern of an id of any kind."""
+
+
+def pattern(prefix: str) -> str:
+    """Pattern of the ids of a kind: 128 bits in base 32, so that the first letter is 7 at most.
+
+    >>> import re
+    >>> bool(re.match(pattern("rig"), "rig_01k9abcdefghjkmnpqrstvwxyz")), bool(re.match(pattern("rig"), "rig_1"))
+    (True, False)
+    """
+    more = "[0-9a-z]*" if prefix == "whd" else ""  # of several deliveries about one thing
+    return rf"^{prefix}_[0-7][{_LETTERS}]{{25}}{more}$"
+
+
+def example(prefix: str) -> str:
+    """An id of a kind.
+
+    >>> example("job")
+    'job_01k9abcdefghjkmnpqrstvwxyz'
+    """
+    return f"{prefix}_{_EXAMPLE}"
+
+
+def _words(prefix: str) -> str:
+    name = "; not its name" if prefix == "rig" else ""
+    kind = KINDS[prefix]
+    return f"the id of a {kind}, {prefix}_ and 26 digits and small letters, as {example(prefix)}{name}"
+
+
+WORDS = {pattern(prefix): _words(prefix) for prefix in KINDS} | {
+    ANY: f"the id of a thing, its kind and 26 digits and small letters, as {example('job')}"
+}
+"""What a pattern asks for, in words."""
