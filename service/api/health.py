@@ -122,13 +122,14 @@ def list_health_checks(
     api: Api,
     rig: OfRig = None,
     alarm: Annotated[bool | None, Query(description="Only alarms, or only others.")] = None,
+    newest: Annotated[bool, Query(description="Only the newest check of each rig: how it is now.")] = False,
     after: AfterHealth = None,
     limit: Limit = 100,
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All health checks, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, HealthRow, rig, after, limit, alarm=alarm)
+        page = results.listed(session, HealthRow, rig, after, limit, newest, alarm=alarm)
     return etags.document(
         Listed[HealthShape](items=[HealthShape(**_values(row)) for row in page.items], next=page.next), if_none_match
     )

@@ -21,9 +21,11 @@ class HealthChecks:
         """A check with its whole document."""
         return HealthCheck.model_validate(self._transport.get(f"/health-checks/{health_id}"))
 
-    def list(self, rig: str | None = None, alarm: bool | None = None) -> Iterator[HealthCheck]:
-        """Checks, newest first."""
-        return self._transport.pages("/health-checks", HealthCheck.model_validate, rig=rig, alarm=alarm)
+    def list(
+        self, rig: str | None = None, alarm: bool | None = None, newest: bool | None = None
+    ) -> Iterator[HealthCheck]:
+        """Checks, newest first; with ``newest`` only the last one of each rig."""
+        return self._transport.pages("/health-checks", HealthCheck.model_validate, rig=rig, alarm=alarm, newest=newest)
 
     def trend(self, rig_id: str, after: str | None = None) -> Trend:
         """Every monitored figure of a rig over its newest checks, or those before."""

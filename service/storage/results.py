@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from service.errors import NotFoundError
@@ -45,12 +45,18 @@ def listed(
     rig_id: str | None = None,
     after: str | None = None,
     limit: int = 100,
+    newest: bool = False,
     **equal: Any,
 ) -> Page[Row]:
-    """A page of results, of one rig or of all; ``equal`` are columns and their values, None for any."""
+    """A page of results, of one rig or of all; ``equal`` are columns and their values, None for any.
+
+    ``newest`` leaves the newest of each rig only, before any column is asked for.
+    """
     conditions: list[ColumnElement[bool]] = [
         getattr(table, name) == value for name, value in {"rig_id": rig_id, **equal}.items() if value is not None
     ]
+    if newest:
+        conditions.append(table.id.in_(select(func.max(table.id)).group_by(table.rig_id)))
     return page(session, table, *conditions, after=after, limit=limit)
 
 

@@ -43,13 +43,18 @@ function told(error) {
   if (error instanceof Problem && error.status === 401) form.hidden = false;
 }
 
+const BUSY_MS = 5000; // while a job waits or runs,
+const IDLE_MS = 30000; // and while none does: a schedule may begin one
+
 async function overview(context) {
-  const [rigs, jobs, checks] = await Promise.all([
-    get("/rigs?limit=200", context.signal), get("/jobs?limit=15", context.signal), get("/health-checks?limit=200", context.signal),
+  const [rigs, newest, running, checks] = await Promise.all([
+    get("/rigs?limit=1000", context.signal), get("/jobs?limit=15", context.signal),
+    get("/jobs?state=running&limit=15", context.signal), get("/health-checks?newest=true&limit=1000", context.signal),
   ]);
+  const jobs = newest.items.concat(running.items.filter((job) => !newest.items.some((shown) => shown.id === job.id)));
+  context.every(jobs.some(tables.active) ? BUSY_MS : IDLE_MS, context.refresh);
   const names = new Map(rigs.items.map((r) => [r.id, r.name]));
-  const latest = new Map();
-  for (const check of checks.items) if (!latest.has(check.rig)) latest.set(check.rig, check);
+  const latest = new Map(checks.items.map((check) => [check.rig, check]));
   const rows = rigs.items.map((r) => {
     const check = latest.get(r.id);
     const health = check ? h("span", {}, check.alarm ? state("alarm") : "", check.alarm ? " " : "", check.alarm ? check.drifted.join(", ") : "zone ", check.alarm ? "" : state(check.zone), " ", when(check.created_at)) : "not checked";
@@ -57,8 +62,24 @@ async function overview(context) {
   });
   return [
     section("Rigs", rigs.items.length ? table(["rig", "axes", "controller", "health"], rows) : nothing("No rigs yet: POST /api/v1/rigs with a datasheet.")),
-    section("Jobs", tables.jobs(jobs.items, names, context)),
+    section("Jobs", tables.jobs(jobs, names, context), newest.next ? more("#/jobs", "All jobs") : ""),
   ];
+}
+
+// All jobs, a page at a time: "#/jobs", and "#/jobs/<id>" for those before that one.
+async function history(after, context) {
+  const [rigs, jobs] = await Promise.all([
+    get("/rigs?retired=true&limit=1000", context.signal),
+    get("/jobs?limit=100" + (after ? "&after=" + encodeURIComponent(after) : ""), context.signal),
+  ]);
+  if (jobs.items.some(tables.active)) context.every(BUSY_MS, context.refresh);
+  const names = new Map(rigs.items.map((r) => [r.id, r.name]));
+  return [section(after ? "Earlier jobs" : "All jobs", tables.jobs(jobs.items, names, context),
+    jobs.next ? more("#/jobs/" + jobs.next, "Earlier jobs") : "")];
+}
+
+function more(address, text) {
+  return h("p", {}, h("a", { class: "more", href: address }, text));
 }
 
 async function route(context) {
@@ -69,6 +90,7 @@ async function route(context) {
     const owner = await get("/rigs/" + found.rig, context.signal);
     return tables.job(found, new Map([[owner.id, owner.name]]), context);
   }
+  if (kind === "jobs") return history(id, context);
   return overview(context);
 }
 

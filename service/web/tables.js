@@ -9,20 +9,22 @@ const ACTIVE = ["queued", "running"];
 const MOVING = ["experiment", "health"];
 const RETRIABLE = ["failed", "cancelled"];
 
+export const active = (job) => ACTIVE.includes(job.state);
+
 export function jobs(list, names, context) {
   if (!list.length) return nothing("No jobs yet.");
   const heads = ["job", "rig", "state", "progress", "submitted", "by", ""];
   const rows = list.map((job) => cells(job, names, context));
   const made = table(heads, rows);
   const lines = made.querySelectorAll("tbody tr");
-  const active = list.map((job, k) => [job, lines[k]]).filter(([job]) => ACTIVE.includes(job.state));
-  for (const [job, line] of active.slice(-WATCHED)) {
+  const alive = list.map((job, k) => [job, lines[k]]).filter(([job]) => active(job));
+  for (const [job, line] of alive.slice(-WATCHED)) {
     events("/jobs/" + job.id + "/events", (now) => {
       line.replaceChildren(...cells(now, names, context).map((cell) => h("td", {}, cell)));
-      if (!ACTIVE.includes(now.state)) context.refresh();
+      if (!active(now)) context.refresh();
     }, context.signal);
   }
-  if (active.length > WATCHED) context.every(3000, context.refresh);
+  if (alive.length > WATCHED) context.every(3000, context.refresh);
   return made;
 }
 
@@ -34,7 +36,7 @@ function cells(job, names, context) {
     progress(job),
     when(job.created_at),
     job.submitted_by,
-    ACTIVE.includes(job.state) ? cancel(job, context) : "",
+    active(job) ? cancel(job, context) : "",
   ];
 }
 
@@ -89,11 +91,11 @@ export async function job(found, names, context) {
       ["ended", when(now.ended_at)],
       ["result", results(now)],
     ]),
-    ACTIVE.includes(now.state) ? h("p", { class: "row" }, cancel(now, context)) : "",
+    active(now) ? h("p", { class: "row" }, cancel(now, context)) : "",
     RETRIABLE.includes(now.state) ? h("p", { class: "row" }, retry(now, context)) : "",
   );
   show(found);
-  if (ACTIVE.includes(found.state)) events("/jobs/" + found.id + "/events", show, context.signal);
+  if (active(found)) events("/jobs/" + found.id + "/events", show, context.signal);
   return [h("h2", {}, "Job ", h("span", { class: "small" }, found.id)), told, place];
 }
 

@@ -1,0 +1,129 @@
+"""The overview of a service with a long history: no rig, job or change is lost behind what is newer."""
+
+import json
+from dataclasses import dataclass
+
+import httpx
+import pytest
+
+from service.config import Settings
+from service.storage import jobs, rigs
+from service.storage.database import now
+from service.storage.ids import new_id
+from service.storage.tables import ExperimentRow, HealthRow, ModelRow
+from sim.rig_file import to_toml
+from tests.support.browser import BROWSER
+from tests.support.commissioned import SHEET
+from tests.support.serving import Serving, serving
+from tests.support.tab import tab
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A service with a rig that was checked once, with an alarm, before another one was checked 201 times."""
+
+    service: Serving
+    rare: str
+    busy: str
+    oldest_job: str
+    running: str
+    """A job older than those that the overview lists."""
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    with serving(Settings(home=tmp_path_factory.mktemp("overview") / "home", port=0)) as service:
+        with service.services.database.write() as session:
+            rare, busy = (rigs.create(session, name, to_toml(SHEET), "", "", "x").id for name in ("rare", "busy"))
+            made = {rig: _model(session, rig) for rig in (rare, busy)}
+            _check(session, rare, made[rare], alarm=True)
+            for _ in range(201):
+                _check(session, busy, made[busy], alarm=False)
+            oldest, running = (jobs.submit(session, "gap", busy, 1, "x") for _ in range(2))
+            oldest.state, running.state = jobs.FAILED, jobs.RUNNING
+            oldest.error_title = "too few points"
+            for _ in range(120):
+                jobs.submit(session, "identification", busy, 1, "x").state = jobs.CANCELLED
+            found = Plant(service, rare, busy, oldest.id, running.id)
+        yield found
+
+
+def _model(session, rig: str) -> tuple[str, str]:
+    common = {"rig_id": rig, "rig_version": 1, "created_at": now(), "created_by": "x", "summary": {}}
+    experiment, model = new_id("exp"), new_id("mod")
+    session.add(
+        ExperimentRow(
+            id=experiment, source="measured", complete=True, file_sha256="0" * 64, file_bytes=1, file_name="e.h5",
+            media_type="application/x-hdf5", **common,
+        )
+    )  # fmt: skip
+    session.flush()
+    blobs = dict.fromkeys(("result_sha256", "report_sha256", "plots_sha256"), "0" * 64)
+    session.add(ModelRow(id=model, experiment_id=experiment, **blobs, **common))
+    session.flush()
+    return experiment, model
+
+
+def _check(session, rig: str, made: tuple[str, str], alarm: bool) -> str:
+    row = HealthRow(
+        id=new_id("hc"), rig_id=rig, rig_version=1, experiment_id=made[0], model_id=made[1], alarm=alarm,
+        document={"zone": "B", "drifted": ["x.kiA"] if alarm else [], "sentence": "", "parameters": {}},
+        report_sha256="0" * 64, created_at=now(),
+    )  # fmt: skip
+    session.add(row)
+    return row.id
+
+
+def test_the_newest_check_of_each_rig_is_asked_for_however_often_another_one_is_checked(plant):
+    with httpx.Client(base_url=f"{plant.service.url}/api/v1") as api:
+
+        def checks(**asked) -> dict:
+            return api.get("/health-checks", params=asked).json()
+
+        of_each = [checks(rig=rig, limit=1)["items"][0] for rig in (plant.busy, plant.rare)]
+        assert checks(newest=True) == {"items": of_each, "next": None}
+        assert checks(newest=True, alarm=True)["items"] == of_each[1:]
+        first = checks(newest=True, limit=1)
+        assert first["items"] + checks(newest=True, after=first["next"])["items"] == of_each
+
+
+@needs_browser
+def test_the_overview_has_the_newest_check_of_every_rig(plant):
+    with tab() as page:
+        page.open(f"{plant.service.url}/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        row = "[...document.querySelectorAll('tr')].find((r) => r.innerText.startsWith('rare')).innerText"
+        assert "x.kiA" in page.run(row)
+        assert "not checked" not in page.text()
+        assert page.complaints == []
+
+
+@needs_browser
+def test_every_job_is_reached_from_the_overview_and_one_that_runs_is_on_it(plant):
+    with tab() as page:
+        page.open(f"{plant.service.url}/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        assert page.run(f"!!document.querySelector('a[href=\"#/job/{plant.running}\"]')")
+        assert not page.run(f"!!document.querySelector('a[href=\"#/job/{plant.oldest_job}\"]')")
+        page.run("document.querySelector('a.more').click()")
+        page.until("document.querySelectorAll('tbody tr').length === 100")
+        page.run("document.querySelector('a.more').click()")
+        page.until(f"document.querySelector('a[href=\"#/job/{plant.oldest_job}\"]')")
+        assert not page.run("!!document.querySelector('a.more')")
+        assert "too few points" in page.text()
+        assert page.complaints == []
+
+
+@needs_browser
+def test_the_overview_shows_by_itself_what_changes_while_something_runs(plant):
+    with tab() as page:
+        page.open(f"{plant.service.url}/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        page.run("window.kept = true")
+        with plant.service.services.database.write() as session:
+            rigs.create(session, "bench 9", to_toml(SHEET), "", "", "x")
+        page.until(f"document.body.innerText.includes({json.dumps('bench 9')})", 20)
+        assert page.run("window.kept")
+        assert page.complaints == []
