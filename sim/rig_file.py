@@ -218,6 +218,20 @@ def _must_be_shallow(text: str) -> None:
             )
 
 
+def _must_be_in_hz(f: _File) -> None:
+    """Raise DatasheetError for a bandwidth so far below the sample rate that no loop levitates: it is in kHz."""
+    rate_hz = 1.0 / f.controller.sample_time_s
+    for section, part in (("amplifier", f.amplifier), ("sensor", f.sensor)):
+        for name in ("bandwidth_hz", "natural_frequency_hz"):
+            value = getattr(part, name, None)
+            least = min(value) if isinstance(value, list) and value else value
+            if isinstance(least, float) and least < rate_hz / 1000:
+                raise DatasheetError(
+                    f"{section}.{name} is {least:g}, less than a thousandth of the controller's {rate_hz:.0f} Hz "
+                    "sample rate, and no such rig levitates; give it in Hz, not in kHz"
+                )
+
+
 def parse(text: str, source: str = "rig.toml") -> Datasheet:
     """Read a datasheet from TOML text.
 
@@ -242,6 +256,7 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
         raise DatasheetError(f"{source}: {_first_problem(error)}") from error
     n = len(f.rig.axes)
     try:
+        _must_be_in_hz(f)
         natural = f.amplifier.natural_frequency_hz if f.amplifier.bandwidth_hz is None else f.amplifier.bandwidth_hz
         assert natural is not None
         stated = {k: v for k, v in (f.tolerance.model_dump() if f.tolerance else {}).items() if v is not None}

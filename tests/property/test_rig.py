@@ -32,6 +32,8 @@ tolerances = st.builds(lambda values: Tolerance(*values), st.lists(positive, min
 def datasheets(draw: st.DrawFn) -> Datasheet:
     n = draw(st.sampled_from([2, 4]))
     per_axis = st.tuples(*[positive] * n)
+    sample_time_s = draw(positive)
+    bandwidths_hz = st.tuples(*[st.floats(1.1e-3 / sample_time_s, 1e16)] * n)  # slower ones are told to be in kHz
     order = draw(st.integers(1, 6))
     denominator = (draw(positive), *draw(st.lists(any_number, min_size=order - 1, max_size=order - 1)))
     stated = draw(st.booleans())
@@ -49,11 +51,11 @@ def datasheets(draw: st.DrawFn) -> Datasheet:
         bias_current_a=draw(st.tuples(*[up_to[1e3]] * n)),
         linear_range_m=draw(up_to[0.01]),
         amplifier_gain=draw(per_axis),
-        amplifier_natural_frequency_hz=draw(per_axis),
+        amplifier_natural_frequency_hz=draw(bandwidths_hz),
         amplifier_damping_ratio=draw(st.none() | per_axis),
         sensor_gain=draw(per_axis),
-        sensor_bandwidth_hz=draw(st.none() | per_axis),
-        sample_time_s=draw(positive),
+        sensor_bandwidth_hz=draw(st.none() | bandwidths_hz),
+        sample_time_s=sample_time_s,
         computing_delay_s=draw(st.floats(0, 0.1)),
         numerator=tuple(draw(st.lists(any_number, min_size=1, max_size=order))),
         denominator=denominator,

@@ -1,5 +1,6 @@
 """A datasheet is read without loss, and one that is wrong ends in one line that names the field."""
 
+import re
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -290,6 +291,27 @@ def test_a_unit_that_no_rig_can_have_is_told_before_anything_moves(key, value, t
     with pytest.raises(DatasheetError) as error:
         rig_file.parse(with_line(key, value))
     assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("section", "lines", "told"),
+    [
+        ("amplifier", "bandwidth_hz = 1.5", r"amplifier\.bandwidth_hz is 1\.5, .* 10000 Hz .* Hz, not in kHz"),
+        ("amplifier", "bandwidth_hz = [2000, 2000, 2, 2000]", r"amplifier\.bandwidth_hz is 2, "),
+        ("amplifier", "natural_frequency_hz = 1.8\ndamping_ratio = 0.7", r"amplifier\.natural_frequency_hz is 1\.8, "),
+        ("sensor", "bandwidth_hz = 9", r"sensor\.bandwidth_hz is 9, "),
+    ],
+)
+def test_a_bandwidth_in_kilohertz_is_told(section: str, lines: str, told: str) -> None:
+    other = re.sub(rf"(?ms)^\[{section}\]\n.*?(?=^\[)", f"[{section}]\n{lines}\n\n", TEXT)
+    assert lines in other
+    with pytest.raises(DatasheetError, match=told):
+        rig_file.parse(other)
+
+
+def test_a_slow_amplifier_in_hertz_is_one() -> None:
+    slow = re.sub(r"(?ms)^\[amplifier\]\n.*?(?=^\[)", "[amplifier]\nbandwidth_hz = 40\n\n", TEXT)
+    assert rig_file.parse(slow).amplifier_natural_frequency_hz == (40.0,) * 4
 
 
 def test_of_a_name_that_is_wrong_the_name_is_told_and_not_what_is_missing_for_it():
