@@ -16,6 +16,7 @@ from drivers.errors import (
     LeaseError,
     LimitError,
     RestartError,
+    StopRefusedError,
     TripError,
 )
 from drivers.link import Link, LinkFactory, RefusedError
@@ -156,7 +157,7 @@ class Dialogue:
         ------
         BusError
             It was not heard within a second.
-        ControllerError
+        StopRefusedError
             The device refused it for as long: it may go on exciting.
         """
         deadline = time.monotonic() + STOP_PATIENCE_S
@@ -167,7 +168,7 @@ class Dialogue:
                 return
             except RefusedError as refused:
                 if time.monotonic() > deadline:
-                    raise ControllerError(
+                    raise StopRefusedError(
                         f"{self.links.description}: the controller refused to stop: {refused}; end the excitation there"
                     ) from refused
             except BusError as error:

@@ -11,6 +11,7 @@
         ├── BusyError            the controller is playing another tone
         ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
         ├── AddressError         a URL is none of a controller: its scheme, host or an option; says what is valid
+        ├── StopRefusedError     the controller refused to stop, and may go on exciting: end the excitation there
         ├── MapError             a rig's own map of registers or objects is wrong; names the object
         └── CancelledError       the excitation was stopped, and is off
             └── StoppedElsewhereError  by somebody else than the caller: see to the rig before it is excited again
@@ -58,6 +59,10 @@ class BusyError(ControllerError):
 
 class AddressError(ControllerError):
     """A URL is none of a controller."""
+
+
+class StopRefusedError(ControllerError):
+    """The controller refused to stop: it may go on exciting, and somebody has to end that at the controller."""
 
 
 class MapError(ControllerError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -11,7 +12,14 @@ from drivers.controller import Capabilities, PointResult, State, Status, Tone, T
 from drivers.device.lease import drawn_token
 from drivers.device.limits import check_tone
 from drivers.dialogue import Dialogue, held_by, number, numbers
-from drivers.errors import BusError, ControllerError, LeaseError, StoppedElsewhereError
+from drivers.errors import (
+    BusError,
+    CancelledError,
+    ControllerError,
+    LeaseError,
+    StoppedElsewhereError,
+    StopRefusedError,
+)
 from drivers.heartbeat import Heartbeat
 from drivers.link import LinkFactory
 from drivers.objects import Outcome
@@ -21,6 +29,10 @@ PATIENCE_S = 10.0
 """How long a call keeps trying on a bus that fails, before it raises `BusError`."""
 FIRST_PATIENCE_S = 2.0
 RELEASE_PATIENCE_S = 1.0
+STOP_TRIES = 3
+"""How often a stop that is refused is said again, for a second each, before the heartbeat is held back."""
+WATCHDOG_PATIENCE_S = 2.0
+"""How long a device has to end its excitation then."""
 
 
 class RemoteController:
@@ -129,9 +141,48 @@ class RemoteController:
                 self._lost = None
             # Whatever the reason (Ctrl-C, a lost bus): the device is told, and its watchdog does the rest.
             if self._dialogue.token:
-                with suppress(Exception):
-                    self._dialogue.stop(self._dialogue.token)
+                self._end_excitation(self._dialogue.token, error)
             raise
+
+    def _end_excitation(self, token: int, why: BaseException) -> None:
+        """Say stop, and again where it is refused; then hold the heartbeat back until the device has gone quiet.
+
+        Raises
+        ------
+        CancelledError
+            A stop that the caller asked for was refused, and the watchdog did it.
+        StopRefusedError
+            The device goes on exciting for all that.
+        """
+        for _ in range(STOP_TRIES):
+            try:
+                self._dialogue.stop(token)
+                return
+            except StopRefusedError as error:
+                refused = error
+            except Exception:  # the bus is down: no heartbeat reaches the device either
+                return
+        if self._heartbeat is not None:
+            self._heartbeat.close()
+        if not self._goes_quiet():
+            raise StopRefusedError(f"{refused}: it goes on exciting, also without a heartbeat") from why
+        if self._heartbeat is not None:
+            self._heartbeat = Heartbeat(self._dialogue.links.link(urgent=True), token)
+        if isinstance(why, StopRefusedError):
+            raise CancelledError(
+                "stopped: the controller refused to; its watchdog has ended the excitation, see why it does not stop"
+            ) from why
+
+    def _goes_quiet(self) -> bool:
+        """Whether the device ends its excitation in time."""
+        deadline = time.monotonic() + WATCHDOG_PATIENCE_S
+        while time.monotonic() < deadline:
+            with suppress(ControllerError):
+                values = self._dialogue.status(expect_boot=False, patience_s=0.0)
+                if values["outcome"] != Outcome.UNDER_WAY and not values["excitation_a"]:
+                    return True
+            time.sleep(0.02)
+        return False
 
     def _kept_back(self, tone: Tone) -> PointResult | None:
         """Result of this tone, if it was played and only its result was lost.

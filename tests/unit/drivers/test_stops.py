@@ -9,13 +9,14 @@ from contextlib import suppress
 
 import pytest
 
-from drivers.controller import Tone
+from drivers.controller import Tone, TripCause
 from drivers.device.front import DeviceFront
 from drivers.device.machine import RigDevice
 from drivers.device.play import Interruption
 from drivers.device.stops import KEPT, Stops
-from drivers.errors import BusError, CancelledError, StoppedElsewhereError, TripError
-from drivers.objects import BY_NAME
+from drivers.errors import BusError, CancelledError, StoppedElsewhereError, StopRefusedError, TripError
+from drivers.link import RefusedError
+from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Value, Values, with_crc
 from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
@@ -296,3 +297,81 @@ def test_lease_whose_heartbeat_cannot_begin_is_given_back(bus: _Bus, monkeypatch
     assert bus.front.device.status().lease_holder == ""
     with controller.lease("job"):
         assert controller.measure(TONE).tone == TONE
+
+
+# ---- a stop that is refused
+
+
+@pytest.fixture
+def refusing(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[_Bus, RemoteController]]]:
+    """Makes a controller that refuses so many stops, and whose tone is interrupted from the keyboard."""
+    monkeypatch.setattr("drivers.dialogue.STOP_PATIENCE_S", 0.1)
+    made: list[_Bus] = []
+
+    def make(refusals: float, watchdog_s: float = 0.2) -> tuple[_Bus, RemoteController]:
+        bus = _Bus(RigDevice(reference_rig(), seed=1, watchdog_s=watchdog_s))
+        made.append(bus)
+        counted = {"stop": 0}
+
+        def before(group: str) -> None:
+            if group == "status" and bus.front.device.status().excitation_a and not counted["stop"]:
+                raise KeyboardInterrupt
+            if group == "stop":
+                counted["stop"] += 1
+                if counted["stop"] <= refusals:
+                    raise RefusedError(Refusal.LIMIT, "Modbus exception 3")
+
+        bus.before = before
+        return bus, RemoteController(bus, patience_s=0.05)
+
+    yield make
+    for bus in made:
+        bus.before = lambda group: None
+        bus.front.device.stop()
+        bus.front.close()
+        bus.front.device.close()
+
+
+def test_a_stop_that_is_refused_for_a_while_is_said_until_it_is_heard(refusing) -> None:
+    bus, controller = refusing(refusals=15, watchdog_s=60.0)  # longer than one stop is tried
+    with controller.lease("job"):
+        with pytest.raises(KeyboardInterrupt):
+            controller.measure(LONG)
+        while bus.front.exciting():
+            assert bus.front.device._stop.is_set(), "it was not told to stop"
+            time.sleep(0.001)
+
+
+def test_what_refuses_every_stop_is_ended_by_its_watchdog_before_the_tone_is_given_up(refusing) -> None:
+    bus, controller = refusing(refusals=1e9)
+    with pytest.raises(KeyboardInterrupt), controller.lease("job"):
+        try:
+            controller.measure(LONG)
+        finally:
+            assert not bus.front.exciting()
+            assert bus.front.device.status().trip is TripCause.HOST
+            controller.acknowledge()
+            bus.before = lambda group: None
+            assert controller.measure(TONE).tone == TONE, "the heartbeat is back"
+
+
+def test_a_stop_that_was_asked_for_and_refused_ends_as_a_stop_once_the_watchdog_has_acted(refusing) -> None:
+    bus, controller = refusing(refusals=1e9)
+    refuse = bus.before
+    bus.before = lambda group: refuse(group) if group == "stop" else None
+    asked = _while_exciting(bus.front.device, lambda: controller._stop_asked.set())
+    told = "the controller refused to; its watchdog has ended the excitation"
+    with pytest.raises(CancelledError, match=told), controller.lease("job"):
+        controller.measure(LONG)
+    asked.join()
+    assert not bus.front.exciting()
+
+
+def test_a_rotor_that_stays_excited_for_all_that_is_told_as_that(refusing, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.remote.WATCHDOG_PATIENCE_S", 0.3)
+    _, controller = refusing(refusals=1e9, watchdog_s=60.0)
+    with (
+        pytest.raises(StopRefusedError, match="end the excitation there: it goes on"),
+        controller.lease("job"),
+    ):
+        controller.measure(LONG)
