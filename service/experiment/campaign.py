@@ -132,13 +132,12 @@ def run_campaign(
         if log is None and not isinstance(error, KeyboardInterrupt | CancelledError):
             raise  # nothing was begun
         extra[INCOMPLETE] = str(error) or "stopped from the keyboard"
-        kept = _keep(out_dir / EXPERIMENT, assembled)
+        kept = _keep(out_dir / EXPERIMENT, assembled, 0 if log is None else log.count)
         if log is not None:
             log.close()
         if isinstance(error, KeyboardInterrupt | CancelledError):
             raise CancelledError(
-                f"the campaign was stopped and the excitation is off; {kept} points are kept in {out_dir}: "
-                "run it again to go on where it stopped"
+                f"the campaign was stopped and the excitation is off; {kept}: run it again to go on where it stopped"
             ) from None
         raise
     log.close()
@@ -230,13 +229,21 @@ def _run(
         phases.run(recorder, limits, profile, raw_records, meter, done)
 
 
-def _keep(path: Path, assembled: Callable[[], Experiment]) -> int:
-    """Write what there is of an unfinished campaign; the number of points kept. Never hides the first error."""
-    count = 0
-    with suppress(Exception):  # the journal has all of it
+def _keep(path: Path, assembled: Callable[[], Experiment], measured: int) -> str:
+    """Write what there is of an unfinished campaign, and tell what is kept. Never hides the first error.
+
+    ``measured`` entries are in the journal, whether a file can be made of them or not.
+    """
+    if not measured:
+        return "nothing was measured yet"
+    try:
         partial = assembled()
-        count = sum(s.n_points for s in partial.sweeps)
         if any(s.kind != "noise" for s in partial.sweeps) and not holds_all(path, partial):
             make_way(path, partial)
             file.write(path, partial)
-    return count
+    except Exception as error:  # the journal has all of it
+        return (
+            f"{measured} measurements are kept in the journal, {path.with_name(JOURNAL)}, and no {path.name} could be "
+            f"made of them ({str(error) or type(error).__name__})"
+        )
+    return f"{sum(s.n_points for s in partial.sweeps)} points are kept in {path.parent}"

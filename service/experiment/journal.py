@@ -121,10 +121,13 @@ class Journal:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise ExperimentFileError(f"cannot write {path}: {reason(error)}; choose another folder") from error
+        self.count = 0
+        """Entries that it holds."""
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="journal")
         self._forcing: Future[None] | None = None
         try:
             self.found = self._recover(header)
+            self.count = len(self.found)
         except BaseException:
             self.close()
             raise
@@ -164,6 +167,7 @@ class Journal:
                 data = data[os.write(self._descriptor, data) :]
         except OSError as error:
             raise ExperimentFileError(f"cannot write {self.path}: {reason(error)}; free space and resume") from error
+        self.count += 1
         self._forcing = self._disk.submit(os.fsync, self._descriptor)
 
     def _forced(self) -> None:

@@ -156,6 +156,17 @@ def test_a_file_that_cannot_be_written_stops_nobody_who_has_leased_the_rig_since
 def test_points_that_cannot_be_put_together_do_not_hide_what_ended_the_campaign(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("service.experiment.campaign.experiment", lambda *_: 1 // 0)
-        with pytest.raises(CancelledError, match="run it again"):
+        with pytest.raises(CancelledError, match="run it again") as told:
             campaign(Faulty(interrupted_at(40, KeyboardInterrupt())), tmp_path)
     assert recover(tmp_path).named("preliminary").n_points > 0
+    assert "39 measurements are kept in the journal" in str(told.value), "none of them is lost"
+    assert "no experiment.h5 could be made of them" in str(told.value)
+
+
+def test_an_experiment_that_cannot_be_written_is_not_told_as_kept(tmp_path, monkeypatch):
+    def full(path, experiment):
+        raise ExperimentFileError("the disk is full")
+
+    monkeypatch.setattr("service.experiment.file.write", full)
+    with pytest.raises(CancelledError, match=r"39 measurements are kept in the journal.*the disk is full"):
+        campaign(Faulty(interrupted_at(40, KeyboardInterrupt())), tmp_path)
