@@ -241,8 +241,14 @@ class RemoteController:
         to.boot_id = int(number(to.status(expect_boot=False).get("boot_id", 0)))
         self._lost = None
         token = self._next_token
-        to.command("lease", {"token": token, "seconds": seconds, "holder": holder})
-        to.token, to.holder = token, holder
+        try:
+            to.command("lease", {"token": token, "seconds": seconds, "holder": holder})
+            to.token, to.holder = token, holder
+        except BaseException as error:
+            # The device may have given it before the interruption, or before its answer was lost: it is given back.
+            if isinstance(error, BusError) or not isinstance(error, ControllerError):
+                to.token, to.holder = token, holder
+            raise
         self._own_token, self._next_token = token, drawn_token()
         self._heartbeat = Heartbeat(to.links.link(urgent=True), token)
 

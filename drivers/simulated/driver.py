@@ -46,12 +46,15 @@ class SimulatedController:
     @contextmanager
     def lease(self, holder: str, seconds: float = 10.0) -> Iterator[None]:
         """Hold the rig; it cannot lapse, for the holder lives in the device's process."""
-        self._token = self._device.acquire(holder, seconds, attached=True, token=self._next_token)
-        self._own_token, self._next_token = self._token, drawn_token()
-        try:
+        token = self._next_token
+        try:  # from here on: an interruption may come once the device has given it
+            self._device.acquire(holder, seconds, attached=True, token=token)
+            self._token, self._own_token, self._next_token = token, token, drawn_token()
             yield
         finally:
-            self._release()
+            if self._token == token:
+                self._token = NO_TOKEN
+            self._device.release(token)
 
     def _release(self) -> None:
         token, self._token = self._token, NO_TOKEN

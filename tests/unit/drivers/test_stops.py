@@ -14,7 +14,7 @@ from drivers.device.front import DeviceFront
 from drivers.device.machine import RigDevice
 from drivers.device.play import Interruption
 from drivers.device.stops import KEPT, Stops
-from drivers.errors import BusError, CancelledError, StoppedElsewhereError, StopRefusedError, TripError
+from drivers.errors import BusError, CancelledError, LeaseError, StoppedElsewhereError, StopRefusedError, TripError
 from drivers.link import RefusedError
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Value, Values, with_crc
@@ -375,3 +375,48 @@ def test_a_rotor_that_stays_excited_for_all_that_is_told_as_that(refusing, monke
         controller.lease("job"),
     ):
         controller.measure(LONG)
+
+
+# ---- a lease that was taken, and an interruption before that is noted
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), BusError("the answer was lost")])
+def test_a_lease_that_was_taken_before_the_interruption_is_given_back(
+    bus: _Bus, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    controller = RemoteController(bus, patience_s=0.05)
+    write = bus.write
+    taken = []
+
+    def interrupted(group: str, values: Values) -> None:
+        write(group, values)
+        if group == "lease":
+            taken.append(bus.front.device.status().lease_holder)
+            raise error
+
+    monkeypatch.setattr(bus, "write", interrupted)
+    with pytest.raises(type(error)), controller.lease("job", seconds=3600.0):
+        pass
+    assert set(taken) == {"job"}
+    assert bus.front.device.status().lease_holder == ""
+
+
+def test_a_lease_in_process_that_was_taken_before_the_interruption_is_given_back(
+    device: RigDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller = SimulatedController(device)
+    acquire = device.acquire
+
+    def interrupted(*about: object, **more: object) -> int:
+        acquire(*about, **more)  # type: ignore[arg-type]
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device, "acquire", interrupted)
+        with pytest.raises(KeyboardInterrupt), controller.lease("job"):
+            pass
+    assert device.status().lease_holder == ""
+    with controller.lease("job"):
+        with pytest.raises(LeaseError), controller.lease("twice"):
+            pass
+        assert controller.measure(TONE).tone == TONE, "the lease is still held"
