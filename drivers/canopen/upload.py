@@ -49,6 +49,8 @@ class BlockUpload:
         self._lock = threading.Lock()
         self._segments: list[bytes] = []
         self._next = 1
+        self._heard = False
+        """Whether a segment has come since the last answer: the server has sent the block, then."""
         self._answer = bytes([REQUEST_BLOCK_UPLOAD | START_BLOCK_UPLOAD]) + bytes(7)
         self._all_here = False
         self.over = threading.Event()
@@ -86,7 +88,7 @@ class BlockUpload:
             if self.over.is_set():
                 return
             try:
-                if self._next > 1 and not self._all_here:
+                if self._heard and not self._all_here:
                     self._acknowledge()
                 else:
                     self._send(self._answer)
@@ -95,17 +97,18 @@ class BlockUpload:
 
     def _take_segment(self, frame: bytes) -> None:
         number, last = frame[0] & 0x7F, bool(frame[0] & NO_MORE_BLOCKS)
+        heard, self._heard = self._heard, True
         if number == self._next:
             self._segments.append(frame[1:])
             self._next += 1
             self._all_here = last
             if last or number == BLOCK_SEGMENTS:
                 self._acknowledge()
-        elif (last or number == BLOCK_SEGMENTS) and self._next > 1:
-            self._acknowledge()  # the server goes on behind what is here
+        elif (last or number == BLOCK_SEGMENTS) and heard:  # one that comes alone is the last block's, once more
+            self._acknowledge()  # the server goes on behind what is here: from the block's begin, if its first was lost
 
     def _acknowledge(self) -> None:
-        received, self._next = self._next - 1, 1
+        received, self._next, self._heard = self._next - 1, 1, False
         head = bytes([REQUEST_BLOCK_UPLOAD | BLOCK_TRANSFER_RESPONSE, received, BLOCK_SEGMENTS])
         self._answer = head + bytes(5)
         self._send(self._answer)
