@@ -29,10 +29,16 @@ SDO_TIMEOUT_S = 0.3
 PROGRESS_TIMEOUT_S = 0.3
 """After this long without a progress frame the status is read: the frame may have been lost."""
 SEGMENT_TRIES = 5
+SEGMENT_FAILURES = 40
+"""So many of a raw record's segments fail before it is given up for now; what has come is kept for the next time."""
+SILENT_S = 5.0
+"""A node that was heard within this time is on: what does not come from it was lost."""
 BLOCK_BYTES = 56
 """From this size on a block upload needs fewer frames than a segmented one."""
 STOP_COPIES = 3
 """A stop has no answer; it may be said more than once."""
+_OUT_OF_STEP = (0x0503, 0x0504)
+"""Upper half of the aborts of a server that got other frames than it waited for (CiA 301, table 22)."""
 _REFUSALS = {refusal.canopen: refusal for refusal in Refusal}
 
 
@@ -57,6 +63,8 @@ class CanopenLinks:
         self._node: Any = None
         self.changed = threading.Event()
         self.progress: Progress | None = None
+        self.heard_at: float | None = None
+        """When the node last answered."""
 
     def link(self, urgent: bool = False) -> Link:
         """SDO connection, or, urgent, the one of process data."""
@@ -118,7 +126,15 @@ class _SdoLink:
         self._links = links
         self._objects = links.objects
         self._failures = 0
+        self._transfers = self._failed_transfers = 0
         self._in_segments = False
+        self._segments: tuple[int, list[bytes]] = (0, [])
+        """Of which result, and those of its raw record that are here."""
+        self._names = {WHOLE_INDEX + group.index: group.name for group in BY_NAME.values()} | {
+            links.objects.lockin_index: "lock-in result",
+            links.objects.raw_index: "raw record",
+            links.objects.segment_index: "part of a raw record",
+        }
 
     def read(self, group: str) -> dict[str, Value]:
         of = BY_NAME[group]
@@ -158,10 +174,10 @@ class _SdoLink:
                 self._download(sub.index, sub.subindex, raw[k * sub.size : (k + 1) * sub.size])
 
     def _upload(self, index: int, subindex: int) -> bytes:
-        return self._transfer(lambda sdo: bytes(sdo.upload(index, subindex)))
+        return self._transfer(index, lambda sdo: bytes(sdo.upload(index, subindex)))
 
     def _download(self, index: int, subindex: int, raw: bytes) -> None:
-        self._transfer(lambda sdo: sdo.download(index, subindex, raw))
+        self._transfer(index, lambda sdo: sdo.download(index, subindex, raw))
 
     def lockin_payload(self, size: int) -> bytes:
         return self._block(self._objects.lockin_index, size)
@@ -172,18 +188,24 @@ class _SdoLink:
             with suppress(BusError, RefusedError):
                 return self._block(self._objects.raw_index, size)
             self._in_segments = True
-        segments = range(-(-size // SEGMENT_BYTES))
-        return b"".join(self._segment(result, k, min(size - SEGMENT_BYTES * k, SEGMENT_BYTES)) for k in segments)
+        if self._segments[0] != result:
+            self._segments = (result, [])
+        parts = self._segments[1]
+        failures = tried = 0
+        while (segment := len(parts)) * SEGMENT_BYTES < size:
+            try:
+                parts.append(self._segment(result, segment, min(size - SEGMENT_BYTES * segment, SEGMENT_BYTES)))
+                tried = 0
+            except (BusError, RefusedError):
+                failures, tried = failures + 1, tried + 1
+                if tried == SEGMENT_TRIES or failures == SEGMENT_FAILURES:
+                    raise
+        self._segments = (0, [])  # should they not be right together, all of them are asked for again
+        return b"".join(parts)
 
     def _segment(self, result: int, segment: int, size: int) -> bytes:
-        for tries_left in reversed(range(SEGMENT_TRIES)):
-            try:
-                self.write("window", {"result": result, "segment": segment})
-                return self._block(self._objects.segment_index, size)
-            except (BusError, RefusedError):
-                if not tries_left:
-                    raise
-        raise AssertionError("at least one try")
+        self.write("window", {"result": result, "segment": segment})
+        return self._block(self._objects.segment_index, size)
 
     def wait_for_change(self, seconds: float) -> int | None:
         if not self._links.changed.wait(max(seconds, PROGRESS_TIMEOUT_S)):
@@ -196,24 +218,28 @@ class _SdoLink:
         self._links.close()
 
     def _block(self, index: int, size: int) -> bytes:
-        raw = self._transfer(lambda sdo: bytes(sdo.block_upload(index, 0)))
+        raw = self._transfer(index, lambda sdo: bytes(sdo.block_upload(index, 0)))
         if len(raw) != size:
             raise BusError(f"an SDO block transfer gave {len(raw)} bytes instead of {size}")
         return raw
 
-    def _transfer(self, action: Callable[[Any], T]) -> T:
+    def _transfer(self, index: int, action: Callable[[Any], T]) -> T:
+        self._transfers += 1
         try:
-            done = action(self._links.node().sdo)
+            sdo = self._links.node().sdo
+            try:
+                done = action(sdo)
+            finally:
+                self._links.heard_at = sdo.heard_at or self._links.heard_at
         except SdoAbortedError as aborted:
             if aborted.code in _REFUSALS:
-                raise RefusedError(_REFUSALS[aborted.code], f"SDO abort 0x{aborted.code:08X}") from aborted
-            raise BusError(f"the SDO transfer was aborted: {aborted}") from aborted
+                raise RefusedError(_REFUSALS[aborted.code], self._refused(index, aborted)) from aborted
+            self._failed_transfers += 1
+            raise BusError(self._aborted(index, aborted)) from aborted
         except (SdoCommunicationError, SdoError, struct.error) as error:  # struct.error: a frame was cut short
+            self._failed_transfers += 1
             self._failed()
-            raise BusError(
-                f"the SDO transfer with node {self._links.node_id} failed: {reason(error)}; see that the controller is "
-                "on, and that bus and node are right"
-            ) from error
+            raise BusError(self._lost(index, reason(error))) from error
         except BusError:  # it could not be opened
             raise
         except (can.CanError, OSError, RuntimeError, ValueError, IndexError) as error:
@@ -222,6 +248,35 @@ class _SdoLink:
         self._failures = 0
         return done
 
+    def _lost(self, index: int, why: str) -> str:
+        """What did not come of a transfer, why that may be, and what to see to."""
+        node, heard_at = self._links.node_id, self._links.heard_at
+        told = f"the SDO transfer of {self._named(index)} with node {node} failed: {why}"
+        if heard_at is None:
+            return f"{told}; see that the controller is on, and that bus and node are right"
+        silent_s = time.monotonic() - heard_at
+        if silent_s > SILENT_S:
+            return f"{told}; silent for {silent_s:.0f} s: see that the controller is still on, and the bus whole"
+        return (
+            f"{told}; the node answers, so that frames are lost on the way ({self._failed_transfers} of "
+            f"{self._transfers} transfers failed): see to termination, wiring, bit rate and load of the CAN bus"
+        )
+
+    def _named(self, index: int) -> str:
+        """An object by its index, and by what it is to us where that has a name."""
+        return f"object 0x{index:04X}" + (f" ({self._names[index]})" if index in self._names else "")
+
+    def _aborted(self, index: int, aborted: SdoAbortedError) -> str:
+        if aborted.code >> 16 in _OUT_OF_STEP:
+            return self._lost(index, f"the node broke it off (SDO abort {_code(aborted)})")
+        return self._refused(index, aborted)
+
+    def _refused(self, index: int, aborted: SdoAbortedError) -> str:
+        told = f"node {self._links.node_id} refused {self._named(index)} (SDO abort {_code(aborted)})"
+        if _REFUSALS.get(aborted.code, Refusal.ADDRESS) is not Refusal.ADDRESS:
+            return told
+        return f"{told}; if its objects are a vendor's own, name them with map="
+
     def _failed(self) -> None:
         """After a second failure in a row the interface itself may be dead: open it anew."""
         self._failures += 1
@@ -229,6 +284,10 @@ class _SdoLink:
             self._links.close()
         else:
             time.sleep(0.01)  # what is left of the broken transfer passes by
+
+
+def _code(aborted: SdoAbortedError) -> str:
+    return str(aborted).removeprefix("Code ")
 
 
 class _PdoLink:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import binascii
 import struct
 import threading
+import time
 from collections.abc import Callable
 
 from canopen import ObjectDictionary
@@ -31,7 +32,9 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 BLOCK_SEGMENTS = 127
 SEGMENT_BYTES = 7
 REMINDERS = 3
-"""How often in a row a silent server is reminded."""
+"""How often in a row a silent server is reminded,"""
+REMINDERS_IN_ALL = 100
+"""and how often in one upload: a line that loses so much is better asked for smaller parts."""
 _COMMAND = 0xE0
 
 
@@ -137,9 +140,12 @@ class UploadingSdoClient(SdoClient):
     def __init__(self, node_id: int, objects: ObjectDictionary) -> None:
         super().__init__(0x600 + node_id, 0x580 + node_id, objects)  # type: ignore[no-untyped-call]
         self._upload: BlockUpload | None = None
+        self.heard_at: float | None = None
+        """When the last frame of the server came, by the monotonic clock."""
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """A frame of the server, from the receiving thread."""
+        self.heard_at = time.monotonic()
         upload = self._upload
         if upload is None:
             super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
@@ -170,14 +176,15 @@ class UploadingSdoClient(SdoClient):
         return upload.data
 
     def _wait(self, upload: BlockUpload) -> None:
-        silent, received = 0, 0
+        silent, received, reminders = 0, 0, 0
         while not upload.over.wait(self.RESPONSE_TIMEOUT):
             silent = silent + 1 if upload.received == received else 0
             received = upload.received
-            if silent > REMINDERS:
+            if silent > REMINDERS or reminders == REMINDERS_IN_ALL:
                 self.send_request(_abort(ABORT_TIMED_OUT))  # type: ignore[no-untyped-call]
                 raise SdoCommunicationError("the server fell silent in a block upload")
             if silent:
+                reminders += 1
                 upload.remind()
         if upload.failure is not None:
             raise upload.failure

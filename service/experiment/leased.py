@@ -32,6 +32,8 @@ WATCH_S = 0.1
 BUS_TRIES = 6
 """With a pause that doubles from 0.1 s, a bus has three seconds to come back."""
 FIRST_PAUSE_S = 0.1
+BUS_PATIENCE_S = 60.0
+"""and no longer than this in all, each driver's own patience included: then it is told."""
 OF_THE_HOST = TripCause.HOST.name.lower()
 OF_THE_TONE = (TripCause.DISPLACEMENT.name.lower(), TripCause.CURRENT.name.lower())
 """Causes of trips as `TripError` names them; any other is a fault of the rig."""
@@ -48,6 +50,7 @@ class Patient:
     def __init__(self, controller: Controller, cancelled: Callable[[], bool]) -> None:
         self._controller = controller
         self._cancelled = cancelled
+        self._failing_since: float | None = None
 
     def __call__(self, request: Request | PeriodicRequest) -> PointResult | WaveformResult | Trip:
         """One tone or waveform, or how it tripped: a trip that a smaller one may not cause again is acknowledged.
@@ -58,6 +61,7 @@ class Patient:
             The controller tripped of a fault of its own, which is left latched: no tone mends it.
         """
         play = self._player(request)
+        self._failing_since = None
         for attempt in range(BUS_TRIES):
             if self._cancelled():
                 raise CancelledError("the campaign was cancelled; the excitation is off")
@@ -73,7 +77,7 @@ class Patient:
                 if trip.cause != OF_THE_HOST:
                     return Trip(trip.cause, str(trip))
                 # a watchdog that tripped says something of the bus, not of the tone
-                if attempt == BUS_TRIES - 1:
+                if attempt == BUS_TRIES - 1 or self._failed_long():
                     raise
         raise AssertionError("the last attempt returns or raises")
 
@@ -95,9 +99,17 @@ class Patient:
             try:
                 return call()
             except BusError:
+                if self._failed_long():
+                    raise
                 time.sleep(pause)
                 pause *= 2
         return call()
+
+    def _failed_long(self) -> bool:
+        """Whether the bus has failed in this call for as long as one waits for it; the first failure begins that."""
+        now = time.monotonic()
+        self._failing_since = self._failing_since or now
+        return now - self._failing_since >= BUS_PATIENCE_S
 
 
 def acknowledged(controller: Controller) -> str | None:

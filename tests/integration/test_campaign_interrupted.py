@@ -140,6 +140,22 @@ def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_pa
     assert read(tmp_path / "experiment.h5").main.n_points > 4
 
 
+def test_a_bus_that_fails_slowly_is_given_up_after_a_minute_and_not_after_many(tmp_path, monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr("service.experiment.leased.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("service.experiment.leased.time.sleep", lambda seconds: None)
+
+    def fault(k):
+        if k >= 10:
+            clock[0] += 40.0  # as long as a driver tries to fetch a long record over a bus that loses frames
+            raise BusError("frames are lost")
+
+    rig = Faulty(fault)
+    with pytest.raises(BusError, match="frames are lost"):
+        campaign(rig, tmp_path)
+    assert rig.n == 12
+
+
 def test_a_file_that_cannot_be_written_stops_nobody_who_has_leased_the_rig_since(tmp_path, monkeypatch):
     def full(path, experiment):
         raise ExperimentFileError("the disk is full")

@@ -8,12 +8,15 @@ import pytest
 
 from drivers.canopen.bus import open_network
 from drivers.canopen.dictionary import eds
+from drivers.canopen.driver import CanopenLinks
 from drivers.canopen.map import read_map
 from drivers.controller import State, Tone
+from drivers.device.faults import CanSpoiler, FaultPlan
 from drivers.device.hub import CanHub
 from drivers.device.machine import RigDevice
 from drivers.device.serve import CanOptions, serve_canopen
 from drivers.errors import BusError, LimitError
+from drivers.remote import RemoteController
 from drivers.url import connect
 from sim.reference import reference_rig
 from tests.support.vendor import assert_works_like_our_own
@@ -122,3 +125,49 @@ def test_hub_that_comes_back_is_used_again_by_device_and_host() -> None:
         controller.close()
         served.close()
         hub.close()
+
+
+def test_lost_frames_are_told_with_node_what_was_lost_and_what_to_see_to() -> None:
+    spoiler = CanSpoiler(FaultPlan(1, {"drop": 0.35}))
+    spoiler.dice.on = False
+    hub = CanHub(spoil=spoiler)
+    served = serve_canopen(RigDevice(reference_rig(), 2), CanOptions(bus=f"socketcand/127.0.0.1:{hub.port}/can0"))
+    controller = RemoteController(canopen_links(served.url), patience_s=1.0)
+    try:
+        spoiler.dice.on = True
+        told = r"node=5: the SDO transfer of object 0x2\d{3} \(.*\) with node 5 failed: .*frames are lost on the way "
+        with pytest.raises(BusError, match=told + r"\(\d+ of \d+ transfers failed\): see to termination, wiring"):
+            while True:
+                controller.status()
+    finally:
+        spoiler.dice.on = False
+        controller.close()
+        served.close()
+        hub.close()
+
+
+def test_a_node_that_has_gone_is_not_taken_for_lost_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.canopen.driver.SILENT_S", 0.5)
+    hub = CanHub()
+    served = serve_canopen(RigDevice(reference_rig(), 2), CanOptions(bus=f"socketcand/127.0.0.1:{hub.port}/can0"))
+    controller = RemoteController(canopen_links(served.url), patience_s=1.5)
+    try:
+        served.close()
+        with pytest.raises(BusError, match=r"object 0x2\d{3} \(status\) with node 5 .*silent for .*still on"):
+            controller.status()
+    finally:
+        controller.close()
+        hub.close()
+
+
+def test_a_node_that_has_other_objects_is_told_as_that(vendor_map: Path) -> None:
+    served = serve_canopen(RigDevice(reference_rig()), CanOptions(map=vendor_map))
+    try:
+        with pytest.raises(BusError, match=r"node 5 refused object 0x.*0x0602.*does not exist.*name them with map="):
+            connect(served.url)
+    finally:
+        served.close()
+
+
+def canopen_links(url: str) -> CanopenLinks:
+    return CanopenLinks(url.removeprefix("canopen://").partition("?")[0], 5)
