@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.experiment.difference import difference
 from service.experiment.errors import ExperimentFileError, JournalError
 from sim.errors import reason
 
@@ -137,10 +138,11 @@ class Journal:
         found, good = entries(content)
         if not found and b"\n" in content:
             raise JournalError(f"{self.path} is not a campaign journal; move it away to start anew")
-        if found and _compared(found[0]) != _compared(json.loads(json.dumps(header, default=_encoded))):
+        wanted = json.loads(json.dumps(header, default=_encoded))
+        if found and _compared(found[0]) != _compared(wanted):
             raise JournalError(
-                f"{self.path} belongs to {_difference(found[0], header)}; choose another folder, or put it aside and "
-                "start anew with ambit commission --no-resume"
+                f"{self.path} belongs to another campaign: {difference(found[0], wanted)}; to go on with it, give what "
+                "it had; otherwise choose another folder, or start anew with ambit commission --no-resume"
             )
         os.ftruncate(self._descriptor, good)
         os.lseek(self._descriptor, good, os.SEEK_SET)
@@ -189,22 +191,3 @@ class Journal:
 
 def _compared(header: Entry) -> Entry:
     return {k: v for k, v in header.items() if k != "about"}
-
-
-def _difference(found: Entry, wanted: Entry) -> str:
-    """The first thing in which two headers differ, in words."""
-    for key in _compared(wanted):
-        old, new = found.get(key), wanted[key]
-        if key == "datasheet_sha256" and old != new:
-            return "another campaign (of another datasheet)"
-        if isinstance(old, dict) and isinstance(new, dict):
-            names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-            old, new = ({name: of[name] for name in names if name in of} for of in (old, new))
-        if old != new:
-            return f"another campaign (its {key} is {_short(old)}, not {_short(new)})"
-    return "another campaign"
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, default=_encoded)
-    return text if len(text) <= 60 else text[:57] + "..."

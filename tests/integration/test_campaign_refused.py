@@ -55,10 +55,17 @@ def test_a_journal_of_another_rig_or_profile(tmp_path):
         campaign(Faulty(interrupted_at(20, KeyboardInterrupt())), tmp_path)
     before = (tmp_path / "experiment.journal").read_bytes()
     assert_refused(
-        JournalError, "of another datasheet.*--no-resume", Faulty(None), tmp_path, replace(SHEET, mass_kg=281.0)
+        JournalError,
+        r"rotor\.mass_kg .* now it is 281\.0; .*--no-resume",
+        Faulty(None),
+        tmp_path,
+        replace(SHEET, mass_kg=281.0),
     )
     assert (tmp_path / "experiment.journal").read_bytes() == before
-    with pytest.raises(JournalError, match="its profile is"):
+    smaller = replace(SHEET, displacement_limit_m=5e-5, linear_range_m=1e-4)
+    told = r"bearings\.linear_range_m .*; limits\.displacement_m of the datasheet was .*, now it is 5e-05; "
+    assert_refused(JournalError, told, Faulty(None), tmp_path, smaller)
+    with pytest.raises(JournalError, match=r"profile\.points was 24, now it is 25"):
         campaign(Faulty(None), tmp_path, replace(SMALL, points=25))
 
 
@@ -67,7 +74,7 @@ def test_a_campaign_that_is_refused_leaves_the_datasheet_of_the_other_one(tmp_pa
         campaign(Faulty(interrupted_at(5, KeyboardInterrupt())), tmp_path)
     path = write_datasheet(tmp_path, SHEET)
     before = path.read_text()
-    with pytest.raises(JournalError, match="another datasheet"):
+    with pytest.raises(JournalError, match=r"rotor\.mass_kg of the datasheet"):
         measure(Faulty(None), replace(SHEET, mass_kg=281.0), tmp_path, profile=SMALL)
     assert path.read_text() == before
 

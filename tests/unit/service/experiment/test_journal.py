@@ -81,10 +81,65 @@ def test_nothing_after_a_damaged_line_comes_back(path):
 def test_another_campaign_is_refused_and_left_alone(path):
     filled(path)
     before = path.read_bytes()
-    told = r'its profile is \{"points": 200\}, not \{"points": 100\}\); .*folder, or .* ambit commission --no-resume'
+    told = r"profile\.points was 200, now it is 100; .* give what it had; .* folder, or .* ambit commission --no-resume"
     with pytest.raises(JournalError, match=told):
         Journal(path, HEADER | {"profile": {"points": 100, "blocks": 4}})
     assert path.read_bytes() == before
+
+
+SHEET = """
+[rotor]
+mass_kg = 280.0
+[sensor]
+bandwidth_hz = [9e3, 9e3]
+[[modes]]
+frequency_hz = 90.0
+[limits]
+displacement_m = 8e-05
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("mass_kg = 280.0", "mass_kg = 281.0", r"rotor\.mass_kg of the datasheet was 280\.0, now it is 281\.0; "),
+        ("m = 8e-05", "m = 0.0001", r"limits\.displacement_m of the datasheet was 8e-05, now it is 0\.0001; "),
+        ("frequency_hz = 90.0", "frequency_hz = 91.0", r"modes\.0\.frequency_hz of the datasheet was 90\.0, now"),
+        (
+            "[sensor]",
+            "[sensor]\ngain = 2.0",
+            r"sensor\.gain of the datasheet was not given, now it is 2\.0; ",
+        ),
+    ],
+)
+def test_a_changed_setting_is_told_by_its_key_in_the_datasheet(path, old, new, told):
+    def header(sheet: str) -> dict:
+        limits = {"displacement_limit_m": len(sheet), "gap_m": len(sheet)}  # what is made of it is not told
+        return {"limits": limits, "datasheet_sha256": sheet, "profile": {}, "about": {"datasheet": sheet}}
+
+    Journal(path, header(SHEET)).close()
+    with pytest.raises(JournalError, match=told) as error:
+        Journal(path, header(SHEET.replace(old, new)))
+    assert "gap_m" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"profile": {"multisine": {"periods": 4}}}, "the excitation was stepped-sine, now it is multisine"),
+        (
+            {"profile": dict.fromkeys("abcde", 1)},
+            r"profile\.points was 200, now it is not given; .*; and 4 more differ",
+        ),
+        ({"controller": "two"}, 'the controller was "one", now it is "two"'),
+        ({"limits": {"max_samples": 2}}, "the controller's longest tone in samples was 1, now it is 2"),
+    ],
+)
+def test_whatever_else_has_changed_is_told_in_words(path, changed, told):
+    header = HEADER | {"controller": "one", "limits": {"max_samples": 1}, "datasheet_sha256": "x"}
+    Journal(path, header).close()
+    with pytest.raises(JournalError, match=told):
+        Journal(path, header | changed)
 
 
 def test_what_a_header_tells_about_is_not_compared(path):
