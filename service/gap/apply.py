@@ -15,6 +15,7 @@ from sim.effects import effect
 from sim.errors import EffectError, LevitationError
 from sim.stepping import Simulation
 from sim.twin import rig_from_datasheet
+from sim.wording import in_words
 
 NO_GAP = "no_gap"
 """Verdict of a diagnosis that found nothing to add."""
@@ -81,7 +82,7 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     if not names:
         if report.verdict.kind == NO_GAP:
             return datasheet
-        raise GapError(f"the report's verdict is {report.verdict.kind.replace('_', ' ')}: there is no effect to add")
+        raise GapError(f"the report's verdict is {in_words(report.verdict.kind)}: there is no effect to add")
     present = {name for name, _ in datasheet.effects}
     if present & set(names):
         raise GapError(f"the twin has {', '.join(sorted(present & set(names)))} already; apply to the first datasheet")

@@ -34,6 +34,7 @@ from service.gap.which.rivals import left_together
 from service.gap.with_interference import once_a_turn, scatter_shrinkage, with_interference
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
+from sim.wording import in_words
 
 
 def diagnose(
@@ -152,7 +153,7 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
     """What a person should know beside the verdict."""
     nu, verdict = data.nuisance, d.verdict
     if verdict.also_alike:
-        yield f"not told apart either: {', '.join(name.replace('_', ' ') for name in verdict.also_alike)}"
+        yield f"not told apart either: {', '.join(map(in_words, verdict.also_alike))}"
     if verdict.effects:
         yield from hints(d.chosen, nu.rig, (d.observation, d.held_out))
     elif not data.o.together:
@@ -167,7 +168,7 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
 def _undecided(d: Diagnosis, pair: tuple[Candidate, Candidate] | None) -> Iterator[str]:
     """That nothing is proposed for two explanations that are left together."""
     if pair and d.next_experiment is None:
-        one, other = (" + ".join(c.effects).replace("_", " ") for c in pair)
+        one, other = (in_words("+".join(c.effects)) for c in pair)
         yield f"no affordable experiment is likely to tell {one} from {other}"
 
 
@@ -175,4 +176,4 @@ def not_weighed(lost: Collection[tuple[str, ...]], parts: Sequence[Explained]) -
     """What is said of the single effects that were tried and of which no part has a fit."""
     weighed = {r.candidate.effects for e in parts for r in e.order}
     single = sorted(effects[0] for effects in lost if len(effects) == 1 and effects not in weighed)
-    return [f"{name.replace('_', ' ')} was not weighed: no twin with it could be fitted" for name in single]
+    return [f"{in_words(name)} was not weighed: no twin with it could be fitted" for name in single]

@@ -13,6 +13,7 @@ from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Closed
 from sim.effects import CATALOGUE
+from sim.wording import in_words
 
 FEW_POINTS = 10.0
 """Times the noise that a gap is where it cannot be noise, though no band and no channel shows one."""
@@ -83,7 +84,7 @@ def ends_reached(document: Mapping[str, Any]) -> list[str]:
         effect = effect or named[0]
         p = next(p for p in CATALOGUE[effect].parameters if p.name == parameter)
         if e.get("at_bound") and p.strength and e["value"] != p.null:
-            where = f"{p.words} of {effect.replace('_', ' ')} is at the {e['at_bound']} end of its range"
+            where = f"{p.words} of {in_words(effect)} is at the {e['at_bound']} end of its range"
             told.append(f"{where}, where the fit had to stop: not measured")
     return told
 
@@ -211,8 +212,8 @@ def sentence(d: Diagnosis) -> str:
             f"The rig differs from its twin by {gap}, and what is wrong in the {verdict_path(d)} no known effect "
             f"explains{why}, {sure}."
         )
-    words = " and ".join(e.replace("_", " ") for e in v.effects)
-    rivals, unlikely = (", ".join(e.replace("_", " ") for e in told) for told in alike(d))
+    words = " and ".join(map(in_words, v.effects))
+    rivals, unlikely = (", ".join(map(in_words, told)) for told in alike(d))
     unsure = f", not told apart from {rivals}" if rivals else ""
     if d.within_the_datasheet:
         return (

@@ -12,6 +12,7 @@ from service.gap.measured.observation import Observation
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 from sim.rig import Rig
+from sim.wording import in_words
 
 Complex = NDArray[np.complex128]
 
@@ -57,7 +58,7 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
         near = [f for f in modes_hz if abs(at_hz / f - 1) < OF_THAT_MODE]
         if near:
             told.append(
-                f"the {name.replace('_', ' ')} lies at {at_hz:.4g} Hz, where the datasheet has a mode of the rotor "
+                f"the {in_words(name)} lies at {at_hz:.4g} Hz, where the datasheet has a mode of the rotor "
                 f"({near[0]:.4g} Hz): check that mode's frequency, damping and shape, and that its values at A and B "
                 "have the signs of one direction"
             )

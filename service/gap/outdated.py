@@ -15,6 +15,7 @@ from service.gap.weighing.shrinkage import shrinkage
 from service.gap.weighing.verdict import Verdict
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
+from sim.wording import in_words
 
 
 def fewer(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
@@ -79,7 +80,7 @@ def _likelier(names: tuple[str, ...], best: Diagnosis, d: Diagnosis) -> bool:
 
 
 def _in_words(names: Iterable[str]) -> str:
-    return " and ".join(name.replace("_", " ") for name in names)
+    return " and ".join(map(in_words, names))
 
 
 def _evidence(d: Diagnosis) -> float:

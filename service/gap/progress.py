@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from service.gap.fitting.part import Part
+from sim.wording import in_words
 
 ProgressCallback = Callable[[float, str], None]
 """Told the percent that are done, never falling, and what is done now, in words."""
@@ -48,7 +49,7 @@ class Progress:
     def without(self, effects: Sequence[str], percent: float) -> None:
         """The twin is diagnosed without some of its effects; how long that takes is not known before."""
         self._begin = self._end = percent
-        self._words = f"the twin without {' and '.join(name.replace('_', ' ') for name in effects)}"
+        self._words = f"the twin without {' and '.join(map(in_words, effects))}"
         self._tell(percent, self._words)
 
     def judging(self, percent: float) -> None:

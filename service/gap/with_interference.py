@@ -20,6 +20,7 @@ from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
+from sim.wording import in_words
 
 PROBABILITY_NAMED_ALONE = 0.9
 """Probability of interference that is named in the place of what nothing explains near it."""
@@ -42,7 +43,7 @@ def heard_too(verdict: Verdict, sources: Sequence[Interference], found: Sequence
     by_phase = all(s.heard_hz for s in sources)
     unknown = [e for e in found if e.part.path == verdict.unexplained]
     if by_phase or verdict.another_rig or not all(_near(e, sources) for e in unknown):
-        told = tuple(f"{s.effect.replace('_', ' ')} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
+        told = tuple(f"{in_words(s.effect)} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
         return replace(verdict, reasons=(*verdict.reasons, *told))
     return Verdict("effect" if len(names) == 1 else "effects", names, classes, PROBABILITY_NAMED_ALONE, ())
 

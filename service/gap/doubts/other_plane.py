@@ -21,6 +21,7 @@ from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model
+from sim.wording import in_words
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Across:
     def words(self) -> str:
         """The effect with its strength."""
         unit = next(p.unit for p in CATALOGUE[self.effect].parameters if p.name == STRENGTH[self.effect])
-        return f"{self.effect.replace('_', ' ')} of {self.strength:.2g} {unit}"
+        return f"{in_words(self.effect)} of {self.strength:.2g} {unit}"
 
 
 def across_alike(e: Explained) -> list[Across]:

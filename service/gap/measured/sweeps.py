@@ -14,6 +14,7 @@ from service.identification.block_length import block_samples
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.rig import Rig
+from sim.wording import in_words
 
 ELSEWHERE = ("amplifier", "preliminary")
 """Comments of sweeps that are not of the plant, or not exact enough."""
@@ -103,7 +104,7 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
             "each of which may look like another effect; a stepped sine shows them"
         )
     if across := unseen_across(datasheet, main.speed_rad_s != 0):
-        names = ", ".join(name.replace("_", " ") for name in across)
+        names = ", ".join(map(in_words, across))
         notes.append(f"two axes only: effects that couple x and y cannot be seen ({names}); one may look like another")
     if not datasheet.tolerance_stated:
         notes.append("the datasheet states no tolerances: this product's defaults are assumed")

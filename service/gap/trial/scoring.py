@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from sim.wording import in_words
+
 DETECTABLE = 10.0
 """Whitened norm above which an effect counts as detectable."""
 CLASS_SIZE = 3
@@ -153,19 +155,15 @@ def described(effects: Mapping[str, Mapping[str, float]]) -> str:
     'loop delay (delay_s 3.5e-05)'
     """
     told = {name: ", ".join(f"{k} {v:.3g}" for k, v in values.items()) for name, values in effects.items()}
-    return " and ".join(f"{_words(name)} ({values})" for name, values in told.items()) or "nothing"
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+    return " and ".join(f"{in_words(name)} ({values})" for name, values in told.items()) or "nothing"
 
 
 def told(o: Outcome) -> str:
     """One case in one line: what was withheld, how plainly it shows, what was found, and whether that is right."""
-    found = _words(" and ".join(o.named) or str(o.verdict["kind"]))
+    found = in_words(" and ".join(o.named) or str(o.verdict["kind"]))
     shows = f", detectability {o.detectability:.0f}" if math.isfinite(o.detectability) else ""
     mark = "right" if o.right else "wrong"
-    withheld = _words(o.law) if o.law else described(o.parameters)
+    withheld = in_words(o.law) if o.law else described(o.parameters)
     return f"{o.kind}: {withheld}{shows} -> {found} ({o.probability:.2f}): {mark}"
 
 

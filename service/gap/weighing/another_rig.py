@@ -12,6 +12,7 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
 from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.verdict import SURE_OF_NONE, Verdict
+from sim.wording import in_words
 
 IMPLAUSIBLE = 5.0
 """Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
@@ -45,7 +46,7 @@ def far_off(ground: Ground, fit: Fit) -> str | None:
         return None
     away = ground.nuisance.off(fit.theta)
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
-    told = ", ".join(f"{names[j].replace('_', ' ')} by {away[j]:+z.1f}" for j in worst)
+    told = ", ".join(f"{in_words(names[j])} by {away[j]:+z.1f}" for j in worst)
     return f"its values would be off, or apart where they are alike in a rig, by many tolerances ({told})"
 
 
@@ -59,6 +60,6 @@ def astray(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), another_rig=True)
     if not verdict.effects:
         return replace(verdict, reasons=(*verdict.reasons, f"beside that, {away}: check the datasheet"))
-    words = " and ".join(verdict.effects).replace("_", " ")
+    words = " and ".join(map(in_words, verdict.effects))
     reason = f"the best explanation, {words}, holds only with a datasheet that is not this rig's; {away}"
     return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))

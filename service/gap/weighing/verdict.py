@@ -13,6 +13,7 @@ from service.gap.weighing.ranking import Ranked, renormalised
 from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import SIGNIFICANT
 from sim.effects import CATALOGUE
+from sim.wording import in_words
 
 MAX_SHARE_LEFT = 0.25
 """Share of the gap that may be left by another law of the same effect; more is something else."""
@@ -146,7 +147,7 @@ def decide(
             return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
         return Verdict("no_gap", (), (), best.probability, ())
     effects = best.candidate.effects
-    words = " and ".join(effects).replace("_", " ")
+    words = " and ".join(map(in_words, effects))
     closed = 1 - best.unexplained if there.closure is None else there.closure
     if rejected(best, remaining) or (remaining > LEAVES and closed < CLOSES):
         share = min(max(best.unexplained, _of_one_sweep(best), 1 - closed), 1.0)
