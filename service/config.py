@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from service.access.loopback import is_loopback
 from service.errors import ConfigurationError
 from sim.errors import reason
 
@@ -53,9 +54,10 @@ class Settings(BaseModel):
     public_url: str = ""
     """Address at which people reach the service, https://host/path; the links of webhooks begin with it. Empty for
     links that are paths only."""
-    webhook_loopback: bool = False
+    webhook_loopback: bool | None = None
     """Whether webhooks may lead to this machine itself, as to a receiver beside the service: whoever may make a
-    schedule then reaches all that listens here. Private networks are always possible, link-local addresses never."""
+    schedule then reaches all that listens here. None: where only this machine reaches the service. Private networks
+    are always possible, link-local addresses never."""
 
     worker_name: str = Field("", max_length=60)
     """Stable and unique per worker; empty for the host's name."""
@@ -108,6 +110,14 @@ class Settings(BaseModel):
             except ValueError as error:
                 raise ValueError(f"{one.strip()!r} is no address or network; give 10.0.0.2 or 10.0.0.0/30") from error
         return proxies
+
+    @property
+    def webhooks_to_itself(self) -> bool:
+        """Whether webhooks may lead to this machine: as set, or where nobody else than this machine asks for them."""
+        if self.webhook_loopback is not None:
+            return self.webhook_loopback
+        reached = self.behind_proxy or self.public_url or self.database.startswith("postgresql")
+        return is_loopback(self.host) and not reached
 
     @property
     def database(self) -> str:

@@ -48,8 +48,10 @@ def tag(row: ScheduleRow) -> str:
     return f"{row.id}.{int(row.updated_at.timestamp() * 1e6):x}"
 
 
-def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted) -> str | None:
+def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted, loopback: bool) -> str | None:
     """Write what is wanted into a row; the secret that was made for it, if any.
+
+    ``loopback``: whether a webhook may lead to this machine itself.
 
     Raises
     ------
@@ -76,7 +78,7 @@ def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted) -> str | 
         row.webhook_secret = wanted.webhook.secret
     elif not row.webhook_secret:
         row.webhook_secret = made = webhook.new_secret()
-    row.webhook_url, row.webhook_on = webhook.checked_url(wanted.webhook.url), wanted.webhook.on
+    row.webhook_url, row.webhook_on = webhook.checked_url(wanted.webhook.url, loopback), wanted.webhook.on
     return made
 
 
@@ -89,7 +91,7 @@ def create_schedule(
     def make(session: Session) -> Answer:
         rig = rigs.active(session, wanted.rig)
         row = ScheduleRow(id=new_id("sch"), rig_id=rig.id, created_at=now(), created_by=who.name, webhook_secret="")
-        secret = _apply(session, row, wanted)
+        secret = _apply(session, row, wanted, api.settings.webhooks_to_itself)
         session.add(row)
         session.flush()
         audit(session, request, who, Action.schedule_created, row.id, rig=rig.id, cron=row.cron)
@@ -139,7 +141,7 @@ def change_schedule(
         etags.require_match(if_match, tag(row))
         if wanted.rig != row.rig_id:
             raise ConflictError(f"the schedule is for the rig {row.rig_id}, and stays so; make another one")
-        secret = _apply(session, row, wanted)
+        secret = _apply(session, row, wanted, api.settings.webhooks_to_itself)
         audit(session, request, who, Action.schedule_changed, row.id, rig=row.rig_id, cron=row.cron)
     return etags.document(shape(row, secret), None, tag(row))
 

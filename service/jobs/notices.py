@@ -108,7 +108,7 @@ def attempt(delivery_id: str) -> float | None:
         why = str(error) if secret else REMOVED
         worker.database.surely(lambda session: schedules.give_up_deliveries(session, delivery.schedule_id, why))
         return None
-    status, detail, asked = _post(delivery.url, message, worker.settings.webhook_loopback)
+    status, detail, asked = _post(delivery.url, message, worker.settings.webhooks_to_itself)
     wait_s: float | None = None
     if status is not None and 200 <= status < 300:
         state = DELIVERED

@@ -134,6 +134,7 @@ def test_a_schedule_of_a_rig_that_cannot_be_checked_says_so(api, service, rig):
         ({"cron": "* * * * *"}, "at least 5 minutes"),
         ({"timezone": "Mars/Olympus"}, "Mars/Olympus"),
         ({"webhook": {"url": "file:///etc/passwd"}}, "http or https"),
+        ({"webhook": {"url": "http://127.0.0.1:8311/"}}, "webhook_loopback"),  # this service has a public address
         ({"webhook": {"url": "https://h", "secret": "weak"}}, "secret"),
         ({"options": {"budget_s": 1}}, "budget_s"),
     ],

@@ -23,6 +23,24 @@ def test_databases_are_in_home_unless_told_otherwise(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("told", "may"),
+    [
+        ({}, True),
+        ({"AMBIT_HOST": "::1"}, True),
+        ({"AMBIT_HOST": "0.0.0.0"}, False),
+        ({"AMBIT_HOST": "10.0.0.1"}, False),
+        ({"AMBIT_BEHIND_PROXY": "true"}, False),
+        ({"AMBIT_PUBLIC_URL": "https://rotor.example.org"}, False),
+        ({"AMBIT_DATABASE_URL": "postgresql://u:p@h/d"}, False),
+        ({"AMBIT_HOST": "0.0.0.0", "AMBIT_WEBHOOK_LOOPBACK": "true"}, True),
+        ({"AMBIT_WEBHOOK_LOOPBACK": "false"}, False),
+    ],
+)
+def test_webhooks_lead_to_the_machine_itself_where_nobody_else_reaches_the_service(tmp_path, told, may):
+    assert load(None, {"AMBIT_HOME": str(tmp_path), **told}).webhooks_to_itself is may
+
+
+@pytest.mark.parametrize(
     ("text", "environment", "told"),
     [
         ("colour = 1", {}, "ambit.toml: colour: there is no such setting"),

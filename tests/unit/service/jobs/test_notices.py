@@ -235,14 +235,14 @@ def resolved(monkeypatch, *addresses):
 
 
 def test_a_receiver_on_the_machine_itself_is_told_only_where_a_setting_allows_it(told, receiver):
-    told.context.settings = Settings(home=told.context.settings.home)
+    told.context.settings = Settings(home=told.context.settings.home, host="0.0.0.0")
     notices.begin(check(told.database, f"http://localhost:{receiver.server_port}/", True, new_secret()))
     assert notices.attempt("whd_1") > 4
     assert receiver.messages == []
     assert (delivery(told).state, delivery(told).status_code) == ("pending", None)
     assert f"http://localhost:{receiver.server_port}/" in delivery(told).detail
     assert "AMBIT_WEBHOOK_LOOPBACK=true" in delivery(told).detail
-    told.context.settings = Settings(home=told.context.settings.home, webhook_loopback=True)
+    told.context.settings = Settings(home=told.context.settings.home, host="0.0.0.0", webhook_loopback=True)
     assert notices.attempt("whd_1") is None
     assert len(receiver.messages) == 1
     assert receiver.messages[0].headers["host"] == f"localhost:{receiver.server_port}"
