@@ -17,6 +17,7 @@ from service.gap.fitting.predict import at_speed_of
 from service.gap.hints import hints, one_point
 from service.gap.interference import Interference, measured_by
 from service.gap.loop import drawn_twins, loop_figures
+from service.gap.lost_loop import LIMIT, LostLoop, with_limit
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
@@ -87,6 +88,7 @@ def _told(
     whole = with_drift_rate(composed(nu, found.parts), nu.rig, data.duration_s)
     null = whole.null.candidate
     sources = _measured_sources(data, whole)
+    lost = None if data.erratic is None else LostLoop.of(data.erratic, null.fit.rig)
     verdict = overall_verdict(
         found.parts,
         o,
@@ -96,8 +98,10 @@ def _told(
         found.fault,
         modulated_stiffness([data.main, data.other], nu.rig),
         data.lines_only,
-        data.erratic,
+        lost,
     )
+    if lost is not None and LIMIT in verdict.effects and not _fitted(found, LIMIT):
+        whole = with_limit(whole, nu, lost)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     pair = left_together(whole.order, verdict) if propose else None
@@ -126,6 +130,11 @@ def _told(
     )
     notes = (*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts))
     return replace(told, notes=(*notes, *_notes(told, data, found), *_undecided(told, pair)))
+
+
+def _fitted(found: Found, effect: str) -> bool:
+    """Whether a part of the loop is explained by an effect as it was fitted."""
+    return any(effect in e.chosen.effects for e in found.parts)
 
 
 def _measured_sources(data: Observed, whole: Composition) -> list[Interference]:

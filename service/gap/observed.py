@@ -16,6 +16,7 @@ from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.condition import same_condition
+from service.gap.measured.erratic import Erratic
 from service.gap.measured.observation import GapError, Observation, usable
 from service.gap.measured.pair import Pair
 from service.gap.measured.settling import TOLD_DRIFTING_SHARE
@@ -51,8 +52,8 @@ class Observed:
     """when the first point was measured and when the last, s; None where the file does not tell"""
     notes: tuple[str, ...]
     """what the data or the datasheet lack, in words"""
-    erratic: str | None = None
-    """where amplifiers of several axes do not answer alike from block to block, in words"""
+    erratic: Erratic | None = None
+    """where amplifiers of several axes do not answer alike from block to block"""
 
     @property
     def duration_s(self) -> float | None:

@@ -15,6 +15,7 @@ from service.gap.doubts.hysteresis_loss import lag_missing
 from service.gap.doubts.other_plane import Across, across_alike
 from service.gap.fitting.part import STANDSTILL
 from service.gap.interference import Interference
+from service.gap.lost_loop import LostLoop, named_limit
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import astray, far_off
@@ -51,7 +52,7 @@ def overall_verdict(
     fault: str | None = None,
     swings: str | None = None,
     lines_only: bool = False,
-    erratic: str | None = None,
+    lost: LostLoop | None = None,
 ) -> Verdict:
     """The verdict.
 
@@ -65,21 +66,24 @@ def overall_verdict(
         What the blocks tell of an answer that swings, which their means do not.
     lines_only
         Whether the unseen points are other lines of the fitted sweep.
-    erratic
-        Where amplifiers do not answer alike from block to block.
+    lost
+        Where amplifiers lose their loop.
     """
     there = {e.part.path: held_out(e, unseen) for e in found}
     if lines_only:
         there = {e.part.path: between_lines(e, unseen, there[e.part.path]) for e in found}
     verdict = verdict_of(found, there, unseen)
     verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
+    if lost is not None and fault is None:
+        verdict = named_limit(verdict, lost)
     verdict = heard_too(verdict, sources, found)
     if fault is not None:
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
     elif swings and verdict.kind == "no_gap":
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (f"plant: {swings}",), unexplained="plant")
-    elif erratic and verdict.kind != "none_of_these" and not any(CATALOGUE[name].nonlinear for name in verdict.effects):
-        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (f"amplifier: {erratic}",), unexplained="amplifier")
+    elif lost and verdict.kind != "none_of_these" and not any(CATALOGUE[name].nonlinear for name in verdict.effects):
+        reasons = (f"amplifier: {lost.words}",)
+        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, unexplained="amplifier")
     if (why := not_settled(o, gap)) and (verdict.kind != "no_gap" or drift_of(o) > TELLS_NOTHING):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict

@@ -8,6 +8,7 @@ control signal too, and a linear amplifier's current follows it by one factor.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,17 @@ LARGEST_ERRATIC_SHARE = 0.25
 probe, and is weighed as that."""
 FEWEST_AXES = 2
 """Axes that are erratic at one frequency from which it is the rig, and not one disturbed record."""
+
+
+@dataclass(frozen=True)
+class Erratic:
+    """Where amplifiers of several axes do not answer alike from block to block."""
+
+    words: str
+    points: Sweep
+    """those that do not, of one sweep"""
+    steepest_a_per_s: float
+    """largest slope of a current, at its excited frequency, that does repeat"""
 
 
 def erratic(sweep: Sweep) -> NDArray[np.bool_]:
@@ -61,3 +73,11 @@ def erratic_in_words(sweep: Sweep, of: NDArray[np.bool_], axes: Sequence[str], n
         )
         told.append((words, len(there) >= FEWEST_AXES))
     return told
+
+
+def steepest(sweep: Sweep) -> float:
+    """Largest slope of an excited axis' current at its frequency, A/s; 0 of no points, or where it was not logged."""
+    if sweep.I is None or not sweep.n_points:
+        return 0.0
+    I = sweep.I[np.arange(sweep.n_points), :, sweep.harmonics.index(1), sweep.axis].mean(axis=1)
+    return float((2 * np.pi * sweep.frequency_hz * np.abs(I)).max())

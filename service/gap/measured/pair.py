@@ -9,7 +9,7 @@ import numpy as np
 
 from service.experiment.data import Sweep
 from service.experiment.resting import about_rest
-from service.gap.measured.erratic import FEWEST_AXES, erratic, erratic_in_words
+from service.gap.measured.erratic import FEWEST_AXES, Erratic, erratic, erratic_in_words, steepest
 from service.gap.measured.excited_together import Together
 from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe, usable
@@ -59,13 +59,23 @@ class Pair:
         """Both without what the magnets carry."""
         return replace(self, main=about_rest(self.main), other=about_rest(self.other))
 
-    def without_erratic(self, axes: Sequence[str]) -> tuple[Pair, tuple[str, ...], str | None]:
-        """Both without their erratic points, what is said of these, and where the rig itself is erratic, in words."""
-        main, lost = _without_erratic(usable(self.main), self.main_name, axes)
-        other, lost_there = _without_erratic(usable(self.other), self.name, axes)
-        lost += lost_there
-        notes = tuple(f"{words}; {'this line is' if several else 'that is'} left out" for words, several in lost)
-        return replace(self, main=main, other=other), notes, next((words for words, several in lost if several), None)
+    def without_erratic(self, axes: Sequence[str]) -> tuple[Pair, tuple[str, ...], Erratic | None]:
+        """Both without their erratic points, what is said of these, and where the rig itself is erratic."""
+        main, lost, of_main = _without_erratic(usable(self.main), self.main_name, axes)
+        other, lost_there, of_other = _without_erratic(usable(self.other), self.name, axes)
+        notes = tuple(
+            f"{words}; {'this line is' if several else 'that is'} left out" for words, several in (*lost, *lost_there)
+        )
+        rig = next(
+            (
+                Erratic(words, points, max(steepest(main), steepest(other)))
+                for told, points in ((lost, of_main), (lost_there, of_other))
+                for words, several in told
+                if several
+            ),
+            None,
+        )
+        return replace(self, main=main, other=other), notes, rig
 
     def observations(
         self, rig: Rig, hums_hz: Sequence[Sequence[float]], span: tuple[float, float] | None
@@ -79,9 +89,9 @@ class Pair:
         return o, observe(thinned(usable(self.other)), rig, after, hums_hz[1], span, self.together[1])
 
 
-def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]]]:
-    """A sweep without its erratic points, and what is said of them; where it is the rig, without that whole line."""
+def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]], Sweep]:
+    """A sweep without its erratic points, what is said of them, and the points; where it is the rig, whole lines."""
     out = erratic(sweep)
     hz, axes_of = np.unique(sweep.frequency_hz[out], return_counts=True)
     lines = np.isin(sweep.frequency_hz, hz[axes_of >= FEWEST_AXES])
-    return sweep.select(~(out | lines)), erratic_in_words(sweep, out, axes, name)
+    return sweep.select(~(out | lines)), erratic_in_words(sweep, out, axes, name), sweep.select(out & lines)
