@@ -29,8 +29,8 @@ SDO_TIMEOUT_S = 0.3
 PROGRESS_TIMEOUT_S = 0.3
 """After this long without a progress frame the status is read: the frame may have been lost."""
 SEGMENT_TRIES = 5
-SEGMENT_FAILURES = 40
-"""So many of a raw record's segments fail before it is given up for now; what has come is kept for the next time."""
+SEGMENTS_S = 30.0
+"""After this long the next segment that fails ends a raw record for now; what has come is kept for the next time."""
 SILENT_S = 5.0
 """A node that was heard within this time is on: what does not come from it was lost."""
 BLOCK_BYTES = 56
@@ -191,14 +191,14 @@ class _SdoLink:
         if self._segments[0] != result:
             self._segments = (result, [])
         parts = self._segments[1]
-        failures = tried = 0
+        deadline, tried = time.monotonic() + SEGMENTS_S, 0
         while (segment := len(parts)) * SEGMENT_BYTES < size:
             try:
                 parts.append(self._segment(result, segment, min(size - SEGMENT_BYTES * segment, SEGMENT_BYTES)))
                 tried = 0
             except (BusError, RefusedError):
-                failures, tried = failures + 1, tried + 1
-                if tried == SEGMENT_TRIES or failures == SEGMENT_FAILURES:
+                tried += 1
+                if tried == SEGMENT_TRIES or time.monotonic() > deadline:
                     raise
         self._segments = (0, [])  # should they not be right together, all of them are asked for again
         return b"".join(parts)

@@ -33,7 +33,7 @@ BLOCK_SEGMENTS = 127
 SEGMENT_BYTES = 7
 REMINDERS = 3
 """How often in a row a silent server is reminded,"""
-REMINDERS_IN_ALL = 100
+REMINDERS_IN_ALL = 50
 """and how often in one upload: a line that loses so much is better asked for smaller parts."""
 _COMMAND = 0xE0
 

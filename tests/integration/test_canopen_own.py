@@ -9,7 +9,7 @@ import pytest
 from drivers.canopen.bus import open_network
 from drivers.canopen.dictionary import eds
 from drivers.canopen.driver import CanopenLinks
-from drivers.canopen.map import read_map
+from drivers.canopen.map import SEGMENT_BYTES, read_map
 from drivers.controller import State, Tone
 from drivers.device.faults import CanSpoiler, FaultPlan
 from drivers.device.hub import CanHub
@@ -144,6 +144,33 @@ def test_lost_frames_are_told_with_node_what_was_lost_and_what_to_see_to() -> No
         controller.close()
         served.close()
         hub.close()
+
+
+def test_a_raw_record_that_was_given_up_goes_on_with_what_has_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bus so bad that no try gets the whole of it gets it in several."""
+    links = CanopenLinks("virtual/none", 5)
+    link = links.link()
+    record = bytes(range(256)) * 60
+    asked: list[int] = []
+
+    def segment(result: int, number: int, size: int) -> bytes:
+        asked.append(number)
+        if len(asked) % 3 == 0:
+            raise BusError("lost")
+        return record[number * SEGMENT_BYTES :][:size]
+
+    monkeypatch.setattr("drivers.canopen.driver.SEGMENTS_S", 0.0)
+    monkeypatch.setattr(link, "_block", lambda index, size: (_ for _ in ()).throw(BusError("the whole never comes")))
+    monkeypatch.setattr(link, "_segment", segment)
+    with pytest.raises(BusError):
+        link.raw_record(7, len(record))
+    with pytest.raises(BusError):
+        link.raw_record(7, len(record))
+    assert link.raw_record(7, len(record)) == record
+    assert asked == [0, 1, 2, 2, 3, 4, 4]
+    with pytest.raises(BusError):
+        link.raw_record(8, len(record))
+    assert asked[7:] == [0, 1], "another result's are asked for from the first"
 
 
 def test_a_node_that_has_gone_is_not_taken_for_lost_frames(monkeypatch: pytest.MonkeyPatch) -> None:
