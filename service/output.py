@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,28 @@ def ready_folder(folder: Path, mode: int = 0o777) -> Path:
             f"cannot write to {folder}: {error.strerror or error}; nothing was started: choose another folder"
         ) from error
     return folder
+
+
+@contextmanager
+def results_in(folder: Path) -> Iterator[Path]:
+    """The folder, ready as by `ready_folder`; one that was made for it goes again where an error leaves it empty.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made or written.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    ready_folder(folder)
+    try:
+        yield folder
+    except BaseException:
+        for path in made:  # the innermost first
+            try:
+                path.rmdir()
+            except OSError:  # something lies in it
+                break
+        raise
 
 
 def write_text(path: Path, text: str) -> Path:

@@ -52,7 +52,7 @@ STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
 
 def commission(
     controller: Annotated[
-        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu://, canopen:// or simulated://.")
+        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu://, canopen://, simulated:// or replay://.")
     ],
     rig: Annotated[Path, typer.Option(help="Datasheet of the rig, rig.toml.")],
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
@@ -67,13 +67,12 @@ def commission(
     """Measure a rig through its controller, identify it, and write result.json and report.html."""
     from drivers.errors import AddressError
     from service import bootstrap
-    from service.output import ready_folder
+    from service.output import results_in
     from sim.rig_file import read
 
     datasheet = read(rig)
-    ready_folder(out)
     connection = bootstrap.connected(controller)
-    with value_of("--controller", AddressError):
+    with value_of("--controller", AddressError), results_in(out):
         commission_directly(connection, datasheet, out, resume, quick, as_json, None, excitation, priors)
 
 
@@ -95,15 +94,15 @@ def identify(
     from service import bootstrap
     from service.experiment import file
     from service.experiment.merge import merged
-    from service.output import ready_folder
+    from service.output import results_in
     from sim.rig_file import read
 
     datasheet = read(rig)
-    ready_folder(out)
     paths = [experiment, *(also or [])]
-    measured = merged([file.read(p) for p in paths], [str(p) for p in paths])
     announce = say if sys.stderr.isatty() else None  # a log wants no word before the result or the error
-    done = bootstrap.identify_into(measured, datasheet, out, str(experiment), announce, priors)
+    with results_in(out):
+        measured = merged([file.read(p) for p in paths], [str(p) for p in paths])
+        done = bootstrap.identify_into(measured, datasheet, out, str(experiment), announce, priors)
     show(done.document, done.files, done.seconds, measured, as_json)
 
 

@@ -33,7 +33,7 @@ History = Annotated[
 @app.command()
 def check(
     controller: Annotated[
-        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu://, canopen:// or simulated://.")
+        str, typer.Option(help="URL: modbus://, modbuss://, modbus+rtu://, canopen://, simulated:// or replay://.")
     ],
     baseline: BaselineFolder,
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
@@ -48,18 +48,18 @@ def check(
     from service.cli.interrupt import asked_to_stop
     from service.cli.progress import campaign_progress
     from service.health.sequential import Policy
-    from service.output import ready_folder
+    from service.output import results_in
 
     then, datasheet = checkup.read_baseline(baseline)
-    ready_folder(out)
-    plan = checkup.plan_for(then, datasheet, budget_s)
-    with value_of("--controller", AddressError):
-        rig = bootstrap.connect(controller)
-    try:
-        with asked_to_stop(STOPPING) as cancelled, campaign_progress() as progress:
-            experiment = checkup.measure_check(rig, datasheet, plan, out, progress, cancelled)
-    finally:
-        rig.close()
+    with results_in(out):
+        plan = checkup.plan_for(then, datasheet, budget_s)
+        with value_of("--controller", AddressError):
+            rig = bootstrap.connect(controller)
+        try:
+            with asked_to_stop(STOPPING) as cancelled, campaign_progress() as progress:
+                experiment = checkup.measure_check(rig, datasheet, plan, out, progress, cancelled)
+        finally:
+            rig.close()
     file = history or baseline / checkup.HISTORY
     done = checkup.compare_into(then, datasheet, experiment, out, file, Policy(false_alarms_per_year))
     _show(done.document, done.files, as_json)
@@ -111,18 +111,28 @@ def plan(baseline: BaselineFolder, budget_s: Budget = BUDGET_S, as_json: Json = 
 
 @app.command()
 def trend(
-    history: Annotated[Path, typer.Argument(help="history.jsonl of earlier checks.")],
+    of: Annotated[
+        Path | None, typer.Argument(help="Folder of the commissioning, or the history.jsonl in it.", metavar="[PATH]")
+    ] = None,
+    baseline: Annotated[Path | None, typer.Option(help="The same folder, as for ambit health check.")] = None,
+    history: Annotated[Path | None, typer.Option(help="Earlier checks, JSON lines, as for ambit health check.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Show how every figure went over the checks so far."""
+    """Show how every figure went over the checks so far: of a commissioning's folder, or of a history elsewhere."""
     from service import checkup
     from service.errors import DocumentError
     from service.health.trend import trend as series_of
     from service.report.format import change
 
-    checks = checkup.read_history(history)
+    named = [path for path in (of, baseline, history) if path is not None]
+    if len(named) != 1:
+        raise typer.BadParameter(
+            "give the commissioning's folder or its history.jsonl, once: PATH, --baseline or --history"
+        )
+    file = named[0] / checkup.HISTORY if baseline is not None or named[0].is_dir() else named[0]
+    checks = checkup.read_history(file)
     if not checks:
-        raise DocumentError(f"{history} holds no check; run ambit health check first")
+        raise DocumentError(f"{file} holds no check; run ambit health check first")
     found = series_of(checks)
     if as_json:
         print_json({"checks": len(checks), "series": {k: s.document() for k, s in found.items()}})

@@ -47,7 +47,10 @@ def jobs(
     if as_json:
         print_json({"jobs": [job.model_dump(mode="json") for job in found]})
         return
-    _show(found, names)
+    if found:
+        _show(found, names)
+    else:
+        print("no such jobs" if state or kind or rig else "no jobs: ambit submit makes one")
 
 
 def _show(found: Sequence[Job], names: dict[str, str]) -> None:

@@ -27,6 +27,9 @@ def rigs(url: Url = None, key: Key = None, ca: Ca = None, as_json: Json = False)
         listed = [rig.model_dump(mode="json") | {"status": now.model_dump(mode="json")} for rig, now in found]
         print_json({"rigs": listed})
         return
+    if not found:
+        print("no rigs: ambit submit experiment --rig rig.toml --controller URL makes one known")
+        return
     rows = [(rig.id, rig.name, rig.controller_url, _state(now), now.lease_holder or "") for rig, now in found]
     _table(("id", "rig", "controller", "state", "moved by"), rows)
 
@@ -117,6 +120,10 @@ def schedules(
         names = {} if as_json else {known.id: known.name for known in ambit.rigs.list()}
     if as_json:
         print_json({"schedules": [schedule.model_dump(mode="json") for schedule in found]})
+        return
+    if not found:
+        checked = "no rig is" if rig is None else f"{rig} is not"
+        print(f"no schedules: {checked} checked by itself; POST /api/v1/schedules makes one")
         return
     rows = [
         (

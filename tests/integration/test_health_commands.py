@@ -71,6 +71,24 @@ def test_checks_add_up_to_a_history_and_a_trend(baseline, tmp_path, capsys):
     assert trend["series"]["x.kiA"]["drifted"] == [False, False, True]
 
 
+def test_a_trend_is_asked_for_as_the_checks_were_made(baseline, tmp_path, capsys):
+    """By the commissioning's folder, in which the history lies, or by the file, as an argument or an option."""
+    history = baseline / "history.jsonl"
+    found = experiment(tmp_path / "e.h5")
+    command = ["health", "compare", found, "--baseline", baseline, "--out", tmp_path / "o", "--history", history]
+    assert run([str(c) for c in command]) == 0
+    capsys.readouterr()
+    for named in ([history], [baseline], ["--baseline", baseline], ["--history", history]):
+        assert run(["health", "trend", *map(str, named), "--json"]) == 0, named
+        assert json.loads(capsys.readouterr().out)["checks"] == 1
+    for named in ([], [history, "--baseline", baseline]):
+        assert run(["health", "trend", *map(str, named)]) == 2
+        assert "--baseline" in capsys.readouterr().err
+    (baseline / "history.jsonl").unlink()
+    assert run(["health", "trend", "--baseline", str(baseline)]) == 1
+    assert f"{history} holds no check" in capsys.readouterr().err
+
+
 def test_a_history_that_a_crash_cut_short_goes_on(baseline, tmp_path, capsys):
     history, found = tmp_path / "history.jsonl", experiment(tmp_path / "e.h5")
     command = ["health", "compare", found, "--baseline", baseline, "--out", tmp_path / "o", "--history", history]

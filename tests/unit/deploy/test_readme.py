@@ -5,7 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from drivers.address import _OPTIONS
+from service.cli import app
 from tests.support.commands_of import assert_understood
 
 ROOT = Path(__file__).parents[3]
@@ -38,3 +41,12 @@ def test_every_link_leads_somewhere(page):
     assert links
     for link in links:
         assert (path.parent / link).exists(), link
+
+
+def test_every_kind_of_controller_is_named_in_the_readme_and_in_the_help():
+    for scheme in _OPTIONS:
+        assert f"| `{scheme}://" in README, scheme
+    for words in (("commission",), ("health", "check")):
+        told = " ".join(CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "400"}).output.split())
+        assert all(f"{scheme}://" in told for scheme in _OPTIONS), words
+    assert "transcript=" in README

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import OutputError
-from service.output import ready_folder, write_text
+from service.output import ready_folder, results_in, write_text
 
 
 def test_a_full_disk_is_told_and_nothing_is_left_on_it(tmp_path, monkeypatch):
@@ -44,3 +44,17 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     reader.join(10)
     assert read == ["text"]
     assert pipe.is_fifo()
+
+
+def test_a_folder_in_which_nothing_came_to_lie_goes_again_and_what_is_in_one_stays(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), results_in(tmp_path / "a" / "b"):
+        _ = 1 // 0
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ZeroDivisionError), results_in(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "kept").write_text("")
+        _ = 1 // 0
+    assert [p.name for p in (tmp_path / "a").iterdir()] == ["kept"]
+    with pytest.raises(ZeroDivisionError), results_in(tmp_path / "a"):
+        (tmp_path / "a" / "kept").unlink()
+        _ = 1 // 0
+    assert (tmp_path / "a").exists(), "it was there before"
