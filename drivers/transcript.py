@@ -14,12 +14,12 @@ from typing import Any
 
 from drivers.errors import BusError, ControllerError
 from drivers.link import Link, LinkFactory, RefusedError
-from drivers.objects import Refusal
-from drivers.packing import Order, Value, Values
+from drivers.objects import BY_NAME, Refusal
+from drivers.packing import Order, Value, Values, encode
 from sim.errors import reason
 
 FORMAT = "amb-transcript"
-_DRAWN_ANEW = ("token", "command", "crc")
+_DRAWN_ANEW = ("token", "command", "crc", "holder")
 
 
 class RecordingLinks:
@@ -135,6 +135,8 @@ class _ReplayLink:
         self._lines = lines
         self._next = 0
         self._commands: dict[int, int] = {}
+        self._holders: dict[str, str] = {}
+        """Who held the lease then, and who does now; as a status tells them."""
         self.order: Order = lines[0]["order"] if lines else "big"
 
     def read(self, group: str) -> dict[str, Value]:
@@ -142,6 +144,8 @@ class _ReplayLink:
         values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in answer.items()}
         if "command" in values:
             values["command"] = self._commands.get(values["command"], values["command"])
+        if "lease_holder" in values:
+            values["lease_holder"] = self._holders.get(values["lease_holder"], values["lease_holder"])
         return values
 
     def write(self, group: str, values: Values) -> None:
@@ -154,6 +158,8 @@ class _ReplayLink:
                 )
         if "command" in values:
             self._commands[int(then["command"])] = int(values["command"])  # type: ignore[arg-type]
+        if "holder" in values:
+            self._holders[_shown(then["holder"])] = _shown(values["holder"])
         self._result(line)
 
     def lockin_payload(self, size: int) -> bytes:
@@ -191,6 +197,11 @@ class _ReplayLink:
 
     def _answer(self, verb: str, what: str | int) -> Any:
         return self._result(self._line(verb, what))
+
+
+def _shown(holder: Value) -> str:
+    """A holder's name as a status tells it: as much as an object holds."""
+    return encode(BY_NAME["lease"]["holder"], holder).rstrip(b"\0").decode("utf-8")
 
 
 class _SilentLink:

@@ -54,6 +54,25 @@ def test_replay_gives_what_the_session_gave(serve, tmp_path: Path) -> None:
     np.testing.assert_array_equal(replayed[1][1].records["y"], recorded[1][1].records["y"])
 
 
+def test_a_host_of_another_name_replays_a_session(tmp_path: Path) -> None:
+    """A campaign's is drawn anew each time: devices tell hosts by their names."""
+    path = tmp_path / "session.jsonl"
+    served = _modbus()
+    found = []
+    for url, holder in (
+        (f"{served.url}&transcript={path}", "ambit campaign 1a2b3c"),
+        (f"replay://{path}", "campaign 2"),
+    ):
+        controller = connect(url)
+        with controller.lease(holder):
+            status = controller.status()
+            found.append(controller.measure(TONES[0]))
+        controller.close()
+        assert status.lease_holder == holder
+    served.close()
+    np.testing.assert_array_equal(found[0].Y, found[1].Y)
+
+
 def test_replay_of_another_session_names_the_line(tmp_path: Path) -> None:
     path = tmp_path / "session.jsonl"
     served = _modbus()
