@@ -126,6 +126,7 @@ def commission_directly(
     from service.cli.interrupt import asked_to_stop
     from service.cli.progress import campaign_progress
     from service.experiment.campaign import JOURNAL
+    from service.experiment.journal import entries
 
     began = time.monotonic()
     profile = bootstrap.profile_for(excitation.value, quick)
@@ -133,7 +134,8 @@ def commission_directly(
         try:
             experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
         except BusError as error:
-            if not (out / JOURNAL).exists():  # nothing was measured
+            journal = out / JOURNAL
+            if not journal.exists() or len(entries(journal.read_bytes())[0]) < 2:  # its header alone: nothing measured
                 raise
             kept = f"what was measured is kept in {out}: run it again to go on where it stopped"
             raise BusError(f"{error}; {kept}") from error

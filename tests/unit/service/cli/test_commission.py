@@ -10,17 +10,20 @@ from service import bootstrap
 from service.cli import run
 from service.cli.commission import commission_directly
 from service.experiment.campaign import JOURNAL
+from service.experiment.journal import line
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 
 
-@pytest.mark.parametrize("measured", [True, False])
+@pytest.mark.parametrize(("lines", "measured"), [(2, True), (1, False), (0, False)])
 def test_a_bus_that_fails_is_told_with_what_is_kept_where_anything_is(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, measured: bool
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lines: int, measured: bool
 ) -> None:
+    """A journal begins with what the campaign is: that alone is nothing measured."""
+
     def silent(*_: object) -> None:
-        if measured:
-            (tmp_path / JOURNAL).write_bytes(b"")
+        if lines:
+            (tmp_path / JOURNAL).write_bytes(line({"phase": "main"}) * lines)
         raise BusError("cannot connect: Connection refused")
 
     monkeypatch.setattr(bootstrap, "measure", silent)
