@@ -31,14 +31,14 @@ def diagnose(
     from service.cli.progress import percent_progress
     from service.experiment import file
     from service.gap.document import likeliest
-    from service.output import ready_folder
+    from service.output import results_in
     from sim.rig_file import read
 
     datasheet = read(rig)
-    ready_folder(out)
-    measured = file.read(experiment)
-    with percent_progress("reading the experiment") as tell:
-        document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs, tell)
+    with results_in(out):
+        measured = file.read(experiment)
+        with percent_progress("reading the experiment") as tell:
+            document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs, tell)
     if as_json:
         print_json(document | {"files": {k: str(v) for k, v in files.items()}})
         return

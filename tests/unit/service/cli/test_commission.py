@@ -50,3 +50,12 @@ def test_an_experiment_that_cannot_be_read_leaves_no_empty_folder(tmp_path: Path
     out = tmp_path / "out"
     assert run(["identify", str(tmp_path / "nothing.h5"), "--rig", str(sheet), "--out", str(out)]) == 1
     assert not out.exists()
+
+
+@pytest.mark.parametrize("command", [["identify"], ["gap", "diagnose"]])
+def test_a_file_that_is_no_experiment_leaves_no_empty_folder(tmp_path: Path, capsys, command: list[str]) -> None:
+    sheet = tmp_path / "rig.toml"
+    sheet.write_text(to_toml(reference_datasheet()))
+    assert run([*command, str(sheet), "--rig", str(sheet), "--out", str(tmp_path / "new" / "one")]) == 1
+    assert f"{sheet} is no HDF5 or MATLAB file" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
