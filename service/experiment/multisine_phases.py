@@ -115,7 +115,7 @@ class MultisinePhases:
         self.settle_s = profile.settle_s
         self.tolerance = TOLERANCE
         self._rest: dict[str, Real] = {}
-        self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
+        self.knowledge = Knowledge(NoiseSpectra.unmeasured(), limits.n_axes)
         self._levels: dict[str, dict[str, dict[str, list[float | None]]]] = {}
 
     def run(self, raw_records: bool) -> None:

@@ -35,6 +35,11 @@ class NoiseSpectra:
     raw: dict[str, Real] | None = None
     """The same densities before smoothing, lines and all, when ``frequency_hz`` is evenly spaced."""
 
+    @classmethod
+    def unmeasured(cls) -> NoiseSpectra:
+        """Of a rig that was not listened to yet: no signal has a density."""
+        return cls(np.array([1.0, 2.0]), {})
+
     @cached_property
     def _logarithms(self) -> tuple[Real, Real]:
         """Of the frequencies, (F,), and of the densities, (F, signals, n_axes): a plan asks some ten times a tone."""

@@ -59,7 +59,7 @@ class Phases:
         self.recorder, self.limits, self.profile, self.meter, self.done = recorder, limits, profile, meter, done
         self.aims = aims(profile, limits)
         self._noise = NoisePhases(recorder, limits, profile, meter, done)
-        self.knowledge = Knowledge(NoiseSpectra(np.array([1.0, 2.0]), {}), limits.n_axes)
+        self.knowledge = Knowledge(NoiseSpectra.unmeasured(), limits.n_axes)
 
     # ---- noise
 
