@@ -19,6 +19,7 @@ from service.cli import (
     health,
     jobs,
     keys,
+    recover,
     rig,
     rigs,
     serve,
@@ -35,6 +36,7 @@ app = typer.Typer(
 app.command()(demo.demo)
 app.command()(commission.commission)
 app.command()(commission.identify)
+app.command()(recover.recover)
 app.command()(controller.check_controller)
 app.command()(effects.effects)
 app.add_typer(export.app, name="export")

@@ -209,6 +209,24 @@ def recover(out_dir: Path) -> Experiment:
     )
 
 
+def recover_into_file(out_dir: Path) -> tuple[Path, Experiment]:
+    """``out_dir/experiment.h5`` of what the journal there holds, which stays, and the experiment.
+
+    A file that holds all of it, and perhaps more, is left as it is; one of another campaign is put aside.
+
+    Raises
+    ------
+    JournalError
+        As of `recover`.
+    CampaignError
+        No point was measured yet.
+    """
+    found, path = recover(out_dir), out_dir / EXPERIMENT
+    if not _write(path, found):
+        raise CampaignError(f"{out_dir / JOURNAL} holds no excited point yet; run the campaign again")
+    return path, found
+
+
 def _run(
     recorder: Recorder,
     limits: Limits,
@@ -238,12 +256,20 @@ def _keep(path: Path, assembled: Callable[[], Experiment], measured: int) -> str
         return "nothing was measured yet"
     try:
         partial = assembled()
-        if any(s.kind != "noise" for s in partial.sweeps) and not holds_all(path, partial):
-            make_way(path, partial)
-            file.write(path, partial)
+        _write(path, partial)
     except Exception as error:  # the journal has all of it
         return (
             f"{measured} measurements are kept in the journal, {path.with_name(JOURNAL)}, and no {path.name} could be "
             f"made of them ({str(error) or type(error).__name__})"
         )
     return f"{sum(s.n_points for s in partial.sweeps)} points are kept in {path.parent}"
+
+
+def _write(path: Path, partial: Experiment) -> bool:
+    """Write an experiment that did not end, unless its file holds all of it; whether there is a point in it."""
+    if not any(s.kind != "noise" for s in partial.sweeps):
+        return False
+    if not holds_all(path, partial):
+        make_way(path, partial)
+        file.write(path, partial)
+    return True

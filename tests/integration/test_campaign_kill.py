@@ -1,5 +1,6 @@
 """A campaign that is killed without warning, again and again, loses no finished point and measures none twice."""
 
+import json
 import os
 import signal
 import subprocess
@@ -9,9 +10,11 @@ import time
 import numpy as np
 import pytest
 
+from service.cli import run
 from service.experiment import journal
 from service.experiment.campaign import recover
 from service.experiment.file import read
+from tests.support.campaigns import assert_same
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
 
@@ -62,7 +65,7 @@ def killed_after(folder, points, delay):
 
 
 @pytest.mark.slow
-def test_kill_9_at_any_instant(tmp_path):
+def test_kill_9_at_any_instant(tmp_path, capsys):
     rng = np.random.default_rng(0)
     points = 0
     before = []
@@ -77,6 +80,9 @@ def test_kill_9_at_any_instant(tmp_path):
         excited = [s for s in kept.sweeps if s.kind != "noise"]
         points = sum(s.n_points for s in excited)
         assert points + 5 >= reported  # five reports are of noise records
+    assert run(["recover", str(tmp_path), "--json"]) == 0
+    assert sum(json.loads(capsys.readouterr().out)["points"].values()) == points
+    assert_same(read(tmp_path / "experiment.h5"), kept)  # without a controller, and the journal goes on from there
     process = started(tmp_path)
     output = process.communicate(timeout=120)[0]
     assert process.returncode == 0

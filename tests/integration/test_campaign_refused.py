@@ -8,10 +8,12 @@ from drivers.controller import State, Status
 from drivers.errors import CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import measure, write_datasheet
+from service.cli import run
 from service.errors import OutputError
 from service.experiment.campaign import recover, run_campaign
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
+from service.experiment.journal import entries, line
 from sim.reference import reference_rig
 from tests.support.campaigns import SHEET, SMALL, Faulty, assert_same, campaign, interrupted_at
 
@@ -138,8 +140,6 @@ class SimulatedWithInterrupt(Faulty):
 
 
 def test_a_journal_whose_next_point_is_another_one(tmp_path):
-    from service.experiment.journal import entries, line
-
     with pytest.raises(CancelledError):
         campaign(Faulty(interrupted_at(20, KeyboardInterrupt())), tmp_path)
     path = tmp_path / "experiment.journal"
@@ -150,6 +150,27 @@ def test_a_journal_whose_next_point_is_another_one(tmp_path):
         campaign(Faulty(lambda k: None), tmp_path)
 
 
-def test_recovering_without_a_journal(tmp_path):
+def test_recovering_without_a_journal(tmp_path, capsys):
     with pytest.raises(JournalError, match="cannot read"):
         recover(tmp_path)
+    assert run(["recover", str(tmp_path)]) == 1
+    assert "cannot read the journal" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("n", [1, 12, 60])
+def test_what_was_measured_is_recovered_and_a_file_that_has_more_stays(tmp_path, capsys, n):
+    with pytest.raises(CancelledError):
+        campaign(Faulty(interrupted_at(n, KeyboardInterrupt())), tmp_path)
+    path, content = tmp_path / "experiment.h5", (tmp_path / "experiment.journal").read_bytes()
+    excited = sum(s.n_points for s in recover(tmp_path).sweeps if s.kind != "noise")
+    path.unlink(missing_ok=True)
+    assert run(["recover", str(tmp_path)]) == (0 if excited else 1)
+    told = capsys.readouterr()
+    assert ("holds no excited point yet" in told.err) is (excited == 0)
+    if excited:
+        assert f"{excited} points" in told.out
+        found = path.read_bytes()
+        first, _ = entries(content)
+        (tmp_path / "experiment.journal").write_bytes(b"".join(line(e) for e in first[:-4]))
+        assert run(["recover", str(tmp_path)]) in (0, 1)
+        assert path.read_bytes() == found
