@@ -14,13 +14,18 @@ from service.identification.beyond import beyond_rows
 from service.identification.least_squares import Fit, minimise
 from service.identification.noise import NoiseModel, block_noise
 from service.identification.plane_model import Amplitude
-from service.identification.rotating_model import POLAR, RotatingModel, TurningPoints
+from service.identification.rotating_model import RotatingModel, TurningPoints
 from service.identification.rotating_points import SpeedPoints
 from service.identification.split import Split, split_rows
 from service.identification.zoh import Complex, Real
 
 SCAN_STEPS = 161
 """Most couplings that a search for a start tries."""
+POLAR_STEPS, POLAR_WITHIN = 401, 2.0
+"""Polar inertias that it tries, to either side of none, up to so many transverse inertias: a speed that is told with
+the wrong sign makes it negative."""
+POLAR_CLOSER, POLAR_BESIDE = 81, 0.02
+"""The same about one that a slower speed gave: tries, and how far to either side, in transverse inertias."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +144,10 @@ def fit_rotating(
         free = free & _not_amplifiers(start)
     model = start
     if turns and free[start.layout.polar]:
-        slowest = min((p for p in data if p.speed_rad_s), key=lambda p: abs(p.speed_rad_s))
+        slowest, *faster = sorted((p for p in data if p.speed_rad_s), key=lambda p: abs(p.speed_rad_s))
         model = scanned(model, slowest)
+        for points in faster:
+            model = rescanned(model, points)
         couplings = np.zeros_like(free)
         couplings[start.layout.polar :] = True
         for relative in (0.3, 0.03):
@@ -227,9 +234,8 @@ def scanned(model: RotatingModel, points: SpeedPoints) -> RotatingModel:
     """
     at, theta = model.layout, model.theta.copy()
     inertia = float(theta[at.rigid][1])
-    lowest = min([float(m.modes[:, 0].min()) for m in model.planes if len(m.modes)], default=np.inf)
-    rigid = points.omega < 0.5 * lowest
-    theta[at.index(POLAR)] = _best(model.at(theta), points.select(rigid), at.polar, inertia * np.linspace(0, 2, 41))
+    tries = inertia * np.linspace(-POLAR_WITHIN, POLAR_WITHIN, POLAR_STEPS)
+    theta[at.polar] = _best(model, _rigid(model, points), at.polar, tries)
     for k, (a, b) in enumerate(at.pairs):
         modes = model.plane(0).modes[a], model.plane(1).modes[b]
         nu = 0.5 * (modes[0][0] + modes[1][0])
@@ -243,6 +249,25 @@ def scanned(model: RotatingModel, points: SpeedPoints) -> RotatingModel:
         place = at.gyroscopic(k)
         theta[place] = _best(model.at(theta), points.select(near), place, tries)
     return model.at(theta)
+
+
+def rescanned(model: RotatingModel, points: SpeedPoints) -> RotatingModel:
+    """The model with the polar inertia that a faster sweep wants, close to that of a slower one.
+
+    The rotor's nutation is hardly damped without its controller, and its frequency is the polar inertia times the
+    speed: the faster, the narrower is the range of inertias from which a local search finds the right one.
+    """
+    at, theta = model.layout, model.theta.copy()
+    beside = float(theta[at.rigid][1]) * POLAR_BESIDE
+    tries = theta[at.polar] + beside * np.linspace(-1, 1, POLAR_CLOSER)
+    theta[at.polar] = _best(model, _rigid(model, points), at.polar, tries)
+    return model.at(theta)
+
+
+def _rigid(model: RotatingModel, points: SpeedPoints) -> SpeedPoints:
+    """Points at which the rotor moves as a rigid body, well below its lowest mode."""
+    lowest = min([float(m.modes[:, 0].min()) for m in model.planes if len(m.modes)], default=np.inf)
+    return points.select(points.omega < 0.5 * lowest)
 
 
 def _best(model: RotatingModel, points: SpeedPoints, place: int, values: Real) -> float:

@@ -22,6 +22,7 @@ from sim.datasheet import Datasheet
 from sim.loop import Loop
 from sim.rig import Rig
 from sim.twin import linear_model
+from tests.support import turning
 from tests.support.planes import plane_model_of
 from tests.support.turning import COUPLING, HZ, INTERNAL, PERIOD_S, POLAR, SPEEDS, rig_at, sweep_at, told_the_noise
 
@@ -160,6 +161,21 @@ def test_polar_inertia_and_splitting_are_recovered(turned: Turned) -> None:
         assert g.value == pytest.approx(COUPLING, abs=3 * g.std)
         assert g.value == pytest.approx(COUPLING, rel=0.02)
         assert rotating.value == pytest.approx(INTERNAL, abs=3.5 * rotating.std)
+
+
+@pytest.mark.parametrize(("polar", "speeds"), [(9.0, (0.0, 314.0, 628.0)), (13.744, (0.0, 445.0, 852.0))])
+def test_a_disc_is_found_at_speeds_where_its_nutation_crosses_the_lines(
+    datasheet: Datasheet, monkeypatch: pytest.MonkeyPatch, polar: float, speeds: tuple[float, ...]
+) -> None:
+    """A polar inertia about as large as the transverse one: its nutation passes a line every hundredth of it."""
+    monkeypatch.setattr(turning, "POLAR", polar)
+    sweeps = tuple(sweep_at(w, k) for k, w in enumerate(speeds))
+    turned = identify(Experiment("reference", datasheet.axes, sweeps), datasheet).rotating
+    assert turned is not None
+    found = turned.estimate("polar_inertia_kgm2", "kg m2")
+    assert turned.uncertainty.adequate
+    assert found.value == pytest.approx(polar, rel=1e-3)
+    assert found.value == pytest.approx(polar, abs=4 * found.std)
 
 
 def test_inertia_and_stiffness_are_recovered_with_honest_intervals(turned: Turned) -> None:
