@@ -149,7 +149,7 @@ STATUS = Group(
         _u32("command", "number of the tone that was accepted last"),
         _u16("outcome", "of that tone: 0 under way, 1 done, 2 stopped, 3 tripped, 4 failed, 5 stopped by others", 0, 5),
         _u32("result", "number of the last result"),
-        Object("speed_rad_s", Type.F32, "rotational speed", "rad/s", required=False),
+        Object("speed_rad_s", Type.F32, "rotational speed, positive from x to y", "rad/s", required=False),
         _scaled("uptime_s", "time since the start", "s", 1000, required=False),
         Object("displacement_m", Type.I32, "displacement of each axis", "m", 1_000_000_000, count=MAX_AXES),
         Object("current_a", Type.I32, "coil current of each axis", "A", 1_000_000, count=MAX_AXES),

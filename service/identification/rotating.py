@@ -27,6 +27,9 @@ from sim.errors import AmbError
 ROUND = 0.005
 """Standard deviation of the logarithm by which the two planes' shapes of one mode may split differently."""
 
+CERTAIN = 3.0
+"""Standard deviations from which a polar inertia is on its side of zero."""
+
 
 @dataclass(frozen=True)
 class Turned:
@@ -194,6 +197,7 @@ def turned(
             f"residuals over all speeds are {u.scale:.2g} times the noise: something acts that the rotating model does "
             "not have; standard deviations are widened"
         )
+    warnings += turns_the_other_way(refined.model, u)
     for points in data:
         warnings += points.left_out
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
@@ -228,6 +232,19 @@ def _fitted(
         if found[-1][1].adequate:
             return found[-1]
     return min(found, key=lambda f: _length(f[0]))
+
+
+def turns_the_other_way(model: RotatingModel, u: Uncertainty) -> list[str]:
+    """What there is to say of a polar inertia below zero, beyond doubt: that the speeds have the wrong sign."""
+    figures, _ = u.std(model, lambda m: np.array([m.polar_inertia]))
+    value, std = model.polar_inertia, float(figures[0])
+    if not value < -CERTAIN * std:
+        return []
+    return [
+        f"the polar inertia comes out as {value:.3g} kg m2, which no rotor has: the shaft turns the other way than the "
+        "sign of speed_rad_s says, which is positive from x to y; give every speed the other sign, as forward and "
+        "backward whirl are swapped here"
+    ]
 
 
 def _length(refined: RotatingFit) -> float:

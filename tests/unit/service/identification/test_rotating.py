@@ -163,6 +163,21 @@ def test_polar_inertia_and_splitting_are_recovered(turned: Turned) -> None:
         assert rotating.value == pytest.approx(INTERNAL, abs=3.5 * rotating.std)
 
 
+def test_a_speed_with_the_wrong_sign_is_told(datasheet: Datasheet) -> None:
+    """A controller reports how fast a shaft turns, not always which way: the fit is as good, and turns backward."""
+    sweeps = tuple(replace(sweep_at(w, k), speed_rad_s=-w) for k, w in enumerate(SPEEDS))
+    found = identify(Experiment("reference", datasheet.axes, sweeps), datasheet)
+    turned = found.rotating
+    assert turned is not None
+    assert turned.uncertainty.adequate
+    assert turned.estimate("polar_inertia_kgm2", "kg m2").value == pytest.approx(-POLAR, rel=0.02)
+    assert [w for w in found.warnings if "turns the other way" in w and "forward and backward whirl are swapped" in w]
+
+
+def test_a_right_sign_raises_no_such_warning(turned: Turned) -> None:
+    assert not any("turns the other way" in w for w in turned.warnings)
+
+
 @pytest.mark.parametrize(("polar", "speeds"), [(9.0, (0.0, 314.0, 628.0)), (13.744, (0.0, 445.0, 852.0))])
 def test_a_disc_is_found_at_speeds_where_its_nutation_crosses_the_lines(
     datasheet: Datasheet, monkeypatch: pytest.MonkeyPatch, polar: float, speeds: tuple[float, ...]
