@@ -22,6 +22,15 @@ def source_of(zones_db: Iterable[tuple[str, float]]) -> str:
     return "ISO 14839-3" if limited == ISO_14839_3_DB[:-1] else "the rig's own table"
 
 
+def calm_zones(zones_db: Iterable[tuple[str, float]]) -> tuple[str, ...]:
+    """Zones of the sensitivity peak in which a machine may stay: as A and B of ISO 14839-3 the first two with a limit.
+
+    >>> calm_zones(ISO_14839_3_DB), calm_zones([("good", 9.5), ("bad", math.inf)])
+    (('A', 'B'), ('good',))
+    """
+    return tuple(name for name, limit in zones_db if math.isfinite(limit))[:2]
+
+
 @dataclass(frozen=True)
 class Mode:
     """A flexible mode of the free rotor, unit modal mass, as the datasheet states it."""

@@ -11,6 +11,7 @@ from service.api import etags, examples
 from service.api.access import KeyFirst
 from service.api.shapes import AfterHealth, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
 from service.api.state import Api
+from service.health.zones import zone_is_calm
 from service.storage import results, rigs
 from service.storage.listing import LARGEST_PAGE
 from service.storage.tables import HealthRow
@@ -34,6 +35,7 @@ class HealthShape(Shape):
                     "job": examples.JOB,
                     "alarm": False,
                     "zone": "A",
+                    "zone_calm": True,
                     "drifted": [],
                     "sentence": "compressor 3: nothing drifted; sensitivity peak 2.01, zone A of ISO 14839-3",
                     "created_at": examples.TIME,
@@ -51,6 +53,8 @@ class HealthShape(Shape):
     job: str | None
     alarm: bool
     zone: str
+    zone_calm: bool
+    """Whether a rig may stay in that zone: as A and B of ISO 14839-3, the first two with a limit of the rig's table."""
     drifted: list[str]
     sentence: str
     created_at: Time
@@ -110,6 +114,7 @@ def _values(row: HealthRow) -> dict[str, Any]:
         "job": row.job_id,
         "alarm": row.alarm,
         "zone": row.document["zone"],
+        "zone_calm": zone_is_calm(row.document),
         "drifted": row.document["drifted"],
         "sentence": row.document["sentence"],
         "created_at": row.created_at,

@@ -139,6 +139,7 @@ class HealthCheck(_Sent):
     job: str | None = None
     alarm: bool = False
     zone: str = ""
+    zone_calm: bool = True
     drifted: list[str] = Field(default_factory=list)
     sentence: str = ""
     created_at: datetime | None = None

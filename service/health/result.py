@@ -196,6 +196,7 @@ class HealthResult:
                 for axis, c in p.sensitivity_peaks.items()
             },
             "zone": self.zone,
+            "zone_limits_db": {name: limit for name, limit in self.zones if math.isfinite(limit)},
             "residuals": {
                 p.plane: {"rms_over_sigma": p.rms_over_sigma, "unexplained": p.unexplained} for p in self.planes
             },

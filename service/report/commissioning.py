@@ -16,7 +16,7 @@ from service.report.format import MISSING, count, decibel, figures, fixed, numbe
 from service.report.page import Captioned, Page, Section, Tone
 from service.report.plane import plane_section
 from service.report.rotating import rotating_section
-from sim.datasheet import Datasheet, source_of
+from sim.datasheet import Datasheet, calm_zones, source_of
 from sim.folded import folded
 from sim.wording import in_words
 
@@ -118,7 +118,7 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     )
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
-    calm = zone in [name for name, _ in loudest.zones_db[:2]]
+    calm = zone in calm_zones(loudest.zones_db)
     return ("good" if calm and worst > GOOD_PERCENT else "warn"), text
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from service.health.trend import Checked, Series, trend
+from service.health.zones import zone_is_calm
 from service.report.figure import BAD, GRID, MEASURED, MODEL, Figure, points
 from service.report.format import change, count, figures, fixed, in_unit, moment, paragraph, signed, table
 from service.report.page import Captioned, Page, Section, Tone
@@ -31,7 +32,7 @@ def health_page(document: Mapping[str, Any], history: Sequence[Checked]) -> str:
     history
         All checks of the rig up to this one, itself included.
     """
-    tone: Tone = "bad" if document["alarm"] else "warn" if document["zone"] in "CD" else "good"
+    tone: Tone = "bad" if document["alarm"] else "good" if zone_is_calm(document) else "warn"
     series = trend(history)
     drifting = [n for n, s in series.items() if s.drifting and n not in document["drifted"]]
     notes = [f"{n} changes steadily over the checks, although no single one shows it" for n in drifting]

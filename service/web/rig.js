@@ -164,7 +164,7 @@ function health(found, trend, context) {
     }
   });
   return [
-    h("p", { class: "lead " + (found.alarm ? "bad" : "CD".includes(found.zone) ? "warn" : "") }, found.sentence),
+    h("p", { class: "lead " + (found.alarm ? "bad" : found.zone_calm ? "" : "warn") }, found.sentence),
     h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + (once ? " check · " : " checks · "),
       documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html")),
     steady.length ? h("p", { class: "note" }, "Changes steadily: " + steady.join(", ")) : "",

@@ -44,7 +44,7 @@ def test_alarms_are_found(api, service, rig, experiment):
             )
         )  # fmt: skip
     (found,) = api.get("/health-checks", params={"rig": rig, "alarm": True}).json()["items"]
-    assert (found["zone"], found["drifted"]) == ("B", ["x.kiA"])
+    assert (found["zone"], found["zone_calm"], found["drifted"]) == ("B", True, ["x.kiA"])
     assert api.get("/health-checks", params={"rig": rig, "alarm": False}).json()["items"] == []
     assert api.get(f"/health-checks/{found['id']}").json()["document"] == document
 

@@ -113,6 +113,7 @@ def test_the_table_of_zones_is_the_users(unchanged):
     own = compare(Baseline(result()), unchanged, replace(SHEET, sensitivity_zones_db=zone_table("fine=20,bad")))
     assert own.zone == "fine"
     assert "zone fine of the rig's own table" in own.sentence()
+    assert own.document()["zone_limits_db"] == {"fine": 20.0}
 
 
 def test_fewer_false_alarms_ask_for_larger_changes(unchanged):

@@ -141,3 +141,20 @@ def test_the_whole_page_is_as_wide_as_a_phone(tmp_path):
         phone.open(file.as_uri())
         phone.until("document.documentElement.dataset.drawn")
         assert phone.wide() == 390
+
+
+@pytest.mark.parametrize(
+    ("zone", "limits", "tone"),
+    [
+        ("B", None, "good"),
+        ("C", None, "warn"),
+        ("fine", {"fine": 9.5}, "good"),
+        ("bad", {"fine": 9.5}, "warn"),
+        ("C", {"A": 6.0, "B": 9.0, "C": 12.0, "D": 15.0}, "warn"),
+        ("E", {"A": 6.0, "B": 9.0, "C": 12.0, "D": 15.0}, "warn"),
+    ],
+)
+def test_the_page_is_as_calm_as_the_rig_s_own_zones(zone, limits, tone):
+    checks = history(0.0, 6)
+    document = {**checks[-1].document, "zone": zone} | ({} if limits is None else {"zone_limits_db": limits})
+    assert f'<p class="lead {tone}">' in health_page(document, [])

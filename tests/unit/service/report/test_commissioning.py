@@ -98,6 +98,13 @@ def test_a_model_that_does_not_agree_with_the_data_is_not_said_to_be_identified(
     assert "-36.10 % NRMSE only" in text
 
 
+@pytest.mark.parametrize(("limit_db", "tone"), [(30.0, "good"), (3.0, "warn")])
+def test_the_last_of_two_zones_of_its_own_is_no_good_news(result, limit_db, tone):
+    own = (("fine", limit_db), ("bad", math.inf))
+    planes = {k: replace(p, zones_db=own, tests_passed=True, adequate=True) for k, p in result.planes.items()}
+    assert verdict(replace(result, planes=planes))[0] == tone
+
+
 @pytest.mark.parametrize(("fit_percent", "std"), [(-1296.0, 0.01), (99.0, 3.0)])
 def test_of_a_model_that_says_nothing_no_figure_is_told_in_the_sentence(result, fit_percent, std):
     """As of a displacement with the wrong sign."""
