@@ -116,6 +116,16 @@ def test_a_unit_is_locked_down(unit):
     assert done.returncode == 0, done.stdout[-1500:] + done.stderr
 
 
+@pytest.mark.parametrize("unit", SERVICES, ids=lambda p: p.name)
+def test_a_serial_adapter_may_be_plugged_in_after_the_unit_has_started(unit):
+    """systemd looks a device's name up in /proc/devices, which has ttyUSB only once such an adapter has been there."""
+    text = unit.read_text()
+    allowed = re.findall(r"^DeviceAllow=(\S+) rw$", text, re.MULTILINE)
+    assert all(re.fullmatch(r"char-\d+", a) for a in allowed)
+    # numbers of the kernel's Documentation/admin-guide/devices.txt: ttyS, ttyACM, ttyUSB
+    assert set(allowed) == ({"char-4", "char-166", "char-188"} if "DevicePolicy=closed" in text else set())
+
+
 # ---- compose
 
 
