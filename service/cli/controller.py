@@ -25,15 +25,16 @@ def check_controller(
 ) -> None:
     """Judge a controller on the identified model and its uncertainty, before it is loaded.
 
-    The gain, phase and delay margins are of one axis' loop, the others closed; a delay that all of them have, as
-    computing_delay_s of the file, is in the verdict. Exit status 0 when it is safe, 1 when it is not.
+    The gain, phase and delay margins are of one axis' loop, the others closed, without gyroscopic coupling; a
+    delay that all of them have, as computing_delay_s of the file, is in the verdict, and so is the stability at every
+    speed of the Campbell diagram, where the commissioning has one. Exit status 0 when it is safe, 1 when it is not.
     """
     import numpy as np
 
     from service.checkup import read_baseline
     from service.identification.controller_check import check_controller as checked
     from service.identification.margins import zone_table
-    from service.identification.saved import saved_planes
+    from service.identification.saved import saved_planes, saved_rotor
     from service.output import json_text, write_text
 
     then, datasheet = read_baseline(baseline)
@@ -50,6 +51,7 @@ def check_controller(
         table,
         accept,
         computing_delay_s=computing_delay_s,
+        rotor=saved_rotor(then.document, datasheet),
     )
     document = found.document()
     if out is not None:

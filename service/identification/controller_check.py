@@ -21,7 +21,8 @@ from service.identification.margins import (
     zone,
 )
 from service.identification.plane_model import PlaneModel
-from service.identification.saved import SavedPlane
+from service.identification.saved import SavedPlane, SavedRotor
+from service.identification.whirl import loop_matrix
 from service.identification.zoh import Complex, Real
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import AmbError
@@ -127,6 +128,7 @@ def check_controller(
     draws: int = DRAWS,
     seed: int = 0,
     computing_delay_s: float | None = None,
+    rotor: SavedRotor | None = None,
 ) -> ControllerCheck:
     """Judge a controller on every identified plane of a rig.
 
@@ -142,6 +144,8 @@ def check_controller(
         Models drawn from the uncertainty.
     computing_delay_s
         How long the controller computes; as long as the one that was identified without it.
+    rotor
+        The turning rotor, where the result has one: its loop must hold at every speed of its Campbell diagram.
 
     Raises
     ------
@@ -165,6 +169,8 @@ def check_controller(
     axes = tuple(axis for c in checks for axis in c.axes)
     reasons = [reason for c in checks for reason in c.reasons]
     reasons += [_beyond_zone(a, accepted_zone) for a in axes if order.index(a.zone) > order.index(accepted_zone)]
+    if rotor is not None:
+        reasons += _at_speed(rotor, law, computing_delay_s)
     notes = dict.fromkeys(note for s in planes.values() for note in s.notes)
     return ControllerCheck(
         rig,
@@ -225,6 +231,20 @@ def _check_plane(
         )
     share, axes = len(held) / max(len(drawn), 1), tuple(_axes(s, law, held, limits))
     return _PlaneCheck(s.plane, decay, share, reasons, warnings, axes, _later(s, law))
+
+
+def _at_speed(rotor: SavedRotor, law: tuple[Real, Real], computing_delay_s: float | None) -> list[str]:
+    """Why the turning rotor's loop does not hold: the slowest speed at which the best model's is unstable."""
+    model = rotor.model
+    if computing_delay_s is not None:
+        x, y = (replace(k, computing_delay_s=computing_delay_s) for k in model.known)
+        model = replace(model, known=(x, y))
+    for speed in sorted((float(w) for w in rotor.speeds_rad_s if w), key=abs):
+        poles = np.asarray(np.linalg.eigvals(loop_matrix(model, law, speed)[0]), dtype=np.complex128)
+        if slowest_decay(poles, model.known[0].sample_time_s) <= 0:
+            how = _unstable_words(poles, model.planes[0])
+            return [f"at {speed:.4g} rad/s, with gyroscopic coupling, the loop is unstable, {how}"]
+    return []
 
 
 def _beyond_zone(a: AxisCheck, accepted_zone: str) -> str:

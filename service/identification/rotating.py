@@ -96,6 +96,7 @@ class Turned:
             "campbell": self.campbell.document(),
             "parameters": {
                 "values": dict(zip(layout.names, self.model.theta.tolist(), strict=True)),
+                "pairs": [list(pair) for pair in layout.pairs],
                 "free": [n for n, f in zip(layout.names, free, strict=True) if f],
                 "covariance": self.uncertainty.covariance.tolist(),
             },

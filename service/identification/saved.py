@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.known import as_identified
+from service.identification.plane_layout import N_MODE
 from service.identification.plane_model import Layout, PlaneModel
 from service.identification.plane_start import known_of
 from service.identification.points import planes_of
+from service.identification.rotating_model import RotatingLayout, RotatingModel, paired
 from service.identification.zoh import Real
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -21,6 +23,11 @@ from sim.folded import Folded
 OTHER_LAW = (
     "the controller that ran is not the one of the datasheet (the twin's effects say how it differs): a law is judged "
     "as it is written; where the same difference would come upon it, write it into the law"
+)
+
+SPEEDLESS = (
+    "judged for a rotor that stands still: the result's model of the turning rotor cannot be read, and the planes have "
+    "no gyroscopic coupling; identify the experiments once more (ambit identify --also)"
 )
 
 
@@ -76,7 +83,51 @@ def _checked(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, Sav
     twin, notes = as_identified(datasheet, document)
     if (twin.datasheet.numerator, twin.datasheet.denominator) != (datasheet.numerator, datasheet.denominator):
         notes = (*notes, OTHER_LAW)
+    if document.get("rotating") and saved_rotor(document, datasheet) is None:
+        notes = (*notes, SPEEDLESS)
     return {plane: _saved(found, twin, plane, notes) for plane, found in document["planes"].items()}
+
+
+@dataclass(frozen=True)
+class SavedRotor:
+    """The turning rotor of a result, and the speeds of its Campbell diagram."""
+
+    model: RotatingModel
+    speeds_rad_s: Real
+    """(S,) from standstill to a quarter beyond the fastest that was measured."""
+
+
+def saved_rotor(document: Mapping[str, Any], datasheet: Datasheet) -> SavedRotor | None:
+    """The model of all speeds that a result.json holds; None where it holds none that can be read back."""
+    found = document.get("rotating")
+    if not found:
+        return None
+    try:
+        return _rotor(document, found, as_identified(datasheet, document)[0])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError):
+        return None
+
+
+def _rotor(document: Mapping[str, Any], found: Mapping[str, Any], twin: Folded) -> SavedRotor:
+    kept = found["parameters"]
+    values: Mapping[str, float] = kept["values"]
+    layouts, known = [], []
+    for plane in "xy":
+        orders = document["planes"][plane]["parameters"]["amplifier_orders"]
+        n_modes = sum(name.startswith(f"{plane}_mode_") for name in values) // N_MODE
+        layouts.append(Layout((int(orders[0]), int(orders[1])), n_modes))
+        chain = twin.chain.of(list(planes_of(twin.datasheet.axes)[plane]))
+        known.append(known_of(twin.datasheet, plane, twin.datasheet.axes, chain))
+    both, models = (layouts[0], layouts[1]), (known[0], known[1])
+
+    def of(pairs: tuple[tuple[int, int], ...]) -> RotatingModel:
+        layout = RotatingLayout(both, pairs)
+        return RotatingModel(models, layout, np.array([float(values[name]) for name in layout.names]))
+
+    model = of(tuple((int(a), int(b)) for a, b in kept["pairs"]) if "pairs" in kept else paired(*of(()).planes))
+    if set(model.layout.names) != set(values):
+        raise ValueError("parameters of another model")
+    return SavedRotor(model, np.array(found["campbell"]["speed_rad_s"], dtype=float))
 
 
 def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str, ...]) -> SavedPlane:

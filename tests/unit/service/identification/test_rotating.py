@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 from service.experiment.data import Experiment
 from service.identification.beyond import BEYOND_ROWS
 from service.identification.campbell import campbell
+from service.identification.controller_check import ControllerCheck, check_controller
 from service.identification.fit import identify
 from service.identification.result import CommissioningResult
 from service.identification.rotating import Turned
 from service.identification.rotating_fit import fit_rotating, held_rows
 from service.identification.rotating_model import RotatingModel, TurningPoints, joined, paired
 from service.identification.rotating_points import speed_points
+from service.identification.saved import saved_planes, saved_rotor
 from service.identification.split import Split, log_ratios
 from service.identification.whirl import loop_matrix, whirl
 from sim.datasheet import Datasheet
@@ -373,3 +376,45 @@ def test_speeds_without_standstill_and_one_speed_alone_do_as_well(datasheet: Dat
         assert polar.value == pytest.approx(POLAR, abs=3.5 * polar.std)
         assert polar.value == pytest.approx(POLAR, rel=0.02)
         assert found.rotating.apart is None
+
+
+ANY_ZONE = (("any", 40.0), ("bad", np.inf))
+
+
+def judged(document: dict, datasheet: Datasheet) -> ControllerCheck:
+    law = np.array(datasheet.numerator), np.array(datasheet.denominator)
+    planes, rotor = saved_planes(document, datasheet), saved_rotor(document, datasheet)
+    return check_controller("reference", planes, law, zones=ANY_ZONE, accepted_zone="any", rotor=rotor)
+
+
+def test_the_turning_rotor_of_a_result_is_read_back(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
+    assert turning_result.rotating is not None
+    document = json.loads(json.dumps(turning_result.document()))
+    found = saved_rotor(document, datasheet)
+    assert found is not None
+    np.testing.assert_array_equal(found.model.theta, turning_result.rotating.model.theta)
+    assert found.model.layout == turning_result.rotating.model.layout
+    assert found.speeds_rad_s[-1] == pytest.approx(1.25 * SPEEDS[-1])
+    del document["rotating"]["parameters"]["pairs"]  # as an older version wrote it
+    older = saved_rotor(document, datasheet)
+    assert older is not None
+    assert older.model.layout == found.model.layout
+
+
+def test_a_controller_is_judged_at_speed(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
+    """Damping that turns with the shaft takes the forward whirl's: the planes at standstill know nothing of it."""
+    document = json.loads(json.dumps(turning_result.document()))
+    assert judged(document, datasheet).safe
+    document["rotating"]["parameters"]["values"]["pair_1_rotating_damping_rad_s"] = 60.0
+    found = judged(document, datasheet)
+    assert not found.safe
+    (reason,) = found.reasons
+    assert "at 353.2 rad/s" in reason
+    assert "a motion of 501.1 Hz" in reason
+
+
+def test_a_turning_rotor_that_cannot_be_read_is_told(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
+    document = json.loads(json.dumps(turning_result.document()))
+    del document["rotating"]["parameters"]["values"]["polar_inertia_kgm2"]
+    assert saved_rotor(document, datasheet) is None
+    assert any("stands still" in w for w in judged(document, datasheet).warnings)
