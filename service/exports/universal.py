@@ -20,6 +20,8 @@ from service.exports.responses import Complex, Real, Responses
 FRF, GENERAL = 4, 0
 NODES = {"A": 1, "B": 2}
 DIRECTIONS = {"x": 1, "y": 2}
+LINE = 80
+"""Characters of a line of the header."""
 STD = "standard deviation of the response"
 
 
@@ -64,7 +66,7 @@ def _dataset(named: _Names, kind: int, what: str, x: Real, y: Real | Complex) ->
         f"{-1:6d}",
         # little-endian, IEEE 754, lines of the header, bytes after it
         f"{58:6d}b{1:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
-        named.response,
+        _told_apart(named.response),
         what,
         f"{named.output} [{named.output_unit}] per {named.input} [{named.input_unit}]",
         "NONE",
@@ -77,8 +79,19 @@ def _dataset(named: _Names, kind: int, what: str, x: Real, y: Real | Complex) ->
         _axis(0, named.input, named.input_unit),
         _axis(0, "NONE", "NONE"),
     ]
-    head = "".join(f"{line[:80]:<80s}\n" if 2 <= k < 7 else f"{line}\n" for k, line in enumerate(lines))
+    head = "".join(f"{line[:LINE]:<{LINE}s}\n" if 2 <= k < 7 else f"{line}\n" for k, line in enumerate(lines))
     return head.encode("ascii", "replace") + data + b"\n    -1\n"
+
+
+def _told_apart(name: str) -> str:
+    """A response's name in a line of the header: a long one loses its middle, for plane and path are at its end.
+
+    >>> told = _told_apart(90 * "a" + " x u->y")
+    >>> len(told), told[-11:], _told_apart("a" + chr(10) + "b")
+    (80, 'aaaa x u->y', 'a b')
+    """
+    line = "".join(c if c.isprintable() else " " for c in name)
+    return line if len(line) <= LINE else f"{line[: LINE // 2]}...{line[LINE // 2 + 3 - LINE :]}"
 
 
 def _axis(kind: int, label: str, unit: str) -> str:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -145,6 +146,18 @@ def test_several_planes_in_a_format_of_one_are_several_files(experiment, tmp_pat
     written = files.write_responses(tmp_path / "frf.json", list(responses.of_experiment(experiment).values()))
     assert [p.name for p in written] == ["frf-1.json", "frf-2.json"]
     assert json.loads(written[1].read_text())["outputs"] == ["y_yA", "y_yB"]
+
+
+@pytest.mark.parametrize("rig", ["compressor " * 9, "two\nlines", "Verdichter Süd"])
+def test_planes_of_a_rig_of_any_name_are_told_apart_in_a_universal_file(experiment, tmp_path, rig):
+    found = responses.of_experiment(replace(experiment, rig=rig))
+    (path,) = files.write_responses(tmp_path / "frf.uff", list(found.values()))
+    back = files.read_responses(path)
+    assert len(back) == 2
+    for ours, theirs in zip(found.values(), back, strict=True):
+        assert theirs.outputs == ours.outputs
+        np.testing.assert_array_equal(theirs.value, ours.value)
+        assert theirs.name.endswith(ours.name[-7:])
 
 
 @pytest.mark.parametrize("name", ["x.mat", "x.csv", "x.json", "x.uff", "x.txt"])
