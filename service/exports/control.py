@@ -45,6 +45,7 @@ def to_control(model: Linear) -> Any:
         model.B,
         model.C,
         model.D,
+        0,  # in continuous time, whatever the user's control.default_dt is
         inputs=list(model.inputs),
         outputs=list(model.outputs),
         states=[s.replace(".", "·") for s in model.states],

@@ -131,6 +131,18 @@ def _space(document: Mapping[str, Any]) -> StateSpace:
     )
 
 
+def must_be_continuous(name: str, sample_time_s: float) -> None:
+    """Refuse the model of a file that was put into discrete time.
+
+    Raises
+    ------
+    ExportError
+        Its sample time is not 0.
+    """
+    if sample_time_s:
+        raise ExportError(f"model {name} is in discrete time ({sample_time_s:g} s); give one in continuous time")
+
+
 def document(model: Linear) -> dict[str, Any]:
     """As JSON."""
     return {
@@ -157,9 +169,10 @@ def from_document(found: Mapping[str, Any]) -> Linear:
     Raises
     ------
     ExportError
-        It is none, or not whole.
+        It is none, not whole, or in discrete time.
     """
     with reading(found, FORMAT, "state space"):
+        must_be_continuous(str(found["name"]), found.get("sample_time_s", 0.0))
         names = {k: tuple(str(s) for s in found[k]) for k in ("states", "inputs", "outputs")}
         n, m, p = (len(v) for v in names.values())
         return Linear(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.exports.errors import ExportError
-from service.exports.linear import Linear, matrix
+from service.exports.linear import Linear, matrix, must_be_continuous
 from service.exports.responses import Responses
 
 
@@ -56,11 +56,12 @@ def linear_from_variables(found: Mapping[str, Any]) -> Linear:
     Raises
     ------
     ExportError
-        A variable is missing or of the wrong size.
+        A variable is missing or of the wrong size, or the model is in discrete time.
     """
     try:
         states, inputs, outputs = (_texts(found[k]) for k in ("states", "inputs", "outputs"))
         n, m, p = len(states), len(inputs), len(outputs)
+        must_be_continuous(_string(found["name"]), float(np.ravel(found.get("sample_time_s", 0.0))[0]))
         return Linear(
             _string(found["name"]),
             matrix(found["A"], n, n),

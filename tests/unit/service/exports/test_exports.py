@@ -8,12 +8,13 @@ import control
 import numpy as np
 import pytest
 import pyuff
-from scipy.io import loadmat
+from scipy.io import loadmat, savemat
 
 from service.errors import DocumentError
 from service.exports import files, linear, responses
 from service.exports.control import control_of, from_control, to_control
 from service.exports.errors import ExportError
+from service.exports.matlab import linear_variables
 from service.identification.saved import saved_planes
 from service.output import json_text, write_text
 from sim.reference import reference_rig
@@ -45,6 +46,26 @@ def test_python_control_has_the_response_of_the_identified_plant(plant):
     ours = saved_planes(result(), SHEET)["x"].model.plant_response(omega)
     np.testing.assert_allclose(theirs, ours, rtol=1e-8)
     assert np.sum(system.poles().real > 0) == 2  # both rigid modes fall to the magnets
+
+
+@pytest.mark.parametrize("default", [None, True, 1e-3])
+def test_the_system_is_in_continuous_time_whatever_a_user_has_set(plant, default):
+    try:
+        control.set_defaults("control", default_dt=default)
+        assert to_control(plant).dt == 0
+    finally:
+        control.reset_defaults()
+
+
+@pytest.mark.parametrize("ending", [".json", ".mat"])
+def test_a_model_that_somebody_put_into_discrete_time_is_not_taken_for_a_continuous_one(plant, tmp_path, ending):
+    path = tmp_path / f"model{ending}"
+    if ending == ".json":
+        write_text(path, json_text(linear.document(plant) | {"sample_time_s": 1e-4}))
+    else:
+        savemat(path, linear_variables(plant) | {"sample_time_s": 1e-4})
+    with pytest.raises(ExportError, match=r"discrete time \(0\.0001 s\)"):
+        files.read_linear(path)
 
 
 def test_whole_is_amplifiers_and_plant_in_series(plant):
