@@ -16,6 +16,7 @@ from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
+from service.health.speeds import alike
 from service.identification.derivatives import central_differences, propagated_std
 from service.identification.etfe import SingularInputError, etfe
 from service.identification.known import as_identified, computed, led_back
@@ -37,8 +38,6 @@ REPRODUCIBILITY: dict[Kind, float] = {
 }
 """Relative, one sigma: what two campaigns on one rig differ by beside their noise. A transient below a quarter of the
 accuracy is let pass at every tone, and a figure that hangs on few tones keeps most of it."""
-SPEED_APART, SPEED_APART_RAD_S = 0.01, 1.0
-"""How far speeds may be apart that count as one: a share of it, and rad/s."""
 
 
 @dataclass(frozen=True)
@@ -141,11 +140,10 @@ def compare(
 def other_speed(was_at: float | None, is_at: float) -> str:
     """What there is to say of the speeds of commissioning and check, either way round; "" where they are alike."""
     if was_at is None:
-        alike, then = is_at == 0, "at a speed that its result does not tell"
+        same, then = is_at == 0, "at a speed that its result does not tell"
     else:
-        apart = abs(abs(is_at) - abs(was_at))
-        alike, then = apart <= SPEED_APART_RAD_S + SPEED_APART * abs(is_at), f"at {was_at:.4g} rad/s"
-    if alike:
+        same, then = alike(was_at, is_at), f"at {was_at:.4g} rad/s"
+    if same:
         return ""
     return (
         f"checked at {is_at:.4g} rad/s and commissioned {then}: what changed may be the speed's, as gyroscopic "

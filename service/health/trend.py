@@ -2,7 +2,8 @@
 
 A baseline's error is the same in every check against it, so it moves them all up or down and leaves their slope alone:
 the slope is judged by the checks' own scatter, and finds a slow drift before any single check does. A rig that was
-commissioned anew has another such error since: each baseline's checks have a level of their own, and one slope.
+commissioned anew has another such error since, and one that is checked at another speed has what gyroscopic coupling
+changes: the checks against each baseline at each speed have a level of their own, and all have one slope.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from service.distributions import student_above
 from service.health.sequential import Policy
+from service.health.speeds import alike
 from service.identification.zoh import Real
 
 FEWEST = 5
@@ -81,10 +83,27 @@ def trend(history: Sequence[Checked], policy: Policy | None = None) -> dict[str,
         names.update(dict.fromkeys(c.document["parameters"]))
     of_the_year = sum((ordered[-1].at - c.at).total_seconds() < YEAR_S for c in ordered[:-1])
     level = rule.level(of_the_year, max(len(names), 1))
-    return {name: _series(name, [c for c in ordered if name in c.document["parameters"]], level) for name in names}
+    speeds = _speeds(ordered)
+    found = {}
+    for name in names:
+        of = [k for k, c in enumerate(ordered) if name in c.document["parameters"]]
+        found[name] = _series(name, [ordered[k] for k in of], speeds[of], level)
+    return found
 
 
-def _series(name: str, checks: list[Checked], level: float) -> Series:
+def _speeds(checks: Sequence[Checked]) -> Real:
+    """The first speed of each check's like, (N,) rad/s; 0 where an older document does not tell."""
+    known: list[float] = []
+    out = []
+    for c in checks:
+        speed = float(c.document.get("speed_rad_s") or 0.0)
+        if not any(alike(k, speed) for k in known):
+            known.append(speed)
+        out.append(next(k for k in known if alike(k, speed)))
+    return np.array(out)
+
+
+def _series(name: str, checks: list[Checked], speeds: Real, level: float) -> Series:
     figures = [c.document["parameters"][name] for c in checks]
     baseline = figures[-1]["baseline"]
     size = abs(baseline["value"]) or 1.0
@@ -94,7 +113,10 @@ def _series(name: str, checks: list[Checked], level: float) -> Series:
     slope = slope_std = significance = None
     drifting = False
     days = np.array([(c.at - checks[0].at).total_seconds() for c in checks]) / DAY_S
-    of = np.unique([(f["baseline"]["value"], f["baseline"]["std"]) for f in figures], axis=0, return_inverse=True)[1]
+    levels = [
+        (f["baseline"]["value"], f["baseline"]["std"], speed) for f, speed in zip(figures, speeds.tolist(), strict=True)
+    ]
+    of = np.unique(levels, axis=0, return_inverse=True)[1]
     if len(checks) >= FEWEST and (found := _slope(days, change, std, of.ravel())):
         slope, slope_std, freedom = found
         significance = slope / slope_std if slope_std > 0 else None
@@ -118,7 +140,7 @@ def _series(name: str, checks: list[Checked], level: float) -> Series:
 def _slope(days: Real, change: Real, std: Real, baseline: NDArray[np.int64]) -> tuple[float, float, int] | None:
     """Weighted slope per day, its standard deviation (widened where checks scatter more than they say), freedom.
 
-    ``baseline`` (N,) numbers the baseline of each check. None where no baseline has checks enough at different times.
+    ``baseline`` (N,) numbers baseline and speed of each check. None where none has checks enough at different times.
     """
     weight = 1 / np.maximum(std, 1e-12) ** 2
     of_each = np.zeros(baseline.max() + 1)

@@ -86,6 +86,20 @@ def test_a_rig_that_is_commissioned_anew_does_not_change_steadily_for_that():
     assert series.slope_percent_per_year == pytest.approx(0.01 * 365.25, abs=3 * series.slope_std)
 
 
+def test_a_rig_that_is_checked_at_another_speed_does_not_change_steadily_for_that():
+    """Gyroscopic coupling moves its modes: a step where the speed changes, and no slope at either one."""
+    checks = history(0.0, 40)
+    for k, c in enumerate(checks):
+        c.document["speed_rad_s"] = 0.0 if k < 20 else 314.0 + 0.3 * (k % 3)
+        c.document["parameters"]["x.kiA"]["change_percent"] += 0.0 if k < 20 else 0.3
+    assert not trend(checks)["x.kiA"].drifting
+    for k, c in enumerate(checks):
+        c.document["parameters"]["x.kiA"]["change_percent"] += 0.01 * k
+    series = trend(checks)["x.kiA"]
+    assert series.drifting
+    assert series.slope_percent_per_year == pytest.approx(0.01 * 365.25, abs=3 * series.slope_std)
+
+
 def test_slopes_of_rigs_that_do_not_drift_are_calibrated():
     found = [trend(history(0.0, 20, seed=k))["x.kiA"].significance for k in range(60)]
     assert 0.6 < np.std(found) < 1.25
