@@ -35,7 +35,10 @@ LATER_STEPS, LATER_TO = 20, 1e-4
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure of the best model, and where it lies with 95 % probability. None: unbounded or without meaning."""
+    """A figure of the best model, and where it lies with 95 % probability. None: unbounded or without meaning.
+
+    A margin that the best model has not, and others that the data allow have, is bounded on their side alone.
+    """
 
     value: float | None
     low: float | None
@@ -349,8 +352,12 @@ def _axes(
     for j in range(2):
         # a draw's peak is read at the grid: only its ratio to the best model's, read there too, counts
         on_grid = np.array([o[0] for o in others[j]], dtype=float) * best_peaks[j].value / float(best[j][0] or 1.0)
-        peak = _interval(best_peaks[j].value, on_grid.tolist())
-        down, up, phase, delay = (_interval(best[j][k], [o[k] for o in others[j]]) for k in range(1, 5))
+        peak = interval(best_peaks[j].value, on_grid.tolist())
+        # no such margin is one beyond any: of gain downwards that is the lowest, of all else the highest
+        ends = (-np.inf, np.inf, np.inf, np.inf)
+        down, up, phase, delay = (
+            interval(best[j][k], [o[k] for o in others[j]], none) for k, none in enumerate(ends, start=1)
+        )
         hz = best_peaks[j].omega / (2 * np.pi)
         worst = zone(peak.high or best_peaks[j].value, limits)
         found.append(AxisCheck(saved.axes[j], peak, hz, down, up, phase, delay, worst))
@@ -370,16 +377,25 @@ def _figures(model: PlaneModel, law: tuple[Real, Real], omega: Real) -> tuple[Fi
     return found[0], found[1]
 
 
-def _interval(value: float | None, drawn: list[float | None]) -> Interval:
-    """95 % of the draws; an end at which draws have no such margin is open."""
-    if value is None:
-        return Interval(None, None, None)
+def interval(value: float | None, drawn: Sequence[float | None], none: float = np.inf) -> Interval:
+    """95 % of the draws about a figure.
+
+    Parameters
+    ----------
+    value, drawn
+        Of the best model, and of others that the data allow as well; None where one has no such figure.
+    none
+        What None stands for. An end there is open; where the best model has no such margin and others have, the end on
+        their side is told all the same.
+
+    >>> interval(None, [5.0] * 60 + [None] * 40)
+    Interval(value=None, low=5.0, high=None)
+    """
     if not drawn:
         return Interval(value, None, None)
-    # no such margin is one beyond any: of gain downwards that is the lowest, of all else the highest
-    beyond = -np.inf if value < 0 else np.inf
-    all_of_them = [beyond if d is None or np.isnan(d) else d for d in drawn]
+    all_of_them = [none if d is None or np.isnan(d) else d for d in drawn]
+    best = none if value is None else value
     low = np.quantile(all_of_them, (1 - LEVEL) / 2, method="lower")
     high = np.quantile(all_of_them, (1 + LEVEL) / 2, method="higher")
-    ends = (float(min(low, value)), float(max(high, value)))
+    ends = (float(min(low, best)), float(max(high, best)))
     return Interval(value, *(end if np.isfinite(end) else None for end in ends))

@@ -8,7 +8,7 @@ import pytest
 from service.health import compare
 from service.identification import assemble, closed_loop
 from service.identification.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
-from service.identification.controller_check import check_controller
+from service.identification.controller_check import check_controller, interval
 from service.identification.margins import computed_response, zone_table
 from service.identification.points import plane_points
 from service.identification.saved import saved_planes
@@ -239,3 +239,19 @@ def test_a_controller_that_computes_longer_is_judged_with_its_delay(planes):
     assert plain.axes[0].sensitivity_peak.value < found[0.9 * held].axes[0].sensitivity_peak.value
     with pytest.raises(AmbError, match="cannot compute for -1 us"):
         check_controller("r", planes, LAW, computing_delay_s=-1e-6)
+
+
+@pytest.mark.parametrize(
+    ("value", "drawn", "none", "ends"),
+    [
+        (None, [5.0] * 60 + [None] * 40, np.inf, (5.0, None)),
+        (None, [-3.0] * 60 + [None] * 40, -np.inf, (None, -3.0)),
+        (None, [None] * 100, np.inf, (None, None)),
+        (6.0, [5.0] * 60 + [None] * 40, np.inf, (5.0, None)),
+        (-6.0, [-5.0] * 60 + [None] * 40, -np.inf, (None, -5.0)),
+        (6.0, [], np.inf, (None, None)),
+    ],
+)
+def test_a_margin_that_only_other_models_have_is_not_said_to_be_unbounded(value, drawn, none, ends):
+    found = interval(value, drawn, none)
+    assert (found.value, found.low, found.high) == (value, *ends)
