@@ -9,8 +9,9 @@ from typing import Any
 from drivers.controller import Capabilities
 from service.experiment import journal, multisine_plan
 from service.experiment.aims import Limits, Profile
-from service.experiment.errors import CampaignError
+from service.experiment.errors import CampaignError, JournalError
 from service.experiment.multisine_plan import MultisineProfile
+from service.experiment.speeds import same
 from sim.datasheet import Datasheet
 from sim.rig_file import to_toml
 
@@ -59,6 +60,31 @@ def fingerprint(
         "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
         "profile": multisine_plan.documented(profile) if isinstance(profile, MultisineProfile) else asdict(profile),
     }
+
+
+def speed_of(header: journal.Entry, now_rad_s: float) -> float:
+    """Speed at which a journal's points were measured, and the next ones are, rad/s.
+
+    Parameters
+    ----------
+    header
+        Of the run that began the journal.
+    now_rad_s
+        At which the rotor turns now.
+
+    Raises
+    ------
+    JournalError
+        The rotor has another speed by now.
+    """
+    began = float(header.get("about", {}).get("speed_rad_s", now_rad_s))
+    if same(began, now_rad_s):
+        return began
+    raise JournalError(
+        f"the rotor turned at {began:.4g} rad/s when this campaign began, and turns at {now_rad_s:.4g} rad/s now: one "
+        "sweep has one speed; bring it to that speed to go on, choose another folder, or start anew with ambit "
+        "commission --no-resume"
+    )
 
 
 def profile_of(document: dict[str, Any]) -> Profile | MultisineProfile:

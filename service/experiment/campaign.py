@@ -12,7 +12,7 @@ from drivers.controller import (
 from drivers.errors import CancelledError, LeaseError
 from service.experiment import file, journal, phases
 from service.experiment.aims import Limits, Profile
-from service.experiment.beginning import checked_limits, fingerprint, profile_of
+from service.experiment.beginning import checked_limits, fingerprint, profile_of, speed_of
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.incomplete import INCOMPLETE
@@ -119,7 +119,13 @@ def run_campaign(
             # whoever holds the rig writes here, and nobody else
             if not resume:
                 put_aside(out_dir / JOURNAL)
-            log = journal.Journal(out_dir / JOURNAL, header)
+            opened = journal.Journal(out_dir / JOURNAL, header)
+            try:
+                speed = speed_of(opened.header, speed)
+            except JournalError:
+                opened.close()
+                raise
+            log = opened
             with _quiet_on_failure(controller):
                 make_ready(controller)
                 measure = Patient(controller, cancelled or (lambda: False))

@@ -124,6 +124,8 @@ class Journal:
             raise ExperimentFileError(f"cannot write {path}: {reason(error)}; choose another folder") from error
         self.count = 0
         """Entries that it holds."""
+        self.header: Entry = {}
+        """As the file has it: of the run that began it, where this one goes on."""
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="journal")
         self._forcing: Future[None] | None = None
         try:
@@ -153,6 +155,7 @@ class Journal:
                 os.fsync(folder)
             finally:
                 os.close(folder)
+        self.header = found[0] if found else wanted
         return found[1:]
 
     def append(self, entry: Entry) -> None:

@@ -11,12 +11,12 @@ import numpy as np
 from service.distributions import chi2_above
 from service.errors import DocumentError
 from service.experiment.data import Experiment
+from service.experiment.speeds import alike
 from service.experiment.units import must_be_in_si
 from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
-from service.health.speeds import alike
 from service.identification.derivatives import central_differences, propagated_std
 from service.identification.etfe import SingularInputError, etfe
 from service.identification.known import as_identified, computed, led_back

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import student_above
+from service.experiment.speeds import alike
 from service.health.sequential import Policy
-from service.health.speeds import alike
 from service.identification.zoh import Real
 
 FEWEST = 5

@@ -71,6 +71,34 @@ def test_a_journal_of_another_rig_or_profile(tmp_path):
         campaign(Faulty(None), tmp_path, replace(SMALL, points=25))
 
 
+class Turning(Faulty):
+    """A rig whose rotor turns, as its status says."""
+
+    speed_rad_s = 314.0
+
+    def status(self) -> Status:
+        return replace(self.inner.status(), speed_rad_s=self.speed_rad_s)
+
+
+def test_a_journal_of_another_speed(tmp_path):
+    """One sweep has one speed: what was measured at standstill is no part of a sweep at speed."""
+    with pytest.raises(CancelledError):
+        campaign(Faulty(interrupted_at(20, KeyboardInterrupt())), tmp_path)
+    before = (tmp_path / "experiment.journal").read_bytes()
+    told = "turned at 0 rad/s when this campaign began, and turns at 314 rad/s now.*--no-resume"
+    assert_refused(JournalError, told, Turning(None), tmp_path)
+    assert (tmp_path / "experiment.journal").read_bytes() == before
+
+
+def test_a_speed_that_differs_by_little_is_the_one_at_which_the_campaign_began(tmp_path):
+    first = Turning(interrupted_at(20, KeyboardInterrupt()))
+    with pytest.raises(CancelledError):
+        campaign(first, tmp_path, TINY)
+    second = Turning(lambda k: None)
+    second.speed_rad_s = 315.5
+    assert {s.speed_rad_s for s in campaign(second, tmp_path, TINY).sweeps} == {314.0}
+
+
 def test_a_campaign_that_is_refused_leaves_the_datasheet_of_the_other_one(tmp_path):
     with pytest.raises(CancelledError):
         campaign(Faulty(interrupted_at(5, KeyboardInterrupt())), tmp_path)
