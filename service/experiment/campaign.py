@@ -9,13 +9,13 @@ from pathlib import Path
 from drivers.controller import (
     Controller,
 )
-from drivers.errors import CancelledError, LeaseError
+from drivers.errors import CancelledError, ControllerError, LeaseError
 from service.experiment import file, journal, phases
 from service.experiment.aims import Limits, Profile
 from service.experiment.beginning import checked_limits, fingerprint, profile_of, speed_of
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, JournalError
-from service.experiment.incomplete import INCOMPLETE
+from service.experiment.incomplete import INCOMPLETE, SPEED_CHANGED
 from service.experiment.leased import Patient, alone, make_ready, stopped_by
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
 from service.experiment.plan import Request
@@ -23,6 +23,7 @@ from service.experiment.points import Point, experiment
 from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback
 from service.experiment.recorder import Recorder, Trip
+from service.experiment.speeds import same
 from service.output import ready_folder
 from sim.datasheet import Datasheet
 from sim.rig_file import parse, to_toml
@@ -131,6 +132,7 @@ def run_campaign(
                 measure = Patient(controller, cancelled or (lambda: False))
                 recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
                 _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
+                extra |= _changed_speed(controller, speed)
         result = assembled()
         make_way(out_dir / EXPERIMENT, result)
         file.write(out_dir / EXPERIMENT, result)
@@ -149,6 +151,15 @@ def run_campaign(
     log.close()
     (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
+
+
+def _changed_speed(controller: Controller, speed_rad_s: float) -> _Extra:
+    """What the file says of a rotor that turns otherwise than when the campaign began."""
+    try:
+        now = float(controller.status().speed_rad_s)
+    except ControllerError:  # all is measured; who answers no more does not spoil it
+        return {}
+    return {} if same(speed_rad_s, now) else {SPEED_CHANGED: f"from {speed_rad_s:.4g} to {now:.4g} rad/s"}
 
 
 @contextmanager

@@ -11,6 +11,7 @@ import numpy as np
 from service.distributions import chi2_above
 from service.errors import DocumentError
 from service.experiment.data import Experiment
+from service.experiment.incomplete import changed_speed
 from service.experiment.speeds import alike
 from service.experiment.units import must_be_in_si
 from service.health.fit import PlaneNow, plane_now
@@ -93,7 +94,7 @@ def compare(
     twin, notes = as_identified(datasheet, baseline.document)
     log = checked(experiment, twin.datasheet, twin.chain)  # as the commissioning's was
     experiment = led_back(log.experiment, log.chain)
-    notes = (*notes, *log.warnings)
+    notes = (*notes, *log.warnings, *changed_speed(experiment))
     controller = (np.array(twin.datasheet.numerator), np.array(twin.datasheet.denominator))
     rule = policy or Policy()
     now = {name: plane_now(s, experiment) for name, s in saved.items()}

@@ -13,6 +13,7 @@ from service.errors import OutputError
 from service.experiment.campaign import recover, run_campaign
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
+from service.experiment.incomplete import incomplete
 from service.experiment.journal import entries, line
 from sim.reference import reference_rig
 from tests.support.campaigns import SHEET, SMALL, Faulty, assert_same, campaign, interrupted_at
@@ -97,6 +98,17 @@ def test_a_speed_that_differs_by_little_is_the_one_at_which_the_campaign_began(t
     second = Turning(lambda k: None)
     second.speed_rad_s = 315.5
     assert {s.speed_rad_s for s in campaign(second, tmp_path, TINY).sweeps} == {314.0}
+
+
+def test_a_rotor_that_changes_speed_under_way_is_told(tmp_path):
+    """As one that runs down: its speed is read as a campaign begins, and no point has one of its own."""
+    rig = Turning(lambda k: setattr(rig, "speed_rad_s", 314.0 - k))
+    experiment = campaign(rig, tmp_path, TINY)
+    left = 314.0 - rig.n
+    assert experiment.attributes["speed_changed"] == f"from 314 to {left:.4g} rad/s"
+    (told,) = incomplete(experiment)
+    assert f"changed from 314 to {left:.4g} rad/s while it was measured" in told
+    (told,) = incomplete(read(tmp_path / "experiment.h5"))
 
 
 def test_a_campaign_that_is_refused_leaves_the_datasheet_of_the_other_one(tmp_path):
