@@ -19,7 +19,7 @@ from service.gap.lost_loop import LostLoop, named_limit
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import astray, far_off
-from service.gap.weighing.significance import alone_hz, significance
+from service.gap.weighing.significance import alone_hz, overall, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import between_lines, held_out, on_sweep
@@ -95,7 +95,8 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     for e in found:
         plain = on_sweep(e, e.null.candidate, unseen)
         significant = max(e.significance, significance(plain[1], plain[0]))
-        verdict = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere)
+        added_up = (max(map(overall, e.plain)), overall(plain[1]))
+        verdict = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere, added_up)
         own[e.part.path] = _doubted(e, verdict, plain, unseen)
     by_size = sorted(found, key=lambda e: -excess_of(e))
     unknown = [

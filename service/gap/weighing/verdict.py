@@ -130,6 +130,7 @@ def decide(
     there: HeldOut,
     significant: float,
     elsewhere: Sequence[Ranked] = (),
+    added_up: tuple[float, float] = (0.0, 0.0),
 ) -> Verdict:
     """Verdict on one part of the loop, from its ranked explanations.
 
@@ -139,10 +140,12 @@ def decide(
     there : the part on the unseen sweep
     significant : significance of the plain twin's gap on the sweeps fitted and unseen
     elsewhere : what would explain it by an effect of another part
+    added_up : significance of what the plain twin leaves in all bands and channels together, fitted and unseen each
     """
     best = order[0]
     if not best.candidate.effects:
-        if rejected(best, min(remaining, significant)):
+        shown_twice = min(added_up) > LEAVES  # a little everywhere, and on unseen data again
+        if rejected(best, min(remaining, significant)) or shown_twice:
             reason = "no effect of the catalogue explains any of the gap"
             return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
         return Verdict("no_gap", (), (), best.probability, ())

@@ -57,6 +57,25 @@ def test_amplifiers_that_nothing_explains_are_no_datasheet_of_another_rig() -> N
     assert not any("were fitted too" in note for note in found["notes"])
 
 
+def with_a_little_everywhere(s: Sweep, size_a: float, seed: int) -> Sweep:
+    """The sweep with currents that are off by so much in every point, harmonic and channel, as a small dead band is."""
+    rng = np.random.default_rng(seed)
+    I = np.array(s.I)
+    off = rng.standard_normal((len(I), 1, *I.shape[2:])) + 1j * rng.standard_normal((len(I), 1, *I.shape[2:]))
+    off[:, :, 0] = off[:, :, 0].real
+    return replace(s, I=I + size_a * off)
+
+
+@pytest.mark.parametrize(("size_a", "kind"), [(0.0, "no_gap"), (6e-5, "none_of_these")])
+def test_what_no_band_shows_but_all_of_them_together_is_no_noise(size_a: float, kind: str) -> None:
+    """Off by less than the mean's noise everywhere; no band of the fitted sweep leaves eight deviates."""
+    datasheet, truth = known_datasheet(seed=35)
+    measured = experiment(true_rig(truth))
+    sweeps = tuple(with_a_little_everywhere(s, size_a, k) for k, s in enumerate(measured.sweeps))
+    verdict = diagnose(replace(measured, sweeps=sweeps), datasheet).verdict
+    assert (verdict.kind, verdict.unexplained) == (kind, "amplifier" if kind == "none_of_these" else None)
+
+
 def test_what_nothing_explains_is_blamed_beside_an_explained_part_without_noise() -> None:
     """A controller has hardly any noise, so that its gap is the plainest of all whatever its size."""
     datasheet, truth = known_datasheet(seed=35)

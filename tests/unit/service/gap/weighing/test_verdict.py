@@ -71,6 +71,15 @@ def test_nothing_named_and_much_left_is_none_of_these() -> None:
     assert decide([PLAIN], 2.0, NOT_SHOWN, significant=30.0).kind == "no_gap"
 
 
+@pytest.mark.parametrize(
+    ("fitted", "unseen", "said_of_it"), [(9.0, 9.0, "none_of_these"), (30.0, 3.0, "no_gap"), (3.0, 30.0, "no_gap")]
+)
+def test_a_little_left_everywhere_is_a_gap_where_unseen_data_show_it_too(
+    fitted: float, unseen: float, said_of_it: str
+) -> None:
+    assert decide([PLAIN], 4.0, NOT_SHOWN, significant=4.0, added_up=(fitted, unseen)).kind == said_of_it
+
+
 NAMED = explanation(("sensor_gain",), 0.0, 0.1, (0.1, 0.0))
 
 
