@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.controller import (
     Controller,
 )
-from drivers.errors import CancelledError, ControllerError, LeaseError
+from drivers.errors import CancelledError, ControllerError, LeaseError, StoppedElsewhereError
 from service.experiment import file, journal, phases
 from service.experiment.aims import Limits, Profile
 from service.experiment.beginning import checked_limits, fingerprint, profile_of, speed_of
@@ -144,7 +144,8 @@ def run_campaign(
         if log is not None:
             log.close()
         if isinstance(error, KeyboardInterrupt | CancelledError):
-            raise CancelledError(
+            kind = StoppedElsewhereError if isinstance(error, StoppedElsewhereError) else CancelledError
+            raise kind(
                 f"the campaign was stopped and the excitation is off; {kept}: run it again to go on where it stopped"
             ) from None
         raise

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.errors import BusError, CancelledError, LeaseError, RestartError
+from drivers.errors import BusError, CancelledError, LeaseError, RestartError, StoppedElsewhereError
 from service import bootstrap
 from service.errors import ConflictError, JobError, StoppedError
 from service.experiment.aims import Profile
@@ -132,8 +132,9 @@ class _Campaign:
                 self._away(error)
             except _UnheardError:
                 self._wait_for_database()
-            except CancelledError:
-                self._raise_if_stopped()
+            except CancelledError as error:
+                if not isinstance(error, StoppedElsewhereError):
+                    self._raise_if_stopped()
                 raise self._stopped_elsewhere() from None
             finally:
                 with suppress(Exception):
@@ -206,21 +207,26 @@ class _Campaign:
             time.sleep(0.1)
 
     def _stopped_elsewhere(self) -> JobError:
-        """Why the controller says that somebody stopped it: whom this service has done it for, if anybody."""
+        """Why the controller says that somebody stopped it: whom this service has done it for, if anybody.
+
+        A service that finds the lease given back already cancels the job, too: who stopped the rig is the reason still.
+        """
         began = self.job.started_at or self.job.created_at
         deadline = time.monotonic() + STOP_NOTED_S
         while True:
+            told_to_end = self.control.stopped()  # before one looks: it is noted together with who stopped the rig
             stop = self.worker.database.surely(
                 lambda session: audit.stop_of_rig(session, self.job.rig_id, began), self.control.stopped
             )
             if stop is not None:
                 by = f"{stop.who} stopped the rig over this service at {stop.at:%Y-%m-%d %H:%M:%S} UTC"
                 return JobError("rig stopped", f"{by}; see to the rig, then try again")
+            if told_to_end:
+                self._raise_if_stopped()
             if time.monotonic() > deadline:
                 why = "the excitation was stopped by hand or by another host; see to the rig, then try again"
                 return JobError("stopped at the rig", why)
             time.sleep(0.1)
-            self._raise_if_stopped()
 
     def _raise_if_stopped(self) -> None:
         if self.control.stopped():

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from drivers.errors import BusError, CancelledError
+from drivers.errors import BusError, CancelledError, StoppedElsewhereError
 from service.experiment.campaign import recover
 from service.experiment.errors import ExperimentFileError
 from service.experiment.file import read
@@ -39,6 +39,11 @@ def test_a_keyboard_interrupt_stops_the_rig_keeps_the_points_and_can_be_resumed(
     assert not (tmp_path / "experiment.journal").exists()
     assert not incomplete(read(tmp_path / "experiment.h5"))
     plant(experiment.main)
+
+
+def test_a_stop_from_elsewhere_is_told_as_one_with_what_is_kept(tmp_path):
+    with pytest.raises(StoppedElsewhereError, match="points are kept in"):
+        campaign(Faulty(interrupted_at(40, StoppedElsewhereError("stopped from elsewhere"))), tmp_path)
 
 
 def test_a_resumed_campaign_measures_only_what_is_missing(tmp_path):

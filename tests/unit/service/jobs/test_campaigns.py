@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.errors import BusError, LeaseError, StoppedElsewhereError
+from drivers.errors import BusError, CancelledError, LeaseError, StoppedElsewhereError
 from service import bootstrap
 from service.access.audit import Action, audited
 from service.access.keys import Identity, Scope
 from service.config import Settings
-from service.errors import JobError
+from service.errors import JobError, StoppedError
 from service.experiment.aims import Profile
 from service.experiment.progress import Progress
 from service.jobs import campaigns
@@ -97,6 +97,36 @@ def test_a_stop_over_this_service_is_told_with_who_asked_for_it_and_when(worker,
         measure(stopped)
     later.join()
     assert ended.value.title == "rig stopped"
+
+
+def test_a_job_that_gave_its_lease_back_before_the_stop_was_written_down_was_stopped_all_the_same(
+    worker, job, control, measure, monkeypatch
+):
+    """The service finds no holder any more, and cancels what it takes to wait."""
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 30.0)
+
+    def stop():
+        asked_to_stop(worker, job, "tablet")
+        monkeypatch.setattr(control, "stopped", lambda: True)
+
+    later = threading.Timer(0.3, stop)
+    later.start()
+    with pytest.raises(JobError, match="tablet stopped the rig over this service") as ended:
+        measure(stopped)
+    later.join()
+    assert ended.value.title == "rig stopped"
+
+
+@pytest.mark.parametrize("error", [StoppedElsewhereError("stopped"), CancelledError("stopped")])
+def test_a_job_that_was_cancelled_is_cancelled_whatever_its_controller_says(control, measure, monkeypatch, error):
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 30.0)
+
+    def cancelled(*_, **__):
+        monkeypatch.setattr(control, "stopped", lambda: True)
+        raise error
+
+    with pytest.raises(StoppedError):
+        measure(cancelled)
 
 
 def test_a_stop_at_the_rig_is_not_told_as_one_of_an_earlier_run(worker, job, measure, monkeypatch):
