@@ -18,6 +18,9 @@ from tests.support.two_axes import one_plane
 DELAY = {"loop_delay": {"delay_s": 3.5e-5}}
 HOUSING = {"support_resonance": {"inverse_mass_per_kg": 1 / 900, "frequency_hz": 430.0, "damping_ratio": 0.01}}
 
+LONG = pytest.mark.no_cover
+"""Of tests whose lines others cover: traced they take a third longer."""
+
 
 def twin(sheet: Datasheet, *effects: dict[str, dict[str, float]]) -> Datasheet:
     return replace(sheet, effects=tuple((name, tuple(v.items())) for one in effects for name, v in one.items()))
@@ -37,11 +40,10 @@ def test_the_twin_is_tried_without_each_of_its_effects_and_without_all() -> None
 @pytest.mark.parametrize(
     ("on_the_rig", "named", "gone"),
     [
-        ({}, (DELAY,), {"loop_delay"}),
-        ({}, (DELAY, HOUSING), {"loop_delay", "support_resonance"}),
-        (HOUSING, (HOUSING, DELAY), {"loop_delay"}),
+        pytest.param({}, (DELAY,), {"loop_delay"}, id="one"),
+        pytest.param({}, (DELAY, HOUSING), {"loop_delay", "support_resonance"}, id="both", marks=LONG),
+        pytest.param(HOUSING, (HOUSING, DELAY), {"loop_delay"}, id="one of two", marks=LONG),
     ],
-    ids=["one", "both", "one of two"],
 )
 def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
     on_the_rig: dict[str, dict[str, float]], named: tuple[dict[str, dict[str, float]], ...], gone: set[str]
@@ -68,6 +70,7 @@ def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
     assert diagnose(measured, mended).verdict.kind == "no_gap"
 
 
+@LONG
 def test_an_effect_beside_those_that_the_twin_names_rightly_is_named() -> None:
     sheet, truth = known_datasheet(seed=2)
     rig = with_effects(true_rig(truth), DELAY | {"magnetic_saturation": {"saturation_inverse_per_a": 0.6}})
@@ -77,6 +80,7 @@ def test_an_effect_beside_those_that_the_twin_names_rightly_is_named() -> None:
     assert verdict.outdated == ()
 
 
+@LONG
 def test_more_of_an_effect_than_the_twin_names_is_that_effect_and_less_is_another_twin() -> None:
     """What is missing can be added to the twin; what is too much cannot."""
     sheet, truth = known_datasheet(seed=2)
