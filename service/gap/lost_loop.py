@@ -77,15 +77,19 @@ def with_limit(whole: Composition, nuisance: Nuisance, lost: LostLoop) -> Compos
         c = r.candidate
         if LIMIT not in c.effects:
             return r
-        at = c.effects.index(LIMIT)
-        values, deviations = ([dict(v) for v in of] for of in (c.fit.values, c.standard_deviations))
-        values[at][SLEW_INVERSE], deviations[at][SLEW_INVERSE] = float(value), float(value * spread)
+        # last, as the verdict names it: its part may have the larger gap
+        last = sorted(range(len(c.effects)), key=lambda k: c.effects[k] == LIMIT)
+        effects = tuple(c.effects[k] for k in last)
+        values, deviations = ([dict(of[k]) for k in last] for of in (c.fit.values, c.standard_deviations))
+        values[-1][SLEW_INVERSE], deviations[-1][SLEW_INVERSE] = float(value), float(value * spread)
         rig = nuisance.at(c.fit.theta)
-        for name, own in zip(c.effects, values, strict=True):
+        for name, own in zip(effects, values, strict=True):
             rig = CATALOGUE[name].on(rig, **own)
-        fit = replace(c.fit, values=tuple(values), rig=rig)
+        ends = {of: end for of, end in c.fit.ends.items() if of != (LIMIT, SLEW_INVERSE)}
+        fit = replace(c.fit, effects=effects, values=tuple(values), rig=rig, ends=ends)
         # the points that tell it are none that a fit has weighed
         known = tuple(name for name in r.open_strength if name != LIMIT)
-        return replace(r, candidate=replace(c, fit=fit, standard_deviations=tuple(deviations)), open_strength=known)
+        twin = replace(c, effects=effects, fit=fit, standard_deviations=tuple(deviations))
+        return replace(r, candidate=twin, open_strength=known)
 
     return Composition(tuple(limited(r) for r in whole.order))

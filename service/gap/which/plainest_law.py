@@ -31,7 +31,7 @@ NEARLY = 15.0
 def weighed_plainly(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) -> list[Ranked]:
     """Explanations by falling evidence, none of them thought unlikely for what its law may do without.
 
-    Of four amplifiers a tenth slow, the plain twin may move each within its tolerance; their law has lags, dampings and
+    Of four amplifiers slow by three tolerances, the plain twin may move each so far; their law has lags, dampings and
     shares too, each of which would have to be nothing by chance. Only where the plain twin is the best explanation or
     nearly so, though others leave less.
     """
