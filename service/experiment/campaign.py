@@ -15,7 +15,7 @@ from service.experiment.aims import Limits, Profile
 from service.experiment.beginning import checked_limits, fingerprint, profile_of, speed_of
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, JournalError
-from service.experiment.incomplete import INCOMPLETE, SPEED_CHANGED
+from service.experiment.incomplete import INCOMPLETE
 from service.experiment.leased import Patient, alone, make_ready, stopped_by
 from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
 from service.experiment.plan import Request
@@ -23,7 +23,7 @@ from service.experiment.points import Point, experiment
 from service.experiment.predecessor import holds_all, make_way, put_aside
 from service.experiment.progress import Meter, ProgressCallback
 from service.experiment.recorder import Recorder, Trip
-from service.experiment.speeds import same
+from service.experiment.speeds import SPEED_CHANGED, same
 from service.output import ready_folder
 from sim.datasheet import Datasheet
 from sim.rig_file import parse, to_toml

@@ -11,6 +11,7 @@ from service.experiment.data import Experiment, Sweep
 from service.experiment.dead import require_live_channels
 from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
+from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
@@ -83,6 +84,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     (main_name, main), *others = _sweeps(experiment, datasheet)
     notes = [
         *incomplete(experiment),
+        *changed_speed(experiment),
         *odd_rotor(datasheet),
         *stated_amplitudes(experiment),
         *notes_on(main, bool(others), datasheet),

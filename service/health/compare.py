@@ -11,8 +11,7 @@ import numpy as np
 from service.distributions import chi2_above
 from service.errors import DocumentError
 from service.experiment.data import Experiment
-from service.experiment.incomplete import changed_speed
-from service.experiment.speeds import alike
+from service.experiment.speeds import alike, changed_speed
 from service.experiment.units import must_be_in_si
 from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures

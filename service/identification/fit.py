@@ -11,6 +11,7 @@ from service.experiment.data import Experiment
 from service.experiment.dead import require_live_channels
 from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
+from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
 from service.identification.coupling import cross_planes
@@ -115,7 +116,7 @@ def _prepared(experiment: Experiment, twin: Folded) -> _Prepared:
             "give the datasheet of the rig that was measured"
         )
     must_be_in_si(experiment, datasheet)
-    doubts = incomplete(experiment) + odd_rotor(datasheet) + stated_amplitudes(experiment)
+    doubts = incomplete(experiment) + changed_speed(experiment) + odd_rotor(datasheet) + stated_amplitudes(experiment)
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
     chosen = chosen_sweeps(experiment)

@@ -13,8 +13,8 @@ from service.errors import OutputError
 from service.experiment.campaign import recover, run_campaign
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
-from service.experiment.incomplete import incomplete
 from service.experiment.journal import entries, line
+from service.experiment.speeds import changed_speed
 from sim.reference import reference_rig
 from tests.support.campaigns import SHEET, SMALL, Faulty, assert_same, campaign, interrupted_at
 
@@ -106,9 +106,9 @@ def test_a_rotor_that_changes_speed_under_way_is_told(tmp_path):
     experiment = campaign(rig, tmp_path, TINY)
     left = 314.0 - rig.n
     assert experiment.attributes["speed_changed"] == f"from 314 to {left:.4g} rad/s"
-    (told,) = incomplete(experiment)
+    (told,) = changed_speed(experiment)
     assert f"changed from 314 to {left:.4g} rad/s while it was measured" in told
-    (told,) = incomplete(read(tmp_path / "experiment.h5"))
+    assert [told] == changed_speed(read(tmp_path / "experiment.h5"))
 
 
 def test_a_campaign_that_is_refused_leaves_the_datasheet_of_the_other_one(tmp_path):
