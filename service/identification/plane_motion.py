@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from service.identification import amplifier
 from service.identification.force_law import excess_of_many, excess_of_waves, force_beyond_linear
 from service.identification.many_lines import excess_of_products
+from service.identification.plane_parameters import PlaneParameters
 from service.identification.prediction import Amplitude, Folding, Points
 from service.identification.zoh import Complex, Real
-
-if TYPE_CHECKING:
-    from service.identification.plane_model import PlaneModel
 
 
 @dataclass(frozen=True)
@@ -44,10 +41,10 @@ class Loop:
     """(2, 2, P) (I - Ks H_bb)^-1: all force per force that is not the position stiffness's."""
 
 
-def loop_of(model: PlaneModel, omega: Real) -> Loop:
+def loop_of(plane: PlaneParameters, omega: Real) -> Loop:
     """Receptances and closed loop of a plane at frequencies (P,), rad/s."""
-    m, ks = model.modes, model.ks
-    rigid_b, rigid_s = model.rigid_shapes
+    m, ks = plane.modes, plane.ks
+    rigid_b, rigid_s = plane.rigid_shapes
     bearings, sensors = np.concatenate([rigid_b.T, m[:, 2:4]]), np.concatenate([rigid_s.T, m[:, 4:6]])
     square = omega * omega
     gain = np.empty((len(bearings), len(omega)), dtype=np.complex128)
@@ -68,7 +65,7 @@ def loop_of(model: PlaneModel, omega: Real) -> Loop:
     closed[0, 1] = ks[0] * h_bb[1]
     with np.errstate(divide="ignore", invalid="ignore"):  # a fit may try a plant that is singular: it costs too much
         closed /= closed[0, 0] * closed[1, 1] - closed[0, 1] * closed[1, 0]
-    sensor = np.ascontiguousarray(model.sensor_response(omega).T)
+    sensor = np.ascontiguousarray(plane.sensor_response(omega).T)
     h_sb = h_sb * sensor[:, None]
     with np.errstate(invalid="ignore"):
         through = h_sb[:, :1] * closed[0] + h_sb[:, 1:] * closed[1]
@@ -87,7 +84,7 @@ class Motion:
     There only the part of the held u is that lies there: small, so the magnets are linear.
     """
 
-    model: PlaneModel
+    plane: PlaneParameters
     folding: Folding
     loop: Loop
     amplitude: Amplitude | None
@@ -105,23 +102,23 @@ class Motion:
     """(2, P) of the force law's excess to ki and ks, where they were asked for."""
 
     @staticmethod
-    def of(model: PlaneModel, points: Points, amplitude: Amplitude | None, slopes: bool = False) -> Motion:
+    def of(plane: PlaneParameters, points: Points, amplitude: Amplitude | None, slopes: bool = False) -> Motion:
         """At the points; ``amplitude``: see `PlaneModel.predict`; ``slopes``: with those of its excess."""
-        delay, period = model.delay_s + model.known.computing_delay_s, model.known.sample_time_s
+        delay, period = plane.delay_s + plane.known.computing_delay_s, plane.known.sample_time_s
         folding = points.folding(period)
         i, coils = np.empty_like(points.u_rows), np.empty_like(folding.u_rows)
-        for j, place in enumerate(model.layout.amplifiers):
-            np.multiply(amplifier.sampled(points.omega, model.theta[place], delay, period)[0], points.u_rows[j], i[j])
-            np.multiply(model.base_band(j, folding.omega)[0], folding.u_rows[j], coils[j])
-        loop = loop_of(model, folding.omega)
+        for j, place in enumerate(plane.layout.amplifiers):
+            np.multiply(amplifier.sampled(points.omega, plane.theta[place], delay, period)[0], points.u_rows[j], i[j])
+            np.multiply(plane.base_band(j, folding.omega)[0], folding.u_rows[j], coils[j])
+        loop = loop_of(plane, folding.omega)
         if amplitude is None or not slopes:
-            return Motion(model, folding, loop, amplitude, i, coils, *_driven(model, loop, coils, amplitude))
-        more, *by = excess(model, amplitude)
-        return Motion(model, folding, loop, amplitude, i, coils, *_moved(model, loop, coils, more), (by[0], by[1]))
+            return Motion(plane, folding, loop, amplitude, i, coils, *_driven(plane, loop, coils, amplitude))
+        more, *by = excess(plane, amplitude)
+        return Motion(plane, folding, loop, amplitude, i, coils, *_moved(plane, loop, coils, more), (by[0], by[1]))
 
     def about(self, amplitude: Amplitude) -> Motion:
         """The same with the force law's excess at another amplitude."""
-        force, total, moved = _driven(self.model, self.loop, self.coils, amplitude)
+        force, total, moved = _driven(self.plane, self.loop, self.coils, amplitude)
         return replace(self, amplitude=amplitude, force=force, total=total, moved=moved, excess_slopes=None)
 
     @property
@@ -152,15 +149,17 @@ class Motion:
 
 
 def _driven(
-    model: PlaneModel, loop: Loop, coils: Complex, amplitude: Amplitude | None
+    plane: PlaneParameters, loop: Loop, coils: Complex, amplitude: Amplitude | None
 ) -> tuple[Complex, Complex, Complex]:
     """Force of the currents, all force, and the displacement at the bearings."""
-    return _moved(model, loop, coils, _excess(model, amplitude))
+    return _moved(plane, loop, coils, _excess(plane, amplitude))
 
 
-def _moved(model: PlaneModel, loop: Loop, coils: Complex, excess: Complex | None) -> tuple[Complex, Complex, Complex]:
+def _moved(
+    plane: PlaneParameters, loop: Loop, coils: Complex, excess: Complex | None
+) -> tuple[Complex, Complex, Complex]:
     """The same from the force law's excess at the points, (2, P)."""
-    force = model.ki[:, None] * coils
+    force = plane.ki[:, None] * coils
     if excess is not None:
         force[:, : excess.shape[1]] += excess
     total = loop.closed[:, 0] * force[0] + loop.closed[:, 1] * force[1]
@@ -168,17 +167,17 @@ def _moved(model: PlaneModel, loop: Loop, coils: Complex, excess: Complex | None
     return force, total, x
 
 
-def _excess(model: PlaneModel, amplitude: Amplitude | None) -> Complex | None:
+def _excess(plane: PlaneParameters, amplitude: Amplitude | None) -> Complex | None:
     if amplitude is None:
         return None
     if amplitude.products is None and amplitude.together is None:
-        return force_beyond_linear(model.ki, model.ks, model.known.bias_current_a, amplitude.waves)
-    return excess(model, amplitude)[0]
+        return force_beyond_linear(plane.ki, plane.ks, plane.known.bias_current_a, amplitude.waves)
+    return excess(plane, amplitude)[0]
 
 
-def excess(model: PlaneModel, amplitude: Amplitude) -> tuple[Complex, Complex, Complex]:
+def excess(plane: PlaneParameters, amplitude: Amplitude) -> tuple[Complex, Complex, Complex]:
     """The force law's excess and its derivatives to ki and ks at held amplitudes, (2, P) each."""
-    ki, ks, bias = model.ki, model.ks, model.known.bias_current_a
+    ki, ks, bias = plane.ki, plane.ks, plane.known.bias_current_a
     if amplitude.products is not None:
         found = excess_of_products(ki, ks, bias, amplitude.products.mean(axis=0))
     elif amplitude.together is not None:

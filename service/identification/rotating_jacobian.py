@@ -6,60 +6,30 @@ costs one product.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from service.identification import amplifier
-from service.identification.rotating_model import Matrices, RotatingModel, TurningPoints
+from service.identification.rotating_motion import Motion, TurningPoints
+from service.identification.rotating_parameters import RotatingParameters
 from service.identification.zoh import Complex, Real
 
 
-@dataclass(frozen=True)
-class Motion:
-    """How the rotor moves at the points."""
-
-    s: Complex
-    """(P,)"""
-    speed: Real
-    """(P,)"""
-    matrices: Matrices
-    closed: Complex
-    """(P, n, n) coordinates per generalised force, the magnets' stiffness closed."""
-    q: Complex
-    """(P, n)"""
-    force: Complex
-    """(P, 4) all of the magnets' force."""
-    x: Complex
-    """(P, 4)"""
-    y: Complex
-    """(P, 4)"""
-    sensor: Complex
-    """(P, 4)"""
-    i: Complex
-    """(P, 4)"""
-    coil: Complex
-    """(P, 4)"""
-    excess: tuple[Complex, Complex, Complex] | None
-    """Of the force law, and its derivatives to ki and ks, (P, 4) each."""
-
-
-def gradients(model: RotatingModel, points: TurningPoints, motion: Motion) -> tuple[Complex, Complex]:
+def gradients(rotor: RotatingParameters, points: TurningPoints, motion: Motion) -> tuple[Complex, Complex]:
     """Derivatives of i and y to every parameter, (P, 4, size) each."""
-    layout, m = model.layout, motion.matrices
+    layout, m = rotor.layout, motion.matrices
     push = motion.sensor[:, :, None] * (m.sensors @ motion.closed)  # y per generalised force
     per_force = push @ m.bearings.T
     d_i = np.zeros((*points.u.shape, layout.size), dtype=complex)
     d_y = np.zeros((*points.u.shape, layout.size), dtype=complex)
     for k in range(2):
-        _stiffness_columns(model, k, motion, push, per_force, d_y)
-        _amplifier_columns(model, k, points, per_force, d_i, d_y)
-        _mode_columns(model, k, motion, push, per_force, d_y)
-        _rigid_columns(model, k, motion, push, per_force, d_y)
-    tilts = (1, model.coordinate(1, 0) - 1)
+        _stiffness_columns(rotor, k, motion, push, per_force, d_y)
+        _amplifier_columns(rotor, k, points, per_force, d_i, d_y)
+        _mode_columns(rotor, k, motion, push, per_force, d_y)
+        _rigid_columns(rotor, k, motion, push, per_force, d_y)
+    tilts = (1, rotor.coordinate(1, 0) - 1)
     d_y[:, :, layout.polar] = _turned(motion, push, *tilts, motion.s * motion.speed)
     for pair, (a, b) in enumerate(layout.pairs):
-        at, places = layout.gyroscopic(pair), (model.coordinate(0, a), model.coordinate(1, b))
+        at, places = layout.gyroscopic(pair), (rotor.coordinate(0, a), rotor.coordinate(1, b))
         d_y[:, :, at] = _turned(motion, push, *places, motion.s * motion.speed)
         d_y[:, :, at + 1] = _turned(motion, push, *places, 2 * motion.speed)
     return d_i, d_y
@@ -72,10 +42,10 @@ def _turned(motion: Motion, push: Complex, x: int, y: int, gain: Complex | Real)
 
 
 def _stiffness_columns(
-    model: RotatingModel, k: int, motion: Motion, push: Complex, per_force: Complex, d_y: Complex
+    rotor: RotatingParameters, k: int, motion: Motion, push: Complex, per_force: Complex, d_y: Complex
 ) -> None:
-    """Columns of ki and ks of one plane; a mode's own stiffness follows ks, see `plane_model`."""
-    start, modes = model.layout.own[k].start, model.plane(k).modes
+    """Columns of ki and ks of one plane; a mode's own stiffness follows ks, see `plane_parameters`."""
+    start, modes = rotor.layout.own[k].start, rotor.plane(k).modes
     for j in range(2):
         axis = 2 * k + j
         by_ki, by_ks = motion.coil[:, axis], motion.x[:, axis]
@@ -84,15 +54,15 @@ def _stiffness_columns(
         d_y[:, :, start + j] = per_force[:, :, axis] * by_ki[:, None]
         d_y[:, :, start + 2 + j] = per_force[:, :, axis] * by_ks[:, None]
         for mode in range(len(modes)):
-            at = model.coordinate(k, mode)
+            at = rotor.coordinate(k, mode)
             d_y[:, :, start + 2 + j] -= modes[mode, 2 + j] ** 2 * push[:, :, at] * motion.q[:, at, None]
 
 
 def _amplifier_columns(
-    model: RotatingModel, k: int, points: TurningPoints, per_force: Complex, d_i: Complex, d_y: Complex
+    rotor: RotatingParameters, k: int, points: TurningPoints, per_force: Complex, d_i: Complex, d_y: Complex
 ) -> None:
     """Columns of the amplifiers and of the delay of one plane."""
-    plane, start = model.plane(k), model.layout.own[k].start
+    plane, start = rotor.plane(k), rotor.layout.own[k].start
     delay, period = plane.delay_s + plane.known.computing_delay_s, plane.known.sample_time_s
     late = start + plane.layout.delay
     for j, place in enumerate(plane.layout.amplifiers):
@@ -108,12 +78,12 @@ def _amplifier_columns(
 
 
 def _mode_columns(
-    model: RotatingModel, k: int, motion: Motion, push: Complex, per_force: Complex, d_y: Complex
+    rotor: RotatingParameters, k: int, motion: Motion, push: Complex, per_force: Complex, d_y: Complex
 ) -> None:
     """Columns of the modes of one plane: frequency, damping, shapes at bearings and sensors."""
-    plane, start = model.plane(k), model.layout.own[k].start
+    plane, start = rotor.plane(k), rotor.layout.own[k].start
     for number, mode in enumerate(plane.modes):
-        at, coordinate = start + plane.layout.mode(number).start, model.coordinate(k, number)
+        at, coordinate = start + plane.layout.mode(number).start, rotor.coordinate(k, number)
         q, pushed = motion.q[:, coordinate, None], push[:, :, coordinate]
         d_y[:, :, at] = -2 * mode[0] * pushed * q
         d_y[:, :, at + 1] = -2 * motion.s[:, None] * pushed * q
@@ -125,11 +95,11 @@ def _mode_columns(
 
 
 def _rigid_columns(
-    model: RotatingModel, k: int, motion: Motion, push: Complex, per_force: Complex, d_y: Complex
+    rotor: RotatingParameters, k: int, motion: Motion, push: Complex, per_force: Complex, d_y: Complex
 ) -> None:
     """What one plane adds to the columns of mass, inertia, centre of gravity and sensor gains."""
-    layout, first = model.layout, model.coordinate(k, 0) - 2
-    plane = model.plane(k)
+    layout, first = rotor.layout, rotor.coordinate(k, 0) - 2
+    plane = rotor.plane(k)
     axes = slice(2 * k, 2 * k + 2)
     square = motion.s[:, None] ** 2
     at = layout.rigid.start

@@ -16,6 +16,7 @@ from service.identification.closed_loop import (
     with_known_sensors,
 )
 from service.identification.rotating_model import RotatingModel
+from service.identification.rotating_motion import Matrices
 from service.identification.zoh import Complex, Real
 
 RINGING = 0.5
@@ -79,7 +80,7 @@ def sampled(model: RotatingModel, speed_rad_s: float) -> Sampled:
 
 def _continuous(model: RotatingModel, speed_rad_s: float) -> tuple[Real, Real, Real]:
     """Amplifiers and rotor in a row, from u to y."""
-    m = model.matrices()
+    m = Matrices.of(model)
     n = len(m.mass)
     stiffness = np.diag(m.stiffness) + speed_rad_s * m.circulatory - m.bearings.T @ (model.ks[:, None] * m.bearings)
     damping = np.diag(m.damping) + speed_rad_s * m.gyroscopic
