@@ -19,16 +19,13 @@ from service.access.keys import Identity
 from service.api import etags, examples
 from service.api.access import KeyFirst
 from service.api.auditing import audit
+from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.once import Answer, once
 from service.api.problems import MediaTypeError, TooLargeError, documented
 from service.api.shapes import (
-    AfterExperiment,
     ExperimentId,
     IdempotencyKey,
     IfNoneMatch,
-    Limit,
-    Listed,
-    OfRig,
     Operator,
     RigId,
     Shape,
@@ -236,17 +233,13 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name
 def list_experiments(
     who: Viewer,
     api: Api,
+    asked: Annotated[Asked[str], asked_of("exp")],
     rig: OfRig = None,
-    after: AfterExperiment = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All experiments, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, ExperimentRow, rig, after, limit)
-    return etags.document(
-        Listed[ExperimentShape](items=[shape(row) for row in page.items], next=page.next), if_none_match
-    )
+        page = results.listed(session, ExperimentRow, rig, asked.after, asked.limit)
+    return asked.answer(Listed[ExperimentShape], page, shape)
 
 
 @router.get(

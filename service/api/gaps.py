@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Response
 from pydantic import ConfigDict
 
 from service.api import etags, example_documents, examples
 from service.api.access import KeyFirst
-from service.api.shapes import AfterGap, GapId, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
+from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.shapes import GapId, IfNoneMatch, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results
 from service.storage.tables import GapRow
@@ -70,15 +71,13 @@ def shape(row: GapRow) -> GapShape:
 def list_gaps(
     who: Viewer,
     api: Api,
+    asked: Annotated[Asked[str], asked_of("gap")],
     rig: OfRig = None,
-    after: AfterGap = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All diagnoses, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, GapRow, rig, after, limit)
-    return etags.document(Listed[GapShape](items=[shape(row) for row in page.items], next=page.next), if_none_match)
+        page = results.listed(session, GapRow, rig, asked.after, asked.limit)
+    return asked.answer(Listed[GapShape], page, shape)
 
 
 @router.get("/{gap_id}", response_model=GapShape, responses=etags.documented_resource())

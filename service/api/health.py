@@ -9,7 +9,8 @@ from pydantic import ConfigDict
 
 from service.api import etags, examples
 from service.api.access import KeyFirst
-from service.api.shapes import AfterHealth, HealthId, IfNoneMatch, Limit, Listed, OfRig, RigId, Shape, Time, Viewer
+from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.shapes import HealthId, IfNoneMatch, RigId, Shape, Time, Viewer
 from service.api.state import Api
 from service.health.zones import zone_is_calm
 from service.storage import results, rigs
@@ -125,19 +126,15 @@ def _values(row: HealthRow) -> dict[str, Any]:
 def list_health_checks(
     who: Viewer,
     api: Api,
+    asked: Annotated[Asked[str], asked_of("hc")],
     rig: OfRig = None,
     alarm: Annotated[bool | None, Query(description="Only alarms, or only others.")] = None,
     newest: Annotated[bool, Query(description="Only the newest check of each rig: how it is now.")] = False,
-    after: AfterHealth = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All health checks, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, HealthRow, rig, after, limit, newest, alarm=alarm)
-    return etags.document(
-        Listed[HealthShape](items=[HealthShape(**_values(row)) for row in page.items], next=page.next), if_none_match
-    )
+        page = results.listed(session, HealthRow, rig, asked.after, asked.limit, newest, alarm=alarm)
+    return asked.answer(Listed[HealthShape], page, lambda row: HealthShape(**_values(row)))
 
 
 @router.get("/health-checks/{health_id}", response_model=HealthDocument, responses=etags.documented_resource())
@@ -162,21 +159,16 @@ def get_health_report(health_id: HealthId, who: Viewer, api: Api, if_none_match:
 
 @router.get("/rigs/{rig_id}/trend", response_model=TrendShape, responses=etags.documented_list(404))
 def health_trend(
-    rig_id: RigId,
-    who: Viewer,
-    api: Api,
-    after: AfterHealth = None,
-    limit: Limit = LARGEST_PAGE,
-    if_none_match: IfNoneMatch = None,
+    rig_id: RigId, who: Viewer, api: Api, asked: Annotated[Asked[str], asked_of("hc", LARGEST_PAGE)]
 ) -> Response:
     """How a rig's figures went over its newest checks, or those before, and whether one of them moves steadily."""
     from service.health import trend as trends  # with it comes scipy, for which every start would wait
 
     with api.database.read() as session:
         rigs.get(session, rig_id)
-        page = results.listed(session, HealthRow, rig_id, after, limit)
+        page = results.listed(session, HealthRow, rig_id, asked.after, asked.limit)
     rows = page.items[::-1]
     history = [trends.Checked(row.created_at, row.document, row.id) for row in rows]
     series = {name: found.document() for name, found in trends.trend(history).items()} if history else {}
     found = TrendShape(rig=rig_id, checks=[row.id for row in rows], next=page.next, series=series)
-    return etags.document(found, if_none_match)
+    return etags.document(found, asked.if_none_match)

@@ -12,17 +12,14 @@ from service.access.audit import Action
 from service.api import etags, examples
 from service.api.access import KeyFirst
 from service.api.auditing import audit
+from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.once import Answer, once
 from service.api.options import OF_A_JOB, checked_options
 from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
-    AfterJob,
     IdempotencyKey,
     IfNoneMatch,
     JobId,
-    Limit,
-    Listed,
-    OfRig,
     Operator,
     Shape,
     Time,
@@ -242,17 +239,15 @@ def submit_job(
 def list_jobs(
     who: Viewer,
     api: Api,
+    asked: Annotated[Asked[str], asked_of("job")],
     state: Annotated[State | None, Query(description="Only in this state.")] = None,
     kind: Annotated[Kind | None, Query(description="Only of this kind.")] = None,
     rig: OfRig = None,
-    after: AfterJob = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All jobs, newest first."""
     with api.database.read() as session:
-        page = jobs.listed(session, state, kind, rig, after, limit)
-    return etags.document(Listed[JobShape](items=[shape(job) for job in page.items], next=page.next), if_none_match)
+        page = jobs.listed(session, state, kind, rig, asked.after, asked.limit)
+    return asked.answer(Listed[JobShape], page, shape)
 
 
 @router.get("/{job_id}", response_model=JobShape, responses=etags.documented_resource())

@@ -10,7 +10,8 @@ from pydantic import ConfigDict
 from service.access.audit import Action
 from service.api import etags, examples, identifiers
 from service.api.access import KeyFirst
-from service.api.shapes import AfterLine, IfNoneMatch, Limit, Listed, OfRig, Shape, Time, Viewer
+from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.shapes import Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import audit
 from service.storage.tables import AuditRow
@@ -69,16 +70,14 @@ def shape(row: AuditRow) -> AuditShape:
 def list_audit(
     who: Viewer,
     api: Api,
+    asked: Annotated[Asked[str], asked_of("aud")],
     rig: OfRig = None,
     action: Annotated[Action | None, Query(description="Only this action.")] = None,
     subject: Annotated[
         str | None, Query(description="Only about this thing.", max_length=40, pattern=identifiers.ANY)
     ] = None,
-    after: AfterLine = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Who did what, and who moved which rotor; newest first."""
     with api.database.read() as session:
-        page = audit.listed(session, rig, action and str(action), subject, after, limit)
-    return etags.document(Listed[AuditShape](items=[shape(row) for row in page.items], next=page.next), if_none_match)
+        page = audit.listed(session, rig, action and str(action), subject, asked.after, asked.limit)
+    return asked.answer(Listed[AuditShape], page, shape)

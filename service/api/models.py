@@ -12,13 +12,10 @@ from pydantic import ConfigDict
 from service.api import etags, examples
 from service.api import example_documents as documents
 from service.api.access import KeyFirst
+from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.shapes import (
-    AfterModel,
     IfNoneMatch,
-    Limit,
-    Listed,
     ModelId,
-    OfRig,
     RigId,
     Shape,
     Time,
@@ -31,6 +28,8 @@ from service.storage.blobs import Blobs
 from service.storage.tables import ModelRow
 
 router = APIRouter(prefix="/api/v1", tags=["models"], route_class=KeyFirst)
+
+AskedOfModels = Annotated[Asked[str], asked_of("mod")]
 
 
 class ModelShape(Shape):
@@ -138,15 +137,13 @@ def _exports(row: ModelRow, address: str) -> dict[str, str]:
 def list_models(
     who: Viewer,
     api: Api,
+    asked: AskedOfModels,
     rig: OfRig = None,
-    after: AfterModel = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All models, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, ModelRow, rig, after, limit)
-    return etags.document(Listed[ModelShape](items=[shape(row) for row in page.items], next=page.next), if_none_match)
+        page = results.listed(session, ModelRow, rig, asked.after, asked.limit)
+    return asked.answer(Listed[ModelShape], page, shape)
 
 
 @router.get("/models/{model_id}", response_model=ModelShape, responses=etags.documented_resource())
@@ -272,43 +269,29 @@ def get_state_space(model_id: ModelId, who: Viewer, api: Api, if_none_match: IfN
     return etags.document(body, if_none_match, f"{row.result_sha256[:24]}.ss")
 
 
-def _history(api: Api, rig_id: str, after: str | None, limit: int, name: str, if_none_match: str | None) -> Response:
+def _history(api: Api, rig_id: str, asked: Asked[str], name: str) -> Response:
     with api.database.read() as session:
         rigs.get(session, rig_id)
-        page = results.listed(session, ModelRow, rig_id, after, limit)
-    items = [
-        HistoryEntry(
+        page = results.listed(session, ModelRow, rig_id, asked.after, asked.limit)
+
+    def entry(row: ModelRow) -> HistoryEntry:
+        return HistoryEntry(
             model=row.id,
             experiment=row.experiment_id,
             created_at=row.created_at,
             planes={p: values[name] for p, values in row.summary["planes"].items()},
         )
-        for row in page.items
-    ]
-    return etags.document(Listed[HistoryEntry](items=items, next=page.next), if_none_match)
+
+    return asked.answer(Listed[HistoryEntry], page, entry)
 
 
 @router.get("/rigs/{rig_id}/stiffness", response_model=Listed[HistoryEntry], responses=etags.documented_list(404))
-def stiffness_history(
-    rig_id: RigId,
-    who: Viewer,
-    api: Api,
-    after: AfterModel = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
-) -> Response:
+def stiffness_history(rig_id: RigId, who: Viewer, api: Api, asked: AskedOfModels) -> Response:
     """ki (N/A) and ks (N/m) of a rig's bearings with their standard deviations, newest model first."""
-    return _history(api, rig_id, after, limit, "stiffness", if_none_match)
+    return _history(api, rig_id, asked, "stiffness")
 
 
 @router.get("/rigs/{rig_id}/modes", response_model=Listed[HistoryEntry], responses=etags.documented_list(404))
-def mode_history(
-    rig_id: RigId,
-    who: Viewer,
-    api: Api,
-    after: AfterModel = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
-) -> Response:
+def mode_history(rig_id: RigId, who: Viewer, api: Api, asked: AskedOfModels) -> Response:
     """Natural frequencies (rad/s) and damping ratios of a rig's rotor, newest model first."""
-    return _history(api, rig_id, after, limit, "modes", if_none_match)
+    return _history(api, rig_id, asked, "modes")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import ConfigDict, Field
 from sqlalchemy.orm import Session
 
@@ -13,17 +13,14 @@ from service.api import etags, examples
 from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.controllers import checked_url
+from service.api.lists import Asked, Listed, asked_by_number, asked_of
 from service.api.once import Answer, once
 from service.api.problems import UnprocessableError, documented
 from service.api.shapes import (
-    AFTER,
     Admin,
-    AfterRig,
     IdempotencyKey,
     IfMatch,
     IfNoneMatch,
-    Limit,
-    Listed,
     Operator,
     RigId,
     Shape,
@@ -183,6 +180,18 @@ def _checked(wanted: RigWanted, services: Services) -> str:
     return name
 
 
+def version_shape(row: RigVersion) -> RigVersionShape:
+    """A version of a rig as it is sent."""
+    return RigVersionShape(
+        version=row.version,
+        controller_url=row.controller_url,
+        datasheet=row.datasheet,
+        note=row.note,
+        created_at=row.created_at,
+        created_by=row.created_by,
+    )
+
+
 @router.post("", status_code=201, response_model=RigShape, responses=documented(409, 413, 415))
 def create_rig(
     request: Request, wanted: RigWanted, who: Operator, api: Api, idempotency_key: IdempotencyKey = None
@@ -200,20 +209,24 @@ def create_rig(
     return answer.response(replayed)
 
 
+async def _retired_too(
+    retired: Annotated[bool, Query(description="Those too that were retired.")] = False,
+) -> bool:
+    """What a list of rigs is asked beside its page, and is described after it."""
+    return retired
+
+
 @router.get("", response_model=Listed[RigShape], responses=etags.documented_list())
 def list_rigs(
     who: Viewer,
     api: Api,
-    after: AfterRig = None,
-    limit: Limit = 100,
-    retired: Annotated[bool, Query(description="Those too that were retired.")] = False,
-    if_none_match: IfNoneMatch = None,
+    asked: Annotated[Asked[str], asked_of("rig")],
+    retired: Annotated[bool, Depends(_retired_too)],
 ) -> Response:
     """All rigs, newest first."""
     with api.database.read() as session:
-        page = rigs.listed(session, retired, after, limit)
-        items = [shape(rig, rigs.version(session, rig)) for rig in page.items]
-    return etags.document(Listed[RigShape](items=items, next=page.next), if_none_match)
+        page = rigs.listed(session, retired, asked.after, asked.limit)
+        return asked.answer(Listed[RigShape], page, lambda rig: shape(rig, rigs.version(session, rig)))
 
 
 @router.get("/{rig_id}", response_model=RigShape, responses=etags.documented_resource())
@@ -233,28 +246,12 @@ def get_rig(
 
 @router.get("/{rig_id}/versions", response_model=Listed[RigVersionShape], responses=etags.documented_list(404))
 def list_versions(
-    rig_id: RigId,
-    who: Viewer,
-    api: Api,
-    after: Annotated[int | None, Query(description=AFTER, ge=1, le=1_000_000)] = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
+    rig_id: RigId, who: Viewer, api: Api, asked: Annotated[Asked[int], asked_by_number(1, 1_000_000)]
 ) -> Response:
     """Every version of a rig, newest first."""
     with api.database.read() as session:
-        page = rigs.versions(session, rigs.get(session, rig_id), after, limit)
-    items = [
-        RigVersionShape(
-            version=v.version,
-            controller_url=v.controller_url,
-            datasheet=v.datasheet,
-            note=v.note,
-            created_at=v.created_at,
-            created_by=v.created_by,
-        )
-        for v in page.items
-    ]
-    return etags.document(Listed[RigVersionShape](items=items, next=page.next), if_none_match)
+        page = rigs.versions(session, rigs.get(session, rig_id), asked.after, asked.limit)
+    return asked.answer(Listed[RigVersionShape], page, version_shape)
 
 
 @router.put("/{rig_id}", response_model=RigShape, responses=documented(404, 409, 412, 413, 415, 428))

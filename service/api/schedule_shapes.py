@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, WithJsonSchema
 from service.api import examples
 from service.api.options import OF_A_CHECK
 from service.api.shapes import Shape, Time, Wanted
-from service.storage.tables import ScheduleRow
+from service.storage.tables import ScheduleRow, ScheduleRunRow, WebhookRow
 
 
 class WebhookWanted(Wanted):
@@ -186,4 +186,25 @@ def shape(row: ScheduleRow, secret: str | None = None) -> ScheduleShape:
         created_at=row.created_at,
         updated_at=row.updated_at,
         created_by=row.created_by,
+    )
+
+
+def run_shape(row: ScheduleRunRow) -> RunShape:
+    """A time at which a check was due, as it is sent."""
+    return RunShape(due_at=row.due_at, state=row.state, detail=row.detail, job=row.job_id, recorded_at=row.recorded_at)
+
+
+def delivery_shape(row: WebhookRow) -> DeliveryShape:
+    """A message of a webhook as it is sent."""
+    return DeliveryShape(
+        id=row.id,
+        type=row.contents.get("type", ""),
+        health=row.health_id or None,
+        url=row.url,
+        state=row.state,
+        attempts=row.attempts,
+        status_code=row.status_code,
+        detail=row.detail,
+        created_at=row.created_at,
+        updated_at=row.updated_at,
     )

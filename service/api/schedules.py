@@ -4,27 +4,30 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Request, Response
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
+from service.api.lists import Asked, Listed, OfRig, asked_by_number, asked_of
 from service.api.once import Answer, once
 from service.api.options import checked_options
 from service.api.problems import documented
-from service.api.schedule_shapes import DeliveryShape, RunShape, ScheduleShape, ScheduleWanted, shape
+from service.api.schedule_shapes import (
+    DeliveryShape,
+    RunShape,
+    ScheduleShape,
+    ScheduleWanted,
+    delivery_shape,
+    run_shape,
+    shape,
+)
 from service.api.shapes import (
-    AFTER,
-    AfterDelivery,
-    AfterSchedule,
     IdempotencyKey,
     IfMatch,
     IfNoneMatch,
-    Limit,
-    Listed,
-    OfRig,
     Operator,
     ScheduleId,
     Viewer,
@@ -105,17 +108,13 @@ def create_schedule(
 def list_schedules(
     who: Viewer,
     api: Api,
+    asked: Annotated[Asked[str], asked_of("sch")],
     rig: OfRig = None,
-    after: AfterSchedule = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """All schedules, newest first."""
     with api.database.read() as session:
-        page = schedules.listed(session, rig, after, limit)
-    return etags.document(
-        Listed[ScheduleShape](items=[shape(row) for row in page.items], next=page.next), if_none_match
-    )
+        page = schedules.listed(session, rig, asked.after, asked.limit)
+    return asked.answer(Listed[ScheduleShape], page, shape)
 
 
 @router.get("/{schedule_id}", response_model=ScheduleShape, responses=etags.documented_resource())
@@ -159,50 +158,21 @@ def remove_schedule(request: Request, schedule_id: ScheduleId, who: Operator, ap
 
 @router.get("/{schedule_id}/runs", response_model=Listed[RunShape], responses=etags.documented_list(404))
 def list_runs(
-    schedule_id: ScheduleId,
-    who: Viewer,
-    api: Api,
-    after: Annotated[int | None, Query(description=AFTER, ge=0, le=LATEST_US)] = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
+    schedule_id: ScheduleId, who: Viewer, api: Api, asked: Annotated[Asked[int], asked_by_number(0, LATEST_US)]
 ) -> Response:
     """The times at which checks were due, newest first; also those that were missed."""
     with api.database.read() as session:
         schedules.get(session, schedule_id)
-        page = schedules.runs(session, schedule_id, after, limit)
-    items = [
-        RunShape(due_at=r.due_at, state=r.state, detail=r.detail, job=r.job_id, recorded_at=r.recorded_at)
-        for r in page.items
-    ]
-    return etags.document(Listed[RunShape](items=items, next=page.next), if_none_match)
+        page = schedules.runs(session, schedule_id, asked.after, asked.limit)
+    return asked.answer(Listed[RunShape], page, run_shape)
 
 
 @router.get("/{schedule_id}/deliveries", response_model=Listed[DeliveryShape], responses=etags.documented_list(404))
 def list_deliveries(
-    schedule_id: ScheduleId,
-    who: Viewer,
-    api: Api,
-    after: AfterDelivery = None,
-    limit: Limit = 100,
-    if_none_match: IfNoneMatch = None,
+    schedule_id: ScheduleId, who: Viewer, api: Api, asked: Annotated[Asked[str], asked_of("whd")]
 ) -> Response:
     """What the schedule's webhook was told, newest first."""
     with api.database.read() as session:
         schedules.get(session, schedule_id)
-        page = schedules.deliveries(session, schedule_id, after, limit)
-    items = [
-        DeliveryShape(
-            id=d.id,
-            type=d.contents.get("type", ""),
-            health=d.health_id or None,
-            url=d.url,
-            state=d.state,
-            attempts=d.attempts,
-            status_code=d.status_code,
-            detail=d.detail,
-            created_at=d.created_at,
-            updated_at=d.updated_at,
-        )
-        for d in page.items
-    ]
-    return etags.document(Listed[DeliveryShape](items=items, next=page.next), if_none_match)
+        page = schedules.deliveries(session, schedule_id, asked.after, asked.limit)
+    return asked.answer(Listed[DeliveryShape], page, delivery_shape)

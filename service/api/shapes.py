@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any
 
-from fastapi import Depends, Header, Path, Query
+from fastapi import Depends, Header, Path
 from pydantic import BaseModel, ConfigDict, PlainSerializer, model_validator
 
 from service.access.keys import Identity, Scope
 from service.api import identifiers
 from service.api.access import require
-from service.storage.listing import LARGEST_PAGE
-
-T = TypeVar("T")
 
 
 def _utc(value: datetime) -> str:
@@ -56,14 +53,6 @@ class Wanted(BaseModel):
         return sent
 
 
-class Listed(Shape, Generic[T]):
-    """A page of a list, newest first."""
-
-    items: list[T]
-    next: str | None
-    """``after`` of the next page; null on the last."""
-
-
 def identifier(prefix: str) -> Any:
     """A path parameter: the id of a resource."""
     return Path(
@@ -74,11 +63,6 @@ def identifier(prefix: str) -> Any:
     )
 
 
-def cursor(prefix: str) -> Any:
-    """A query parameter: where a page of such resources begins."""
-    return Query(description=AFTER, max_length=40, pattern=identifiers.pattern(prefix))
-
-
 RigId = Annotated[str, identifier("rig")]
 JobId = Annotated[str, identifier("job")]
 ExperimentId = Annotated[str, identifier("exp")]
@@ -86,19 +70,6 @@ ModelId = Annotated[str, identifier("mod")]
 GapId = Annotated[str, identifier("gap")]
 HealthId = Annotated[str, identifier("hc")]
 ScheduleId = Annotated[str, identifier("sch")]
-
-AFTER = "The field `next` of the page before."
-AfterRig = Annotated[str | None, cursor("rig")]
-AfterJob = Annotated[str | None, cursor("job")]
-AfterExperiment = Annotated[str | None, cursor("exp")]
-AfterModel = Annotated[str | None, cursor("mod")]
-AfterGap = Annotated[str | None, cursor("gap")]
-AfterHealth = Annotated[str | None, cursor("hc")]
-AfterSchedule = Annotated[str | None, cursor("sch")]
-AfterDelivery = Annotated[str | None, cursor("whd")]
-AfterLine = Annotated[str | None, cursor("aud")]
-Limit = Annotated[int, Query(description="Items of a page.", ge=1, le=LARGEST_PAGE)]
-OfRig = Annotated[str | None, Query(description="Only of this rig.", max_length=40, pattern=identifiers.pattern("rig"))]
 
 IfMatch = Annotated[
     str | None,
