@@ -24,7 +24,7 @@ from service.cli import (
     rigs,
     serve,
 )
-from service.cli.console import one_line, say
+from service.remarks import one_line, say
 
 app = typer.Typer(
     name="ambit",

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.commission import Excitation
-from service.cli.console import one_line, print_json, say, stderr
+from service.cli.console import print_json, stderr
 from service.cli.usage import job_id
 from service.experiment.progress import PHASE_WORDS
+from service.remarks import one_line, say
 
 if TYPE_CHECKING:
     from service.client import Client, Job, Rig

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.console import print_json, say, stdout
+from service.cli.console import print_json, stdout
 from service.cli.usage import value_of
+from service.remarks import say
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

@@ -1,4 +1,4 @@
-"""What a command says: results on stdout, everything else on stderr."""
+"""Where a command says what it found and how far it is: results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -26,22 +26,8 @@ def stdout() -> Console:
     return Console(highlight=False, width=None if sys.stdout.isatty() else _WHOLE)
 
 
-def say(text: str) -> None:
-    """One remark on stderr."""
-    print(text, file=sys.stderr, flush=True)
-
-
 def print_json(document: dict[str, Any]) -> None:
     """A result on stdout as JSON and nothing else."""
     from service.output import json_text
 
     sys.stdout.write(json_text(document))
-
-
-def one_line(text: str) -> str:
-    r"""The text without line breaks: an error is one line, whatever a library wrote.
-
-    >>> one_line("cannot read\n  the file")
-    'cannot read the file'
-    """
-    return " ".join(text.split())

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from service.cli.console import print_json, say
+from service.cli.console import print_json
 from service.cli.installation import Config, Home
+from service.remarks import say
 
 app = typer.Typer(no_args_is_help=True, help="Databases and store of the service: upgrade, backup, restore.")
 

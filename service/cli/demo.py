@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import typer
 
 from service.cli.commission import Json, Quick, commission_directly, show
-from service.cli.console import say
+from service.remarks import say
 
 if TYPE_CHECKING:
     from service.client import Client, Job, Rig

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.console import print_json, say, stdout
+from service.cli.console import print_json, stdout
+from service.remarks import say
 from sim.wording import in_words
 
 if TYPE_CHECKING:

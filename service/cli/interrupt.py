@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from service.cli.console import say
+from service.remarks import say
 
 
 @contextmanager

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.access.keys import Scope
-from service.cli.console import print_json, say, stdout
+from service.cli.console import print_json, stdout
 from service.cli.installation import Config, Home
+from service.remarks import say
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

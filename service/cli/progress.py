@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from service.cli.console import say, stderr
+from service.cli.console import stderr
 from service.experiment.progress import PHASE_WORDS
+from service.remarks import say
 from service.report.format import duration
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.device.lease import WATCHDOG_S
-from service.cli.console import print_json, say
+from service.cli.console import print_json
 from service.cli.usage import finite, value_of
+from service.remarks import say
 from sim.errors import EffectError, OptionsError
 from sim.withheld import CAMPAIGN_S
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from service.cli.console import say
 from service.cli.installation import Config, Home
+from service.remarks import say
 
 Traces = Annotated[str | None, typer.Option(help="Where OpenTelemetry traces go, http://collector:4318.")]
 

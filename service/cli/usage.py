@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import typer
 
-from service.cli.console import one_line
+from service.remarks import one_line
 from sim.errors import AmbError
 
 

@@ -6,9 +6,9 @@ import sys
 
 from service import logs, tracing
 from service.bootstrap import product_version
-from service.cli.console import one_line, say
 from service.config import Settings
 from service.jobs.worker import serve
+from service.remarks import one_line, say
 from sim.errors import AmbError
 
 
