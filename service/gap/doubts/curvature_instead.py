@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.doubts.curved_signal import Seen, in_words, systematic
+from service.gap.doubts.curved_signal import Seen, curvatures_in_words, systematic
 from service.gap.weighing.ranking import noise_levels
 from service.gap.weighing.verdict import MAX_SHARE_LEFT
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, Curvature, curvatures
@@ -24,7 +24,7 @@ def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
     sweeps = [*zip(e.ground.observations, e.plain, strict=True), plain]
     for better, c in _compared(e, plain, best):
         std = np.hypot(c.std, systematic(sweeps, c.null, c.law))
-        if better > 0 and (words := in_words(c.law, e.ground.nuisance.rig.axes, c.value, std)):
+        if better > 0 and (words := curvatures_in_words(c.law, e.ground.nuisance.rig.axes, c.value, std)):
             return words
     return None
 

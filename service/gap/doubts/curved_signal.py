@@ -48,10 +48,10 @@ def curved_signal(e: Explained, unseen: Seen) -> str | None:
     known = size > 0
     value = along / np.where(known, size, 1.0)
     std = np.hypot(np.where(known, 1 / np.sqrt(np.where(known, size, 1.0)), np.inf), allowed)
-    return in_words(law, e.ground.nuisance.rig.axes, value, std)
+    return curvatures_in_words(law, e.ground.nuisance.rig.axes, value, std)
 
 
-def in_words(law: CurvedLaw, axes: Sequence[str], value: Real, std: Real) -> str | None:
+def curvatures_in_words(law: CurvedLaw, axes: Sequence[str], value: Real, std: Real) -> str | None:
     """Curvatures of `POWERS`, (powers, n), and their standard deviations in words; None where none of them is sure."""
     told = []
     for power, c, sd in zip(POWERS, value, std, strict=True):
