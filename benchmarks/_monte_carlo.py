@@ -3,12 +3,12 @@
 320 points as of the thesis (Tables 5-1, 5-3, 5-5 and Appendix A), noise relative to each signal. The datasheet's ki is
 88 % off, ks 37 %.
 
-u, i and y hardly tell how a mode's shape splits between bearings and sensors (`service.identification.split`). With a
-rotor model in the datasheet the splits are known, and a deviation is noise: `splits_known` compares it with the bound.
-Without, the bound of an estimate from data alone is up to thousands of times that, and what is assumed of shapes takes
-its place. `no_mode_known` compares the procedure with an estimator that is told the exact noise and where to begin, and
-assumes the same: it has no more to learn. And `splits_drawn` asks whether the reported deviations are what they say,
-by rotors whose splits are drawn from what is assumed.
+u, i and y hardly tell how a mode's shape splits between bearings and sensors
+(`service.identification.priors.split`). With a rotor model in the datasheet the splits are known, and a deviation is
+noise: `splits_known` compares it with the bound. Without, the bound of an estimate from data alone is up to thousands
+of times that, and what is assumed of shapes takes its place. `no_mode_known` compares the procedure with an estimator
+that is told the exact noise and where to begin, and assumes the same: it has no more to learn. And `splits_drawn` asks
+whether the reported deviations are what they say, by rotors whose splits are drawn from what is assumed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Experiment
-from service.identification.combine import levitated_frequencies
 from service.identification.fit import identify
+from service.identification.joint.refine import Refined, amplitude_of, refine
+from service.identification.joint.residuals import Weights
+from service.identification.joint.uncertainty import uncertainty_of
+from service.identification.measured.data import Data
+from service.identification.measured.points import plane_points
 from service.identification.options import Options
-from service.identification.plane_model import PlaneModel, Points
-from service.identification.plane_start import split_knowledge
-from service.identification.points import plane_points
-from service.identification.refine import Refined, amplitude_of, refine
-from service.identification.residuals import Data, Weights
-from service.identification.result import PlaneResult
-from service.identification.split import Knowledge, Posterior, Split, log_prior, log_ratios
-from service.identification.start import with_split
-from service.identification.uncertainty import uncertainty_of
-from service.identification.whitening import whitener
+from service.identification.plane.combine import levitated_frequencies
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.prediction import Points
+from service.identification.priors.split import Knowledge, Posterior, Split, log_prior, log_ratios
+from service.identification.result.commissioning import PlaneResult
+from service.identification.statistics.whitening import whitener
+from service.identification.steps.nominal import split_knowledge
+from service.identification.steps.start import with_split
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep

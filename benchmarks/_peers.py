@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.combine import plant_poles
-from service.identification.etfe import FrequencyResponse
-from service.identification.plane_model import PlaneModel
-from service.identification.result import PlaneResult
-from service.identification.subspace import subspace
-from service.identification.validation import nrmse_matrix
+from service.identification.measured.etfe import FrequencyResponse
+from service.identification.plane.combine import plant_poles
+from service.identification.plane.model import PlaneModel
+from service.identification.result.commissioning import PlaneResult
+from service.identification.statistics.validation import nrmse_matrix
+from service.identification.steps.subspace import subspace
 from sim.reference import reference_rig
 from sim.stepping import Simulation
 

@@ -27,7 +27,7 @@ from foreign.rig import TS, Truth
 
 from service.experiment.file import read
 from service.identification.fit import identify
-from service.identification.result import CommissioningResult
+from service.identification.result.commissioning import CommissioningResult
 from sim.rig_file import read as read_datasheet
 
 FORMS = ("demodulated", "records", "two axes")

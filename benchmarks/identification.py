@@ -24,14 +24,14 @@ from _monte_carlo import experiment, no_mode_known, reference_plane, splits_draw
 
 from service.experiment.data import Experiment
 from service.identification.fit import identify
+from service.identification.joint.refine import refine
+from service.identification.measured.data import Data
+from service.identification.measured.points import plane_points
+from service.identification.plane.model import PlaneModel
 from service.identification.plane_fit import fit_plane
-from service.identification.plane_model import PlaneModel
-from service.identification.points import plane_points
-from service.identification.refine import refine
-from service.identification.residuals import Data
-from service.identification.split import Split, log_ratios
-from service.identification.staged import staged_fit
-from service.identification.start import joint_start, with_split
+from service.identification.priors.split import Split, log_ratios
+from service.identification.steps.staged import staged_fit
+from service.identification.steps.start import joint_start, with_split
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet
 

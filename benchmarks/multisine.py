@@ -37,9 +37,9 @@ from service.experiment.campaign import run_campaign
 from service.experiment.data import Experiment
 from service.experiment.multisine_design import Design
 from service.experiment.multisine_plan import MultisineProfile
-from service.identification.closed_loop import closed_loop_poles
 from service.identification.fit import identify
 from service.identification.input_design import best_powers, closed_loop, line_information
+from service.identification.loop.closed_loop import closed_loop_poles
 from sim.reference import reference_datasheet, reference_rig
 from sim.rig import Rig
 from sim.twin import with_effects

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from service.experiment.data import Experiment
 from service.identification.fit import identify
-from service.identification.transient import settled
+from service.identification.ringing.transient import settled
 from tests.support.planes import synthetic_experiment
 from tests.support.ringing import AXES, late, run, sheet
 

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from service.experiment.data import Experiment
 from service.identification.fit import identify
-from service.identification.rotating import Turned
+from service.identification.rotating.turned import Turned
 from sim.reference import reference_datasheet
 from tests.support.turning import (
     COUPLING,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from service.experiment.data import Experiment
     from service.experiment.multisine_plan import MultisineProfile
     from service.experiment.progress import ProgressCallback
-    from service.identification.result import CommissioningResult
+    from service.identification.result.commissioning import CommissioningResult
     from sim.datasheet import Datasheet
 
 EXPERIMENT = "experiment.h5"

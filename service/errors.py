@@ -3,7 +3,7 @@
 ::
 
     AmbError (sim.errors)            one line that names the thing and the remedy; a command prints it and exits 1
-    ├── SingularInputError           service.identification.etfe: the inputs do not tell the axes apart
+    ├── SingularInputError           service.identification.measured.etfe: the inputs do not tell the axes apart
     ├── ControllerError              drivers.errors: bus, lease, limits, trips
     ├── ExperimentError              service.experiment.errors: files, journal, campaign
     └── ServiceError

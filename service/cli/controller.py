@@ -33,8 +33,8 @@ def check_controller(
 
     from service.checkup import read_baseline
     from service.identification.controller_check import check_controller as checked
-    from service.identification.margins import zone_table
-    from service.identification.saved import saved_planes, saved_rotor
+    from service.identification.loop.margins import zone_table
+    from service.identification.result.saved import saved_planes, saved_rotor
     from service.output import json_text, write_text
 
     then, datasheet = read_baseline(baseline)

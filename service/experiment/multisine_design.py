@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.identification.closed_loop import closed_loop_poles
 from service.identification.input_design import ClosedLoop, best_powers, closed_loop, line_information
-from service.identification.least_squares import covariance_of
+from service.identification.joint.refine import Refined
+from service.identification.loop.closed_loop import closed_loop_poles
+from service.identification.measured.points import PlanePoints, planes_of
+from service.identification.plane.model import PlaneModel
 from service.identification.plane_fit import fit_plane
-from service.identification.plane_model import PlaneModel
-from service.identification.points import PlanePoints, planes_of
-from service.identification.refine import Refined
+from service.identification.statistics.least_squares import covariance_of
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from service.exports.documents import VERSION, reading
 from service.exports.errors import ExportError
-from service.identification.combine import StateSpace, series
+from service.identification.plane.combine import StateSpace, series
 
 Real = NDArray[np.float64]
 Part = Literal["plant", "amplifiers", "whole"]

@@ -13,9 +13,9 @@ from service.experiment.data import Experiment
 from service.exports.documents import VERSION, reading
 from service.exports.errors import ExportError
 from service.exports.linear import UNITS
-from service.identification.etfe import FrequencyResponse, Path, etfe
-from service.identification.points import plane_points, planes_of
-from service.identification.sweeps import chosen_sweeps
+from service.identification.measured.etfe import FrequencyResponse, Path, etfe
+from service.identification.measured.points import plane_points, planes_of
+from service.identification.measured.sweeps import chosen_sweeps
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

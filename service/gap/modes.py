@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Experiment
-from service.identification.supports import SAME, move_as_supports
+from service.identification.result.supports import SAME, move_as_supports
 from sim.datasheet import Datasheet, Mode
 from sim.errors import AmbError
 from sim.folded import folded
 
 if TYPE_CHECKING:
-    from service.identification.result import ModeResult
+    from service.identification.result.commissioning import ModeResult
 
 SHAPE_TOLERANCE = 0.2
 """Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors

@@ -17,14 +17,14 @@ from service.health.fit import PlaneNow, plane_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
-from service.identification.derivatives import central_differences, propagated_std
-from service.identification.etfe import SingularInputError, etfe
-from service.identification.known import as_identified, computed, led_back
-from service.identification.logged import checked
-from service.identification.points import PlanePoints
-from service.identification.saved import SavedPlane, saved_planes
-from service.identification.uncertainty import ESTIMATED_WEIGHTS
-from service.identification.zoh import Real
+from service.identification.arrays import Real
+from service.identification.joint.uncertainty import ESTIMATED_WEIGHTS
+from service.identification.measured.etfe import SingularInputError, etfe
+from service.identification.measured.known import as_identified, computed, led_back
+from service.identification.measured.logged import checked
+from service.identification.measured.points import PlanePoints
+from service.identification.result.saved import SavedPlane, saved_planes
+from service.identification.statistics.derivatives import central_differences, propagated_std
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 

@@ -9,14 +9,15 @@ import numpy as np
 from service.experiment.data import Experiment
 from service.experiment.dead import require_live_channels
 from service.health.noise import check_weights
-from service.identification.plane_model import PlaneModel
-from service.identification.points import PlanePoints, check_excitation, plane_points
-from service.identification.refine import Refined, refine
-from service.identification.residuals import Data, residuals, weights_of
-from service.identification.saved import SavedPlane
-from service.identification.split import Posterior, Split, log_ratios
-from service.identification.uncertainty import Uncertainty, uncertainty_of
-from service.identification.zoh import Real
+from service.identification.arrays import Real
+from service.identification.joint.refine import Refined, refine
+from service.identification.joint.residuals import residuals, weights_of
+from service.identification.joint.uncertainty import Uncertainty, uncertainty_of
+from service.identification.measured.data import Data
+from service.identification.measured.points import PlanePoints, check_excitation, plane_points
+from service.identification.plane.model import PlaneModel
+from service.identification.priors.split import Posterior, Split, log_ratios
+from service.identification.result.saved import SavedPlane
 from sim.errors import AmbError
 
 FEWEST_TONES = 6

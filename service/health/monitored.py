@@ -11,10 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from service.identification.margins import sensitivity_peaks
-from service.identification.plane_model import PlaneModel
-from service.identification.saved import SavedPlane
-from service.identification.zoh import Real
+from service.identification.arrays import Real
+from service.identification.loop.margins import sensitivity_peaks
+from service.identification.plane.model import PlaneModel
+from service.identification.result.saved import SavedPlane
 
 Kind = Literal["magnet", "frequency", "damping", "amplifier", "margin"]
 

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from service.experiment.data import Experiment, Sweep
-from service.identification.noise import DRIFT, block_noise
-from service.identification.plane_model import PlaneModel
-from service.identification.points import PlanePoints, planes_of, same_frequency
-from service.identification.residuals import Weights, predicted_blocks, residual_blocks
-from service.identification.whitening import whitener
-from service.identification.zoh import Complex, Real
+from service.identification.arrays import Complex, Real
+from service.identification.joint.residuals import Weights, predicted_blocks, residual_blocks
+from service.identification.measured.noise import DRIFT, block_noise
+from service.identification.measured.points import PlanePoints, planes_of, same_frequency
+from service.identification.plane.model import PlaneModel
+from service.identification.statistics.whitening import whitener
 
 OCTAVES = 0.5
 """Half-width of the smoothing of the spectrum at rest."""

@@ -8,8 +8,8 @@ from typing import Any
 
 from service.distributions import normal_above
 from service.health.monitored import Monitored
-from service.identification.margins import zone
-from service.identification.zoh import Real
+from service.identification.arrays import Real
+from service.identification.loop.margins import zone
 from sim.datasheet import source_of
 
 NORMAL_95 = float(normal_above(0.025))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from service.distributions import student_above, student_tail
-from service.identification.zoh import Real
+from service.identification.arrays import Real
 from sim.errors import AmbError
 
 CHECKS_A_YEAR = 365

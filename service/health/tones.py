@@ -19,13 +19,14 @@ import numpy as np
 from service.experiment.aims import Profile
 from service.experiment.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
 from service.health.monitored import plane_figures
-from service.identification.derivatives import central_differences
-from service.identification.known import as_identified
-from service.identification.plane_model import PlaneModel, Points
-from service.identification.saved import SavedPlane, saved_planes
-from service.identification.split import Split, log_ratios, split_rows
+from service.identification.arrays import Real
+from service.identification.measured.known import as_identified
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.prediction import Points
+from service.identification.priors.split import Split, log_ratios, split_rows
+from service.identification.result.saved import SavedPlane, saved_planes
+from service.identification.statistics.derivatives import central_differences
 from service.identification.synthetic import closed_loop_points
-from service.identification.zoh import Real
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from service.distributions import student_above
 from service.experiment.speeds import alike
 from service.health.sequential import Policy
-from service.identification.zoh import Real
+from service.identification.arrays import Real
 
 FEWEST = 5
 DAY_S = 86_400.0

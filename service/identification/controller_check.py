@@ -12,18 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from service.identification.closed_loop import closed_loop_poles, slowest_decay
-from service.identification.loop_margins import loop_margins
-from service.identification.margins import (
-    loop_grid,
-    sensitivity,
-    sensitivity_peaks,
-    zone,
-)
-from service.identification.plane_model import PlaneModel
-from service.identification.saved import SavedPlane, SavedRotor
-from service.identification.whirl import loop_matrix
-from service.identification.zoh import Complex, Real
+from service.identification.arrays import Complex, Real
+from service.identification.loop.closed_loop import closed_loop_poles, slowest_decay
+from service.identification.loop.loop_margins import loop_margins
+from service.identification.loop.margins import loop_grid, sensitivity, sensitivity_peaks, zone
+from service.identification.plane.model import PlaneModel
+from service.identification.result.saved import SavedPlane, SavedRotor
+from service.identification.rotating.whirl import loop_matrix
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import AmbError
 

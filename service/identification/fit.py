@@ -14,16 +14,16 @@ from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
-from service.identification.coupling import cross_planes
-from service.identification.coupling import told as told_coupling
-from service.identification.known import led_back
-from service.identification.logged import checked
+from service.identification.measured.coupling import cross_planes
+from service.identification.measured.coupling import told as told_coupling
+from service.identification.measured.known import led_back
+from service.identification.measured.logged import checked
+from service.identification.measured.points import planes_of
+from service.identification.measured.sweeps import Chosen, chosen_sweeps
 from service.identification.options import Options
 from service.identification.plane_fit import FittedPlane, fit_plane, settled_alike
-from service.identification.points import planes_of
-from service.identification.result import CommissioningResult, PlaneResult
-from service.identification.rotating import turned
-from service.identification.sweeps import Chosen, chosen_sweeps
+from service.identification.result.commissioning import CommissioningResult, PlaneResult
+from service.identification.rotating.turned import turned
 from sim.chain import Chain
 from sim.datasheet import Datasheet
 from sim.errors import AmbError

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.derivatives import central_differences
-from service.identification.margins import computed_response
-from service.identification.plane_model import PlaneModel, Points
-from service.identification.split import Split, log_ratios, split_rows
-from service.identification.zoh import Complex, Real, discrete_response
+from service.identification.arrays import Complex, Real
+from service.identification.loop.margins import computed_response
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.prediction import Points
+from service.identification.plane.zoh import discrete_response
+from service.identification.priors.split import Split, log_ratios, split_rows
+from service.identification.statistics.derivatives import central_differences
 
 ROUNDS = 300
 STRIDE, PRICE_STRIDE = 0.7, 0.3

@@ -10,7 +10,7 @@ class Options:
     """How to identify. The defaults need no thought."""
 
     closeness: bool = True
-    """Whether a mode's shape is taken to change little from a bearing to its sensor (`split.Knowledge`)."""
+    """Whether a mode's shape is taken to change little from a bearing to its sensor (`priors.split.Knowledge`)."""
     datasheet_modes: bool = True
     """Whether the datasheet's modes, where it has any, tell how shapes split between bearings and sensors. Nothing else
     of them is used."""

@@ -8,21 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Sweep
-from service.identification.amplifier_fit import AmplifierFit
-from service.identification.assemble import assemble
-from service.identification.block_length import block_samples
-from service.identification.etfe import FrequencyResponse, etfe
+from service.identification.arrays import Real
+from service.identification.joint.selection import Selected, choose_modes
+from service.identification.measured.block_length import block_samples
+from service.identification.measured.data import Data
+from service.identification.measured.etfe import FrequencyResponse, etfe
+from service.identification.measured.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.options import Options
-from service.identification.plane_start import split_knowledge, start_model
-from service.identification.points import PlanePoints, check_excitation, plane_points, planes_of
-from service.identification.residuals import Data
-from service.identification.result import PlaneResult
-from service.identification.selection import Selected, choose_modes
-from service.identification.staged import StagedFit, staged_fit
-from service.identification.start import joint_start
-from service.identification.tolerances import Tolerances
-from service.identification.transient import LASTING, Transient, settled, told
-from service.identification.zoh import Real
+from service.identification.priors.tolerances import Tolerances
+from service.identification.result.assemble import assemble
+from service.identification.result.commissioning import PlaneResult
+from service.identification.ringing.transient import LASTING, Transient, settled, told
+from service.identification.steps.amplifier_fit import AmplifierFit
+from service.identification.steps.nominal import split_knowledge, start_model
+from service.identification.steps.staged import StagedFit, staged_fit
+from service.identification.steps.start import joint_start
 from sim.chain import Chain
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -75,7 +75,7 @@ def fit_plane(
     """Identify one plane: the six steps, then the joint refinement.
 
     ``chain``: what is known of the axes beside the datasheet; the sweeps are led back to where the model begins
-    (`known.led_back`).
+    (`measured.known.led_back`).
     """
     options = options or Options()
     own = Chain() if chain is None else chain.of(list(planes_of(axes)[plane]))

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.identification.margins import computed_response
-from service.identification.plane_model import PlaneModel, Points, Prediction
-from service.identification.refine import amplitude_of
-from service.identification.zoh import Complex, Real, discrete_response
+from service.identification.arrays import Complex, Real
+from service.identification.joint.refine import amplitude_of
+from service.identification.loop.margins import computed_response
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.prediction import Points, Prediction
+from service.identification.plane.zoh import discrete_response
 
 
 def closed_loop_points(

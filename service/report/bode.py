@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_above
 from service.experiment.data import Experiment
-from service.identification import amplifier
-from service.identification.etfe import FrequencyResponse, etfe
-from service.identification.margins import sensitivity
-from service.identification.points import plane_points
-from service.identification.result import PlaneResult
-from service.identification.sweeps import chosen_sweeps
+from service.identification.loop.margins import sensitivity
+from service.identification.measured.etfe import FrequencyResponse, etfe
+from service.identification.measured.points import plane_points
+from service.identification.measured.sweeps import chosen_sweeps
+from service.identification.plane import amplifier
+from service.identification.result.commissioning import PlaneResult
 from service.report.figure import (
     FOURTH,
     MEASURED,

@@ -9,8 +9,8 @@ from html import escape
 import numpy as np
 
 from service.experiment.data import Experiment
-from service.identification.margins import Margin
-from service.identification.result import CommissioningResult, ModeResult, PlaneResult
+from service.identification.loop.margins import Margin
+from service.identification.result.commissioning import CommissioningResult, ModeResult, PlaneResult
 from service.report import measurement
 from service.report.format import MISSING, count, decibel, figures, fixed, number, paragraph, signed, span, table
 from service.report.page import Captioned, Page, Section, Tone

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from service.identification.etfe import FrequencyResponse
-from service.identification.margins import computed_response, sensitivity
-from service.identification.result import CommissioningResult, PlaneResult
-from service.identification.zoh import Complex, Real
+from service.identification.arrays import Complex, Real
+from service.identification.loop.margins import computed_response, sensitivity
+from service.identification.measured.etfe import FrequencyResponse
+from service.identification.result.commissioning import CommissioningResult, PlaneResult
 from sim.datasheet import Datasheet
 from sim.folded import folded
 

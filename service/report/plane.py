@@ -6,9 +6,9 @@ import numpy as np
 
 from service.distributions import chi2_above
 from service.experiment.data import Experiment
-from service.identification.evidence import Evidence
-from service.identification.result import PlaneResult
-from service.identification.validation import nrmse_matrix
+from service.identification.result.commissioning import PlaneResult
+from service.identification.statistics.evidence import Evidence
+from service.identification.statistics.validation import nrmse_matrix
 from service.report import bode, residuals
 from service.report.figure import Real
 from service.report.format import figures, fixed, number, paragraph, table

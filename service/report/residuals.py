@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from service.distributions import chi2_above
-from service.identification.result import PlaneResult, RootResult
-from service.identification.validation import CorrelationTest
+from service.identification.result.commissioning import PlaneResult, RootResult
+from service.identification.statistics.validation import CorrelationTest
 from service.report.bode import RADIUS_99
 from service.report.figure import MODEL, REGION, SECOND, THIRD, Figure, band, line, points
 from service.report.format import fixed, number, table

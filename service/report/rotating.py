@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.identification.campbell import Branch
-from service.identification.rotating import Turned
+from service.identification.rotating.campbell import Branch
+from service.identification.rotating.turned import Turned
 from service.report.figure import FOURTH, MODEL, SECOND, THIRD, Figure, band, line
 from service.report.format import figures, fixed, number, paragraph, table
 from service.report.page import Captioned, Section

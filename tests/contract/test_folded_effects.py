@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.margins import sensitivity
-from service.identification.plane_start import known_of
-from service.identification.points import planes_of
+from service.identification.loop.margins import sensitivity
+from service.identification.measured.points import planes_of
+from service.identification.steps.nominal import known_of
 from sim import effects as catalogue
 from sim.datasheet import Datasheet
 from sim.effect import Effect

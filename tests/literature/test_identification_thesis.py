@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.identification.combine import plant_poles, plant_state_space
-from service.identification.margins import zone
-from service.identification.plane_model import Known, Layout, PlaneModel
-from service.identification.rigid import bearing_from_sensor, rigid_response
+from service.identification.loop.margins import zone
+from service.identification.plane.combine import plant_poles, plant_state_space
+from service.identification.plane.layout import Layout
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.parameters import Known
+from service.identification.steps.rigid import bearing_from_sensor, rigid_response
 from sim.reference import reference_rig
 from tests.support.planes import plane_model_of
 

@@ -10,11 +10,14 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from service.identification.fit import identify
-from service.identification.plane_model import Known, Layout, PlaneModel, Points
-from service.identification.points import plane_points
-from service.identification.refine import refine
-from service.identification.residuals import Data
-from service.identification.rigid import rigid_start
+from service.identification.joint.refine import refine
+from service.identification.measured.data import Data
+from service.identification.measured.points import plane_points
+from service.identification.plane.layout import Layout
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.parameters import Known
+from service.identification.plane.prediction import Points
+from service.identification.steps.rigid import rigid_start
 from sim.datasheet import Datasheet
 from sim.reference import pid_with_biquad, reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep

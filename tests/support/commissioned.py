@@ -12,7 +12,7 @@ from service.experiment.campaign import run_campaign
 from service.experiment.data import Experiment
 from service.health.tones import ShortPlan, short_plan
 from service.identification.fit import identify
-from service.identification.result import CommissioningResult
+from service.identification.result.commissioning import CommissioningResult
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
 from sim.rig import Rig

@@ -10,11 +10,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.identification.arrays import Real
 from service.identification.input_design import LineInformation
-from service.identification.plane_model import Known, Layout, PlaneModel
-from service.identification.points import planes_of
+from service.identification.measured.points import planes_of
+from service.identification.plane.layout import Layout
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.parameters import Known
 from service.identification.synthetic import closed_loop_points
-from service.identification.zoh import Real
 from sim.rig import Rig
 
 

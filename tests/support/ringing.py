@@ -3,8 +3,8 @@
 import numpy as np
 
 from service.experiment.data import Sweep
-from service.identification.closed_loop import companion, sampled
-from service.identification.plane_model import PlaneModel
+from service.identification.loop.closed_loop import companion, sampled
+from service.identification.plane.model import PlaneModel
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of

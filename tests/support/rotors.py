@@ -9,7 +9,9 @@ import numpy as np
 from scipy.linalg import eigh
 
 from service.experiment.data import Experiment
-from service.identification.plane_model import Known, Layout, PlaneModel
+from service.identification.plane.layout import Layout
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.parameters import Known
 from sim.datasheet import Datasheet
 from sim.reference import pid_with_biquad, reference_datasheet
 from tests.support.planes import synthetic_experiment, synthetic_sweep

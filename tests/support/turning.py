@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from service.experiment.data import Sweep
-from service.identification.least_squares import minimise
-from service.identification.rotating import Turned
-from service.identification.rotating_fit import held_rows, residuals
-from service.identification.split import Posterior, Split, log_ratios
-from service.identification.uncertainty import uncertainty_of
+from service.identification.joint.uncertainty import uncertainty_of
+from service.identification.priors.split import Posterior, Split, log_ratios
+from service.identification.rotating.fit import held_rows, residuals
+from service.identification.rotating.turned import Turned
+from service.identification.statistics.least_squares import minimise
 from sim.harmonic_balance import Responder, respond_to_excitation
 from sim.reference import reference_rig
 from sim.rig import Rig

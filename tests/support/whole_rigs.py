@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.identification.closed_loop import closed_loop_poles
-from service.identification.margins import sensitivity_peaks
+from service.identification.loop.closed_loop import closed_loop_poles
+from service.identification.loop.margins import sensitivity_peaks
 from sim.datasheet import Datasheet
 from sim.reference import pid_with_biquad, reference_datasheet, reference_rig
 from sim.rig import ControlLaw, FlexibleMode, Rig

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.identification.many_lines import ManyLines
+from service.identification.plane.many_lines import ManyLines
 from sim import actuator, magnetic_force
 from sim.errors import AmbError
 from sim.harmonic_balance import bearings_per_sensors, time_points

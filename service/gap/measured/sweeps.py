@@ -10,7 +10,7 @@ import numpy as np
 from service.experiment.data import Experiment, Sweep
 from service.gap.measured.condition import conditions_of
 from service.gap.measured.observation import GapError, Observation, observe, usable
-from service.identification.block_length import block_samples
+from service.identification.measured.block_length import block_samples
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.rig import Rig

@@ -15,7 +15,7 @@ from service.exports import files, linear, responses
 from service.exports.control import control_of, from_control, to_control
 from service.exports.errors import ExportError
 from service.exports.matlab import linear_variables
-from service.identification.saved import saved_planes
+from service.identification.result.saved import saved_planes
 from service.output import json_text, write_text
 from sim.reference import reference_rig
 from tests.support.commissioned import AXES, LAW, SHEET, result

@@ -13,7 +13,7 @@ from service.health.compare import Baseline, compare, other_speed
 from service.health.monitored import Monitored
 from service.health.result import FigureChange
 from service.health.sequential import Policy
-from service.identification.margins import zone_table
+from service.identification.loop.margins import zone_table
 from sim.errors import AmbError
 from sim.reference import reference_rig
 from sim.twin import with_effects

@@ -7,7 +7,7 @@ import pytest
 
 from service.health.fit import plane_now
 from service.identification.fit import identify
-from service.identification.saved import saved_planes
+from service.identification.result.saved import saved_planes
 from tests.support.rotors import drawn_rig
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from service.experiment.frequencies import mains_harmonics
 from service.health import tones
-from service.identification.saved import saved_planes
+from service.identification.result.saved import saved_planes
 from sim.errors import AmbError
 from tests.support.commissioned import SHEET, plan, result
 

@@ -7,8 +7,8 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.identification.fit import identify
-from service.identification.plane_model import PlaneModel
-from service.identification.result import CommissioningResult
+from service.identification.plane.model import PlaneModel
+from service.identification.result.commissioning import CommissioningResult
 from sim.datasheet import Datasheet
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep

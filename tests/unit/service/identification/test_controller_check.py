@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from service.health import compare
-from service.identification import assemble, closed_loop
-from service.identification.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
 from service.identification.controller_check import check_controller, interval
-from service.identification.margins import computed_response, zone_table
-from service.identification.points import plane_points
-from service.identification.saved import saved_planes
+from service.identification.loop import closed_loop
+from service.identification.loop.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
+from service.identification.loop.margins import computed_response, zone_table
+from service.identification.measured.points import plane_points
+from service.identification.result import assemble
+from service.identification.result.saved import saved_planes
 from sim.errors import AmbError, LevitationError
 from sim.reference import reference_rig
 from sim.stepping import Simulation

@@ -11,8 +11,8 @@ import pytest
 from service.experiment.data import Experiment, Sweep
 from service.identification.fit import identify
 from service.identification.options import Options
-from service.identification.plane_model import PlaneModel
-from service.identification.result import CommissioningResult
+from service.identification.plane.model import PlaneModel
+from service.identification.result.commissioning import CommissioningResult
 from sim.datasheet import Datasheet, Mode, Tolerance
 from sim.errors import AmbError
 from tests.support.planes import synthetic_experiment, synthetic_sweep
@@ -242,9 +242,9 @@ def test_a_wrong_model_is_flagged_and_its_intervals_widened(
 def test_ignoring_the_force_law_would_bias_the_stiffness(
     datasheet: Datasheet, truth: dict[str, PlaneModel], controller
 ) -> None:
-    from service.identification.points import plane_points
-    from service.identification.refine import refine
-    from service.identification.residuals import Data
+    from service.identification.joint.refine import refine
+    from service.identification.measured.data import Data
+    from service.identification.measured.points import plane_points
 
     f = np.unique(np.concatenate([np.geomspace(10, 1000, 40), 493 + np.linspace(-6, 6, 5)]))
     sweep = synthetic_sweep(truth, datasheet.axes, controller, f, np.where(f < 60, 0.2, 0.4), seed=5)

@@ -7,14 +7,15 @@ import pytest
 from scipy.optimize import minimize
 
 from service.identification.input_design import LineInformation, best_powers, closed_loop, line_information
-from service.identification.plane_model import PlaneModel
-from service.identification.points import plane_points
-from service.identification.refine import refine
-from service.identification.residuals import Data, Weights
-from service.identification.split import Posterior, Split, log_ratios
+from service.identification.joint.refine import refine
+from service.identification.joint.residuals import Weights
+from service.identification.joint.uncertainty import uncertainty_of
+from service.identification.measured.data import Data
+from service.identification.measured.points import plane_points
+from service.identification.plane.model import PlaneModel
+from service.identification.priors.split import Posterior, Split, log_ratios
+from service.identification.statistics.whitening import whitener
 from service.identification.synthetic import closed_loop_points
-from service.identification.uncertainty import uncertainty_of
-from service.identification.whitening import whitener
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, relative_std, synthetic_experiment, synthetic_sweep
 

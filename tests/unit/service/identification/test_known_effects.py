@@ -9,19 +9,20 @@ import pytest
 from service.experiment.data import Experiment
 from service.exports.linear import of_result
 from service.health.compare import Baseline, compare
-from service.identification import whirl
-from service.identification.closed_loop import closed_loop_poles, sampled
 from service.identification.controller_check import check_controller
-from service.identification.etfe import etfe
 from service.identification.fit import identify
-from service.identification.margins import computed_response
-from service.identification.plane_model import PlaneModel
-from service.identification.points import plane_points
-from service.identification.result import CommissioningResult
-from service.identification.rotating_model import TurningPoints, joined
-from service.identification.saved import saved_planes
+from service.identification.loop.closed_loop import closed_loop_poles, sampled
+from service.identification.loop.margins import computed_response
+from service.identification.measured.etfe import etfe
+from service.identification.measured.points import plane_points
+from service.identification.plane.model import PlaneModel
+from service.identification.result.commissioning import CommissioningResult
+from service.identification.result.saved import saved_planes
+from service.identification.rotating import whirl
+from service.identification.rotating.model import joined
+from service.identification.rotating.motion import TurningPoints
+from service.identification.rotating.whirl import loop_matrix
 from service.identification.synthetic import closed_loop_points
-from service.identification.whirl import loop_matrix
 from service.report.commissioning import commissioning_page
 from sim.datasheet import Datasheet
 from sim.errors import LevitationError

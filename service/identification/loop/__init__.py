@@ -1,0 +1,1 @@
+"""The closed loop of an identified plane and its controller: its poles, its sensitivity, its margins."""

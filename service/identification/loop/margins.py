@@ -1,0 +1,244 @@
+"""Margins of the running loop: sensitivity measured directly, S = U R^-1, and from the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from service.identification.arrays import Complex, Real
+from service.identification.loop.loop_margins import REST, loop_margins, moved
+from service.identification.measured.etfe import FrequencyResponse
+from service.identification.plane.model import PlaneModel
+from service.identification.plane.zoh import discrete_response
+from service.identification.statistics.derivatives import central_differences, propagated_std
+from sim.datasheet import ISO_14839_3_DB
+from sim.errors import OptionsError
+
+
+@dataclass(frozen=True)
+class Margin:
+    """One margin of the model's loop with its standard deviation; None where no such change meets the limit."""
+
+    value: float | None
+    std: float | None
+    measured: float | None
+    """The same of the measured sensitivity, straight between the experiment's lines: one that a sharp mode between two
+    lines makes smaller is not seen."""
+
+
+@dataclass(frozen=True)
+class AxisMargins:
+    """Margins of one axis with the other loops closed."""
+
+    sensitivity_peak: float
+    """max |S|, from the model."""
+    peak_hz: float
+    peak_std: float
+    measured_peak: float | None
+    """Largest measured |S|: at the lines of the experiment only, so at most the true peak."""
+    measured_peak_hz: float | None
+    measured_std: float | None
+    gain_down_db: Margin
+    """How far the gain may fall, and rise, dB."""
+    gain_up_db: Margin
+    phase_deg: Margin
+    delay_s: Margin
+
+
+def margins_document(margins: dict[str, AxisMargins]) -> dict[str, Any]:
+    """As JSON: every figure by axis, gain margins as [down, up]."""
+    axes = margins.items()
+
+    def every(told: Callable[[Margin], float | None]) -> dict[str, Any]:
+        return {
+            "gain_margin_db": {a: [told(m.gain_down_db), told(m.gain_up_db)] for a, m in axes},
+            "phase_margin_deg": {a: told(m.phase_deg) for a, m in axes},
+            "delay_margin_s": {a: told(m.delay_s) for a, m in axes},
+        }
+
+    return {
+        "sensitivity_peak": {a: m.sensitivity_peak for a, m in axes},
+        "sensitivity_peak_std": {a: m.peak_std for a, m in axes},
+        "sensitivity_peak_hz": {a: m.peak_hz for a, m in axes},
+        "measured_sensitivity_peak": {a: m.measured_peak for a, m in axes},
+        "measured_sensitivity_peak_hz": {a: m.measured_peak_hz for a, m in axes},
+        "measured_sensitivity_peak_std": {a: m.measured_std for a, m in axes},
+        **every(lambda m: m.value),
+        **{f"{name}_std": v for name, v in every(lambda m: m.std).items()},
+        **{f"measured_{name}": v for name, v in every(lambda m: m.measured).items()},
+    }
+
+
+def zone(peak: float, limits: tuple[tuple[str, float], ...] = ISO_14839_3_DB) -> str:
+    """Zone, by default of ISO 14839-3, for a peak sensitivity (not in dB).
+
+    >>> [zone(x) for x in (2.9, 3.5, 4.9, 5.1)]
+    ['A', 'B', 'C', 'D']
+    """
+    decibel = 20 * math.log10(max(peak, 1e-12))
+    return next(name for name, limit in limits if decibel < limit or math.isinf(limit))
+
+
+def zone_table(text: str) -> tuple[tuple[str, float], ...]:
+    """Zones and their upper limits in dB from a user's words; the last zone has no limit.
+
+    Raises
+    ------
+    OptionsError
+        Not of that form, limits that do not rise, or no last zone without a limit.
+
+    >>> zone_table("good=9.5, bad")
+    (('good', 9.5), ('bad', inf))
+    """
+    found: list[tuple[str, float]] = []
+    try:
+        for part in text.split(","):
+            name, _, limit = part.strip().partition("=")
+            found.append((name.strip(), float(limit) if limit.strip() else math.inf))
+    except ValueError as error:
+        raise OptionsError(f"zones {text!r} cannot be read; write them as A=9.5,B=12,C=14,D") from error
+    limits = [limit for _, limit in found]
+    names = [name for name, _ in found]
+    rising = all(a < b for a, b in pairwise(limits))
+    if not rising or not math.isinf(limits[-1]) or not all(names) or len(set(names)) < len(names):
+        raise OptionsError(f"zones {text!r} need different names, rising limits in dB, and a last zone without a limit")
+    return tuple(found)
+
+
+def computed_response(model: PlaneModel, omega: Real) -> Complex:
+    """Small-signal response from u as the controller computes it to sampled y, (P, 2, 2)."""
+    response, chain = model.response(omega), model.known.chain
+    return np.asarray(response @ chain.crosstalk) if chain.has_crosstalk else response
+
+
+def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -> Complex:
+    """S = (I + G C)^-1 at the plant's input, u = S r, from the sampled model, (P, 2, 2)."""
+    c = discrete_response(*controller, omega, model.known.sample_time_s)
+    loop = computed_response(model, omega) * c[:, None, None]
+    loop[:, 0, 0] += 1.0
+    loop[:, 1, 1] += 1.0
+    return np.asarray(np.linalg.inv(loop), dtype=np.complex128)
+
+
+def dense_grid(model: PlaneModel) -> Real:
+    """Frequencies from 1 Hz to almost half the sample rate that show every peak of the model, rad/s."""
+    highest = 2 * np.pi * 0.49 / model.known.sample_time_s
+    base = _per_decade(2 * np.pi, highest, 144)
+    near = [m[0] * (1 + np.linspace(-0.02, 0.02, 41)) for m in model.modes if 0 < m[0] < highest]
+    return np.unique(np.concatenate([base, *near]))
+
+
+def loop_grid(model: PlaneModel) -> Real:
+    """The same from rest on, where a loop without an integrator has its lower gain margin."""
+    return np.concatenate([_per_decade(REST, 2 * np.pi, 60)[:-1], dense_grid(model)])
+
+
+def _per_decade(lowest: float, highest: float, number: int) -> Real:
+    return np.geomspace(lowest, highest, 1 + math.ceil(number * math.log10(highest / lowest)))
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The largest |S_jj| of an axis, the other loop closed."""
+
+    value: float
+    omega: float
+    """rad/s"""
+
+
+def sensitivity_peaks(model: PlaneModel, controller: tuple[Real, Real]) -> tuple[Peak, Peak]:
+    """Peaks of both axes: the largest of a dense grid, then the maximum between its neighbours.
+
+    Parameters
+    ----------
+    controller
+        Numerator and denominator of the discrete law from -y to u.
+    """
+    omega = loop_grid(model)
+    size = np.abs(sensitivity(model, controller, omega))
+    return _refined(model, controller, omega, size[:, 0, 0], 0), _refined(model, controller, omega, size[:, 1, 1], 1)
+
+
+def _refined(model: PlaneModel, controller: tuple[Real, Real], omega: Real, size: Real, j: int) -> Peak:
+    k = int(np.argmax(size))
+    low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+
+    def below(w: float) -> float:
+        return -float(np.abs(sensitivity(model, controller, np.array([w]))[0, j, j]))
+
+    found = minimize_scalar(below, bounds=(low, high), method="bounded", options={"xatol": 1e-5 * omega[k]})
+    if -found.fun > size[k]:
+        return Peak(-float(found.fun), float(found.x))
+    return Peak(float(size[k]), float(omega[k]))
+
+
+def axis_margins(
+    model: PlaneModel,
+    controller: tuple[Real, Real],
+    covariance: Real,
+    free: np.ndarray,
+    measured: FrequencyResponse | None,
+) -> tuple[AxisMargins, AxisMargins]:
+    """Margins of both axes of a plane.
+
+    Parameters
+    ----------
+    covariance, free
+        Of the fitted parameters, and which they are.
+    measured
+        ETFE r->u of the plane.
+    """
+    omega = loop_grid(model)
+    s = sensitivity(model, controller, omega)
+    peaks = sensitivity_peaks(model, controller)
+    out = []
+    for j in range(2):
+        peak = peaks[j]
+        loop = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
+        peak_std, *stds = _stds(model, controller, peak.omega, loop.places(), j, covariance, free)
+        seen = seen_hz = seen_std = None
+        measured_loop: tuple[float | None, ...] = (None, None, None, None)
+        if measured is not None:
+            own = measured.value[:, j, j]
+            m = int(np.argmax(np.abs(own)))
+            seen, seen_hz = float(np.abs(own[m])), float(measured.frequency_hz[m])
+            seen_std = float(measured.std[m, j, j] / math.sqrt(2))
+            measured_loop = loop_margins(measured.omega, 1.0 / own - 1.0).values()
+        hz = peak.omega / (2 * np.pi)
+        margins = (
+            Margin(value, None if value is None else std, direct)
+            for value, std, direct in zip(loop.values(), stds, measured_loop, strict=True)
+        )
+        out.append(AxisMargins(peak.value, hz, peak_std, seen, seen_hz, seen_std, *margins))
+    return out[0], out[1]
+
+
+def _stds(
+    model: PlaneModel,
+    controller: tuple[Real, Real],
+    peak: float,
+    places: Real,
+    j: int,
+    covariance: Real,
+    free: np.ndarray,
+) -> list[float]:
+    """Standard deviations of |S_jj| at its peak, whose place does not matter to first order, and of four margins."""
+    every = np.append(places.ravel(), peak)
+    known = np.isfinite(every)
+
+    def of(theta: Real) -> Real:
+        s = sensitivity(model.at(theta), controller, every[known])[:, j, j]
+        loops: Complex = np.full(places.size, np.nan, dtype=np.complex128)
+        loops[known[:-1]] = 1.0 / s[:-1] - 1.0
+        return np.append(np.abs(s[-1]), moved(places, loops.reshape(places.shape)))
+
+    std = np.sqrt(np.maximum(np.diag(covariance), 0))
+    steps = np.minimum(0.1 * std, 1e-4 * np.abs(model.theta[free]))
+    gradient = central_differences(of, model.theta, free, np.where(steps == 0, 1e-12, steps))
+    return [float(v) for v in propagated_std(gradient, covariance)]

@@ -1,0 +1,1 @@
+"""From an experiment to the points that are fitted: which sweeps, how noisy, and their frequency responses."""

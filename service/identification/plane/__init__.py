@@ -1,0 +1,1 @@
+"""The physical model of one plane: its parameters, what moves in it, and its exact derivatives."""

@@ -1,0 +1,1 @@
+"""Algebra and statistics that know nothing of a rotor."""

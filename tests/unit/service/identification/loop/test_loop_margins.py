@@ -1,0 +1,117 @@
+"""Margins of loops: those of python-control, and where a small change moves them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from service.identification.loop.closed_loop import closed_loop_poles
+from service.identification.loop.loop_margins import REST, loop_margins, moved
+from service.identification.loop.margins import axis_margins
+from service.identification.plane.model import PlaneModel
+from service.identification.result.commissioning import CommissioningResult
+from sim.reference import pid_with_biquad
+
+OMEGA = np.geomspace(REST, 1e2, 5000)
+LOOPS = {
+    "three lags": control.tf([2.0], [1.0, 3.0, 2.0, 0.0]),
+    "an unstable plant under PID": control.tf([6.0, 9.0, 3.0], [1.0, 0.0, -1.0, 0.0]) * control.tf([1.0], [0.05, 1.0]),
+    "an unstable plant under PD": control.tf([9.0, 3.0], [1.0, 0.0, -1.0]) * control.tf([1.0], [0.05, 1.0]),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_margins_are_those_of_python_control(name: str) -> None:
+    system = LOOPS[name]
+    found = loop_margins(OMEGA, np.asarray(control.frequency_response(system, OMEGA).complex).ravel())
+    gains, phases, _, at_gain, at_phase, _ = control.stability_margins(system, returnall=True)
+    decibel = 20 * np.log10(gains)
+    for crossing, theirs in ((found.gain_up_db, decibel[decibel > 0]), (found.gain_down_db, decibel[decibel < 0])):
+        assert (crossing is None) == (len(theirs) == 0)
+        if crossing is not None:
+            k = int(np.argmin(np.abs(theirs)))
+            assert crossing.value == pytest.approx(theirs[k], abs=1e-2)
+            where = at_gain[np.argmin(np.abs(decibel - theirs[k]))]
+            assert crossing.omega == pytest.approx(where, rel=1e-3, abs=REST)
+    assert found.phase_deg is not None
+    assert found.phase_deg.value == pytest.approx(np.min(np.abs(phases)), abs=1e-2)
+    assert found.delay_s is not None
+    late = np.deg2rad(phases % 360) / at_phase
+    assert found.delay_s.value == pytest.approx(late.min(), rel=1e-3)
+
+
+def test_a_little_more_gain_moves_margins_by_as_much() -> None:
+    system = LOOPS["three lags"]
+
+    def at(omega: np.ndarray) -> np.ndarray:
+        return np.array([complex(system(1j * w)) for w in omega.ravel()]).reshape(omega.shape)
+
+    before = loop_margins(OMEGA, at(OMEGA))
+    places = before.places()
+    known = np.isfinite(places)
+    loop = np.full(places.shape, np.nan, dtype=complex)
+    loop[known] = 1.01 * at(places[known])
+    after = loop_margins(OMEGA, 1.01 * at(OMEGA))
+    for value, crossing in zip(moved(places, loop), after.crossings(), strict=True):
+        assert np.isnan(value) if crossing is None else value == pytest.approx(crossing.value, rel=2e-3)
+
+
+def test_margins_of_a_plane_have_deviations_and_their_measured_counterparts(result: CommissioningResult) -> None:
+    for plane in result.planes.values():
+        told = plane.document()["margins"]
+        for axis in "AB":
+            value, std = told["phase_margin_deg"][axis], told["phase_margin_deg_std"][axis]
+            assert 0 < std < 0.05 * value
+            # lines are a few percent apart: straight in between is a degree off, and a sharp mode may be stepped over
+            assert told["measured_phase_margin_deg"][axis] > value - 1.5
+            assert told["delay_margin_s_std"][axis] > 0
+            assert all(s is None or s > 0 for s in told["gain_margin_db_std"][axis])
+
+
+def test_margins_that_a_loop_does_not_have_are_none(truth: dict[str, PlaneModel]) -> None:
+    """Of so weak a law the loop never reaches one: no phase, no delay, and nothing is computed of them."""
+    model = truth["x"]
+    free = model.layout.free()
+    numerator, denominator = pid_with_biquad(integral_a_per_ms=0.0)
+    weak = (1e-3 * numerator, denominator)
+    for axis in axis_margins(model, weak, np.diag((1e-4 * model.theta[free]) ** 2), free, None):
+        assert (axis.phase_deg.value, axis.phase_deg.std) == (None, None)
+        assert (axis.delay_s.value, axis.delay_s.std) == (None, None)
+        assert axis.peak_std > 0
+
+
+def quick(slow: PlaneModel) -> PlaneModel:
+    """A plane whose axes would swing above 3 kHz: amplifiers of 12 kHz, sampled every 10 us."""
+    theta = slow.theta.copy()
+    for place in slow.layout.amplifiers:
+        theta[place] = [1.0, 2 * np.pi * 12e3, 0.8]
+    return replace(slow.at(theta), known=replace(slow.known, sample_time_s=1e-5))
+
+
+@pytest.mark.parametrize(
+    ("rig", "law"),
+    [
+        pytest.param(lambda m: m, {"integral_a_per_ms": 0.0}, id="down at rest, without an integrator"),
+        pytest.param(lambda m: m, {"integral_a_per_ms": 1e3}, id="down below 1 Hz, with a slow one"),
+        pytest.param(quick, {"sample_time_s": 1e-5, "filter_hz": 3e4}, id="up above 3 kHz"),
+    ],
+)
+def test_gain_by_a_margin_puts_a_pole_of_the_loop_on_the_circle(rig, law, truth: dict[str, PlaneModel]) -> None:
+    model, controller = rig(truth["x"]), pid_with_biquad(**law)
+    free = model.layout.free()
+    axes = axis_margins(model, controller, np.diag((1e-4 * model.theta[free]) ** 2), free, None)
+    for place, axis in zip(model.layout.amplifiers, axes, strict=True):
+        for margin in (axis.gain_down_db, axis.gain_up_db):
+            assert margin.value is not None
+            assert margin.std is not None
+            assert margin.std > 0
+            growth = []
+            for beyond in (-0.1, 0.1):
+                theta = model.theta.copy()
+                theta[place.start] *= 10 ** ((margin.value + np.sign(margin.value) * beyond) / 20)
+                poles = np.abs(closed_loop_poles(model.at(theta), controller)) - 1.0
+                growth.append(np.max(poles[np.abs(poles) > 1e-7]))  # apart from an integrator that nothing drives
+            assert growth[0] < 0 < growth[1]
