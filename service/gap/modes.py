@@ -16,7 +16,7 @@ from sim.errors import AmbError
 from sim.folded import folded
 
 if TYPE_CHECKING:
-    from service.identification.result.commissioning import ModeResult
+    from service.identification.result.parts import ModeResult
 
 SHAPE_TOLERANCE = 0.2
 """Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors

@@ -10,7 +10,8 @@ import numpy as np
 
 from service.experiment.data import Experiment
 from service.identification.loop.margins import Margin
-from service.identification.result.commissioning import CommissioningResult, ModeResult, PlaneResult
+from service.identification.result.commissioning import CommissioningResult, PlaneResult
+from service.identification.result.parts import ModeResult
 from service.report import measurement
 from service.report.format import MISSING, count, decibel, figures, fixed, number, paragraph, signed, span, table
 from service.report.page import Captioned, Page, Section, Tone

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from service.distributions import chi2_above
-from service.identification.result.commissioning import PlaneResult, RootResult
+from service.identification.result.commissioning import PlaneResult
+from service.identification.result.parts import RootResult
 from service.identification.statistics.validation import CorrelationTest
 from service.report.bode import RADIUS_99
 from service.report.figure import MODEL, REGION, SECOND, THIRD, Figure, band, line, points

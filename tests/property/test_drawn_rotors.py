@@ -9,7 +9,7 @@ import pytest
 
 from service.identification.fit import identify
 from service.identification.plane.combine import levitated_frequencies
-from service.identification.result.commissioning import Estimate
+from service.identification.statistics.estimate import Estimate
 from tests.support.rotors import KINDS, drawn_rig
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer

@@ -24,7 +24,7 @@ from service.identification.plane.combine import (
     zero_pencil,
 )
 from service.identification.plane.model import PlaneModel
-from service.identification.result.commissioning import Curves, Displacement, Estimate, PlaneResult, Staged
+from service.identification.result.commissioning import PlaneResult
 from service.identification.result.extended import extended_report
 from service.identification.result.figures import (
     amplifier_scatter,
@@ -42,7 +42,9 @@ from service.identification.result.judged import (
     unseen_modes,
     unseen_splits,
 )
+from service.identification.result.parts import Curves, Displacement, Staged
 from service.identification.result.supports import told_supports
+from service.identification.statistics.estimate import Estimate
 from service.identification.statistics.validation import all_pass
 from service.identification.steps.amplifier_fit import AmplifierFit
 from service.identification.steps.rigid import rigid_response

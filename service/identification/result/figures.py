@@ -18,7 +18,8 @@ from service.identification.plane import amplifier as amp
 from service.identification.plane.combine import levitated_frequencies
 from service.identification.plane.model import PlaneModel
 from service.identification.priors.split import Posterior
-from service.identification.result.commissioning import AmplifierResult, Correlations, Estimate, ModeResult, RootResult
+from service.identification.result.parts import AmplifierResult, Correlations, ModeResult, RootResult
+from service.identification.statistics.estimate import Estimate
 from service.identification.statistics.evidence import Evidence
 from service.identification.statistics.validation import nrmse_percent
 from service.identification.steps.amplifier_fit import AmplifierFit

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from service.identification.result.commissioning import ModeResult
+    from service.identification.result.parts import ModeResult
     from sim.datasheet import Datasheet
 
 SUPPORTS = np.array([(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])

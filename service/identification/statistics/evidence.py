@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,23 @@ class Evidence:
         """Akaike's final prediction error, in units of the noise variance."""
         n, k = self.n_data, self.n_parameters
         return self.cost / n * (n + k) / max(n - k, 1)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "name": self.name,
+            "parameters": self.n_parameters,
+            "data": self.n_data,
+            "cost": self.cost,
+            "rms_over_sigma": self.rms,
+            "aic": self.aic,
+            "mdl": self.mdl,
+            "fpe": self.fpe,
+            "leave_one_out_rms": self.leave_one_out_rms,
+            "cross_validation_rms": self.unseen_rms,
+            "chosen": self.chosen,
+            "note": self.note,
+        }
 
     @property
     def _fit(self) -> float:

@@ -8,6 +8,7 @@ the unit circle by the bilinear transform, so no sampling enters and unstable po
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,14 @@ class SubspaceModel:
     def poles(self) -> Complex:
         """rad/s."""
         return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "order": self.order,
+            "fit_percent": self.fit_percent.tolist(),
+            "poles_rad_s": [[float(p.real), float(p.imag)] for p in self.poles],
+        }
 
     def response(self, omega: Real) -> Complex:
         """Frequency response, (P, n_out, n_in)."""

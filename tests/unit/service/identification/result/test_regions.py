@@ -11,7 +11,8 @@ from service.distributions import chi2_above
 from service.identification.loop.margins import sensitivity
 from service.identification.plane.combine import plant_poles, transmission_zeros
 from service.identification.plane.model import PlaneModel
-from service.identification.result.commissioning import CommissioningResult, PlaneResult, RootResult
+from service.identification.result.commissioning import CommissioningResult, PlaneResult
+from service.identification.result.parts import RootResult
 
 DRAWS = 600
 SMALL, TINY = 3e-3, 3e-4
