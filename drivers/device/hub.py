@@ -15,6 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from drivers.device.accepting import accepted
 from drivers.errors import ControllerError
 from sim.errors import reason
 
@@ -22,7 +23,6 @@ GREETING_S = 0.02
 """After ``rawmode``, no frame for this long: python-can takes its answer for a single message."""
 BACKLOG_BYTES = 1 << 20
 """A client that is farther behind is dropped: two seconds of a full line at 1 Mbit/s, beyond what the kernel holds."""
-ACCEPT_AGAIN_S = 0.1
 _FLUSH_S = 0.001
 _PR_SET_TIMERSLACK = 29
 
@@ -140,16 +140,7 @@ class CanHub:
     # ---- one thread for each client: what it sends, with the time at which it came
 
     def _accept(self) -> None:
-        while not self._closing.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            except OSError:  # too many open files: they are closed some time
-                self._closing.wait(ACCEPT_AGAIN_S)
-                continue
-            connection.settimeout(None)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for connection in accepted(self._listener, self._closing):
             client = _Client(connection)
             self._clients.append(client)
             threading.Thread(target=self._listen, args=(client,), name="can-node", daemon=True).start()

@@ -17,6 +17,7 @@ from contextlib import suppress
 
 from pymodbus.framer.rtu import FramerRTU
 
+from drivers.device.accepting import accepted
 from drivers.device.faults import ModbusSpoiler, SpoiltConversation, Wire
 from drivers.device.front import DeviceFront
 from drivers.device.registers import RegisterSession
@@ -25,7 +26,6 @@ from drivers.modbus.map import DEFAULT_MAP, RegisterMap
 from sim.errors import reason
 
 MAX_PDU = 253
-ACCEPT_AGAIN_S = 0.1
 _HEADER = struct.Struct(">HHHB")
 GATEWAY_TARGET_FAILED = 0x0B
 
@@ -81,16 +81,7 @@ class TcpServer:
         self._front.close()
 
     def _accept(self) -> None:
-        while not self._closing.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            except OSError:  # too many open files: they are closed some time
-                self._closing.wait(ACCEPT_AGAIN_S)
-                continue
-            connection.settimeout(None)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for connection in accepted(self._listener, self._closing):
             threading.Thread(target=self._serve, args=(connection,), name="modbus-host", daemon=True).start()
 
     def _serve(self, connection: socket.socket) -> None:
