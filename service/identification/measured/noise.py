@@ -126,30 +126,37 @@ def block_noise(
         drifting = drifting | suspect[:, None]
     variance = np.where(drifting, np.maximum(variance, own) * blocks * DRIFT, variance)
     if correlated and channels > 1:
-        unit = spread / np.sqrt(own)[:, None, :]
-        product = np.einsum("pbc,pbd->pcd", unit, unit.conj()) / dof
-        width = 4 * NEIGHBOURS
-        smooth = _smooth(product.reshape(n, -1), order, width).reshape(n, channels, channels)
-        scale = np.sqrt(np.einsum("pcc->pc", smooth).real)
-        scale[scale == 0] = 1.0  # neighbours that do not scatter at all: told below to hang together with nothing
-        correlation = smooth / (scale[:, :, None] * scale[:, None, :])
-        count = dof * min(n, 2 * width + 1)
-        off = ~np.eye(channels, dtype=bool)
-        # what pure chance gives is shrunk away
-        strength = np.abs(correlation) ** 2
-        keep = np.where(off, np.clip(1.0 - 4.0 / (count * np.maximum(strength, 1e-12)), 0.0, 1.0), 1.0)
-        correlation = correlation * keep * np.where(off, 0.995, 1.0)
-        floor = np.linalg.eigvalsh(correlation)[:, 0]
-        bad = floor < 1e-3
-        correlation[bad] = np.eye(channels)
         root = np.sqrt(variance)
-        covariance = correlation * root[:, :, None] * root[:, None, :]
+        covariance = _correlation(spread / np.sqrt(own)[:, None, :], order) * root[:, :, None] * root[:, None, :]
     else:
         covariance = _diagonal(variance)
     alike = float(prior) / max(dof, 1) if np.isfinite(prior) else float("inf")
     freedom = np.array([dof * channels + prior_shared, dof + prior])
     inflation = _weights_allowance(blocks) * float(np.prod(1.0 + 1.0 / np.maximum(freedom - 1.0, 1.0)))
     return NoiseModel(covariance / blocks, alike, np.any(drifting, axis=1), inflation)
+
+
+def _correlation(unit: Complex, order: NDArray[np.int64]) -> Complex:
+    """Correlation (P, c, c) of the channels, pooled over neighbours, from blocks (P, B, c) in their deviations' units.
+
+    What pure chance gives is shrunk away.
+    """
+    n, blocks, channels = unit.shape
+    dof = blocks - 1
+    product = np.einsum("pbc,pbd->pcd", unit, unit.conj()) / dof
+    width = 4 * NEIGHBOURS
+    smooth = _smooth(product.reshape(n, -1), order, width).reshape(n, channels, channels)
+    scale = np.sqrt(np.einsum("pcc->pc", smooth).real)
+    scale[scale == 0] = 1.0  # neighbours that do not scatter at all: told below to hang together with nothing
+    correlation = smooth / (scale[:, :, None] * scale[:, None, :])
+    count = dof * min(n, 2 * width + 1)
+    off = ~np.eye(channels, dtype=bool)
+    strength = np.abs(correlation) ** 2
+    keep = np.where(off, np.clip(1.0 - 4.0 / (count * np.maximum(strength, 1e-12)), 0.0, 1.0), 1.0)
+    correlation = correlation * keep * np.where(off, 0.995, 1.0)
+    floor = np.linalg.eigvalsh(correlation)[:, 0]
+    correlation[floor < 1e-3] = np.eye(channels)
+    return np.asarray(correlation)
 
 
 def _own_where_larger(variance: Real, own: Real, omega: Real, dof: int) -> Real:
