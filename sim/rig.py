@@ -130,6 +130,26 @@ class Magnets:
     hysteresis_widest_inverse_per_a: float = 0.0
     """1 / half width of the widest; no wider than the narrowest, that is the only one."""
 
+    @staticmethod
+    def plain(ki: Array, ks: Array, bias_current_a: Array, current_limit_a: float) -> Magnets:
+        """Magnets of the force law alone, without any further effect."""
+        n = len(ki)
+        return Magnets(
+            ki=ki,
+            ks=ks,
+            bias_current_a=bias_current_a,
+            current_limit_a=current_limit_a,
+            offset_m=np.zeros(n),
+            eddy_time_constant_s=np.zeros(n),
+            eddy_corner_rad_s=0.0,
+            saturation_current_a=np.full(n, np.inf),
+            hysteresis_rad=np.zeros(n),
+            hysteresis_reference_a=0.5,
+            cross_coupling_rad=np.zeros(2),
+            cross_coupling_symmetric=np.zeros(2),
+            flux_share=np.zeros(n),
+        )
+
     @property
     def gap_m(self) -> Array:
         """Nominal air gap s0 = i0 ki / ks, (n,)."""
@@ -154,6 +174,19 @@ class Amplifiers:
     slew_seen: float = 0.0
     """Share of the damping that acts on the slope that the coil has, not on the one asked for, where it is limited:
     0 for a current loop that does not know of its limit, 1 for one whose damping is in the coil."""
+
+    @staticmethod
+    def plain(gain: Array, natural_frequency_rad_s: Array, damping_ratio: Array | None) -> Amplifiers:
+        """Amplifiers of first or second order, without any further effect."""
+        n = len(gain)
+        return Amplifiers(
+            gain=gain,
+            natural_frequency_rad_s=natural_frequency_rad_s,
+            damping_ratio=damping_ratio,
+            delay_s=np.zeros(n),
+            crosstalk=np.eye(n),
+            slew_limit_a_per_s=np.full(n, np.inf),
+        )
 
 
 @dataclass(frozen=True)

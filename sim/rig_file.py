@@ -240,83 +240,90 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
     DatasheetError
         One line that names ``source``, the field and what it must be.
     """
+    raw = _tables(text, source)
+    try:
+        f = _File.model_validate(raw)
+    except ValidationError as error:
+        raise DatasheetError(f"{source}: {_first_problem(error)}") from error
+    try:
+        _must_be_in_hz(f)
+        datasheet = _datasheet(f)
+        if datasheet.effects:  # or a typing error would be told once the whole experiment is measured
+            from sim.twin import rig_from_datasheet  # which knows the catalogue, and that the parts of a rig
+
+            rig_from_datasheet(datasheet)
+    except (DatasheetError, EffectError) as error:
+        raise DatasheetError(f"{source}: {error}") from error
+    return datasheet
+
+
+def _tables(text: str, source: str) -> Any:
+    """What TOML text holds, whole numbers as floating ones."""
     try:
         text = text.removeprefix(BYTE_ORDER_MARK)
         _must_be_shallow(text)
-        raw = _whole_numbers_to_float(tomllib.loads(text))
+        return _whole_numbers_to_float(tomllib.loads(text))
     except DatasheetError as error:
         raise DatasheetError(f"{source}: {error}") from error
     except OverflowError as error:
         raise DatasheetError(f"{source}: a whole number is larger than any figure; write it as 1e6 is") from error
     except (ValueError, RecursionError) as error:  # what is no TOML, and a number of thousands of digits
         raise DatasheetError(f"{source} is not valid TOML: {error}") from error
-    try:
-        f = _File.model_validate(raw)
-    except ValidationError as error:
-        raise DatasheetError(f"{source}: {_first_problem(error)}") from error
-    n = len(f.rig.axes)
-    try:
-        _must_be_in_hz(f)
-        natural = f.amplifier.natural_frequency_hz if f.amplifier.bandwidth_hz is None else f.amplifier.bandwidth_hz
-        assert natural is not None
-        stated = {k: v for k, v in (f.tolerance.model_dump() if f.tolerance else {}).items() if v is not None}
-        datasheet = Datasheet(
-            name=f.rig.name,
-            axes=tuple(f.rig.axes),
-            mass_kg=f.rotor.mass_kg,
-            transverse_inertia_kgm2=f.rotor.transverse_inertia_kgm2,
-            polar_inertia_kgm2=f.rotor.polar_inertia_kgm2,
-            bearing_from_cog_m=(f.rotor.bearing_from_cog_m[0], f.rotor.bearing_from_cog_m[1]),
-            sensor_from_cog_m=(f.rotor.sensor_from_cog_m[0], f.rotor.sensor_from_cog_m[1]),
-            modes=tuple(
-                Mode(
-                    m.frequency_hz,
-                    m.damping_ratio,
-                    (m.shape_at_bearings[0], m.shape_at_bearings[1]),
-                    (m.shape_at_sensors[0], m.shape_at_sensors[1]),
-                )
-                for m in sorted(f.modes, key=lambda m: m.frequency_hz)
-            ),
-            current_stiffness_n_per_a=_per_axis(
-                "bearings.current_stiffness_n_per_a", f.bearings.current_stiffness_n_per_a, n
-            ),
-            position_stiffness_n_per_m=_per_axis(
-                "bearings.position_stiffness_n_per_m", f.bearings.position_stiffness_n_per_m, n
-            ),
-            bias_current_a=_per_axis("bearings.bias_current_a", f.bearings.bias_current_a, n),
-            linear_range_m=f.bearings.linear_range_m,
-            amplifier_gain=_per_axis("amplifier.gain", f.amplifier.gain, n),
-            amplifier_natural_frequency_hz=_per_axis("amplifier.natural_frequency_hz", natural, n),
-            amplifier_damping_ratio=None
-            if f.amplifier.damping_ratio is None
-            else _per_axis("amplifier.damping_ratio", f.amplifier.damping_ratio, n),
-            sensor_gain=_per_axis("sensor.gain", f.sensor.gain, n),
-            sensor_bandwidth_hz=None
-            if f.sensor.bandwidth_hz is None
-            else _per_axis("sensor.bandwidth_hz", f.sensor.bandwidth_hz, n),
-            sample_time_s=f.controller.sample_time_s,
-            computing_delay_s=f.controller.computing_delay_s,
-            numerator=tuple(f.controller.numerator),
-            denominator=tuple(f.controller.denominator),
-            displacement_limit_m=f.limits.displacement_m,
-            current_limit_a=f.limits.current_a,
-            sensitivity_zones_db=tuple(
-                zip(f.limits.sensitivity_zones, [*f.limits.sensitivity_zone_limits_db, math.inf], strict=True)
-            ),
-            tolerance=Tolerance(**stated),
-            tolerance_stated=f.tolerance is not None,
-            effects=tuple((k, tuple(v.items())) for k, v in f.effects.items()),
-        )
-    except DatasheetError as error:
-        raise DatasheetError(f"{source}: {error}") from error
-    if datasheet.effects:  # or a typing error would be told once the whole experiment is measured
-        from sim.twin import rig_from_datasheet  # which knows the catalogue, and that the parts of a rig
 
-        try:
-            rig_from_datasheet(datasheet)
-        except EffectError as error:
-            raise DatasheetError(f"{source}: {error}") from error
-    return datasheet
+
+def _datasheet(f: _File) -> Datasheet:
+    """The datasheet that a file holds, its modes by rising frequency."""
+    n = len(f.rig.axes)
+    natural = f.amplifier.natural_frequency_hz if f.amplifier.bandwidth_hz is None else f.amplifier.bandwidth_hz
+    assert natural is not None
+    stated = {k: v for k, v in (f.tolerance.model_dump() if f.tolerance else {}).items() if v is not None}
+    return Datasheet(
+        name=f.rig.name,
+        axes=tuple(f.rig.axes),
+        mass_kg=f.rotor.mass_kg,
+        transverse_inertia_kgm2=f.rotor.transverse_inertia_kgm2,
+        polar_inertia_kgm2=f.rotor.polar_inertia_kgm2,
+        bearing_from_cog_m=(f.rotor.bearing_from_cog_m[0], f.rotor.bearing_from_cog_m[1]),
+        sensor_from_cog_m=(f.rotor.sensor_from_cog_m[0], f.rotor.sensor_from_cog_m[1]),
+        modes=tuple(
+            Mode(
+                m.frequency_hz,
+                m.damping_ratio,
+                (m.shape_at_bearings[0], m.shape_at_bearings[1]),
+                (m.shape_at_sensors[0], m.shape_at_sensors[1]),
+            )
+            for m in sorted(f.modes, key=lambda m: m.frequency_hz)
+        ),
+        current_stiffness_n_per_a=_per_axis(
+            "bearings.current_stiffness_n_per_a", f.bearings.current_stiffness_n_per_a, n
+        ),
+        position_stiffness_n_per_m=_per_axis(
+            "bearings.position_stiffness_n_per_m", f.bearings.position_stiffness_n_per_m, n
+        ),
+        bias_current_a=_per_axis("bearings.bias_current_a", f.bearings.bias_current_a, n),
+        linear_range_m=f.bearings.linear_range_m,
+        amplifier_gain=_per_axis("amplifier.gain", f.amplifier.gain, n),
+        amplifier_natural_frequency_hz=_per_axis("amplifier.natural_frequency_hz", natural, n),
+        amplifier_damping_ratio=None
+        if f.amplifier.damping_ratio is None
+        else _per_axis("amplifier.damping_ratio", f.amplifier.damping_ratio, n),
+        sensor_gain=_per_axis("sensor.gain", f.sensor.gain, n),
+        sensor_bandwidth_hz=None
+        if f.sensor.bandwidth_hz is None
+        else _per_axis("sensor.bandwidth_hz", f.sensor.bandwidth_hz, n),
+        sample_time_s=f.controller.sample_time_s,
+        computing_delay_s=f.controller.computing_delay_s,
+        numerator=tuple(f.controller.numerator),
+        denominator=tuple(f.controller.denominator),
+        displacement_limit_m=f.limits.displacement_m,
+        current_limit_a=f.limits.current_a,
+        sensitivity_zones_db=tuple(
+            zip(f.limits.sensitivity_zones, [*f.limits.sensitivity_zone_limits_db, math.inf], strict=True)
+        ),
+        tolerance=Tolerance(**stated),
+        tolerance_stated=f.tolerance is not None,
+        effects=tuple((k, tuple(v.items())) for k, v in f.effects.items()),
+    )
 
 
 def read(path: Path) -> Datasheet:
