@@ -43,83 +43,131 @@ class StateSpace:
     """(n, z) sensor output, before delay and noise"""
 
 
+@dataclass(frozen=True)
+class _Places:
+    """Where the states of each part begin, and the mechanical ones."""
+
+    eddy: int
+    q: slice
+    v: slice
+    sensors: int
+    lags: int
+    """Of what stands between u and the amplifiers."""
+    size: int
+
+
 def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     """State space with the magnets linearised at ``point``."""
-    n = rig.n_axes
-    amp, m = rig.amplifiers, rotor.mechanics(rig)
-    order = 1 if amp.damping_ratio is None else 2
-    n_q = len(m.mass)
+    n, mechanics = rig.n_axes, rotor.mechanics(rig)
     eddy = [
         actuator.eddy_states(t, rig.magnets.eddy_corner_rad_s) if t > 0 else None
         for t in rig.magnets.eddy_time_constant_s
     ]
+    at = _places(rig, sum(len(e[0]) - 1 for e in eddy if e), len(mechanics.mass))
+    states, inputs = (n, at.size), (at.size, n)
+    ss = StateSpace(
+        A=np.zeros((at.size, at.size)),
+        drive=np.zeros(inputs),
+        force_input=np.zeros(inputs),
+        slew_input=np.zeros(inputs),
+        current=np.zeros(states),
+        current_rate=np.zeros(states),
+        current_rate_input=np.zeros((n, n)),
+        flux=np.zeros(states),
+        bearing=np.zeros(states),
+        sensor=np.zeros(states),
+    )
+    _fill_amplifiers(ss, rig, at)
+    _fill_eddy_currents(ss, rig, at, eddy)
+    _fill_rotor(ss, rig, at, mechanics, point)
+    _fill_sensors(ss, rig, at)
+    return ss
+
+
+def _amplifier_order(rig: Rig) -> int:
+    return 1 if rig.amplifiers.damping_ratio is None else 2
+
+
+def _places(rig: Rig, n_eddy: int, n_q: int) -> _Places:
+    """The states in their order: amplifiers, eddy currents, coordinates, their rates, sensors, lags."""
+    n, amp, sensors = rig.n_axes, rig.amplifiers, rig.sensors
     sizes = [
-        order * n,
-        sum(len(e[0]) - 1 for e in eddy if e),
+        _amplifier_order(rig) * n,
+        n_eddy,
         n_q,
         n_q,
-        int(np.isfinite(rig.sensors.bandwidth_rad_s).sum() + (rig.sensors.lag_s > SHORTEST_LAG_S).sum()),
+        int(np.isfinite(sensors.bandwidth_rad_s).sum() + (sensors.lag_s > SHORTEST_LAG_S).sum()),
         n if amp.lag_s > SHORTEST_LAG_S else 0,
     ]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    n_z = int(starts[-1])
-    A, drive = np.zeros((n_z, n_z)), np.zeros((n_z, n))
-    current, rate, flux = np.zeros((n, n_z)), np.zeros((n, n_z)), np.zeros((n, n_z))
-    slew, rate_input = np.zeros((n_z, n)), np.zeros((n, n))
-    e, lagged = int(starts[1]), int(starts[5])
-    for axis in range(n):
+    eddy, q, v, sensor, lags, end = np.cumsum(sizes).tolist()
+    return _Places(eddy, slice(q, v), slice(v, sensor), sensor, lags, end)
+
+
+def _fill_amplifiers(ss: StateSpace, rig: Rig, at: _Places) -> None:
+    """From control signal to coil current."""
+    amp, order = rig.amplifiers, _amplifier_order(rig)
+    for axis in range(rig.n_axes):
         k, w = order * axis, amp.natural_frequency_rad_s[axis]
-        current[axis, k] = 1.0
-        slew[k, axis] = 1.0
+        ss.current[axis, k] = 1.0
+        ss.slew_input[k, axis] = 1.0
         if amp.damping_ratio is None:
-            A[k, k] = -w
-            drive[k] = w * amp.gain[axis] * amp.crosstalk[axis]
+            ss.A[k, k] = -w
+            ss.drive[k] = w * amp.gain[axis] * amp.crosstalk[axis]
         else:
-            A[k, k + 1] = 1.0
-            A[k + 1, k : k + 2] = -(w**2), -2 * amp.damping_ratio[axis] * w
-            drive[k + 1] = w**2 * amp.gain[axis] * amp.crosstalk[axis]
-            slew[k + 1, axis] = -2 * amp.damping_ratio[axis] * w * amp.slew_seen
+            ss.A[k, k + 1] = 1.0
+            ss.A[k + 1, k : k + 2] = -(w**2), -2 * amp.damping_ratio[axis] * w
+            ss.drive[k + 1] = w**2 * amp.gain[axis] * amp.crosstalk[axis]
+            ss.slew_input[k + 1, axis] = -2 * amp.damping_ratio[axis] * w * amp.slew_seen
         if amp.lag_s > SHORTEST_LAG_S:  # the lag stands between u and the amplifier
-            entry = k + order - 1
-            A[entry, lagged + axis] = w**order * amp.gain[axis]
-            drive[entry] = 0.0
-            A[lagged + axis, lagged + axis] = -1 / amp.lag_s
-            drive[lagged + axis] = amp.crosstalk[axis] / amp.lag_s
-        rate[axis], rate_input[axis] = A[k], drive[k]
-        realisation = eddy[axis]
+            entry, lag = k + order - 1, at.lags + axis
+            ss.A[entry, lag] = w**order * amp.gain[axis]
+            ss.drive[entry] = 0.0
+            ss.A[lag, lag] = -1 / amp.lag_s
+            ss.drive[lag] = amp.crosstalk[axis] / amp.lag_s
+        ss.current_rate[axis], ss.current_rate_input[axis] = ss.A[k], ss.drive[k]
+
+
+def _fill_eddy_currents(ss: StateSpace, rig: Rig, at: _Places, eddy: list[tuple[Array, Array] | None]) -> None:
+    """From coil current to the current that makes flux, by the poles and weights of each axis."""
+    e, order = at.eddy, _amplifier_order(rig)
+    for axis, realisation in enumerate(eddy):
         if realisation is None:
-            flux[axis] = current[axis]
+            ss.flux[axis] = ss.current[axis]
             continue
+        k = order * axis
         poles, weights = realisation
-        flux[axis, k] = weights[0]
+        ss.flux[axis, k] = weights[0]
         for pole, weight in zip(poles[1:], weights[1:], strict=True):
-            A[e, e] = -pole
-            A[e, k] = pole
-            flux[axis, e] = weight
+            ss.A[e, e] = -pole
+            ss.A[e, k] = pole
+            ss.flux[axis, e] = weight
             e += 1
-    q, v = slice(int(starts[2]), int(starts[3])), slice(int(starts[3]), int(starts[4]))
-    bearing = np.zeros((n, n_z))
-    bearing[:, q] = m.bearing_map
+
+
+def _fill_rotor(ss: StateSpace, rig: Rig, at: _Places, m: rotor.Mechanics, point: OperatingPoint) -> None:
+    """From flux to displacements, the magnets' stiffness closed."""
+    q, v = at.q, at.v
+    ss.bearing[:, q] = m.bearing_map
     push = np.linalg.solve(m.mass, m.force_map)
-    A[q, v] = np.eye(n_q)
-    A[v, q] -= np.linalg.solve(m.mass, m.stiffness)
-    A[v, v] -= np.linalg.solve(m.mass, m.damping)
-    rotation = force_rotation(rig)
-    A[v] += push @ rotation @ (point.ki[:, None] * flux + point.ks[:, None] * bearing)
-    force_input = np.zeros((n_z, n))
-    force_input[v] = push
-    sensor = np.zeros((n, n_z))
-    sensor[:, q] = rig.sensors.gain[:, None] * m.sensor_map
-    s = int(starts[4])
-    for axis in range(n):
+    ss.A[q, v] = np.eye(len(m.mass))
+    ss.A[v, q] -= np.linalg.solve(m.mass, m.stiffness)
+    ss.A[v, v] -= np.linalg.solve(m.mass, m.damping)
+    ss.A[v] += push @ force_rotation(rig) @ (point.ki[:, None] * ss.flux + point.ks[:, None] * ss.bearing)
+    ss.force_input[v] = push
+    ss.sensor[:, q] = rig.sensors.gain[:, None] * m.sensor_map
+
+
+def _fill_sensors(ss: StateSpace, rig: Rig, at: _Places) -> None:
+    """From displacements to what the sensors put out, through one pole after another."""
+    s = at.sensors
+    for axis in range(rig.n_axes):
         lag_s = float(rig.sensors.lag_s[axis])
         further = 1 / lag_s if lag_s > SHORTEST_LAG_S else math.inf
         for w in (float(rig.sensors.bandwidth_rad_s[axis]), further):
             if math.isinf(w):
                 continue
-            A[s] = w * sensor[axis]
-            A[s, s] = -w
-            sensor[axis] = 0.0
-            sensor[axis, s] = 1.0
+            ss.A[s] = w * ss.sensor[axis]
+            ss.A[s, s] = -w
+            ss.sensor[axis] = 0.0
+            ss.sensor[axis, s] = 1.0
             s += 1
-    return StateSpace(A, drive, force_input, slew, current, rate, rate_input, flux, bearing, sensor)
