@@ -87,42 +87,14 @@ def propagators(rig: Rig, ss: StateSpace, seen: Array, asked: AskedRate, substep
     """
     step = rig.controller.sample_time_s / substeps
     n, n_z = rig.n_axes, len(ss.A)
-
-    def input_integrals(inputs: Array, t: float) -> tuple[Array, Array, Array]:
-        """exp(A t), integral of exp(A (t - s)) B ds, and the same with B growing linearly from 0 to 1."""
-        m = inputs.shape[1]
-        block = np.zeros((n_z + 2 * m, n_z + 2 * m))
-        block[:n_z, :n_z], block[:n_z, n_z : n_z + m] = ss.A * t, inputs * t
-        block[n_z : n_z + m, n_z + m :] = np.eye(m)
-        e = expm(block)
-        return e[:n_z, :n_z], e[:n_z, n_z : n_z + m], e[:n_z, n_z + m :]
-
-    free, constant, growing = input_integrals(
-        np.hstack([ss.force_input, ss.slew_input] if slews else [ss.force_input]), step
-    )
+    corrections = np.hstack([ss.force_input, ss.slew_input] if slews else [ss.force_input])
+    free, constant, growing = _input_integrals(ss.A, corrections, step)
     at_once = np.any(asked.per_input != 0, axis=1)
     fall = np.where(at_once, rig.amplifiers.natural_frequency_rad_s * step, 0.0)
     if slews:  # a rate that u drives at once jumps with it: it has no slope to go on with
         growing[:, n:] *= ~at_once
-    drive = np.zeros((substeps, HISTORY, n, n_z))
-    delays = rig.amplifiers.delay_s + rig.controller.computing_delay_s
-    late = np.zeros((3, n))
-    for axis in range(n):
-        column = ss.drive[:, axis : axis + 1]
-        whole, rest = divmod(delays[axis] / rig.controller.sample_time_s + 1e-9, 1.0)
-        rest = rest if rest > 2e-9 else 0.0
-        if whole + 1 >= HISTORY:
-            raise LevitationError(f"rig {rig.name}: a loop delay of {delays[axis]:.2e} s cannot be levitated")
-        late[:2, axis] = divmod((delays[axis] + asked.later_s) / rig.controller.sample_time_s + 1e-9, 1.0)
-        late[1, axis] = substeps * late[1, axis] if late[1, axis] > 2e-9 else 0.0
-        late[2, axis] = asked.later_s * substeps / rig.controller.sample_time_s
-        entire = input_integrals(column, step)[1][:, 0]
-        for k in range(substeps):
-            # The new value acts from `switch` on, within this step or before or after it.
-            switch = min(max(rest * substeps - k, 0.0), 1.0) * step
-            after = entire if switch == 0 else input_integrals(column, step - switch)[1][:, 0]
-            drive[k, int(whole), axis] += after
-            drive[k, int(whole) + 1, axis] += entire - after
+    late = _late(rig, asked, substeps)
+    drive = _drive(rig, ss, substeps)
     history = int(max(np.flatnonzero(np.any(drive, axis=(0, 2, 3)))[-1], np.max(late[0] + (late[1] > 0)))) + 1
     n_u, n_d = history * n, constant.shape[1]
     # z, and what is seen of it, as linear maps of [z, past u, d_before, d_0, d_1, ..]
@@ -136,11 +108,58 @@ def propagators(rig: Rig, ss: StateSpace, seen: Array, asked: AskedRate, substep
         z[:, before : before + n_d] -= growing
         z[:, before + n_d : before + 2 * n_d] += constant + growing
         maps.append(seen @ z)
-    weights = np.vstack([*maps, z]).T
+    first, later = _in_blocks(np.vstack([*maps, z]).T, n_z + n_u + 2 * n_d, n_d, substeps)
+    return Propagators(first, later, history, n_z, len(seen), n_d, fall, late)
+
+
+def _input_integrals(A: Array, inputs: Array, t: float) -> tuple[Array, Array, Array]:
+    """exp(A t), integral of exp(A (t - s)) B ds, and the same with B growing linearly from 0 to 1."""
+    n_z, m = inputs.shape
+    block = np.zeros((n_z + 2 * m, n_z + 2 * m))
+    block[:n_z, :n_z], block[:n_z, n_z : n_z + m] = A * t, inputs * t
+    block[n_z : n_z + m, n_z + m :] = np.eye(m)
+    e = expm(block)
+    return e[:n_z, :n_z], e[:n_z, n_z : n_z + m], e[:n_z, n_z + m :]
+
+
+def _drive(rig: Rig, ss: StateSpace, substeps: int) -> Array:
+    """What each control signal, now and in the samples before, adds to the state: (steps, samples back, n, n_z)."""
+    step, n = rig.controller.sample_time_s / substeps, rig.n_axes
+    drive = np.zeros((substeps, HISTORY, n, len(ss.A)))
+    delays = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    for axis in range(n):
+        column = ss.drive[:, axis : axis + 1]
+        whole, rest = divmod(delays[axis] / rig.controller.sample_time_s + 1e-9, 1.0)
+        rest = rest if rest > 2e-9 else 0.0
+        if whole + 1 >= HISTORY:
+            raise LevitationError(f"rig {rig.name}: a loop delay of {delays[axis]:.2e} s cannot be levitated")
+        entire = _input_integrals(ss.A, column, step)[1][:, 0]
+        for k in range(substeps):
+            # The new value acts from `switch` on, within this step or before or after it.
+            switch = min(max(rest * substeps - k, 0.0), 1.0) * step
+            after = entire if switch == 0 else _input_integrals(ss.A, column, step - switch)[1][:, 0]
+            drive[k, int(whole), axis] += after
+            drive[k, int(whole) + 1, axis] += entire - after
+    return drive
+
+
+def _late(rig: Rig, asked: AskedRate, substeps: int) -> Array:
+    """When a new value of each control signal acts on the rate that is asked for, as in `Propagators.late`."""
+    period = rig.controller.sample_time_s
+    delays = rig.amplifiers.delay_s + rig.controller.computing_delay_s
+    late = np.zeros((3, rig.n_axes))
+    for axis in range(rig.n_axes):
+        late[:2, axis] = divmod((delays[axis] + asked.later_s) / period + 1e-9, 1.0)
+        late[1, axis] = substeps * late[1, axis] if late[1, axis] > 2e-9 else 0.0
+        late[2, axis] = asked.later_s * substeps / period
+    return late
+
+
+def _in_blocks(weights: Array, known: int, n_d: int, substeps: int) -> tuple[Array, Array]:
+    """Weights of what is ``known`` as a sample begins, and of each later step's corrections, padded."""
     columns = -(-weights.shape[1] // 8) * 8
-    known = n_z + n_u + 2 * n_d
     first = np.zeros((1, -(-known // 4) * 4, columns))
     first[0, :known, : weights.shape[1]] = weights[:known]
     later = np.zeros((substeps - 1, -(-n_d // 4) * 4, columns))
     later[:, :n_d, : weights.shape[1]] = weights[known:].reshape(substeps - 1, n_d, weights.shape[1])
-    return Propagators(first, later, history, n_z, len(seen), n_d, fall, late)
+    return first, later
