@@ -109,19 +109,7 @@ def compare(
     for name, s in saved.items():
         freedom = min(now[name].freedom, s_freedom(baseline.document, name))
         threshold = rule.threshold(tests_made, n_tests, freedom)
-        changes = _changes(figures[name], s, now[name], freedom, threshold)
-        planes.append(
-            PlaneHealth(
-                plane=name,
-                axes=s.axes,
-                changes=changes,
-                measured_peak=_measured_peaks(computed(now[name].points, s.model.known.chain)),
-                rms_over_sigma=now[name].rms,
-                unexplained=_unexplained(s, now[name], level),
-                frequency_hz=np.unique(now[name].points.omega) / (2 * np.pi),
-                left_out=now[name].points.left_out,
-            )
-        )
+        planes.append(_plane(s, now[name], _changes(figures[name], s, now[name], freedom, threshold), level))
     return HealthResult(
         rig=datasheet.name,
         planes=tuple(planes),
@@ -134,6 +122,20 @@ def compare(
         baseline_speed_rad_s=was_at,
         at_other_speed=at_other_speed,
         notes=notes,
+    )
+
+
+def _plane(saved: SavedPlane, now: PlaneNow, changes: tuple[FigureChange, ...], level: float) -> PlaneHealth:
+    """What there is to tell of a plane beside its figures' changes."""
+    return PlaneHealth(
+        plane=saved.plane,
+        axes=saved.axes,
+        changes=changes,
+        measured_peak=_measured_peaks(computed(now.points, saved.model.known.chain)),
+        rms_over_sigma=now.rms,
+        unexplained=_unexplained(saved, now, level),
+        frequency_hz=np.unique(now.points.omega) / (2 * np.pi),
+        left_out=now.points.left_out,
     )
 
 
