@@ -25,8 +25,8 @@ from drivers.heartbeat import PERIOD_S
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
 from service import bootstrap
-from service.experiment.aims import Profile
-from service.experiment.campaign import run_campaign
+from service.campaign.aims import Profile
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from sim.reference import reference_datasheet, reference_rig
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.simulated.driver import SimulatedController
-from service.experiment.campaign import run_campaign
+from service.campaign.progress import Progress
+from service.campaign.run import run_campaign
 from service.experiment.data import Sweep
-from service.experiment.progress import Progress
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import linear_model
 

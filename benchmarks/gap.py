@@ -23,8 +23,8 @@ from typing import Any
 
 from foreign.values import in_terms_of_the_catalogue
 
+from service.campaign.multisine.plan import MultisineProfile
 from service.experiment import file
-from service.experiment.multisine_plan import MultisineProfile
 from service.gap.trial.scoring import Outcome, score
 from service.trial import diagnose, measure, run_blind_trial
 from sim.errors import AmbError

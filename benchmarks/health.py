@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import identify_into, measure
-from service.experiment.campaign import run_campaign
+from service.campaign.run import run_campaign
 from service.health.compare import Baseline, compare
 from service.health.result import HealthResult
 from service.health.sequential import CHECKS_A_YEAR, Policy

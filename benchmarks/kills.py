@@ -28,8 +28,8 @@ import httpx
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from service.campaign.run import recover
 from service.experiment import file
-from service.experiment.campaign import recover
 from service.experiment.data import Experiment
 from sim.errors import AmbError
 from tests.support.service import QUICK, Rig, Running, Service, free_port, reference_sheet, service

@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 from drivers.simulated.driver import SimulatedController
+from service.campaign.run import run_campaign
 from service.experiment import file
-from service.experiment.campaign import run_campaign
 from service.identification.fit import identify
 from sim import rig_file
 from sim.reference import reference_datasheet, reference_rig

@@ -33,10 +33,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import profile_for
-from service.experiment.campaign import run_campaign
+from service.campaign.multisine.design import Design
+from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
-from service.experiment.multisine_design import Design
-from service.experiment.multisine_plan import MultisineProfile
 from service.identification.fit import identify
 from service.identification.input_design import best_powers, closed_loop, line_information
 from service.identification.loop.closed_loop import closed_loop_poles

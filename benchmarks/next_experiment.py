@@ -22,7 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivers.simulated.driver import SimulatedController
-from service.experiment.campaign import run_campaign
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from service.gap.diagnose import diagnose
 from service.jobs.campaigns import profile_of

@@ -20,10 +20,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivers.simulated.driver import SimulatedController
-from service.experiment.aims import Profile
-from service.experiment.campaign import run_campaign
-from service.experiment.multisine_plan import MultisineProfile
-from service.experiment.progress import Progress
+from service.campaign.aims import Profile
+from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.progress import Progress
+from service.campaign.run import run_campaign
 from service.identification.fit import identify
 from tests.support.planes import plane_model_of
 from tests.support.whole_rigs import levitating

@@ -18,10 +18,10 @@ from service.output import json_text, ready_folder, write_text
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
-    from service.experiment.aims import Profile
+    from service.campaign.aims import Profile
+    from service.campaign.multisine.plan import MultisineProfile
+    from service.campaign.progress import ProgressCallback
     from service.experiment.data import Experiment
-    from service.experiment.multisine_plan import MultisineProfile
-    from service.experiment.progress import ProgressCallback
     from service.identification.result.commissioning import CommissioningResult
     from sim.datasheet import Datasheet
 
@@ -73,7 +73,7 @@ def connected(url: str) -> Iterator[Controller]:
 
 def quick_profile() -> Profile:
     """A coarse experiment for a first look: a third of the time, and of the accuracy."""
-    from service.experiment.aims import Profile
+    from service.campaign.aims import Profile
 
     return Profile(
         accuracy=0.005,
@@ -88,7 +88,7 @@ def quick_profile() -> Profile:
 
 def profile_for(excitation: str, quick: bool = False) -> Profile | MultisineProfile | None:
     """What an experiment shall reach with "stepped-sine" or "multisine"; None for the first one's default."""
-    from service.experiment.multisine_plan import MultisineProfile
+    from service.campaign.multisine.plan import MultisineProfile
 
     if excitation == "multisine":
         return MultisineProfile(periods=3) if quick else MultisineProfile()
@@ -111,7 +111,7 @@ def measure(
     AmbError
         As the message says; the rig is stopped, and what was measured stays in ``out_dir``.
     """
-    from service.experiment.campaign import run_campaign
+    from service.campaign.run import run_campaign
 
     measured = run_campaign(controller, datasheet, out_dir, progress, cancelled, resume, profile)
     write_datasheet(out_dir, datasheet)  # not before: a campaign that is refused leaves the folder as it was

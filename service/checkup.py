@@ -15,8 +15,8 @@ from sim.errors import reason
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
+    from service.campaign.progress import ProgressCallback
     from service.experiment.data import Experiment
-    from service.experiment.progress import ProgressCallback
     from service.health.compare import Baseline
     from service.health.sequential import Policy
     from service.health.tones import ShortPlan
@@ -69,8 +69,8 @@ def measure_check(
     holder: str = "",
 ) -> Experiment:
     """Run the short experiment into a folder; it resumes like any campaign."""
-    from service.experiment.campaign import run_campaign
-    from service.experiment.leased import alone
+    from service.campaign.leased import alone
+    from service.campaign.run import run_campaign
 
     name = holder or alone("ambit health")
     return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name)

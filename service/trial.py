@@ -18,13 +18,13 @@ from typing import Any
 from drivers.device.machine import RigDevice
 from drivers.errors import CancelledError
 from drivers.simulated.driver import SimulatedController
+from service.campaign.aims import Profile
+from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.run import EXPERIMENT, run_campaign
 from service.errors import StoppedError
 from service.experiment import file
-from service.experiment.aims import Profile
-from service.experiment.campaign import EXPERIMENT, run_campaign
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
-from service.experiment.multisine_plan import MultisineProfile
 from service.gap.trial.blind_trial import Diagnose, Published, checked, fingerprint, run_case, summary
 from service.gap.trial.scoring import told
 from service.pool import workers

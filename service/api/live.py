@@ -26,8 +26,8 @@ from service.api.controllers import IN_PROCESS
 from service.api.problems import UnavailableError, documented
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
+from service.campaign.leased import acknowledged
 from service.errors import ConflictError
-from service.experiment.leased import acknowledged
 from service.storage import jobs, rigs
 
 if TYPE_CHECKING:

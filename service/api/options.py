@@ -9,8 +9,8 @@ from pydantic.json_schema import models_json_schema
 from pydantic_core import PydanticCustomError
 
 from service.api.problems import UnprocessableError
-from service.experiment.aims import Profile
-from service.experiment.multisine_plan import MultisineProfile
+from service.campaign.aims import Profile
+from service.campaign.multisine.plan import MultisineProfile
 
 PRIORS = "Whether the datasheet's values count as priors, as wide as its tolerances."
 _BAND = "band"

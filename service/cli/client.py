@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.campaign.progress import PHASE_WORDS
 from service.cli.commission import Excitation
 from service.cli.console import print_json, stderr
 from service.cli.usage import job_id
-from service.experiment.progress import PHASE_WORDS
 from service.remarks import one_line, say
 
 if TYPE_CHECKING:

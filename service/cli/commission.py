@@ -124,10 +124,10 @@ def commission_directly(
     """
     from drivers.errors import BusError
     from service import bootstrap
+    from service.campaign.journal import entries
+    from service.campaign.run import JOURNAL
     from service.cli.interrupt import asked_to_stop
     from service.cli.progress import campaign_progress
-    from service.experiment.campaign import JOURNAL
-    from service.experiment.journal import entries
 
     began = time.monotonic()
     profile = bootstrap.profile_for(excitation.value, quick)

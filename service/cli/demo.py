@@ -16,9 +16,9 @@ from service.cli.commission import Json, Quick, commission_directly, show
 from service.remarks import say
 
 if TYPE_CHECKING:
+    from service.campaign.progress import Progress
     from service.client import Client, Job, Rig
     from service.device_process import DeviceProcess
-    from service.experiment.progress import Progress
 
 HOME = "service"
 """Folder of the service in that of the results."""
@@ -139,9 +139,9 @@ def _rig(ambit: Client, controller: str) -> Rig:
 
 def _watched(ambit: Client, job: Job) -> tuple[Job, float]:
     """The job when it is done, and when its experiment was, monotonic."""
+    from service.campaign.progress import PHASE_WORDS
     from service.cli.progress import campaign_progress
     from service.client.jobs import must_be_done
-    from service.experiment.progress import PHASE_WORDS
 
     try:
         changes = ambit.jobs.watch(job.id)
@@ -164,7 +164,7 @@ def _watched(ambit: Client, job: Job) -> tuple[Job, float]:
 
 
 def _progress(job: Job) -> Progress:
-    from service.experiment.progress import Progress
+    from service.campaign.progress import Progress
 
     p = job.progress
     left = p.time_left_s or 0.0

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.campaign.progress import PHASE_WORDS
 from service.cli.client import Ca, Json, Key, Kind, Url, client
 from service.cli.console import print_json, stdout
-from service.experiment.progress import PHASE_WORDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

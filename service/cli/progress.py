@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from service.campaign.progress import PHASE_WORDS
 from service.cli.console import stderr
-from service.experiment.progress import PHASE_WORDS
 from service.remarks import say
 from service.report.format import duration
 
 if TYPE_CHECKING:
-    from service.experiment.progress import Progress
+    from service.campaign.progress import Progress
 
 LOG_EVERY_S = 5.0
 FIRST_POINTS = 20

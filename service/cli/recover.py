@@ -18,7 +18,7 @@ def recover(
 
     The journal stays: the same ambit commission still goes on from there.
     """
-    from service.experiment.campaign import recover_into_file
+    from service.campaign.run import recover_into_file
 
     path, experiment = recover_into_file(folder)
     points = {sweep.comment: sweep.n_points for sweep in experiment.sweeps if sweep.kind != "noise"}

@@ -97,7 +97,7 @@ def _acknowledged_at(controller_url: str) -> tuple[str | None, str]:
     """What a controller had tripped of, and its state now."""
     from drivers.errors import AddressError
     from service import bootstrap
-    from service.experiment.leased import acknowledged
+    from service.campaign.leased import acknowledged
 
     with value_of("--controller", AddressError):
         connection = bootstrap.connect(controller_url)

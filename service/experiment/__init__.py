@@ -1,1 +1,1 @@
-"""The automated experiment: which tones, how large, how long, and its file."""
+"""An experiment: its arrays, its files, and what may be wrong with it."""

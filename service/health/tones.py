@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from service.experiment.aims import Profile
-from service.experiment.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
+from service.campaign.aims import Profile
+from service.campaign.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
 from service.health.monitored import plane_figures
 from service.identification.arrays import Real
 from service.identification.measured.known import as_identified
@@ -60,7 +60,7 @@ class ShortPlan:
     """A short experiment and what it should reach."""
 
     profile: Profile
-    """For `service.experiment.campaign.run_campaign`."""
+    """For `service.campaign.run.run_campaign`."""
     std_percent: dict[str, float]
     """Expected standard deviation of every monitored figure, percent of its value."""
     expected_s: float

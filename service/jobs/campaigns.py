@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.errors import BusError, CancelledError, LeaseError, RestartError, StoppedElsewhereError
 from service import bootstrap
+from service.campaign.aims import Profile
+from service.campaign.journal import entries
+from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.progress import Progress
+from service.campaign.run import EXPERIMENT, JOURNAL, run_campaign
 from service.errors import ConflictError, JobError, StoppedError
-from service.experiment.aims import Profile
-from service.experiment.campaign import EXPERIMENT, JOURNAL, run_campaign
-from service.experiment.journal import entries
-from service.experiment.multisine_plan import MultisineProfile
-from service.experiment.progress import Progress
 from service.jobs.context import Context
 from service.jobs.control import Control
 from service.jobs.progress import WHOLE, Part, Share

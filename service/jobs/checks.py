@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from service.experiment.aims import Profile
+from service.campaign.aims import Profile
 from service.jobs import calculations, campaigns
 from service.jobs.context import Context
 from service.jobs.control import Control

@@ -6,8 +6,8 @@ from collections import Counter
 
 import numpy as np
 
+from service.campaign.progress import PHASE_WORDS
 from service.experiment.data import Experiment, Sweep
-from service.experiment.progress import PHASE_WORDS
 from service.report.figure import AXIS_COLOURS, BAD, MODEL, SECOND, THIRD, Figure, Real, line, log_magnitude, points
 from service.report.format import MISSING, count, duration, number, table
 from sim.datasheet import Datasheet

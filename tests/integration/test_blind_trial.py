@@ -139,7 +139,7 @@ def test_ctrl_c_in_a_campaign_ends_the_trial(tmp_path: Path, monkeypatch: pytest
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("service.experiment.campaign._run", interrupted)
+    monkeypatch.setattr("service.campaign.run._run", interrupted)
     with pytest.raises(StoppedError, match="0 of 1 cases are kept"):
         run_blind_trial(1, SEED, tmp_path, jobs=1, engine=_no_engine)
 

@@ -20,8 +20,8 @@ from drivers.modbus.driver import tcp_links
 from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
-from service.experiment.aims import Profile
-from service.experiment.campaign import run_campaign
+from service.campaign.aims import Profile
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from sim.reference import reference_datasheet, reference_rig
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import BusError, CancelledError, StoppedElsewhereError
-from service.experiment.campaign import recover
+from service.campaign.run import recover
 from service.experiment.errors import ExperimentFileError
 from service.experiment.file import read
 from service.experiment.incomplete import incomplete
@@ -131,7 +131,7 @@ def test_a_bus_that_fails_now_and_then_costs_nothing(tmp_path, whole):
 
 
 def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_path, monkeypatch):
-    monkeypatch.setattr("service.experiment.leased.FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr("service.campaign.leased.FIRST_PAUSE_S", 0.001)
 
     def fault(k):
         if k >= 60:
@@ -147,8 +147,8 @@ def test_a_bus_that_fails_for_good_ends_the_campaign_and_keeps_the_points(tmp_pa
 
 def test_a_bus_that_fails_slowly_is_given_up_after_a_minute_and_not_after_many(tmp_path, monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr("service.experiment.leased.time.monotonic", lambda: clock[0])
-    monkeypatch.setattr("service.experiment.leased.time.sleep", lambda seconds: None)
+    monkeypatch.setattr("service.campaign.leased.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("service.campaign.leased.time.sleep", lambda seconds: None)
 
     def fault(k):
         if k >= 10:
@@ -176,7 +176,7 @@ def test_a_file_that_cannot_be_written_stops_nobody_who_has_leased_the_rig_since
 
 def test_points_that_cannot_be_put_together_do_not_hide_what_ended_the_campaign(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("service.experiment.campaign.experiment", lambda *_: 1 // 0)
+        patch.setattr("service.campaign.run.experiment", lambda *_: 1 // 0)
         with pytest.raises(CancelledError, match="run it again") as told:
             campaign(Faulty(interrupted_at(40, KeyboardInterrupt())), tmp_path)
     assert recover(tmp_path).named("preliminary").n_points > 0

@@ -10,9 +10,9 @@ import time
 import numpy as np
 import pytest
 
+from service.campaign import journal
+from service.campaign.run import recover
 from service.cli import run
-from service.experiment import journal
-from service.experiment.campaign import recover
 from service.experiment.file import read
 from tests.support.campaigns import assert_same
 
@@ -22,8 +22,8 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from drivers.simulated.driver import SimulatedController
-from service.experiment.campaign import run_campaign
-from service.experiment.aims import Profile
+from service.campaign.run import run_campaign
+from service.campaign.aims import Profile
 from sim.reference import reference_datasheet, reference_rig
 
 def progress(report):

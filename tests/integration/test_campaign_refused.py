@@ -8,12 +8,12 @@ from drivers.controller import State, Status
 from drivers.errors import CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import measure, write_datasheet
+from service.campaign.journal import entries, line
+from service.campaign.run import recover, run_campaign
 from service.cli import run
 from service.errors import OutputError
-from service.experiment.campaign import recover, run_campaign
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
-from service.experiment.journal import entries, line
 from service.experiment.speeds import changed_speed
 from sim.reference import reference_rig
 from tests.support.campaigns import SHEET, SMALL, Faulty, assert_same, campaign, interrupted_at

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.campaign import recover
+from service.campaign.run import recover
 from service.experiment.errors import CampaignError
 from service.experiment.file import read
 from sim.reference import reference_rig

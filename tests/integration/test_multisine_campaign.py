@@ -10,11 +10,11 @@ import pytest
 from drivers.controller import TripCause, Waveform
 from drivers.errors import CancelledError, LeaseError, LimitError, TripError
 from drivers.simulated.driver import SimulatedController
-from service.experiment.campaign import recover, run_campaign
+from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.run import recover, run_campaign
 from service.experiment.errors import CampaignError
 from service.experiment.file import read
 from service.experiment.multisine import synthesise
-from service.experiment.multisine_plan import MultisineProfile
 from service.identification.fit import identify
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import linear_model

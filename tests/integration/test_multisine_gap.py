@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.simulated.driver import SimulatedController
-from service.experiment.campaign import run_campaign
+from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from service.experiment.file import read
-from service.experiment.multisine_plan import MultisineProfile
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
 from service.gap.fitting.predict import displacement, measured_signal, weight, whole_displacement

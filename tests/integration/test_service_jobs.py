@@ -6,8 +6,8 @@ import time
 
 import pytest
 
+from service.campaign.run import recover
 from service.experiment import file
-from service.experiment.campaign import recover
 from tests.support.processes import wait_for
 from tests.support.service import QUICK, SLOW, Running, free_port, reference_sheet, rig_device, service
 

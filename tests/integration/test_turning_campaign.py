@@ -9,8 +9,8 @@ import pytest
 
 from drivers.simulated.driver import SimulatedController
 from service import bootstrap
+from service.campaign.aims import Profile
 from service.experiment import file
-from service.experiment.aims import Profile
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import with_effects
 from tests.support.command import ambit, refusal

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.experiment.aims import Limits, Profile, aims
-from service.experiment.frequencies import clear_grid, mains_harmonics, whole_periods
-from service.experiment.knowledge import Knowledge
-from service.experiment.noise import NoiseSpectra
-from service.experiment.plan import SMALLEST_A, Request, longest_settling, other_amplitude, tones
+from service.campaign.aims import Limits, Profile, aims
+from service.campaign.frequencies import clear_grid, mains_harmonics, whole_periods
+from service.campaign.knowledge import Knowledge
+from service.campaign.noise import NoiseSpectra
+from service.campaign.plan import SMALLEST_A, Request, longest_settling, other_amplitude, tones
 
 RATE = 10_000.0
 positive = st.floats(1e-3, 1e3)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from drivers.simulated.driver import SimulatedController
-from service.experiment.aims import Profile
-from service.experiment.campaign import run_campaign
+from service.campaign.aims import Profile
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import linear_model

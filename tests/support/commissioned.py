@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.simulated.driver import SimulatedController
-from service.experiment.campaign import run_campaign
+from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from service.health.tones import ShortPlan, short_plan
 from service.identification.fit import identify

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.aims import Limits, Profile
+from service.campaign.aims import Limits, Profile
+from service.campaign.points import Point
 from service.experiment.data import Sweep
-from service.experiment.points import Point
 from service.gap.measured.condition import ANOTHER_AMPLITUDE, ANOTHER_SPEED
 from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe

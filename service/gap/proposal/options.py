@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.experiment.aims import Limits, Profile
+from service.campaign.aims import Limits, Profile
 from service.gap.measured.observation import Observation
 from sim.rig import Rig
 
@@ -49,7 +49,7 @@ class Option:
     name: str
     description: str
     profile: Mapping[str, float]
-    """figures of the plan, as they are submitted: of `service.experiment.aims.Profile`"""
+    """figures of the plan, as they are submitted: of `service.campaign.aims.Profile`"""
     speed_rad_s: float = 0.0
     offset: float = 0.0
     """share of the air gap by which set-points are moved"""

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.aims import Limits, Profile
-from service.experiment.knowledge import Knowledge
-from service.experiment.multisine_plan import PeriodicRequest
-from service.experiment.noise import SIGNALS, NoiseSpectra
-from service.experiment.noise_phases import NOISE_S, PERIODIC_S
-from service.experiment.phases import Phases
-from service.experiment.plan import Request
-from service.experiment.points import Point
-from service.experiment.progress import Meter
-from service.experiment.recorder import Recorder
+from service.campaign.aims import Limits, Profile
+from service.campaign.knowledge import Knowledge
+from service.campaign.multisine.plan import PeriodicRequest
+from service.campaign.noise import SIGNALS, NoiseSpectra
+from service.campaign.noise_phases import NOISE_S, PERIODIC_S
+from service.campaign.phases import Phases
+from service.campaign.plan import Request
+from service.campaign.points import Point
+from service.campaign.progress import Meter
+from service.campaign.recorder import Recorder
 from service.gap.proposal.sensor_noise import SensorNoise
 from sim.harmonic_balance import STATIC_HZ
 from sim.loop import Loop
@@ -53,7 +53,7 @@ class Rehearsal:
 
 @dataclass(frozen=True)
 class _Answer:
-    """What a rig gives for a tone: `service.experiment.recorder.Answer`."""
+    """What a rig gives for a tone: `service.campaign.recorder.Answer`."""
 
     R: Complex
     U: Complex

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.campaign.noise import NoiseSpectra
 from service.experiment.data import Sweep
-from service.experiment.noise import NoiseSpectra
 from service.gap.measured.scatter import mean_scatter
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model

@@ -7,10 +7,10 @@ import pytest
 
 from drivers.errors import BusError
 from service import bootstrap
+from service.campaign.journal import line
+from service.campaign.run import JOURNAL
 from service.cli import run
 from service.cli.commission import commission_directly
-from service.experiment.campaign import JOURNAL
-from service.experiment.journal import line
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 

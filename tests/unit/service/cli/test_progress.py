@@ -2,8 +2,8 @@
 
 import sys
 
+from service.campaign.progress import Progress
 from service.cli.progress import campaign_progress, percent_progress
-from service.experiment.progress import Progress
 
 
 def report(phase, done, total=100, points_per_s=2.0):

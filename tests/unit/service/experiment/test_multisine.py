@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from service.experiment import crest, distortion, multisine
+from service.campaign.multisine import crest, distortion
+from service.experiment import multisine
 from service.experiment.multisine import Lines, Multisine
 
 RATE = 1000.0

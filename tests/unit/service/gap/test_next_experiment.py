@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from service.api.options import checked_options
+from service.campaign.aims import Profile
 from service.cli.client import Kind, _options
-from service.experiment.aims import Profile
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.experiment.frequencies import mains_harmonics
+from service.campaign.frequencies import mains_harmonics
 from service.health import tones
 from service.identification.result.saved import saved_planes
 from sim.errors import AmbError

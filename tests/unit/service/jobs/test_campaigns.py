@@ -10,10 +10,10 @@ from drivers.errors import BusError, CancelledError, LeaseError, StoppedElsewher
 from service import bootstrap
 from service.access.audit import Action, audited
 from service.access.keys import Identity, Scope
+from service.campaign.aims import Profile
+from service.campaign.progress import Progress
 from service.config import Settings
 from service.errors import JobError, StoppedError
-from service.experiment.aims import Profile
-from service.experiment.progress import Progress
 from service.jobs import campaigns
 from service.storage import audit, jobs, rigs
 from service.storage.database import now

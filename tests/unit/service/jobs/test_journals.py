@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.experiment.journal import Journal, line
+from service.campaign.journal import Journal, line
 from service.jobs import campaigns
 from service.jobs.control import Control
 from service.storage import jobs, rigs

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from service import bootstrap
+from service.campaign.aims import Profile
 from service.errors import JobError
-from service.experiment.aims import Profile
 from service.jobs import campaigns
 from service.storage import jobs, rigs
 from service.storage.database import now

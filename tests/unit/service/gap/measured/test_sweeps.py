@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.experiment.points import SWEEPS
+from service.campaign.points import SWEEPS
 from service.gap.measured.observation import observe
 from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, sweeps_for
 from tests.support.synthetic import experiment, known_datasheet, true_rig

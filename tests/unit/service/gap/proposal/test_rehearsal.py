@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.aims import Profile
+from service.campaign.aims import Profile
 from service.gap.proposal.case import limits_of
 from service.gap.proposal.rehearsal import rehearsed
 from service.gap.proposal.sensor_noise import SensorNoise

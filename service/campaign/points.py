@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.campaign.plan import Request
 from service.experiment.data import Experiment, Sweep
-from service.experiment.plan import Request
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.experiment.settling import period_change
+from service.campaign.settling import period_change
 
 L, N = 150, 4
 

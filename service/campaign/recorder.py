@@ -14,11 +14,11 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from service.campaign.journal import Entry
+from service.campaign.multisine.plan import PeriodicRequest
+from service.campaign.plan import Request
+from service.campaign.points import Point
 from service.experiment.errors import CampaignError, JournalError
-from service.experiment.journal import Entry
-from service.experiment.multisine_plan import PeriodicRequest
-from service.experiment.plan import Request
-from service.experiment.points import Point
 
 Reduction = Callable[[dict[str, NDArray[np.float64]]], dict[str, Any]]
 

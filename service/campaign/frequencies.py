@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.aims import Aim, Limits, Profile
+from service.campaign.aims import Aim, Limits, Profile
 
 Real = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.experiment.noise import from_blocks, spectra, welch, without_mean_block
+from service.campaign.noise import from_blocks, spectra, welch, without_mean_block
 
 RATE = 10_000.0
 

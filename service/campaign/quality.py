@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.aims import Aim, Limits
-from service.experiment.knowledge import Knowledge
-from service.experiment.plan import largest_amplitude, needed_amplitude
-from service.experiment.points import Point
-from service.experiment.settling import Agreement, agreement
+from service.campaign.aims import Aim, Limits
+from service.campaign.knowledge import Knowledge
+from service.campaign.plan import largest_amplitude, needed_amplitude
+from service.campaign.points import Point
+from service.campaign.settling import Agreement, agreement
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

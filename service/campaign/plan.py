@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from service.experiment.aims import Aim, Limits, Profile
-from service.experiment.frequencies import whole_periods
-from service.experiment.knowledge import Knowledge
+from service.campaign.aims import Aim, Limits, Profile
+from service.campaign.frequencies import whole_periods
+from service.campaign.knowledge import Knowledge
 
 SMALLEST_A = 1e-5
 """Smallest amplitude of a tone that is asked for: ten steps of the controllers' scale, which moves no rotor."""

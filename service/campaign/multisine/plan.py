@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment import crest
-from service.experiment.aims import Limits
-from service.experiment.frequencies import mains_harmonics
-from service.experiment.knowledge import Knowledge
+from service.campaign.aims import Limits
+from service.campaign.frequencies import mains_harmonics
+from service.campaign.knowledge import Knowledge
+from service.campaign.multisine import crest
 from service.experiment.multisine import Lines, Multisine, choose_lines
 
 if TYPE_CHECKING:  # the API offers this profile, and designs nothing
-    from service.experiment.multisine_design import Design
+    from service.campaign.multisine.design import Design
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

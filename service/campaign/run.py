@@ -1,4 +1,4 @@
-"""The automated experiment: runs the plan on a controller. With `leased`, the only module here that moves a rotor."""
+"""Runs the plan of an experiment on a controller. With `leased`, the only module here that moves a rotor."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from drivers.controller import (
     Controller,
 )
 from drivers.errors import CancelledError, ControllerError, LeaseError, StoppedElsewhereError
-from service.experiment import file, journal, phases
-from service.experiment.aims import Limits, Profile
-from service.experiment.beginning import checked_limits, fingerprint, profile_of, speed_of
+from service.campaign import journal, phases
+from service.campaign.aims import Limits, Profile
+from service.campaign.beginning import checked_limits, fingerprint, profile_of, speed_of
+from service.campaign.leased import Patient, alone, make_ready, stopped_by
+from service.campaign.multisine.plan import MultisineProfile, PeriodicRequest
+from service.campaign.plan import Request
+from service.campaign.points import Point, experiment
+from service.campaign.predecessor import holds_all, make_way, put_aside
+from service.campaign.progress import Meter, ProgressCallback
+from service.campaign.recorder import Recorder, Trip
+from service.experiment import file
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.incomplete import INCOMPLETE
-from service.experiment.leased import Patient, alone, make_ready, stopped_by
-from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest
-from service.experiment.plan import Request
-from service.experiment.points import Point, experiment
-from service.experiment.predecessor import holds_all, make_way, put_aside
-from service.experiment.progress import Meter, ProgressCallback
-from service.experiment.recorder import Recorder, Trip
 from service.experiment.speeds import SPEED_CHANGED, same
 from service.output import ready_folder
 from sim.datasheet import Datasheet
@@ -258,7 +259,7 @@ def _run(
 ) -> None:
     """All phases of the excitation that the profile is for."""
     if isinstance(profile, MultisineProfile):
-        from service.experiment.multisine_phases import MultisinePhases  # they identify; stepped sines never do
+        from service.campaign.multisine.phases import MultisinePhases  # they identify; stepped sines never do
 
         MultisinePhases(recorder, limits, profile, meter, done, extra, datasheet, speed_rad_s).run(raw_records)
     else:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.noise import NoiseSpectra
+from service.campaign.noise import NoiseSpectra
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

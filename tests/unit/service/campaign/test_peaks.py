@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from service.experiment.frequencies import grid
-from service.experiment.peaks import Peak, densification, merged, peaks, resolved
+from service.campaign.frequencies import grid
+from service.campaign.peaks import Peak, densification, merged, peaks, resolved
 
 
 def plant(f, modes, rigid=2000.0):

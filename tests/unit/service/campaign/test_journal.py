@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from service.campaign.journal import Journal, entries, line, read
 from service.experiment.errors import ExperimentFileError, JournalError
-from service.experiment.journal import Journal, entries, line, read
 
 HEADER = {"rig": "r", "profile": {"points": 200, "blocks": 4}}
 

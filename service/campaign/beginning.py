@@ -7,10 +7,11 @@ from hashlib import sha256
 from typing import Any
 
 from drivers.controller import Capabilities
-from service.experiment import journal, multisine_plan
-from service.experiment.aims import Limits, Profile
+from service.campaign import journal
+from service.campaign.aims import Limits, Profile
+from service.campaign.multisine import plan as multisine_plan
+from service.campaign.multisine.plan import MultisineProfile
 from service.experiment.errors import CampaignError, JournalError
-from service.experiment.multisine_plan import MultisineProfile
 from service.experiment.speeds import same
 from sim.datasheet import Datasheet
 from sim.rig_file import to_toml

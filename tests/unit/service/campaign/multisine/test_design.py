@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.aims import Limits
+from service.campaign.aims import Limits
+from service.campaign.multisine.design import FLOOR, Design, PlaneDesign, design_of
+from service.campaign.multisine.phases import LONGEST_S, MultisinePhases
+from service.campaign.multisine.plan import MultisineProfile
 from service.experiment.data import Sweep
-from service.experiment.multisine_design import FLOOR, Design, PlaneDesign, design_of
-from service.experiment.multisine_phases import LONGEST_S, MultisinePhases
-from service.experiment.multisine_plan import MultisineProfile
 from service.identification.input_design import line_information
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, relative_std, synthetic_experiment, synthetic_sweep

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment import noise
-from service.experiment.aims import Aim, Limits, Profile
+from service.campaign import noise
+from service.campaign.aims import Aim, Limits, Profile
+from service.campaign.frequencies import grid, whole_periods
+from service.campaign.knowledge import Knowledge
+from service.campaign.noise import NoiseSpectra
+from service.campaign.plan import Request, amplitude
+from service.campaign.points import Point
+from service.campaign.progress import Meter
+from service.campaign.recorder import Recorder, Trip
 from service.experiment.contract import spectral_lines
 from service.experiment.demodulate import BlockPlan, amplitudes
 from service.experiment.errors import CampaignError
-from service.experiment.frequencies import grid, whole_periods
-from service.experiment.knowledge import Knowledge
-from service.experiment.noise import NoiseSpectra
-from service.experiment.plan import Request, amplitude
-from service.experiment.points import Point
-from service.experiment.progress import Meter
-from service.experiment.recorder import Recorder, Trip
 
 Real = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class NoisePhases:
     Parameters
     ----------
     recorder, limits, profile, meter, done
-        As for `service.experiment.phases.Phases`.
+        As for `service.campaign.phases.Phases`.
     """
 
     def __init__(

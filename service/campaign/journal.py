@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.difference import difference
+from service.campaign.difference import difference
 from service.experiment.errors import ExperimentFileError, JournalError
 from sim.errors import reason
 

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment import frequencies, plan
-from service.experiment.aims import Aim, Limits, Profile, aims
+from service.campaign import frequencies, plan
+from service.campaign.aims import Aim, Limits, Profile, aims
+from service.campaign.knowledge import Knowledge
+from service.campaign.noise import NoiseSpectra
+from service.campaign.noise_phases import NoisePhases
+from service.campaign.peaks import densification, merged, peaks, resolved
+from service.campaign.plan import Request
+from service.campaign.points import Point, responses, unmeasured
+from service.campaign.progress import Meter
+from service.campaign.quality import judge
+from service.campaign.recorder import Recorder, Trip
+from service.campaign.settling import Agreement, longer, stationary, tolerable
 from service.experiment.errors import CampaignError
-from service.experiment.knowledge import Knowledge
-from service.experiment.noise import NoiseSpectra
-from service.experiment.noise_phases import NoisePhases
-from service.experiment.peaks import densification, merged, peaks, resolved
-from service.experiment.plan import Request
-from service.experiment.points import Point, responses, unmeasured
-from service.experiment.progress import Meter
-from service.experiment.quality import judge
-from service.experiment.recorder import Recorder, Trip
-from service.experiment.settling import Agreement, longer, stationary, tolerable
 
 Real = NDArray[np.float64]
 

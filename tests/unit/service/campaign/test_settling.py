@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.experiment.settling import agreement, longer, stationary, tolerable
+from service.campaign.settling import agreement, longer, stationary, tolerable
 
 B, N = 6, 5
 

@@ -32,7 +32,7 @@ def difference(found: dict[str, Any], wanted: dict[str, Any]) -> str:
     Parameters
     ----------
     found, wanted
-        Headers of journals, as `service.experiment.beginning.fingerprint` makes them, with "about" where there is one.
+        Headers of journals, as `service.campaign.beginning.fingerprint` makes them, with "about" where there is one.
 
     Returns
     -------

@@ -21,10 +21,10 @@ from drivers.controller import (
     WaveformResult,
 )
 from drivers.errors import BusError, CancelledError, ControllerError, TripError
+from service.campaign.multisine.plan import PeriodicRequest
+from service.campaign.plan import Request
+from service.campaign.recorder import Trip
 from service.experiment.errors import CampaignError
-from service.experiment.multisine_plan import PeriodicRequest
-from service.experiment.plan import Request
-from service.experiment.recorder import Trip
 
 T = TypeVar("T")
 

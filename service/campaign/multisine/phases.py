@@ -1,6 +1,6 @@
 """A multisine campaign in order: noise, pilot, main sweep, validation, amplifiers.
 
-Like `service.experiment.phases` every decision follows from profile and measurements, so a campaign can be resumed.
+Like `service.campaign.phases` every decision follows from profile and measurements, so a campaign can be resumed.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from service.experiment import distortion, multisine_plan
-from service.experiment.aims import Limits, Profile
+from service.campaign.aims import Limits, Profile
+from service.campaign.knowledge import Knowledge
+from service.campaign.multisine import distortion
+from service.campaign.multisine import plan as multisine_plan
+from service.campaign.multisine.design import Design, design_of
+from service.campaign.multisine.plan import MultisineProfile, PeriodicRequest, Responses
+from service.campaign.noise import NoiseSpectra
+from service.campaign.noise_phases import NoisePhases
+from service.campaign.plan import Request
+from service.campaign.points import Point
+from service.campaign.points import sweep as swept
+from service.campaign.progress import Meter
+from service.campaign.recorder import Recorder, Trip
+from service.campaign.settling import period_change
 from service.experiment.errors import CampaignError
-from service.experiment.knowledge import Knowledge
 from service.experiment.multisine import Lines, Multisine, separated, spectra
-from service.experiment.multisine_design import Design, design_of
-from service.experiment.multisine_plan import MultisineProfile, PeriodicRequest, Responses
-from service.experiment.noise import NoiseSpectra
-from service.experiment.noise_phases import NoisePhases
-from service.experiment.plan import Request
-from service.experiment.points import Point
-from service.experiment.points import sweep as swept
-from service.experiment.progress import Meter
-from service.experiment.recorder import Recorder, Trip
-from service.experiment.settling import period_change
 from sim.datasheet import Datasheet
 
 Complex = NDArray[np.complex128]
@@ -90,7 +91,7 @@ class MultisinePhases:
     Parameters
     ----------
     recorder, limits, profile, meter, done
-        As for `service.experiment.phases.Phases`.
+        As for `service.campaign.phases.Phases`.
     extra
         Filled with what belongs to the experiment beside its points: "distortion" levels as JSON, and why the main
         sweep was not designed for the rig, where it was not.

@@ -1,0 +1,1 @@
+"""The automated experiment: which tones, how large, how long, and the rig that is moved for them."""

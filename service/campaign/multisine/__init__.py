@@ -1,0 +1,1 @@
+"""A campaign by multisines: lines, amplitudes and phases for all axes at once."""
