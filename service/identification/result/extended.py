@@ -37,20 +37,7 @@ def extended_report(
     model = refined.model
     r, jacobian = residuals(model, data, refined.weights, refined.amplitude)
     assert jacobian is not None
-    n_data = len(r)
-    scale = np.abs(model.theta)
-    scale[model.layout.index("centre_of_gravity_m")] = sum(datasheet.bearing_from_cog_m) / 2
-    scale[model.layout.delay] = datasheet.sample_time_s
-    n_splits = 0 if splits is None else len(splits.log_ratios)
-    n_known = len(refined.fit.residual) - n_splits  # the data, and what is known beside the splits
-    known, wide = (np.zeros((n, model.layout.size)) for n in (n_known - n_data, n_splits))
-    known[:, refined.fit.free] = refined.fit.jacobian[n_data:n_known]
-    if splits is not None:
-        # what is known of the shapes' splits, in units of its own spread
-        root = np.linalg.inv(np.linalg.cholesky(splits.covariance))
-        wide[:, refined.fit.free] = root @ (HELD * refined.fit.jacobian[n_known:])
-    full = np.vstack([jacobian, known, wide])
-    rest = np.concatenate([r, refined.fit.residual[n_data:n_known], np.zeros(n_splits)])
+    full, rest = _with_knowledge(refined, splits, r, jacobian)
     asked = ("transverse_inertia_kgm2", "centre_of_gravity_m")
     free = refined.fit.free.copy()
     for name in asked:
@@ -79,9 +66,27 @@ def extended_report(
     out["profile"] = profiles(refined, splits, data, spread)
     out["identifiable"] = all(out[name]["identifiable"] for name in asked)
     out["given"] = {"mass_kg": datasheet.mass_kg}
+    scale = np.abs(model.theta)
+    scale[model.layout.index("centre_of_gravity_m")] = sum(datasheet.bearing_from_cog_m) / 2
+    scale[model.layout.delay] = datasheet.sample_time_s
     out |= _rank(full, refined, scale)
     out["aliases"] = list(ALIASES)
     return out
+
+
+def _with_knowledge(refined: Refined, splits: Posterior | None, r: Real, jacobian: Real) -> tuple[Real, Real]:
+    """Jacobian to every parameter and residuals: of the data, and of what is known beside them."""
+    n_data = len(r)
+    n_splits = 0 if splits is None else len(splits.log_ratios)
+    n_known = len(refined.fit.residual) - n_splits  # the data, and what is known beside the splits
+    known, wide = (np.zeros((n, refined.model.layout.size)) for n in (n_known - n_data, n_splits))
+    known[:, refined.fit.free] = refined.fit.jacobian[n_data:n_known]
+    if splits is not None:
+        # what is known of the shapes' splits, in units of its own spread
+        root = np.linalg.inv(np.linalg.cholesky(splits.covariance))
+        wide[:, refined.fit.free] = root @ (HELD * refined.fit.jacobian[n_known:])
+    rest = np.concatenate([r, refined.fit.residual[n_data:n_known], np.zeros(n_splits)])
+    return np.vstack([jacobian, known, wide]), rest
 
 
 def _one_step(jacobian: Real, residual: Real, widen: float) -> tuple[Real, Real]:

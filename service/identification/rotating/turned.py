@@ -169,19 +169,7 @@ def turned(
     if set(planes) != {"x", "y"} or len(experiment.axes) != 4:
         raise AmbError("the rotating model needs planes x and y, both excited; excite xA, xB, yA and yB at every speed")
     names = {id(s): f"sweeps/{k}" + (f" ({s.comment})" if s.comment else "") for k, s in enumerate(experiment.sweeps)}
-    seen: list[Sweep] = []
-    unseen: list[Sweep] = []
-    warnings: list[str] = []
-    for sweep in experiment.sweeps:
-        if sweep.kind == "noise" or not sweep.n_points or not np.any(sweep.amplitude_a > 0):
-            continue
-        if sweep.kind == "multisine":
-            # its lines are there at once: what the force law adds to each is not in this model
-            warnings.append(f"{names[id(sweep)]} is a multisine and is not in the rotating fit; use stepped sine")
-        elif sweep.comment not in NOT_PLANT and sweep.speed_rad_s not in [s.speed_rad_s for s in seen]:
-            seen.append(sweep)
-        elif sweep.comment not in ("amplifier", "preliminary"):
-            unseen.append(sweep)
+    seen, unseen, warnings = _sweeps(experiment, names)
     if not any(s.speed_rad_s for s in seen):
         raise AmbError("no stepped sine at speed is there; measure one")
     data = tuple(speed_points(s, tuple(experiment.axes), names[id(s)]) for s in seen)
@@ -214,6 +202,24 @@ def turned(
         None if planes_speed_rad_s else _apart(refined.model, planes, u),
         tuple(warnings),
     )
+
+
+def _sweeps(experiment: Experiment, names: dict[int, str]) -> tuple[list[Sweep], list[Sweep], list[str]]:
+    """Sweeps that are fitted, one a speed, those that check the fit, and what there is to say of others."""
+    seen: list[Sweep] = []
+    unseen: list[Sweep] = []
+    warnings: list[str] = []
+    for sweep in experiment.sweeps:
+        if sweep.kind == "noise" or not sweep.n_points or not np.any(sweep.amplitude_a > 0):
+            continue
+        if sweep.kind == "multisine":
+            # its lines are there at once: what the force law adds to each is not in this model
+            warnings.append(f"{names[id(sweep)]} is a multisine and is not in the rotating fit; use stepped sine")
+        elif sweep.comment not in NOT_PLANT and sweep.speed_rad_s not in [s.speed_rad_s for s in seen]:
+            seen.append(sweep)
+        elif sweep.comment not in ("amplifier", "preliminary"):
+            unseen.append(sweep)
+    return seen, unseen, warnings
 
 
 def _fitted(
