@@ -12,26 +12,10 @@ from fastapi import APIRouter, FastAPI
 
 from service import tracing
 from service.access.rate import Rate
-from service.api import (
-    access,
-    description,
-    events,
-    experiments,
-    exports,
-    gaps,
-    health,
-    jobs,
-    live,
-    log,
-    models,
-    operations,
-    page,
-    problems,
-    rigs,
-    schedules,
-)
+from service.api import access, description, operations, page, problems
 from service.api.kept import Kept, Momentary
 from service.api.middleware import Around
+from service.api.resources import events, experiments, exports, gaps, health, jobs, live, log, models, rigs, schedules
 from service.api.state import Services
 from service.bootstrap import product_version
 from service.config import Settings

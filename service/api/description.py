@@ -7,7 +7,8 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service.api import options, problems
+from service.api import problems
+from service.api.resources import options
 
 _TEXT = {"type": "string"}
 

@@ -9,8 +9,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.api.app import create_app
-from service.api.options import checked_options
 from service.api.problems import UnprocessableError
+from service.api.resources.options import checked_options
 from service.config import Settings
 from service.experiment import file
 

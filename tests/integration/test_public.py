@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import httpx
 import pytest
 
-from service.api import access, events, middleware, operations
+from service.api import access, middleware, operations
 from service.api.app import THREADS
+from service.api.resources import events
 from service.config import Settings
 from service.storage import jobs
 from tests.support.processes import wait_for

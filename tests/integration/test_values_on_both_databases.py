@@ -6,7 +6,7 @@ import httpx
 import pytest
 from sqlalchemy.exc import DataError
 
-from service.api import rigs
+from service.api.resources import rigs
 from service.config import Settings
 from tests.support.databases import BOTH
 from tests.support.service import reference_sheet

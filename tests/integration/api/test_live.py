@@ -13,7 +13,7 @@ from drivers.errors import LimitError
 from service import bootstrap
 from service.access.keys import Scope
 from service.api.app import THREADS
-from service.api.live import Lines, LiveStatus
+from service.api.resources.live import Lines, LiveStatus
 from service.config import Settings
 from service.storage import jobs as rows
 from sim.reference import reference_rig

@@ -7,7 +7,7 @@ import sqlite3
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from service.api import experiments
+from service.api.resources import experiments
 from service.storage import rigs
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.api.options import checked_options
+from service.api.resources.options import checked_options
 from service.campaign.aims import Profile
 from service.cli.client import Kind, _options
 from service.gap.fitting.candidates import Candidate, Fitter

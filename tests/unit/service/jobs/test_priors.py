@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from service.api.options import checked_options
 from service.api.problems import UnprocessableError
+from service.api.resources.options import checked_options
 from service.experiment import file
 from service.jobs import calculations
 from tests.support.measured import small_experiment

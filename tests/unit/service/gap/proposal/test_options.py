@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.api.options import checked_options
+from service.api.resources.options import checked_options
 from service.gap.measured.observation import Observation, observe
 from service.gap.proposal.case import limits_of
 from service.gap.proposal.options import SPEED, options

@@ -9,13 +9,14 @@ from pydantic import ConfigDict, Field
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action
-from service.api import etags, examples
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
-from service.api.controllers import checked_url
 from service.api.lists import Asked, Listed, asked_by_number, asked_of
 from service.api.once import Answer, once
 from service.api.problems import UnprocessableError, documented
+from service.api.resources import examples
+from service.api.resources.controllers import checked_url
 from service.api.shapes import (
     Admin,
     IdempotencyKey,

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, WithJsonSchema
 
-from service.api import examples
-from service.api.options import OF_A_CHECK
+from service.api.resources import examples
+from service.api.resources.options import OF_A_CHECK
 from service.api.shapes import Shape, Time, Wanted
 from service.storage.tables import ScheduleRow, ScheduleRunRow, WebhookRow
 

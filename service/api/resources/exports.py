@@ -10,9 +10,10 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from service.api import etags, example_documents
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.problems import Documented
+from service.api.resources import example_documents
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
 from service.exports.errors import ExportError

@@ -7,9 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
 
-from service.api import etags, examples
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.resources import examples
 from service.api.shapes import HealthId, IfNoneMatch, RigId, Shape, Time, Viewer
 from service.api.state import Api
 from service.health.zones import zone_is_calm

@@ -9,10 +9,11 @@ from fastapi import APIRouter, Query, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import ConfigDict
 
-from service.api import etags, examples
-from service.api import example_documents as documents
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.resources import example_documents as documents
+from service.api.resources import examples
 from service.api.shapes import (
     IfNoneMatch,
     ModelId,

@@ -16,12 +16,13 @@ from sqlalchemy.orm import Session
 
 from service.access.audit import Action
 from service.access.keys import Identity
-from service.api import etags, examples
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.once import Answer, once
 from service.api.problems import MediaTypeError, TooLargeError, documented
+from service.api.resources import examples
 from service.api.shapes import (
     ExperimentId,
     IdempotencyKey,

@@ -8,9 +8,10 @@ from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
 
 from service.access.audit import Action
-from service.api import etags, examples, identifiers
+from service.api import etags, identifiers
 from service.api.access import KeyFirst
 from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.resources import examples
 from service.api.shapes import Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import audit

@@ -22,8 +22,8 @@ from service.access.keys import Identity
 from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
-from service.api.controllers import IN_PROCESS
 from service.api.problems import UnavailableError, documented
+from service.api.resources.controllers import IN_PROCESS
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
 from service.campaign.leased import acknowledged

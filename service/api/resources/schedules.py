@@ -13,9 +13,9 @@ from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.lists import Asked, Listed, OfRig, asked_by_number, asked_of
 from service.api.once import Answer, once
-from service.api.options import checked_options
 from service.api.problems import documented
-from service.api.schedule_shapes import (
+from service.api.resources.options import checked_options
+from service.api.resources.schedule_shapes import (
     DeliveryShape,
     RunShape,
     ScheduleShape,

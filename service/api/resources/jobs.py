@@ -9,13 +9,14 @@ from pydantic import ConfigDict, Field, WithJsonSchema
 from sqlalchemy.orm import Session
 
 from service.access.audit import Action
-from service.api import etags, examples
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.once import Answer, once
-from service.api.options import OF_A_JOB, checked_options
 from service.api.problems import UnprocessableError, documented
+from service.api.resources import examples
+from service.api.resources.options import OF_A_JOB, checked_options
 from service.api.shapes import (
     IdempotencyKey,
     IfNoneMatch,

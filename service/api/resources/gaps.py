@@ -7,9 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Response
 from pydantic import ConfigDict
 
-from service.api import etags, example_documents, examples
+from service.api import etags
 from service.api.access import KeyFirst
 from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.resources import example_documents, examples
 from service.api.shapes import GapId, IfNoneMatch, Shape, Time, Viewer
 from service.api.state import Api
 from service.storage import results

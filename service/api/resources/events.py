@@ -16,8 +16,8 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from service.access.errors import RateError
 from service.api.access import Gate, KeyFirst
-from service.api.jobs import JobShape, shape
 from service.api.problems import documented
+from service.api.resources.jobs import JobShape, shape
 from service.api.shapes import JobId, Viewer
 from service.api.state import Api, Services
 from service.storage import jobs
