@@ -18,10 +18,10 @@ from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
 from service.identification.arrays import Real
-from service.identification.joint.uncertainty import ESTIMATED_WEIGHTS
 from service.identification.measured.etfe import SingularInputError, etfe
 from service.identification.measured.known import as_identified, computed, led_back
 from service.identification.measured.logged import checked
+from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.measured.points import PlanePoints
 from service.identification.result.saved import SavedPlane, saved_planes
 from service.identification.statistics.derivatives import central_differences, propagated_std

@@ -16,8 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from service.campaign.aims import Limits, Profile
 from service.campaign.knowledge import Knowledge
-from service.campaign.multisine import distortion
-from service.campaign.multisine import plan as multisine_plan
+from service.campaign.multisine import distortion, plan
 from service.campaign.multisine.design import Design, design_of
 from service.campaign.multisine.plan import MultisineProfile, PeriodicRequest, Responses
 from service.campaign.noise import NoiseSpectra
@@ -167,19 +166,19 @@ class MultisinePhases:
         lines = self._lines("pilot")
         gain, why = 1.0, ""
         for _ in range(PILOT_TRIES):
-            multisine = multisine_plan.pilot(self.profile, self.limits, lines, gain)
+            multisine = plan.pilot(self.profile, self.limits, lines, gain)
             outcome = self._realisation("pilot", 0, multisine)
             if isinstance(outcome, Played):
                 columns = {s: v.mean(axis=0) for s, v in outcome.columns().items()}
                 self.design = self._designed(lines, outcome)
                 r = np.einsum("ljj->lj", columns["r"])
                 f = lines.frequency_hz(self.limits.sample_rate_hz)
-                per_ampere = {s: np.swapaxes(columns[s] / r[:, :, None], 1, 2) for s in multisine_plan.SIGNALS}
+                per_ampere = {s: np.swapaxes(columns[s] / r[:, :, None], 1, 2) for s in plan.SIGNALS}
                 return Responses(f, per_ampere)
             assert isinstance(outcome, Trip)
             gain, why = gain / 4, outcome.message
         raise CampaignError(
-            f"the rig trips even with {multisine_plan.PILOT_SHARE * gain * 100:.2g} % of the current's share "
+            f"the rig trips even with {plan.PILOT_SHARE * gain * 100:.2g} % of the current's share "
             f"({why}); see to the rig, or raise its limits"
         )
 
@@ -197,7 +196,7 @@ class MultisinePhases:
     def _lines(self, sweep: str) -> Lines:
         try:
             hum = self.knowledge.noise.lines_hz
-            return multisine_plan.lines_of(sweep, self.profile, self.limits, hum, self.design)
+            return plan.lines_of(sweep, self.profile, self.limits, hum, self.design)
         except ValueError as error:
             raise CampaignError(f"no multisine fits: {error}") from error
 
@@ -206,9 +205,7 @@ class MultisinePhases:
     def sweep(self, name: str, responses: Responses) -> None:
         """All realisations of a sweep; each becomes a block of its points."""
         lines = self._lines(name)
-        planned = multisine_plan.realisations(
-            self.profile, self.limits, name, lines, self.knowledge, responses, self.design
-        )
+        planned = plan.realisations(self.profile, self.limits, name, lines, self.knowledge, responses, self.design)
         gain = 1.0
         played: list[Played] = []
         flags: list[str] = []
@@ -258,15 +255,15 @@ class MultisinePhases:
         return self.settle_s if name in SETTLED else self.profile.short_settle_s
 
     def _may_settle(self, seconds: float, multisine: Multisine, name: str) -> bool:
-        record = multisine_plan.periods_of(name, self.profile) * multisine.lines.samples
-        return multisine_plan.settle_samples(seconds, self.limits) + record <= self.limits.max_samples
+        record = plan.periods_of(name, self.profile) * multisine.lines.samples
+        return plan.settle_samples(seconds, self.limits) + record <= self.limits.max_samples
 
     def _first_settling(self) -> float:
         """What is begun with: as long as the pilot's model asks for, s, and one record has beside the periods."""
         p, rate = self.profile, self.limits.sample_rate_hz
         if self.design is None:
             return p.settle_s
-        record = max(multisine_plan.periods_of(name, p) for name in SETTLED) * round(p.period_s * rate)
+        record = max(plan.periods_of(name, p) for name in SETTLED) * round(p.period_s * rate)
         return max(p.settle_s, min(self.design.settle_s(), LONGEST_S, (self.limits.max_samples - record - 1) / rate))
 
     def _distorted(self, played: Played) -> bool:
@@ -290,8 +287,8 @@ class MultisinePhases:
                 k,
                 e,
                 multisine.waveform(e),
-                multisine_plan.periods_of(name, self.profile),
-                multisine_plan.settle_samples(self._settling(name), self.limits),
+                plan.periods_of(name, self.profile),
+                plan.settle_samples(self._settling(name), self.limits),
             )
             outcome = self.recorder.reduced(name, request, reduction)
             if isinstance(outcome, Trip):
@@ -339,8 +336,8 @@ class MultisinePhases:
         stacked = {s: v * np.exp(-1j * late)[..., None] for s, v in stacked.items()}
         f = lines.frequency_hz(self.limits.sample_rate_hz)
         periods, settle = (
-            multisine_plan.periods_of(name, self.profile),
-            multisine_plan.settle_samples(self._settling(name), self.limits),
+            plan.periods_of(name, self.profile),
+            plan.settle_samples(self._settling(name), self.limits),
         )
         points = []
         for k, line in enumerate(lines.excited):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_above
 from service.identification.arrays import Complex, Real
-from service.identification.measured.noise import ESTIMATED_WEIGHTS as ESTIMATED_WEIGHTS
+from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.plane.model import PlaneModel
 from service.identification.priors.split import HELD, Posterior
 from service.identification.statistics.derivatives import central_differences, propagated_std
