@@ -66,6 +66,7 @@ NOT_IN_MODEL = {
     "rotor.discs": "its disc couples tilts and modes with one another, and a model of several speeds couples each with "
     "its own copy in the other plane alone",
     "amplifiers.slew_limit_a_per_s": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
+    "amplifiers.slope_noise_share": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
     "amplifiers.slew_seen": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
     "magnets.saturation_current_a": _SMALL.format(what="iron", figures="ki and ks"),
     "magnets.flux_share": _SMALL.format(what="iron", figures="ki and ks"),

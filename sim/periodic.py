@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 import scipy.linalg
@@ -37,7 +39,36 @@ def played(i: Array, weights: Array, half_widths: Array) -> Array:  # pragma: no
     return out
 
 
-def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limit: Array, opposed: bool) -> Array:
+@_compiled
+def _taken(slope: float, limit: float, noise: float) -> float:  # pragma: no cover (compiled)
+    """What a limit takes off a slope in the mean over Gaussian noise that comes with it, E[clip(slope + n)] - slope.
+
+    The statistical linearisation of a saturation with a bias (Booton, IRE Trans. Circuit Theory 1, 1954, pp. 9-18).
+    ``noise`` is the standard deviation, 0 for none.
+    """
+    if noise == 0.0:
+        return min(max(slope, -limit), limit) - slope
+    return noise * (_beyond((-limit - slope) / noise) - _beyond((slope - limit) / noise))
+
+
+@_compiled
+def _beyond(x: float) -> float:  # pragma: no cover (compiled)
+    """E[max(x + n, 0)] for n ~ N(0, 1), to 1e-6."""
+    if abs(x) > 4.5:  # it is slow to compute
+        return max(x, 0.0)
+    return math.exp(-0.5 * x * x) / math.sqrt(2 * math.pi) + 0.5 * x * math.erfc(-x / math.sqrt(2.0))
+
+
+def slewing(
+    asked: Array,
+    dt: Array,
+    w: Array,
+    damping: Array,
+    seen: float,
+    limit: Array,
+    opposed: bool,
+    noise: Array | float = 0.0,
+) -> Array:
     """What a slew limit takes off the slopes that are asked of a second-order amplifier, A/s, (P, T, n).
 
     With dv, what the limit changes, i' = v + dv and v' = -w^2 i - damping (v + seen dv). The amplifier's own loop is
@@ -52,6 +83,7 @@ def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limi
     limit : (n,) A/s
     opposed : whether the loop begins with a current opposed to the one without limit, instead of with that one. A loop
         that winds up may settle in two ways beyond its limit: it lags a little, or by half a period.
+    noise : (n,) or one for all, root mean square of the slopes that noise asks for, A/s
     """
     A = np.zeros((w.size, 3, 3))  # of i, v, and dv held
     A[:, 0, 1] = A[:, 0, 2] = 1.0
@@ -63,12 +95,13 @@ def slewing(asked: Array, dt: Array, w: Array, damping: Array, seen: float, limi
         begin[0] = -2 * (asked * t).sum(axis=1)  # of a current that has these slopes, and no mean
         begin[1] = -2 * asked[:, 0]
     swing = limit * (asked.shape[1] * dt / (2 * np.pi))[:, None]
-    return np.asarray(_slewing(asked, over, limit, swing, begin[0], begin[1]))
+    rms = np.broadcast_to(np.asarray(noise, dtype=float), w.shape).copy()
+    return np.asarray(_slewing(asked, over, limit, swing, begin[0], begin[1], rms))
 
 
 @_compiled
 def held_slewing(
-    asked: Array, period: float, late: Array, lag_s: float, w: Array, limit: Array, steps: int
+    asked: Array, period: float, late: Array, lag_s: float, w: Array, limit: Array, steps: int, noise: Array
 ) -> Array:  # pragma: no cover (compiled)
     """What a slew limit changes of the current of a first-order amplifier that a held signal drives, A, (K steps, n).
 
@@ -84,6 +117,7 @@ def held_slewing(
     w : (n,) rad/s
     limit : (n,) A/s, inf where none acts
     steps : integration steps of a sample
+    noise : (n,) root mean square of the slopes that noise asks for, A/s
     """
     samples, axes = asked.shape[0] - 1, asked.shape[1]
     h = period / steps
@@ -110,6 +144,11 @@ def held_slewing(
                     left = falls if time == h else np.exp(-w[a] * time)
                     free = mean + (free - mean) * left
                     slope = w[a] * (mean - i)
+                    if noise[a] > 0.0:
+                        begins = _taken(slope, limit[a], noise[a])
+                        ends = _taken(slope * left - begins * time, limit[a], noise[a])
+                        i = mean + (i - mean) * left + 0.5 * time * (begins * left + ends)
+                        continue
                     if abs(slope) > limit[a]:
                         at_limit = min((abs(slope) / limit[a] - 1.0) / w[a], time)
                         i += np.copysign(limit[a], slope) * at_limit
@@ -120,7 +159,7 @@ def held_slewing(
 
 @_compiled
 def _slewing(
-    asked: Array, over: Array, limit: Array, swing: Array, i0: Array, v0: Array
+    asked: Array, over: Array, limit: Array, swing: Array, i0: Array, v0: Array, noise: Array
 ) -> Array:  # pragma: no cover (compiled)
     points, steps, axes = asked.shape
     taken = np.zeros_like(asked)
@@ -131,9 +170,9 @@ def _slewing(
                 begun = i
                 for t in range(steps):
                     slope = asked[p, t, a] + v
-                    now = min(max(slope, -most), most) - slope
+                    now = _taken(slope, most, noise[a])
                     ahead = asked[p, (t + 1) % steps, a] + S[1, 0] * i + S[1, 1] * v + S[1, 2] * now
-                    between = (now + min(max(ahead, -most), most) - ahead) / 2
+                    between = (now + _taken(ahead, most, noise[a])) / 2
                     i, v = S[0, 0] * i + S[0, 1] * v + S[0, 2] * between, S[1, 0] * i + S[1, 1] * v + S[1, 2] * between
                     taken[p, t, a] = now
                 if abs(i - begun) < SETTLED * swing[p, a]:

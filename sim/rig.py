@@ -174,6 +174,9 @@ class Amplifiers:
     slew_seen: float = 0.0
     """Share of the damping that acts on the slope that the coil has, not on the one asked for, where it is limited:
     0 for a current loop that does not know of its limit, 1 for one whose damping is in the coil."""
+    slope_noise_share: float = 0.0
+    """Root mean square of the slopes that noise asks of a coil, over its slew limit: they reach a limit that the tone
+    alone does not. Of the harmonic balance alone; in time a rig has its noise."""
 
     @staticmethod
     def plain(gain: Array, natural_frequency_rad_s: Array, damping_ratio: Array | None) -> Amplifiers:

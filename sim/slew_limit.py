@@ -14,6 +14,8 @@ SLEW_STEPS = 256
 """Fewest time steps of a period in which a second-order amplifier is followed."""
 HELD_STEPS, HELD_STEPS_OF_LAG = 8, 16
 """Steps of a sample in which a first-order one is, whose slope jumps with the held signal; with a lag before it."""
+NOISE_DEVIATIONS = 4.0
+"""Root mean squares of a noise's slopes within which it reaches a limit, but for 6 in 100 000 of the time."""
 HELD_PERIODS, HELD_SETTLING, HELD_SAMPLES = 6, 200, 300
 """Fewest periods, and samples, until such an amplifier is steady to some 1e-5, and that are analysed then."""
 
@@ -38,7 +40,8 @@ def second_order(
     damping = 2 * amp.damping_ratio * w
     per_slew = (s + damping * (1 - amp.slew_seen)) / (s**2 + damping * s + w**2)
     dv = np.zeros(asked.shape, dtype=complex)
-    slewing = np.flatnonzero(np.any(np.abs(asked).sum(axis=1) > amp.slew_limit_a_per_s, axis=1))
+    reached = amp.slew_limit_a_per_s * (1 - NOISE_DEVIATIONS * amp.slope_noise_share)
+    slewing = np.flatnonzero(np.any(np.abs(asked).sum(axis=1) > reached, axis=1))
     if len(slewing):
         fundamental = omega[slewing, harmonics.index(1)]
         dv[slewing] = _taken(amp, fundamental, harmonics, asked[slewing], False)
@@ -61,8 +64,14 @@ def _taken(amp: Amplifiers, omega: Array, harmonics: tuple[int, ...], asked: Com
     steps = int(np.clip(8 * w.max() / omega.min(), finest, 8 * SLEW_STEPS))
     damping = 2 * amp.damping_ratio * w
     over = np.ascontiguousarray(period_samples(asked, harmonics, steps))
-    taken = periodic.slewing(over, 2 * np.pi / omega / steps, w, damping, float(amp.slew_seen), limit, opposed)
+    dt, noise = 2 * np.pi / omega / steps, _slope_noise(amp)
+    taken = periodic.slewing(over, dt, w, damping, float(amp.slew_seen), limit, opposed, noise)
     return amplitudes(taken, harmonics)
+
+
+def _slope_noise(amp: Amplifiers) -> Array:
+    """Root mean square of the slopes that noise asks of each coil, (n,) A/s; 0 where there is no limit."""
+    return amp.slope_noise_share * np.where(np.isfinite(amp.slew_limit_a_per_s), amp.slew_limit_a_per_s, 0.0)
 
 
 def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) -> tuple[Complex, Complex]:
@@ -71,12 +80,11 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
     Their slope jumps with u as it is held, by more than its sine asks for, and the samples fold the jumps back. So each
     point is stepped through its own samples, whose phases depend on how many of them a period has. What u has beyond
     the harmonics is not known: at 700 Hz it moves the current by 0.06 % where the limit halves it, and by 0.8 % where
-    a quarter is left. Nor is its noise, whose steps reach a limit that the tone alone does not: of 0.02 A rms, one of
-    769 A/s cut 0.7 % off a current whose slope was 480, and was fitted as one of 580.
+    a quarter is left.
 
-    Far beyond its limit an amplifier passes on less of any second signal, and a mode that the loop no longer damps swings
-    beside the tone: at 700 Hz, 2.2 A and a delay of 30 us one at 911 Hz with its image at 489 Hz, twice the tone less
-    it. The current of the tone alone is then a tenth less than this says; the blocks of such a point scatter.
+    Far beyond its limit an amplifier passes on less of any second signal, and a mode that the loop no longer damps
+    swings beside the tone: at 700 Hz, 2.2 A and a delay of 30 us one at 911 Hz with its image at 489 Hz, twice the tone
+    less it. The current of the tone alone is then a tenth less than this says; the blocks of such a point scatter.
 
     Parameters
     ----------
@@ -90,7 +98,8 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
     at_once = replace(amp, lag_s=0.0)
     reached = amplifier.sampled(at_once, omega.ravel(), period, np.zeros_like(amp.delay_s)) / amp.gain
     steepest = w * np.abs(asked * (1 - reached.reshape(asked.shape))).sum(axis=1)
-    limit = np.where(steepest > amp.slew_limit_a_per_s, amp.slew_limit_a_per_s, np.inf)
+    noise = _slope_noise(amp)
+    limit = np.where(steepest > amp.slew_limit_a_per_s - NOISE_DEVIATIONS * noise, amp.slew_limit_a_per_s, np.inf)
     delay_s = amp.delay_s + rig.controller.computing_delay_s
     whole = np.floor(delay_s / period + 1e-9)
     late_s = np.maximum(delay_s - whole * period, 0.0)
@@ -103,7 +112,7 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
         n = whole_periods(samples, max(HELD_PERIODS * samples, HELD_SAMPLES))
         turns = np.exp(1j * angle * np.outer(np.arange(-settling - 1, n), orders))
         held = (turns @ (asked[p] * np.exp(-1j * angle * np.outer(orders, whole)))).real
-        change = periodic.held_slewing(held, period, late_s, amp.lag_s, w, limit[p], steps)
+        change = periodic.held_slewing(held, period, late_s, amp.lag_s, w, limit[p], steps, noise)
         steady = change.reshape(-1, steps, change.shape[1])[settling:]
         sampled[p], flowing[p] = windowed_amplitudes(steady, angle, orders)
     return sampled, flowing

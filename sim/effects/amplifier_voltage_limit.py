@@ -16,7 +16,13 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         return rig
     with np.errstate(divide="ignore"):  # of an axis that has no limit
         slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / (p["slew_inverse_s_per_a"] * shares(rig, p)))
-    return replace(rig, amplifiers=replace(rig.amplifiers, slew_limit_a_per_s=slew, slew_seen=p["slope_seen"]))
+    limited = replace(
+        rig.amplifiers,
+        slew_limit_a_per_s=slew,
+        slew_seen=p["slope_seen"],
+        slope_noise_share=p["slope_noise_share"],
+    )
+    return replace(rig, amplifiers=limited)
 
 
 EFFECT = Effect(
@@ -44,6 +50,19 @@ EFFECT = Effect(
             description="share of the current loop's damping that acts on the slope the coil has; "
             "nothing on a first-order amplifier",
             strength=False,
+        ),
+        Parameter(
+            "slope_noise_share",
+            "1",
+            0.0,
+            0.4,
+            0.0,
+            0.0,
+            description="root mean square of the slopes that noise asks of a coil, over the limit",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.05,),
         ),
         *parameters("amplifiers", dormant=True),
     ),

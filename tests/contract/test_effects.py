@@ -260,6 +260,52 @@ def test_the_harmonic_balance_has_the_voltage_limit_of_first_order_amplifiers(la
     check_harmonic_balance(rig, np.array([1e-3, 1e-3, share]), amplitude_a)
 
 
+@pytest.mark.parametrize(("rig", "off"), [(reference_rig(), 0.15), (of_first_order(reference_rig()), 0.4)])
+def test_noise_takes_an_amplifier_to_a_limit_that_its_tone_does_not_reach(rig, off):
+    """0.2 um of noise, at 700 Hz and 0.85 A. Through a sample the noise of a first-order amplifier falls off."""
+    noise_m, hz, amplitude_a = 2e-7, 700.0, 0.85
+    limited = CATALOGUE["amplifier_voltage_limit"].on(rig)
+    t = np.arange(150_000) * rig.controller.sample_time_s
+    r = np.zeros((len(t), rig.n_axes))
+    r[:, 0] = amplitude_a * np.minimum(t, 1.0) * np.cos(2 * np.pi * hz * t)
+    record = Simulation(replace(limited, noise=Noise(displacement_m=noise_m)), seed=3).advance(r, check_limits=False)
+    tone = 2 / 130_000 * np.exp(-2j * np.pi * hz * t[20_000:])
+    U, I = (np.tile(tone @ x[20_000:], (1, 1, 1)) for x in (record.u, record.i))
+
+    def current(share: float, of: Rig = limited) -> complex:
+        noisy = replace(of, amplifiers=replace(of.amplifiers, slope_noise_share=share))
+        return Responder(noisy, np.array([hz]), np.array([0]), (1,)).current(U)[0, 0, 0]
+
+    share = slope_noise_a_per_s(rig, noise_m) / limited.amplifiers.slew_limit_a_per_s[0]
+    measured, plain = I[0, 0, 0], current(0.0, rig)
+    assert abs(measured - plain) > 5e-3 * abs(plain)
+    assert abs(current(share) - measured) < off * abs(plain - measured)
+    assert abs(current(0.0) - measured) > 0.8 * abs(plain - measured)
+
+
+def slope_noise_a_per_s(rig: Rig, noise_m: float) -> float:
+    """Root mean square of the slopes of the first coil's current in the loop of a rig with white noise of its sensors.
+
+    Held samples have the spectrum of u at every multiple of their rate, weighted by that of the hold.
+    """
+    rate = 1 / rig.controller.sample_time_s
+    step = rate / 800
+    f = np.arange(step / 2, rate / 2, step)
+    model, amp = linear_model(rig, f), rig.amplifiers
+    C = model.controller[:, None, None]
+    u_per_noise = -C * np.linalg.inv(np.eye(rig.n_axes) + model.y_per_u * C)
+    density = (np.abs(u_per_noise[:, 0]) ** 2).sum(axis=1) * noise_m**2 / (rate / 2)
+    square = 0.0
+    for k in range(20):
+        for image in (k * rate + f, (k + 1) * rate - f):
+            s, w = 2j * np.pi * image, amp.natural_frequency_rad_s[0]
+            drive = (
+                w / (s + w) if amp.damping_ratio is None else w**2 / (s**2 + 2 * amp.damping_ratio[0] * w * s + w**2)
+            )
+            square += float(np.sum(np.abs(s * drive * np.sinc(image / rate)) ** 2 * density) * step)
+    return square**0.5
+
+
 @pytest.mark.parametrize("lag_s", [0.0, 5e-6])
 def test_a_voltage_that_suffices_changes_nothing_on_first_order_amplifiers(lag_s):
     """1 A at 200 Hz asks for 1.3 kA/s, with the steps of u 2 kA/s, of 4 kA/s."""

@@ -57,6 +57,20 @@ def test_below_its_limit_nothing_is_taken():
     )
 
 
+@pytest.mark.parametrize(("tone", "share"), [(0.7, 0.1), (0.95, 0.1), (1.4, 0.2), (0.4, 0.4)])
+def test_noise_reaches_a_limit_that_the_tone_alone_does_not(tone, share):
+    """What is taken off is the mean over the noise: by many draws of it."""
+    limit, fast = 1000.0, 1e-3  # of a loop so slow that what is taken off changes nothing of what it asks for
+    asked = tone * limit * np.cos(PHASE[::64])[None, :, None]
+    taken = slewing(
+        asked, np.array([1e-6]), np.array([fast]), np.array([fast]), 0.0, np.array([limit]), False, share * limit
+    )
+    drawn = asked + share * limit * np.random.default_rng(5).standard_normal((40_000, 1, 1))
+    mean = (np.clip(drawn, -limit, limit) - drawn).mean(axis=0)
+    np.testing.assert_allclose(taken[0], mean, rtol=0, atol=4 * share * limit / 200)
+    assert np.abs(mean).max() > 10 * share * limit / 200 or tone < 0.8
+
+
 def stepped(hz, amplitude_a, w, zeta, limit, i, q, periods=40, steps=4000):
     """The same amplifier by explicit Euler of its own equations, q' = w^2 (u - i) - 2 zeta w i', i' = clip(q)."""
     dt, out = 1 / hz / steps, np.empty(steps)

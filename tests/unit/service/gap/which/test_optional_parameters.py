@@ -68,6 +68,24 @@ def test_a_disc_that_modes_tilt_is_found_beside_another_effect() -> None:
     assert found[OF_A_DISC[2]] == pytest.approx(0.73, abs=0.2)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_a_voltage_limit_that_noise_reaches_too_is_named_with_its_value(share: float) -> None:
+    """Without noise in its law such a limit left a quarter of a gap, so that no effect was named."""
+    datasheet, truth = known_datasheet(seed=15)
+    nu, limit_a_per_s = nuisance(datasheet), 1476.0  # nine tenths of the steepest current
+    limit = {"slew_inverse_s_per_a": 1 / limit_a_per_s, "slope_seen": 1.0, "slope_noise_share": share}
+    rig = with_effects(true_rig(truth), {"amplifier_voltage_limit": limit})
+    o = observe(sweep(rig, lines(14), 0.25, seed=1), nu.rig)
+    part = next(p for p in parts(nu, (o,)) if p.path == "amplifier")
+    with Fitter(1) as fitter:
+        found = explain(fitter, Ground(nu, part, (o,), np.zeros(len(nu))))
+    (values,) = found.chosen.fit.values
+    assert found.chosen.effects == ("amplifier_voltage_limit",)
+    assert found.order[0].unexplained < 0.02
+    assert 1 / values["slew_inverse_s_per_a"] == pytest.approx(limit_a_per_s, rel=0.01)
+    assert values["slope_noise_share"] == pytest.approx(share, abs=0.02)
+
+
 def test_every_parameter_that_wakes_is_dormant_and_begins_inside_its_range() -> None:
     waking = [p for effect in CATALOGUE.values() for p in effect.parameters if p.wakes]
     assert waking
