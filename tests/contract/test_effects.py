@@ -176,13 +176,24 @@ def test_at_its_typical_values_it_shows(one):
 
 @every_effect
 def test_each_of_its_parameters_counts(one):
-    """Strengths set to null and shapes moved, one at a time, beside typical values of the others."""
+    """Strengths set to null and shapes moved, one at a time, beside typical values of the others.
+
+    In the linear model, in time, or in the balance of 1.2 A at 700 Hz: in time a rig has the noise that another states.
+    """
     beside = {"frequency_ratio": {"pedestals": 0.5}}  # of pedestals, where there are any
 
-    def answer(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    tone = np.zeros((1, 4, 4), dtype=complex)
+    tone[0, 1] = 1.2
+
+    def answer(rig: Rig) -> tuple[np.ndarray, ...]:
         model = linear_model(rig, TONES_HZ)
         record = Simulation(replace(rig, noise=Noise())).advance(shaking(1500), check_limits=False)
-        return np.stack([model.i_per_u, model.y_per_u, model.u_per_r]), np.stack([record.u, record.i, record.y])
+        balance = Responder(rig, np.array([700.0]), np.array([0])).answer(tone[:, :, : rig.n_axes])
+        return (
+            np.stack([model.i_per_u, model.y_per_u, model.u_per_r]),
+            np.stack([record.u, record.i, record.y]),
+            np.stack([balance.I, balance.Y]),
+        )
 
     for p in one.parameters:
         rig = reference_rig(speed_rad_s=SPEED_RAD_S) if p.name.startswith("by_speed") else rig_for(one)
