@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.cli.console import print_json, stdout
 from service.cli.usage import value_of
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def check_controller(
@@ -25,9 +28,10 @@ def check_controller(
 ) -> None:
     """Judge a controller on the identified model and its uncertainty, before it is loaded.
 
-    The gain, phase and delay margins are of one axis' loop, the others closed, without gyroscopic coupling; a
-    delay that all of them have, as computing_delay_s of the file, is in the verdict, and so is the stability at every
-    speed of the Campbell diagram, where the commissioning has one. Exit status 0 when it is safe, 1 when it is not.
+    The gain, phase and delay margins are of one axis' loop, the others closed; a delay that all of them have, as
+    computing_delay_s of the file, is in the verdict. Where the commissioning has a model of the turning rotor, so are
+    stability and zone at every speed of its Campbell diagram; where it has none, the verdict is for standstill and says
+    so. Exit status 0 when it is safe, 1 when it is not.
     """
     import numpy as np
 
@@ -93,21 +97,35 @@ def read_law(path: Path) -> tuple[tuple[list[float], list[float]], float | None,
 
 
 def _show(document: dict[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
-
     console = stdout()
-    console.print(f"verdict: {document['verdict']}")
+    turning = document["at_speed"]
+    where = " at standstill; at speed it is not known" if document["verdict"] == "safe" and turning is None else ""
+    console.print(f"verdict: {document['verdict']}{where}")
     for kind in ("reasons", "warnings"):
         for text in document[kind]:
             console.print(f"{kind[:-1]}: {text}", soft_wrap=True)
-    if not document["axes"]:
-        return
+    if document["axes"]:
+        console.print(_margins(document["axes"]))
+    if turning is not None and turning["axes"]:
+        fastest = max(turning["speeds_rad_s"], key=abs)
+        console.print(f"at speed, the worst from standstill to {fastest:.4g} rad/s")
+        console.print(_margins(turning["axes"]))
+    if document["axes"]:
+        console.print("gain, phase and delay: of one axis' loop, the others closed", style="dim")
+    for plane, later in document["delay_of_both_axes_s"].items():
+        most = "a sample or more" if later is None else f"{_number(1e6 * later, 1)} us"
+        console.print(f"{plane}-plane: both axes may be later by {most} at once, as by longer computing")
+
+
+def _margins(axes: dict[str, Any]) -> Table:
+    from rich import box
+    from rich.table import Table
+
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("axis")
     for head in ("peak of S", "95 %", "zone", "gain, dB", "phase, deg", "delay, us"):
         table.add_column(head, justify="right")
-    for name, a in document["axes"].items():
+    for name, a in axes.items():
         p, g = a["sensitivity_peak"], a["gain_margin_db"]
         table.add_row(
             name,
@@ -118,11 +136,7 @@ def _show(document: dict[str, Any]) -> None:
             _number(a["phase_margin_deg"]["value"], 1),
             _number(None if a["delay_margin_s"]["value"] is None else 1e6 * a["delay_margin_s"]["value"], 1),
         )
-    console.print(table)
-    console.print("gain, phase and delay: of one axis' loop, the others closed", style="dim")
-    for plane, later in document["delay_of_both_axes_s"].items():
-        most = "a sample or more" if later is None else f"{_number(1e6 * later, 1)} us"
-        console.print(f"{plane}-plane: both axes may be later by {most} at once, as by longer computing")
+    return table
 
 
 def _number(value: float | None, digits: int) -> str:

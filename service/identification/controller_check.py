@@ -12,36 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from service.identification.arrays import Complex, Real
+from service.identification.arrays import Real
+from service.identification.check_at_speed import AtSpeed, AxisAtSpeed, at_speed, unstable_words
+from service.identification.drawn import DRAWS, Interval, drawn, interval
 from service.identification.loop.closed_loop import closed_loop_poles, slowest_decay
 from service.identification.loop.loop_margins import loop_margins
 from service.identification.loop.margins import loop_grid, sensitivity, sensitivity_peaks, zone
 from service.identification.plane.model import PlaneModel
-from service.identification.result.saved import SavedPlane, SavedRotor
-from service.identification.rotating.whirl import loop_matrix
+from service.identification.result.saved import AT_STANDSTILL, SPEEDLESS, SavedPlane, SavedRotor
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import AmbError
 
-DRAWS = 100
-LEVEL = 0.95
 LATER_STEPS, LATER_TO = 20, 1e-4
 """Delays up to a sample that are tried, and how finely the first that is too long is found, in samples."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A figure of the best model, and where it lies with 95 % probability. None: unbounded or without meaning.
-
-    A margin that the best model has not, and others that the data allow have, is bounded on their side alone.
-    """
-
-    value: float | None
-    low: float | None
-    high: float | None
-
-    def document(self) -> dict[str, float | None]:
-        """As JSON."""
-        return {"value": self.value, "low": self.low, "high": self.high}
 
 
 @dataclass(frozen=True)
@@ -84,7 +67,7 @@ class ControllerCheck:
     """Why it is not safe; empty when it is."""
     warnings: tuple[str, ...]
     stable: bool
-    """The best model's loop."""
+    """The best model's loop, at every speed that is judged."""
     stable_share: float
     """Share of the models drawn whose loop is stable."""
     slowest_decay_per_s: float
@@ -92,6 +75,8 @@ class ControllerCheck:
     delay_of_both_axes_s: dict[str, float | None] = field(default_factory=dict)
     """By plane, how much later both of its axes may be at once, as by a controller that computes longer; None: by a
     sample or more."""
+    at_speed: AtSpeed | None = None
+    """The turning rotor; None where the result has no model of it, and its margins are not known."""
     zones: tuple[tuple[str, float], ...] = ISO_14839_3_DB
     accepted_zone: str = "B"
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -110,6 +95,7 @@ class ControllerCheck:
             "slowest_decay_per_s": self.slowest_decay_per_s,
             "axes": {a.axis: a.document() for a in self.axes},
             "delay_of_both_axes_s": self.delay_of_both_axes_s,
+            "at_speed": None if self.at_speed is None else self.at_speed.document(),
             "zones_db": {name: None if np.isinf(limit) else limit for name, limit in self.zones},
             "accepted_zone": self.accepted_zone,
             **({"provenance": self.provenance} if self.provenance else {}),
@@ -143,7 +129,8 @@ def check_controller(
     computing_delay_s
         How long the controller computes; as long as the one that was identified without it.
     rotor
-        The turning rotor, where the result has one: its loop must hold at every speed of its Campbell diagram.
+        The turning rotor, where the result has one: its loop must hold, in an accepted zone, at every speed of its
+        Campbell diagram.
 
     Raises
     ------
@@ -163,23 +150,34 @@ def check_controller(
         if not 0 <= computing_delay_s < np.inf:
             raise AmbError(f"a controller cannot compute for {1e6 * computing_delay_s:g} us; state a delay from 0 on")
         planes = {name: _computing_for(computing_delay_s, s) for name, s in planes.items()}
-    checks = [_check_plane(s, law, _drawn(s, draws, seed), limits) for s in planes.values()]
+    checks = [_check_plane(s, law, drawn(s.model, s.free, s.covariance, draws, seed), limits) for s in planes.values()]
     axes = tuple(axis for c in checks for axis in c.axes)
+
+    def beyond(found: str) -> bool:
+        return order.index(found) > order.index(accepted_zone)
+
     reasons = [reason for c in checks for reason in c.reasons]
-    reasons += [_beyond_zone(a, accepted_zone) for a in axes if order.index(a.zone) > order.index(accepted_zone)]
-    if rotor is not None:
-        reasons += _at_speed(rotor, law, computing_delay_s)
+    reasons += [_beyond_zone(a, accepted_zone) for a in axes if beyond(a.zone)]
+    turning = None if rotor is None else at_speed(rotor, law, limits, draws, seed, computing_delay_s)
+    if turning is not None:
+        reasons += [reason for reason in (turning.unstable, turning.others_unstable) if reason]
+        reasons += [_beyond_zone_at_speed(a, accepted_zone) for a in turning.axes if beyond(a.zone)]
     notes = dict.fromkeys(note for s in planes.values() for note in s.notes)
+    if turning is None and SPEEDLESS not in notes:
+        notes[AT_STANDSTILL] = None
+    judged: tuple[_PlaneCheck | AtSpeed, ...] = tuple(checks) if turning is None else (*checks, turning)
+    slowest = min(c.decay_per_s for c in judged)
     return ControllerCheck(
         rig,
         safe=not reasons,
         reasons=tuple(reasons),
-        warnings=(*notes, *(warning for c in checks for warning in c.warnings)),
-        stable=all(c.decay_per_s > 0 for c in checks),
-        stable_share=min(c.stable_share for c in checks),
-        slowest_decay_per_s=min(c.decay_per_s for c in checks),
+        warnings=(*notes, *(warning for c in judged for warning in c.warnings)),
+        stable=slowest > 0,
+        stable_share=min(c.stable_share for c in judged),
+        slowest_decay_per_s=slowest,
         axes=axes,
         delay_of_both_axes_s={c.plane: c.later_s for c in checks if c.decay_per_s > 0},
+        at_speed=turning,
         zones=limits,
         accepted_zone=accepted_zone,
     )
@@ -201,9 +199,9 @@ class _PlaneCheck:
 
 
 def _check_plane(
-    s: SavedPlane, law: tuple[Real, Real], drawn: list[PlaneModel], limits: tuple[tuple[str, float], ...]
+    s: SavedPlane, law: tuple[Real, Real], others: list[PlaneModel], limits: tuple[tuple[str, float], ...]
 ) -> _PlaneCheck:
-    """One plane's loop closed with the best model and with those ``drawn``."""
+    """One plane's loop closed with the best model and with ``others`` that the data allow as well."""
     poles, period = closed_loop_poles(s.model, law), s.model.known.sample_time_s
     decay = slowest_decay(poles, period)
     warnings: tuple[str, ...] = ()
@@ -213,36 +211,22 @@ def _check_plane(
             "this check does not see",
         )
     if decay <= 0:
-        reason = f"plane {s.plane}: the loop is unstable, {_unstable_words(poles, s.model)}"
+        reason = f"plane {s.plane}: the loop is unstable, {unstable_words(poles, period)}"
         return _PlaneCheck(s.plane, decay, 0.0, (reason,), warnings)
-    held = [m for m in drawn if slowest_decay(closed_loop_poles(m, law), period) > 0]
+    held = [m for m in others if slowest_decay(closed_loop_poles(m, law), period) > 0]
     reasons: tuple[str, ...] = ()
-    if not drawn:
+    if not others:
         reasons = (
             f"plane {s.plane}: the model is known so badly that no other one which the data allow can be computed; "
             "identify it from more data",
         )
-    elif len(held) < len(drawn):
+    elif len(held) < len(others):
         reasons = (
-            f"plane {s.plane}: {len(drawn) - len(held)} of {len(drawn)} models that the data allow as well are "
+            f"plane {s.plane}: {len(others) - len(held)} of {len(others)} models that the data allow as well are "
             "unstable with it",
         )
-    share, axes = len(held) / max(len(drawn), 1), tuple(_axes(s, law, held, limits))
+    share, axes = len(held) / max(len(others), 1), tuple(_axes(s, law, held, limits))
     return _PlaneCheck(s.plane, decay, share, reasons, warnings, axes, _later(s, law))
-
-
-def _at_speed(rotor: SavedRotor, law: tuple[Real, Real], computing_delay_s: float | None) -> list[str]:
-    """Why the turning rotor's loop does not hold: the slowest speed at which the best model's is unstable."""
-    model = rotor.model
-    if computing_delay_s is not None:
-        x, y = (replace(k, computing_delay_s=computing_delay_s) for k in model.known)
-        model = replace(model, known=(x, y))
-    for speed in sorted((float(w) for w in rotor.speeds_rad_s if w), key=abs):
-        poles = np.asarray(np.linalg.eigvals(loop_matrix(model, law, speed)[0]), dtype=np.complex128)
-        if slowest_decay(poles, model.known[0].sample_time_s) <= 0:
-            how = _unstable_words(poles, model.planes[0])
-            return [f"at {speed:.4g} rad/s, with gyroscopic coupling, the loop is unstable, {how}"]
-    return []
 
 
 def _beyond_zone(a: AxisCheck, accepted_zone: str) -> str:
@@ -250,6 +234,14 @@ def _beyond_zone(a: AxisCheck, accepted_zone: str) -> str:
     return (
         f"axis {a.axis}: sensitivity peak {p.value:.2f} ({_up_to(p)}) at {a.peak_hz:.4g} Hz is in zone {a.zone}; "
         f"accepted is {accepted_zone} or better"
+    )
+
+
+def _beyond_zone_at_speed(a: AxisAtSpeed, accepted_zone: str) -> str:
+    p = a.sensitivity_peak
+    return (
+        f"axis {a.axis} at {p.speed_rad_s:.4g} rad/s: sensitivity peak {p.figure.value:.2f} ({_up_to(p.figure)}) at "
+        f"{a.peak_hz:.4g} Hz is in zone {a.zone}; accepted is {accepted_zone} or better"
     )
 
 
@@ -304,45 +296,13 @@ def _checked_law(controller: tuple[Real, Real]) -> tuple[Real, Real]:
     return numerator, denominator
 
 
-def _unstable_words(poles: Complex, model: PlaneModel) -> str:
-    worst = poles[np.argmax(np.abs(poles))]
-    rate = np.log(np.abs(worst)) / model.known.sample_time_s
-    hz = abs(np.angle(worst)) / model.known.sample_time_s / (2 * np.pi)
-    how = f"a motion of {hz:.4g} Hz" if hz > 0.5 else "the rotor leaves its place"
-    return f"{how}, growing at {rate:.3g} 1/s"
-
-
-def _drawn(saved: SavedPlane, draws: int, seed: int) -> list[PlaneModel]:
-    """Models that the data allow as well as the best one; unphysical ones are drawn again."""
-    rng = np.random.default_rng(seed)
-    values, vectors = np.linalg.eigh(saved.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    found: list[PlaneModel] = []
-    for _ in range(3 * draws):
-        if len(found) == draws:
-            break
-        step = np.zeros_like(saved.model.theta)
-        step[saved.free] = root @ rng.normal(size=len(values))
-        model = saved.model.at(_moved(saved.model.theta, step))
-        if model.is_physical:
-            found.append(model)
-    return found
-
-
-def _moved(theta: Real, step: Real) -> Real:
-    """Parameters after a step, in proportion: a change of a shape's split then leaves the product of its parts."""
-    share = np.divide(step, theta, out=np.full_like(theta, np.inf), where=theta != 0)
-    small = np.abs(share) < 0.7
-    return np.where(small, theta * np.exp(np.where(small, share, 0.0)), theta + step)
-
-
 def _axes(
-    saved: SavedPlane, law: tuple[Real, Real], drawn: list[PlaneModel], limits: tuple[tuple[str, float], ...]
+    saved: SavedPlane, law: tuple[Real, Real], held: list[PlaneModel], limits: tuple[tuple[str, float], ...]
 ) -> list[AxisCheck]:
     omega = loop_grid(saved.model)
     best_peaks = sensitivity_peaks(saved.model, law)
     best = _figures(saved.model, law, omega)
-    others = list(zip(*(_figures(m, law, omega) for m in drawn), strict=True)) or [(), ()]
+    others = list(zip(*(_figures(m, law, omega) for m in held), strict=True)) or [(), ()]
     found = []
     for j in range(2):
         # a draw's peak is read at the grid: only its ratio to the best model's, read there too, counts
@@ -370,27 +330,3 @@ def _figures(model: PlaneModel, law: tuple[Real, Real], omega: Real) -> tuple[Fi
         s = whole[:, j, j]
         found.append((float(np.abs(s).max()), *loop_margins(omega, 1.0 / s - 1.0).values()))
     return found[0], found[1]
-
-
-def interval(value: float | None, drawn: Sequence[float | None], none: float = np.inf) -> Interval:
-    """95 % of the draws about a figure.
-
-    Parameters
-    ----------
-    value, drawn
-        Of the best model, and of others that the data allow as well; None where one has no such figure.
-    none
-        What None stands for. An end there is open; where the best model has no such margin and others have, the end on
-        their side is told all the same.
-
-    >>> interval(None, [5.0] * 60 + [None] * 40)
-    Interval(value=None, low=5.0, high=None)
-    """
-    if not drawn:
-        return Interval(value, None, None)
-    all_of_them = [none if d is None or np.isnan(d) else d for d in drawn]
-    best = none if value is None else value
-    low = np.quantile(all_of_them, (1 - LEVEL) / 2, method="lower")
-    high = np.quantile(all_of_them, (1 + LEVEL) / 2, method="higher")
-    ends = (float(min(low, best)), float(max(high, best)))
-    return Interval(value, *(end if np.isfinite(end) else None for end in ends))

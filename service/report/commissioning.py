@@ -158,7 +158,9 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
             "model's and the measured peak; a measured peak is at a measured line and so at most the true one. Margins "
             "are of one axis' loop with the others closed: of what comes to all axes at once, as by a controller that "
             "computes longer, the loop may bear less (ambit check-controller tells). They are the model's; those of "
-            "the measured sensitivity itself, straight between its lines, in brackets.",
+            "the measured sensitivity itself, straight between its lines, in brackets. Zone and margins are of the "
+            "rotor at the speed at which it was measured, without gyroscopic coupling: at another speed they are not "
+            "known, unless it was measured there, too (ambit check-controller).",
             "small",
         ),
         *_known_effects(result),

@@ -31,6 +31,12 @@ SPEEDLESS = (
     "no gyroscopic coupling; identify the experiments once more (ambit identify --also)"
 )
 
+AT_STANDSTILL = (
+    "judged without gyroscopic coupling: the commissioning has no model of the turning rotor, so whether the loop "
+    "holds at speed, and its zone of ISO 14839-3 there, are not known; measure at speed, too, and identify both "
+    "experiments together (ambit identify --also)"
+)
+
 
 @dataclass(frozen=True)
 class SavedPlane:
@@ -96,6 +102,13 @@ class SavedRotor:
     model: RotatingModel
     speeds_rad_s: Real
     """(S,) from standstill to a quarter beyond the fastest that was measured."""
+    free: NDArray[np.bool_]
+    """(size,) which parameters were fitted."""
+    covariance: Real
+    """(n, n) of the free ones."""
+    rms_over_sigma: float
+    """Residuals of the sweep that fits worst over its noise."""
+    adequate: bool
 
 
 def saved_rotor(document: Mapping[str, Any], datasheet: Datasheet) -> SavedRotor | None:
@@ -128,7 +141,18 @@ def _rotor(document: Mapping[str, Any], found: Mapping[str, Any], twin: Folded) 
     model = of(tuple((int(a), int(b)) for a, b in kept["pairs"]) if "pairs" in kept else paired(*of(()).planes))
     if set(model.layout.names) != set(values):
         raise ValueError("parameters of another model")
-    return SavedRotor(model, np.array(found["campbell"]["speed_rad_s"], dtype=float))
+    free = np.isin(np.array(model.layout.names), np.array(kept["free"]))
+    covariance = np.array(kept["covariance"], dtype=float)
+    if covariance.shape != (free.sum(), free.sum()) or not np.isfinite(covariance).all():
+        raise ValueError("a covariance of other parameters")
+    return SavedRotor(
+        model,
+        np.array(found["campbell"]["speed_rad_s"], dtype=float),
+        free,
+        covariance,
+        max(float(s["rms_over_sigma"]) for s in found["sweeps"]),
+        bool(found["model_adequate"]),
+    )
 
 
 def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str, ...]) -> SavedPlane:

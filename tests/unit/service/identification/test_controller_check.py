@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from service.health import compare
-from service.identification.controller_check import check_controller, interval
+from service.identification.controller_check import check_controller
+from service.identification.drawn import interval
 from service.identification.loop import closed_loop
 from service.identification.loop.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
 from service.identification.loop.margins import computed_response, zone_table
@@ -243,7 +244,7 @@ def test_a_controller_that_computes_longer_is_judged_with_its_delay(planes):
 
 
 @pytest.mark.parametrize(
-    ("value", "drawn", "none", "ends"),
+    ("value", "others", "none", "ends"),
     [
         (None, [5.0] * 60 + [None] * 40, np.inf, (5.0, None)),
         (None, [-3.0] * 60 + [None] * 40, -np.inf, (None, -3.0)),
@@ -253,6 +254,15 @@ def test_a_controller_that_computes_longer_is_judged_with_its_delay(planes):
         (6.0, [], np.inf, (None, None)),
     ],
 )
-def test_a_margin_that_only_other_models_have_is_not_said_to_be_unbounded(value, drawn, none, ends):
-    found = interval(value, drawn, none)
+def test_a_margin_that_only_other_models_have_is_not_said_to_be_unbounded(value, others, none, ends):
+    found = interval(value, others, none)
     assert (found.value, found.low, found.high) == (value, *ends)
+
+
+def test_without_a_model_of_the_turning_rotor_nothing_is_known_at_speed(planes):
+    generous = check_controller("reference", planes, LAW, zones=zone_table("ok=20,bad"), accepted_zone="ok")
+    assert generous.at_speed is None
+    assert generous.document()["at_speed"] is None
+    (warning,) = [w for w in generous.warnings if "at speed" in w]
+    assert "ISO 14839-3" in warning
+    assert "not known" in warning

@@ -10,6 +10,7 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.identification.controller_check import ControllerCheck, check_controller
+from service.identification.drawn import drawn
 from service.identification.fit import identify
 from service.identification.priors.beyond import BEYOND_ROWS
 from service.identification.priors.split import Split, log_ratios
@@ -382,10 +383,10 @@ def test_speeds_without_standstill_and_one_speed_alone_do_as_well(datasheet: Dat
 ANY_ZONE = (("any", 40.0), ("bad", np.inf))
 
 
-def judged(document: dict, datasheet: Datasheet) -> ControllerCheck:
+def judged(document: dict, datasheet: Datasheet, zones=ANY_ZONE, accepted: str = "any") -> ControllerCheck:
     law = np.array(datasheet.numerator), np.array(datasheet.denominator)
     planes, rotor = saved_planes(document, datasheet), saved_rotor(document, datasheet)
-    return check_controller("reference", planes, law, zones=ANY_ZONE, accepted_zone="any", rotor=rotor)
+    return check_controller("reference", planes, law, zones=zones, accepted_zone=accepted, rotor=rotor)
 
 
 def test_the_turning_rotor_of_a_result_is_read_back(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
@@ -412,6 +413,81 @@ def test_a_controller_is_judged_at_speed(turning_result: CommissioningResult, da
     (reason,) = found.reasons
     assert "at 353.2 rad/s" in reason
     assert "a motion of 501.1 Hz" in reason
+
+
+def test_models_that_the_data_allow_scatter_as_their_deviations_say(
+    turning_result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    """Of a stiffness of a million newtons per metre, whose rounding hides a delay of nanoseconds, and of that delay."""
+    rotor = saved_rotor(json.loads(json.dumps(turning_result.document())), datasheet)
+    assert rotor is not None
+    found = np.array([m.theta[rotor.free] for m in drawn(rotor.model, rotor.free, rotor.covariance, 300, 0)])
+    late = [n.endswith("delay_s") for n in np.array(rotor.model.layout.names)[rotor.free]]
+    ratio = found.std(axis=0) / np.sqrt(np.diag(rotor.covariance))
+    assert ratio[late] == pytest.approx(1.0, abs=0.2)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+
+
+def test_margins_at_speed_are_the_worst_of_the_twins(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
+    """The sensitivity of the true rig at each speed, by another program's model of it."""
+    found = judged(json.loads(json.dumps(turning_result.document())), datasheet).at_speed
+    assert found is not None
+    assert found.stable_share == 1.0
+    assert [a.axis for a in found.axes] == list(datasheet.axes)
+    hz = np.unique(np.concatenate([np.geomspace(1, 1000, 200), np.linspace(480, 520, 801)]))
+    size = {w: np.abs(linear_model(rig_at(w), hz).u_per_r) for w in found.speeds_rad_s}
+    for k, axis in enumerate(found.axes):
+        truth = {w: s[:, k, k].max() for w, s in size.items()}
+        worst = max(truth, key=truth.__getitem__)
+        peak = axis.sensitivity_peak
+        assert peak.speed_rad_s == worst
+        assert peak.figure.value == pytest.approx(truth[worst], rel=0.01)
+        assert peak.figure.low <= peak.figure.value <= peak.figure.high
+        assert peak.figure.high - peak.figure.low < 0.02 * peak.figure.value
+        assert 10 < axis.phase_margin_deg.figure.low < 18
+
+
+def test_a_zone_that_only_the_turning_rotor_has_is_a_reason(
+    turning_result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    document = json.loads(json.dumps(turning_result.document()))
+    document["rotating"]["parameters"]["values"]["pair_1_rotating_damping_rad_s"] = 30.0
+    still = max(judged(document, datasheet).axes, key=lambda a: a.sensitivity_peak.high or 0.0).sensitivity_peak.high
+    assert still is not None
+    limit = 20 * np.log10(1.02 * still)
+    found = judged(document, datasheet, (("ok", limit), ("bad", np.inf)), "ok")
+    assert not found.safe
+    assert all("at 392.5 rad/s: sensitivity peak" in reason for reason in found.reasons)
+
+
+def test_other_models_that_the_data_allow_are_judged_at_speed_too(
+    turning_result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    """The best model holds at every speed, and others that fit as well do not."""
+    document = json.loads(json.dumps(turning_result.document()))
+    kept = document["rotating"]["parameters"]
+    kept["values"]["pair_1_rotating_damping_rad_s"] = 40.0
+    place = kept["free"].index("pair_1_rotating_damping_rad_s")
+    for row in kept["covariance"]:
+        row[place] = 0.0
+    kept["covariance"][place] = [0.0] * len(kept["free"])
+    kept["covariance"][place][place] = 20.0**2
+    found = judged(document, datasheet)
+    assert found.stable
+    assert 0 < found.stable_share < 1
+    assert not found.safe
+    (reason,) = found.reasons
+    assert "models that the data allow as well are unstable" in reason
+    assert "at speed, from" in reason
+
+
+def test_a_turning_model_that_lacks_something_is_told(
+    turning_result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    document = json.loads(json.dumps(turning_result.document()))
+    document["rotating"]["model_adequate"] = False
+    document["rotating"]["sweeps"][1]["rms_over_sigma"] = 7.0
+    assert [w for w in judged(document, datasheet).warnings if "turning rotor leaves residuals 7 times the noise" in w]
 
 
 def test_a_turning_rotor_that_cannot_be_read_is_told(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
