@@ -116,11 +116,21 @@ def trend(
     ] = None,
     baseline: Annotated[Path | None, typer.Option(help="The same folder, as for ambit health check.")] = None,
     history: Annotated[Path | None, typer.Option(help="Earlier checks, JSON lines, as for ambit health check.")] = None,
+    false_alarms_per_year: Annotated[
+        float | None,
+        typer.Option(
+            help="Steady changes a year that may be chance, over all figures; as the newest check's alarms without it.",
+            min=1e-6,
+            max=1.0,
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Show how every figure went over the checks so far: of a commissioning's folder, or of a history elsewhere."""
     from service import checkup
     from service.errors import DocumentError
+    from service.health.sequential import Policy
+    from service.health.trend import allowance
     from service.health.trend import trend as series_of
     from service.report.format import change
 
@@ -133,9 +143,11 @@ def trend(
     checks = checkup.read_history(file)
     if not checks:
         raise DocumentError(f"{file} holds no check; run ambit health check first")
-    found = series_of(checks)
+    rule = allowance(checks) if false_alarms_per_year is None else Policy(false_alarms_per_year)
+    found = series_of(checks, rule)
     if as_json:
-        print_json({"checks": len(checks), "series": {k: s.document() for k, s in found.items()}})
+        series = {k: s.document() for k, s in found.items()}
+        print_json({"checks": len(checks), "false_alarms_per_year": rule.per_year, "series": series})
         return
     from rich import box
     from rich.table import Table
@@ -150,6 +162,9 @@ def trend(
         sigma = "" if s.significance is None else f"{s.significance:+z.1f}"
         table.add_row(name, last, slope, sigma, "steady" if s.drifting else "")
     stdout().print(table)
+    stdout().print(
+        f"steady: beyond chance, of which {rule.per_year:g} a year are accepted over all figures", style="dim"
+    )
 
 
 @app.command()

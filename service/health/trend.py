@@ -74,10 +74,10 @@ def trend(history: Sequence[Checked], policy: Policy | None = None) -> dict[str,
     """Series of every figure that the history has, in the order of its first check.
 
     A slope is tested with every check, so its level is that of one. Its false alarms are counted by themselves, with an
-    allowance as large as that of the checks.
+    allowance as large as that of the checks: the newest one's, unless a ``policy`` has another.
     """
-    rule = policy or Policy()
     ordered = sorted(history, key=lambda c: c.at)
+    rule = policy or allowance(ordered)
     names: dict[str, None] = {}
     for c in ordered:
         names.update(dict.fromkeys(c.document["parameters"]))
@@ -89,6 +89,13 @@ def trend(history: Sequence[Checked], policy: Policy | None = None) -> dict[str,
         of = [k for k, c in enumerate(ordered) if name in c.document["parameters"]]
         found[name] = _series(name, [ordered[k] for k in of], speeds[of], level)
     return found
+
+
+def allowance(history: Sequence[Checked]) -> Policy:
+    """The allowance of false alarms that the newest check was made with; the usual one where none tells."""
+    newest = max(history, key=lambda c: c.at, default=None)
+    of_it = None if newest is None else newest.document.get("false_alarms_per_year")
+    return Policy() if of_it is None else Policy(float(of_it))
 
 
 def _speeds(checks: Sequence[Checked]) -> Real:

@@ -92,11 +92,19 @@ def health_plan(baseline: str, rig: str, budget_s: float, tell: Tell = silent) -
 
 
 def health_compare(
-    baseline: str, rig: str, experiment: str, out: str, history: str, at: str, tell: Tell = silent
+    baseline: str,
+    rig: str,
+    experiment: str,
+    out: str,
+    history: str,
+    at: str,
+    false_alarms_per_year: float | None = None,
+    tell: Tell = silent,
 ) -> dict[str, Any]:
     """Compare a short experiment with a baseline; health.html is in ``out``; the document."""
     from service import checkup
     from service.health.compare import Baseline
+    from service.health.sequential import Policy
     from service.output import read_document
 
     then = Baseline(read_document(Path(baseline), "amb-commissioning-result"))
@@ -109,6 +117,7 @@ def health_compare(
         measured,
         Path(out),
         Path(history),
+        None if false_alarms_per_year is None else Policy(false_alarms_per_year),
         at=when,
         compared=lambda: tell("report", 80.0),
     )

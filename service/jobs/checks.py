@@ -64,6 +64,7 @@ def compare(worker: Context, job: JobRow, control: Control, experiment_id: str) 
         "out": str(out),
         "history": str(history),
         "at": experiment.created_at.isoformat(),
+        "false_alarms_per_year": job.options.get("false_alarms_per_year"),
     }
     document = worker.calculator.run("health_compare", arguments, control.stopped, part.tell)
     row = HealthRow(

@@ -65,13 +65,24 @@ def _changes(document: Mapping[str, Any]) -> Section:
         by = change(p["change_percent"], p["change_std_percent"])
         rows.append([in_unit(name, p["unit"]), was, was_std, now, now_std, by, signed(p["significance"], 1), mark])
     head = ["figure", "commissioned", "std", "now", "std", "change, %", "in std. dev.", ""]
-    threshold = next(iter(document["parameters"].values()))["threshold"] if document["parameters"] else 0.0
     text = (
-        f"A change is an alarm beyond {threshold:.2f} standard deviations of check and commissioning together: with "
-        f"{count(document['tests_made'], 'check')} of this rig in the year before, that keeps the expected number of "
-        f"false alarms below {document['false_alarms_per_year']:g} a year over all figures."
+        f"A change is an alarm beyond {_thresholds(document)} standard deviations of check and commissioning together: "
+        f"with {count(document['tests_made'], 'check')} of this rig in the year before, that keeps the expected number "
+        f"of false alarms below {document['false_alarms_per_year']:g} a year over all figures."
     )
     return Section("Figures", [table(head, rows), paragraph(text)])
+
+
+def _thresholds(document: Mapping[str, Any]) -> str:
+    """Of every plane that has another one: its data may be fewer, and tails of few data are longer."""
+    of: dict[str, list[str]] = {}
+    for p in document["parameters"].values():
+        planes = of.setdefault(f"{p['threshold']:.2f}", [])
+        if p["plane"] not in planes:
+            planes.append(p["plane"])
+    if len(of) < 2:
+        return next(iter(of), "0.00")
+    return " and ".join(f"{limit} ({', '.join(f'{p}-plane' for p in planes)})" for limit, planes in of.items())
 
 
 def _margins(document: Mapping[str, Any]) -> Section:

@@ -6,10 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from service.api.options import checked_options
+from service.api.problems import UnprocessableError
 from service.cli import run
 from service.experiment import file
 from service.health.tones import short_plan
 from service.identification.fit import identify
+from service.jobs.calculations import health_compare
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from sim.rig_file import to_toml
@@ -81,12 +84,29 @@ def test_a_trend_is_asked_for_as_the_checks_were_made(baseline, tmp_path, capsys
     for named in ([history], [baseline], ["--baseline", baseline], ["--history", history]):
         assert run(["health", "trend", *map(str, named), "--json"]) == 0, named
         assert json.loads(capsys.readouterr().out)["checks"] == 1
+    for more, allowed in (([], 0.2), (["--false-alarms-per-year", "0.01"], 0.01)):
+        assert run(["health", "trend", str(history), *more, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["false_alarms_per_year"] == allowed
     for named in ([], [history, "--baseline", baseline]):
         assert run(["health", "trend", *map(str, named)]) == 2
         assert "--baseline" in capsys.readouterr().err
     (baseline / "history.jsonl").unlink()
     assert run(["health", "trend", "--baseline", str(baseline)]) == 1
     assert f"{history} holds no check" in capsys.readouterr().err
+
+
+def test_the_service_compares_with_the_allowance_of_its_job(baseline, tmp_path):
+    """An option of a check and of a schedule, as of ambit health check."""
+    assert checked_options("health", {"false_alarms_per_year": 0.01}) == {"false_alarms_per_year": 0.01}
+    with pytest.raises(UnprocessableError, match="false_alarms_per_year"):
+        checked_options("health", {"false_alarms_per_year": 2})
+    where = {"baseline": baseline / "result.json", "rig": baseline / "rig.toml", "out": tmp_path / "o"}
+    where |= {"experiment": experiment(tmp_path / "e.h5"), "history": tmp_path / "h.jsonl"}
+    arguments = {k: str(v) for k, v in where.items()} | {"at": "2026-01-01T06:00:00+00:00"}
+    for asked, allowed in ((None, 0.2), (0.01, 0.01)):
+        (tmp_path / "h.jsonl").unlink(missing_ok=True)
+        found = health_compare(**arguments, false_alarms_per_year=asked)
+        assert found["false_alarms_per_year"] == allowed
 
 
 def test_a_history_that_a_crash_cut_short_goes_on(baseline, tmp_path, capsys):

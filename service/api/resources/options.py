@@ -218,6 +218,9 @@ class HealthOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     budget_s: float = Field(90.0, ge=20.0, le=3600.0, description="Time of the rig that the check may take, s.")
+    false_alarms_per_year: float = Field(
+        0.2, ge=1e-6, le=1.0, description="False alarms of the rig a year that are accepted, over all figures."
+    )
 
 
 class NoOptions(BaseModel):

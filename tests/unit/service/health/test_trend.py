@@ -6,7 +6,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from service.health.trend import Checked, trend
+from service.health.sequential import Policy
+from service.health.trend import Checked, allowance, trend
 from service.report.health import health_page
 from tests.support.browser import BROWSER
 from tests.support.tab import tab
@@ -103,6 +104,43 @@ def test_a_rig_that_is_checked_at_another_speed_does_not_change_steadily_for_tha
 def test_slopes_of_rigs_that_do_not_drift_are_calibrated():
     found = [trend(history(0.0, 20, seed=k))["x.kiA"].significance for k in range(60)]
     assert 0.6 < np.std(found) < 1.25
+
+
+def with_allowance(checks, per_year):
+    return [Checked(c.at, {**c.document, "false_alarms_per_year": per_year}) for c in checks]
+
+
+def test_a_slope_is_judged_by_the_allowance_that_the_checks_were_made_with():
+    """What is enough for one false alarm a year is not for one in a million years."""
+    checks = history(0.006, 30)
+    lax, strict = (trend(with_allowance(checks, p))["x.kiA"] for p in (1.0, 1e-6))
+    assert lax.significance == strict.significance
+    assert (lax.drifting, strict.drifting) == (True, False)
+    assert trend(checks)["x.kiA"].drifting
+    assert not trend(checks, Policy(1e-6))["x.kiA"].drifting, "who asks for another one gets it"
+    older = [*with_allowance(checks[:-1], 1e-6), *with_allowance(checks[-1:], 1.0)]
+    assert trend(older)["x.kiA"].drifting, "the newest check's counts"
+    for per_year, steady in ((1.0, True), (1e-6, False)):
+        of = with_allowance(checks, per_year)
+        assert ("x.kiA changes steadily" in health_page(of[-1].document, of)) is steady
+
+
+def test_a_history_of_an_older_version_has_the_usual_allowance():
+    checks = history(0.006, 40)
+    for c in checks:
+        del c.document["false_alarms_per_year"]
+    assert allowance(checks) == allowance([]) == Policy()
+    assert trend(checks)["x.kiA"].drifting
+
+
+def test_a_page_tells_the_threshold_of_each_plane():
+    """A plane with fewer data has longer tails, and another threshold."""
+    (check,) = history(0.0, 1)
+    both = {**check.document["parameters"]["x.kiA"], "plane": "y", "threshold": 4.9}
+    document = {**check.document, "parameters": {**check.document["parameters"], "y.kiA": both}}
+    assert "beyond 4.50 (x-plane) and 4.90 (y-plane) standard deviations" in health_page(document, [check])
+    both["threshold"] = 4.501
+    assert "beyond 4.50 standard deviations" in health_page(document, [check])
 
 
 def test_few_checks_have_no_slope():
