@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from fnmatch import fnmatchcase as fnmatch
 from pathlib import Path
 
 import pytest
@@ -116,14 +117,40 @@ def test_a_unit_is_locked_down(unit):
     assert done.returncode == 0, done.stdout[-1500:] + done.stderr
 
 
-@pytest.mark.parametrize("unit", SERVICES, ids=lambda p: p.name)
-def test_a_serial_adapter_may_be_plugged_in_after_the_unit_has_started(unit):
+NUMBERED = {"ttyS": 4, "ttyACM": 166, "ttyUSB": 188, "ttyAMA": 204, "ttymxc": 207, "rfcomm": 216}
+"""Of the kernel's Documentation/admin-guide/devices.txt, and of its drivers."""
+UNNUMBERED = ("ttyO", "ttyPS", "ttyLP", "ttySTM", "ttyTHS", "ttyMSM", "ttyXRUSB", "ttyMXUSB")
+"""Names that the kernel gives the next number that is free."""
+NO_SERIAL_PORT = ("/dev/tty", "tty", "ptm", "pts", "mem", "input", "hidraw", "watchdog")
+
+
+def allowed(unit: Path, name: str, number: int | None = None) -> bool:
+    """Whether a unit may open such a device, as systemd looks for it: by number, or by name in /proc/devices."""
+    found = re.findall(r"^DeviceAllow=char-(\S+) rw$", unit.read_text(), re.MULTILINE)
+    return any(str(number) == word if word.isdigit() else number is None and fnmatch(name, word) for word in found)
+
+
+MEASURING = [unit for unit in SERVICES if "DevicePolicy=closed" in unit.read_text()]
+
+
+@pytest.mark.parametrize("unit", MEASURING, ids=lambda p: p.name)
+@pytest.mark.parametrize(("name", "number"), NUMBERED.items())
+def test_a_serial_adapter_may_be_plugged_in_after_the_unit_has_started(unit, name, number):
     """systemd looks a device's name up in /proc/devices, which has ttyUSB only once such an adapter has been there."""
-    text = unit.read_text()
-    allowed = re.findall(r"^DeviceAllow=(\S+) rw$", text, re.MULTILINE)
-    assert all(re.fullmatch(r"char-\d+", a) for a in allowed)
-    # numbers of the kernel's Documentation/admin-guide/devices.txt: ttyS, ttyACM, ttyUSB
-    assert set(allowed) == ({"char-4", "char-166", "char-188"} if "DevicePolicy=closed" in text else set())
+    assert allowed(unit, name, number)
+
+
+@pytest.mark.parametrize("unit", MEASURING, ids=lambda p: p.name)
+def test_serial_ports_of_gateways_may_be_opened_and_nothing_else(unit):
+    assert [name for name in UNNUMBERED if not allowed(unit, name)] == []
+    assert [name for name in NO_SERIAL_PORT if allowed(unit, name)] == []
+    assert len(re.findall("^DeviceAllow=", unit.read_text(), re.MULTILINE)) == len(NUMBERED) + 1
+
+
+def test_only_what_talks_to_controllers_has_serial_ports():
+    assert {unit.name for unit in MEASURING} == {"ambit.service", "ambit-api.service", "ambit-worker@.service"}
+    for unit in SERVICES:
+        assert ("DeviceAllow=" in unit.read_text()) is (unit in MEASURING)
 
 
 # ---- compose
