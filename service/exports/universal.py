@@ -3,7 +3,8 @@
 One dataset an entry: response node and direction say the output, reference node and direction the input; bearing A is
 node 1, B node 2; plane x is direction +1, y is +2. Written in binary (58b): the text form has six digits of frequency,
 too few for a mode of a damping ratio of 0.001. Beside a response, function type 4, its standard deviation is a general
-function, type 0, of the same nodes.
+function, type 0, of the same nodes. A dataset 164 before them says that lengths are in metres and forces in newtons, so
+that no tool asks, or takes metres for millimetres; what is neither, as amperes, has its unit in the axes' labels.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ DIRECTIONS = {"x": 1, "y": 2}
 LINE = 80
 """Characters of a line of the header."""
 STD = "standard deviation of the response"
+SI, RELATIVE = 1, 2
+"""Code of metre and newton, and of temperatures that count from another zero, as degrees Celsius do."""
+KELVIN_AT_ZERO = 273.15
 
 
 def content(found: Iterable[Responses]) -> bytes:
@@ -31,7 +35,29 @@ def content(found: Iterable[Responses]) -> bytes:
     Written here and read by pyuff: pyuff 2.5's own writer loses the first header of a binary file, counts a third of
     its bytes in the header, and leaves files open.
     """
-    return b"".join(_datasets(r) for r in found)
+    return _units() + b"".join(_datasets(r) for r in found)
+
+
+def _units() -> bytes:
+    """Dataset 164: by what a length, a force and a temperature of the file are divided to be in SI, and 0 degrees."""
+    lines = [
+        f"{-1:6d}",
+        f"{164:6d}",
+        f"{SI:10d}{'SI: Meter (newton)':<20s}{RELATIVE:10d}",
+        3 * _double(1.0),
+        _double(KELVIN_AT_ZERO),
+        f"{-1:6d}",
+    ]
+    return "".join(f"{line}\n" for line in lines).encode("ascii")
+
+
+def _double(value: float) -> str:
+    """FORTRAN's D25.17, whose exponent is a D.
+
+    >>> _double(273.15)
+    '  2.73149999999999977D+02'
+    """
+    return f"{value:25.17E}".replace("E", "D")
 
 
 def _datasets(r: Responses) -> bytes:

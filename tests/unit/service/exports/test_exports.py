@@ -129,8 +129,8 @@ def test_pyuff_reads_dataset_58_with_nodes_units_and_every_digit_of_frequency(ex
     found = responses.of_experiment(experiment)
     (path,) = files.write_responses(tmp_path / "frf.uff", list(found.values()))
     file = pyuff.UFF(str(path))
-    assert list(file.get_set_types()) == [58] * 16  # two planes, 2 x 2 entries, each with its deviation
-    sets = [file.read_sets(k) for k in range(16)]
+    assert list(file.get_set_types()) == [164] + [58] * 16  # two planes, 2 x 2 entries, each with its deviation
+    sets = [file.read_sets(k) for k in range(1, 17)]
     frfs = [d for d in sets if d["func_type"] == 4]
     second = frfs[1]  # yA per uB of plane x
     np.testing.assert_array_equal(second["x"], found["x"].frequency_hz)
@@ -139,6 +139,19 @@ def test_pyuff_reads_dataset_58_with_nodes_units_and_every_digit_of_frequency(ex
     assert second["ordinate_axis_units_lab"].strip() == "m"
     assert second["orddenom_axis_units_lab"].strip() == "A"
     assert {d["rsp_dir"] for d in frfs} == {1, 2}
+
+
+def test_a_universal_file_says_first_that_it_is_in_si(experiment, tmp_path):
+    """Dataset 164, in the columns of its format: a tool whose model is in millimetres knows by what to multiply."""
+    found = responses.of_experiment(experiment)
+    (path,) = files.write_responses(tmp_path / "frf.uff", list(found.values()))
+    units = pyuff.UFF(str(path)).read_sets(0)
+    assert (units["type"], units["units_code"], units["temp_mode"]) == (164, 1, 2)
+    assert [units[k] for k in ("length", "force", "temp", "temp_offset")] == [1.0, 1.0, 1.0, 273.15]
+    head = path.read_bytes().split(b"\n    -1\n")[0].decode("ascii").splitlines()
+    assert head[:3] == ["    -1", "   164", "         1SI: Meter (newton)           2"]
+    factors = [float(head[3][k : k + 25].replace("D", "E")) for k in (0, 25, 50)]
+    assert (factors, len(head[3]), len(head[4])) == ([1.0, 1.0, 1.0], 75, 25)
 
 
 def test_headers_of_a_universal_file_say_how_many_bytes_follow(experiment, tmp_path):
