@@ -174,7 +174,7 @@ def identify_into(
     result = identify(experiment, datasheet, Options(priors=priors), progress)
     identified = time.monotonic()
     document = result.document(experiment_name)
-    document["sentence"] = verdict(result)[1]
+    document["tone"], document["sentence"] = verdict(result)
     document["provenance"]["product"] = f"amb-commissioning {product_version()}"
     document["provenance"]["priors"] = priors
     files = {"result": write_text(out_dir / RESULT, json_text(document))}

@@ -22,7 +22,7 @@ def verdict(ambit: Client, job: Job) -> str:
 
 
 def identified(summary: dict[str, Any]) -> str:
-    """Current factors, position stiffness and zone of a model, by plane.
+    """Current factors, position stiffness and zone of a model, by plane; of one that says nothing, the sentence.
 
     >>> ki = {"value": 181.0224, "std": 0.0271, "unit": "N/A"}
     >>> identified({"planes": {"x": {"stiffness": {"kiA": ki, "kiB": ki}, "iso_14839_3_zone": "A"}}})
@@ -30,6 +30,8 @@ def identified(summary: dict[str, Any]) -> str:
     """
     from service.report.format import figures
 
+    if summary.get("tone") == "bad":
+        return str(summary["sentence"])
     told = []
     for plane, p in summary["planes"].items():
         parts = []
@@ -38,5 +40,8 @@ def identified(summary: dict[str, Any]) -> str:
             shown = [" ".join((name, "{} ± {}".format(*figures(e["value"], e["std"])))) for name, e in same.items()]
             if same:
                 parts.append(f"{', '.join(shown)} {next(iter(same.values()))['unit']}")
-        told.append(f"{plane}: {', '.join([*parts, 'zone ' + p['iso_14839_3_zone']])}")
+        parts.append("zone " + p["iso_14839_3_zone"])
+        if not p.get("model_adequate", True):
+            parts.append("model not adequate")
+        told.append(f"{plane}: {', '.join(parts)}")
     return "; ".join(told)

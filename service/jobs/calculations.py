@@ -125,9 +125,10 @@ def health_compare(
 
 
 def model_summary(document: dict[str, Any]) -> dict[str, Any]:
-    """Stiffness, modes, fits and margins of a result.json, plane by plane."""
+    """What a result.json says in a sentence; stiffness, modes, fits and margins, plane by plane."""
     return {
         "rig": document["rig"],
+        **{name: document[name] for name in ("sentence", "tone") if name in document},
         "planes": {name: _plane(plane) for name, plane in document["planes"].items()},
         "warnings": document.get("warnings", []),
     }
@@ -143,6 +144,8 @@ def _plane(plane: dict[str, Any]) -> dict[str, Any]:
         "fit_percent": plane["fit_percent"],
         "cross_validation_fit_percent": plane["cross_validation_fit_percent"],
         "residuals_passed": plane["residuals"]["passed"],
+        "model_adequate": plane["residuals"]["model_adequate"],
+        "warnings": [text for text in plane.get("warnings", []) if " Hz: " not in text],
         "sensitivity_peak": plane["margins"]["sensitivity_peak"],
         "iso_14839_3_zone": plane["margins"]["iso_14839_3_zone"],
     }

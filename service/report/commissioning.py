@@ -78,6 +78,18 @@ def commissioning_page(result: CommissioningResult, experiment: Experiment, data
 
 def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     """The sentence that says the result, and how good the news are."""
+    tone, text = _of_the_planes(result)
+    turned = result.rotating
+    if turned is None or turned.uncertainty.adequate:
+        return tone, text
+    return "warn" if tone == "good" else tone, (
+        f"{text} The turning rotor does not behave as its model: over all speeds the residuals are "
+        f"{number(turned.uncertainty.scale, 2)} times the noise."
+    )
+
+
+def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
+    """The same without what is known of the rotor at speed."""
     planes = list(result.planes.values())
     unseen = [p.cross_validation_fit_percent for p in planes if p.cross_validation_fit_percent is not None]
     fits = unseen if len(unseen) == len(planes) else [p.fit_percent for p in planes]

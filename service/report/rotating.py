@@ -18,7 +18,8 @@ SIGMAS = 1.96
 
 def rotating_section(turned: Turned) -> Section:
     """Inertias, couplings, Campbell diagram, critical speeds and what was done about synchronous lines."""
-    parts: list[str | Captioned] = ['<div class="side">', _inertias(turned), _modes(turned), "</div>"]
+    parts: list[str | Captioned] = [paragraph(text, "note") for text in doubts(turned)]
+    parts += ['<div class="side">', _inertias(turned), _modes(turned), "</div>"]
     parts.append(
         Captioned(
             campbell_figure(turned),
@@ -56,6 +57,19 @@ def rotating_section(turned: Turned) -> Section:
         )
     )
     return Section("Rotor at speed", parts)
+
+
+def doubts(turned: Turned) -> list[str]:
+    """What a reader of any figure of this section has to know first."""
+    found = list(turned.refined.fit.doubt)
+    if not turned.uncertainty.adequate:
+        found.insert(
+            0,
+            f"The turning rotor does not behave as this model: over all speeds the residuals are "
+            f"{number(turned.uncertainty.scale, 2)} times the noise, so something acts that it does not have. Its "
+            "figures are the best that such a model has; their deviations are widened, not freed of a bias.",
+        )
+    return found
 
 
 def _inertias(turned: Turned) -> str:

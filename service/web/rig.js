@@ -114,7 +114,10 @@ async function model(found, context) {
   choice.addEventListener("change", show);
   context.then(show);
   const path = "/models/" + found.id;
+  const notes = (found.summary.warnings || []).concat(...planes.map((plane) => (found.summary.planes[plane].warnings || []).map((text) => plane + "-plane: " + text)));
   return [
+    found.summary.sentence ? h("p", { class: "lead " + (found.summary.tone || "") }, found.summary.sentence) : "",
+    notes.length ? h("details", { class: "notes" }, h("summary", {}, notes.length === 1 ? "1 note" : notes.length + " notes"), h("ul", {}, notes.map((text) => h("li", {}, text)))) : "",
     h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html"), " · ",
       documentLink(path + "/result.json", "result.json", "result.json")),
     table(["figure", ...planes.map((p) => "plane " + p), "datasheet"], [...rows.values()], [...planes.keys()].map((k) => k + 1).concat(planes.length + 1)),

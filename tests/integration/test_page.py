@@ -46,6 +46,14 @@ GAP = {
 }
 
 
+VERDICT = {
+    "sentence": "The rig does not <i>behave</i> as its model.",
+    "tone": "warn",
+    "warnings": ["rotating: residuals over all speeds are 7 times the noise"],
+}
+"""What a commissioning says beside its figures."""
+
+
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
     """A service with a rig that has everything, model, gap, checks, a schedule, jobs, and one that was checked once."""
@@ -71,7 +79,7 @@ def ids(service: Serving) -> dict[str, str]:
             result_sha256=blobs.put(json.dumps(result()).encode()),
             report_sha256=blobs.put(b"<h1>report</h1>"),
             plots_sha256=blobs.put(json.dumps(curves(commissioned(), SHEET)).encode()),
-            summary=model_summary(result()), **common,
+            summary=model_summary({**result(), **VERDICT}), **common,
         )  # fmt: skip
         session.add(model)
         gap = new_id("gap")
@@ -202,6 +210,9 @@ def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
             assert words in text, words
         assert GAP["notes"][0] in text
         assert "force-current factor of bearing" in text
+        assert VERDICT["sentence"] in page.run("[...document.querySelectorAll('.lead.warn')].map((t) => t.textContent)")
+        told = "[...document.querySelectorAll('details.notes li')].map((t) => t.textContent)"
+        assert page.run(told)[:1] == VERDICT["warnings"]
         assert page.run("document.querySelectorAll('#bode .scatterlayer .trace').length") >= 4
         page.run("document.getElementById('entry').value = 1")
         page.run("document.getElementById('entry').dispatchEvent(new Event('change'))")

@@ -67,7 +67,7 @@ class ModelShape(Shape):
     experiment: str
     job: str | None
     summary: dict[str, Any]
-    """Stiffness, modes, fits and margins, plane by plane."""
+    """The result in a sentence with its tone, good, warn or bad; stiffness, modes, fits and margins, plane by plane."""
     created_at: Time
     created_by: str
     links: dict[str, str]

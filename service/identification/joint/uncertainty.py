@@ -44,6 +44,8 @@ class Fitted(Protocol):
 
 Model = TypeVar("Model", bound=Parametrised)
 
+INADEQUATE = "model not adequate: residuals are larger than the noise makes them, something acts that it does not have"
+
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -60,6 +62,12 @@ class Uncertainty:
     """Largest factor by which a standard deviation is larger than noise alone would make it."""
     scale: float
     """Residuals in units of what the weights allow for."""
+
+    def status(self, fit: Fit) -> str:
+        """How the fit ended: whether its model is adequate first, for a search converges on a wrong model, too."""
+        if self.adequate:
+            return fit.status
+        return f"{INADEQUATE} (search for its parameters: {fit.status})"
 
     def std(self, model: Model, of: Callable[[Model], Real]) -> tuple[Real, Real]:
         """Standard deviations of functions of the model: reported, and from data alone.

@@ -121,7 +121,7 @@ def assemble(
         ),
         displacement=_displacement(points, datasheet),
         subspace=subspace(plant, 2 * (2 + model.layout.n_modes)),
-        status=refined.fit.status,
+        status=u.status(refined.fit),
         warnings=(*_warnings(points, refined, u, total), *told_supports(found_modes, datasheet)),
         covariance_from_data=u.from_data,
         closed_loop=predicted_closed_loop(model, controller, points if held_out is None else held_out),
@@ -162,7 +162,7 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
             else f"residuals are {total:.2g} times the noise, but for an error of the model that had to be allowed for "
             "beside it: something acts that the model does not have",
         )
-    return tuple(warnings)
+    return (*refined.fit.doubt, *warnings)
 
 
 def _staged(fit: StagedFit, held_out: PlanePoints | None) -> Staged:

@@ -103,7 +103,7 @@ class Turned:
             "model_adequate": self.uncertainty.adequate,
             "std_widened_by": self.uncertainty.widening,
             "given": {"mass_kg": float(self.model.theta[layout.index("mass_kg")])},
-            "status": self.refined.fit.status,
+            "status": self.uncertainty.status(self.refined.fit),
             "warnings": list(self.warnings),
         }
 
@@ -186,7 +186,7 @@ def turned(
             f"residuals over all speeds are {u.scale:.2g} times the noise: something acts that the rotating model does "
             "not have; standard deviations are widened"
         )
-    warnings += turns_the_other_way(refined.model, u)
+    warnings += [*refined.fit.doubt, *turns_the_other_way(refined.model, u)]
     for points in data:
         warnings += points.left_out
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))

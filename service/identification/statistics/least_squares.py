@@ -38,6 +38,16 @@ class Fit:
     status: str
 
     @property
+    def doubt(self) -> tuple[str, ...]:
+        """What there is to say of a search that did not end by itself, in a sentence."""
+        if self.converged:
+            return ()
+        return (
+            f"the search for the best parameters did not end ({self.status}): figures may be off by more than their "
+            "standard deviations tell; begin closer, with a datasheet that is nearer to the rig, or measure more",
+        )
+
+    @property
     def n_free(self) -> int:
         """Number of fitted parameters."""
         return int(self.free.sum())

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.cli.verdict import verdict
+from service.cli.verdict import identified, verdict
 
 STIFFNESS = {
     "kiA": {"value": 181.0224, "std": 0.0271, "unit": "N/A"},
@@ -32,3 +32,11 @@ PLANE = "kiA 181.022 ± 0.027, kiB 186.006 ± 0.012 N/A, ksA 1680370 ± 290, ksB
 )
 def test_a_job_s_verdict(made, line):
     assert verdict(SERVICE, SimpleNamespace(result=made)) == line
+
+
+def test_a_model_that_says_nothing_is_told_as_that():
+    """No figure of one that is not identified; one that lacks something has its figures with that reserve."""
+    nothing = {"tone": "bad", "sentence": "The rig 'r' is not identified.", "planes": PLANES}
+    assert identified(nothing) == "The rig 'r' is not identified."
+    wrong = {"tone": "warn", "sentence": "s", "planes": {"x": {**PLANES["x"], "model_adequate": False}}}
+    assert identified(wrong) == f"x: {PLANE}, zone A, model not adequate"

@@ -89,6 +89,15 @@ def test_a_wrong_model_is_not_called_identified(result):
     assert "12 times the noise" in text
 
 
+def test_a_wrong_model_is_not_said_to_have_converged(measured):
+    """In result.json: the search converges on a wrong model, too."""
+    experiment, datasheet = measured
+    wrong = replace(datasheet, transverse_inertia_kgm2=2 * datasheet.transverse_inertia_kgm2)
+    for plane in identify(experiment, wrong).document()["planes"].values():
+        assert plane["residuals"]["model_adequate"] is False
+        assert plane["status"].startswith("model not adequate: ")
+
+
 def test_a_model_that_does_not_agree_with_the_data_is_not_said_to_be_identified(result):
     """However well its residuals pass: near instability noise is larger than what is measured."""
     poor = {name: replace(p, cross_validation_fit_percent=np.full((2, 2), -36.1)) for name, p in result.planes.items()}

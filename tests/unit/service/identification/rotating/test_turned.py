@@ -361,6 +361,41 @@ def test_the_result_has_the_section_and_the_report_the_diagram(turning_result: C
     assert any("polar inertia" in p for p in rotating_section(turning_result.rotating).parts if isinstance(p, str))
 
 
+def of_a_wrong_model(result: CommissioningResult) -> CommissioningResult:
+    assert result.rotating is not None
+    wrong = replace(result.rotating.uncertainty, adequate=False, scale=7.31)
+    return replace(result, rotating=replace(result.rotating, uncertainty=wrong))
+
+
+def test_a_search_that_converged_on_a_wrong_model_is_not_said_to_have_converged(
+    turning_result: CommissioningResult,
+) -> None:
+    wrong = of_a_wrong_model(turning_result)
+    assert turning_result.document()["rotating"]["status"].startswith("converged")
+    told = wrong.document()["rotating"]
+    assert told["model_adequate"] is False
+    assert told["status"].startswith("model not adequate: residuals are larger than the noise")
+    assert "search for its parameters: converged" in told["status"]
+
+
+def test_whoever_reads_the_report_of_a_wrong_model_of_the_turning_rotor_is_told(
+    turning_result: CommissioningResult,
+) -> None:
+    from service.report.commissioning import verdict
+    from service.report.rotating import rotating_section
+
+    wrong = of_a_wrong_model(turning_result)
+    assert wrong.rotating is not None
+    assert turning_result.rotating is not None
+    words = "over all speeds the residuals are 7.3 times the noise"
+    assert words in str(rotating_section(wrong.rotating).parts[0])
+    assert "times the noise, so" not in str(rotating_section(turning_result.rotating).parts)
+    (tone, sentence), (_, right) = verdict(wrong), verdict(turning_result)
+    assert sentence.startswith(right)
+    assert words in sentence
+    assert tone != "good"
+
+
 def test_one_speed_has_no_such_section(result: CommissioningResult) -> None:
     assert "rotating" not in result.document()
 

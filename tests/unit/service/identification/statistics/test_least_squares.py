@@ -24,6 +24,12 @@ def test_running_out_of_steps_is_a_status() -> None:
     fit = minimise(rosenbrock, np.array([-1.2, 1.0, 5.0]), np.array([True, True, False]), 3, 1e-12)
     assert not fit.converged
     assert fit.status == "iteration limit reached"
+    (doubt,) = fit.doubt
+    assert "did not end (iteration limit reached)" in doubt
+
+
+def test_of_a_search_that_ended_there_is_no_doubt() -> None:
+    assert minimise(rosenbrock, np.array([1.0, 1.0, 5.0]), np.array([True, True, False]), 200, 1e-12).doubt == ()
 
 
 def test_steps_out_of_range_are_shortened() -> None:
