@@ -75,6 +75,7 @@ class NoisePhases:
                 peak_displacement_m=0.0,
                 peak_current_a=0.0,
                 time_s=self.recorder.rig_seconds,
+                speed_rad_s=found["speed_rad_s"],
             )
             for j, k in enumerate(found["periods"])
         ]

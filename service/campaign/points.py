@@ -39,6 +39,8 @@ class Point:
     """(blocks,) of a multisine, see `service.experiment.data.Sweep`."""
     kurtosis: Real | None = None
     """(n_axes,) of the same."""
+    speed_rad_s: float | None = None
+    """At which the rotor turned when it was measured; None where that is not known."""
 
     @property
     def excitation_a(self) -> complex:
@@ -90,7 +92,15 @@ def sweep(
         time_s=np.array([p.time_s for p in ordered]),
         phase_rad=np.array([p.phase_rad for p in ordered]) if kind == "multisine" else None,
         kurtosis=ordered[0].kurtosis,
+        point_speed_rad_s=_speeds(ordered, speed_rad_s),
     )
+
+
+def _speeds(points: Sequence[Point], speed_rad_s: float) -> Real | None:
+    """(P,) the campaign's where that of a point is not known; None where none is."""
+    if all(p.speed_rad_s is None for p in points):
+        return None
+    return np.array([speed_rad_s if p.speed_rad_s is None else p.speed_rad_s for p in points])
 
 
 def experiment(

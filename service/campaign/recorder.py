@@ -92,6 +92,8 @@ class Recorder:
         Puts an entry in the journal.
     sample_rate_hz, harmonics
         Of the controller.
+    speed
+        At which the rotor turns, rad/s, asked before each measurement; None where that is not known.
     """
 
     def __init__(
@@ -101,8 +103,10 @@ class Recorder:
         append: Callable[[Entry], None],
         sample_rate_hz: float,
         harmonics: tuple[int, ...],
+        speed: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._measure = measure
+        self._speed = speed
         self._append = append
         self._found = list(reversed(found))
         self._rate = sample_rate_hz
@@ -134,15 +138,16 @@ class Recorder:
             peak_displacement_m=entry["peak_displacement_m"],
             peak_current_a=entry["peak_current_a"],
             time_s=entry["time_s"],
+            speed_rad_s=entry.get("speed_rad_s"),
         )
 
     def reduced(self, phase: str, request: Request | PeriodicRequest, reduction: Reduction) -> dict[str, Any] | Trip:
-        """One tone or waveform with its records, of which only ``reduction(records)`` and the peaks are kept."""
+        """One tone or waveform with its records, of which ``reduction(records)``, peaks and speed are kept."""
         entry = self._entry(phase, request, reduction, request.amplitude_a > 0)
         if entry["outcome"] == "trip":
             return Trip(entry["cause"], entry["message"])
         peaks = {k: entry[k] for k in ("peak_displacement_m", "peak_current_a")}
-        return {**entry["reduced"], **peaks}
+        return {**entry["reduced"], **peaks, "speed_rad_s": entry.get("speed_rad_s")}
 
     def _entry(
         self, phase: str, request: Request | PeriodicRequest, reduction: Reduction | None, keep_trip: bool
@@ -163,6 +168,7 @@ class Recorder:
         return entry
 
     def _live(self, request: Request | PeriodicRequest, reduction: Reduction | None) -> Entry:
+        speed = self._speed()
         answer = self._measure(request)
         if isinstance(answer, Trip):
             return {
@@ -176,6 +182,7 @@ class Recorder:
             "peak_displacement_m": float(answer.peak_displacement_m),
             "peak_current_a": float(answer.peak_current_a),
             "time_s": self.rig_seconds + float(answer.rig_seconds),
+            "speed_rad_s": speed,
         }
         if reduction is None:
             tone = cast(Answer, answer)  # a waveform is always reduced

@@ -131,7 +131,14 @@ def run_campaign(
             with _quiet_on_failure(controller):
                 make_ready(controller)
                 measure = Patient(controller, cancelled or (lambda: False))
-                recorder = Recorder(measure, log.found, log.append, capabilities.sample_rate_hz, capabilities.harmonics)
+                recorder = Recorder(
+                    measure,
+                    log.found,
+                    log.append,
+                    capabilities.sample_rate_hz,
+                    capabilities.harmonics,
+                    lambda: _speed_now(controller),
+                )
                 _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
                 extra |= _changed_speed(controller, speed)
         result = assembled()
@@ -155,13 +162,20 @@ def run_campaign(
     return result
 
 
+def _speed_now(controller: Controller) -> float | None:
+    """At which the rotor turns; None where the controller does not answer: what is measured next tells that."""
+    try:
+        return float(controller.status().speed_rad_s)
+    except ControllerError:
+        return None
+
+
 def _changed_speed(controller: Controller, speed_rad_s: float) -> _Extra:
     """What the file says of a rotor that turns otherwise than when the campaign began."""
-    try:
-        now = float(controller.status().speed_rad_s)
-    except ControllerError:  # all is measured; who answers no more does not spoil it
-        return {}
-    return {} if same(speed_rad_s, now) else {SPEED_CHANGED: f"from {speed_rad_s:.4g} to {now:.4g} rad/s"}
+    now = _speed_now(controller)
+    return (
+        {} if now is None or same(speed_rad_s, now) else {SPEED_CHANGED: f"from {speed_rad_s:.4g} to {now:.4g} rad/s"}
+    )
 
 
 @contextmanager

@@ -126,6 +126,7 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     flags = _flags(d, len(frequency))
     block_samples = d.integers("block_samples", len(frequency)) if "block_samples" in datasets else None
     time_s = d.vector("time_s", len(frequency)) if "time_s" in datasets else None
+    speeds = d.vector("point_speed_rad_s", len(frequency)) if "point_speed_rad_s" in datasets else None
     kurtosis = d.vector("kurtosis", n_axes) if "kurtosis" in datasets else None
     shared: dict[str, Any] = {
         "kind": kind,
@@ -138,7 +139,7 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     elif "sample_start" in datasets or "r" in datasets:
         frequency, axis, amplitude, harmonics, values = _records(d, frequency, axis, amplitude, rate, kind)
         if kind == "noise":  # its points are now spectral lines
-            flags, block_samples, time_s = (), None, None
+            flags, block_samples, time_s, speeds = (), None, None, None
     else:
         raise ExperimentFileError(
             f"{where} holds neither records (sample_start, r, u, i, y) nor demodulated blocks (harmonics, R, U, I, Y)"
@@ -151,6 +152,7 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
         flags=flags,
         block_samples=block_samples,
         time_s=time_s,
+        point_speed_rad_s=speeds,
         kurtosis=kurtosis,
         phase_rad=_phases(d, values["R"]) if "phase_rad" in datasets else None,
         **values,

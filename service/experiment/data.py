@@ -50,6 +50,8 @@ class Sweep:
 
     kurtosis: Real | None = None
     """(n_axes,) of such a multisine: E[y^4] / (3 E[y^2]^2), 1 for a Gaussian signal."""
+    point_speed_rad_s: Real | None = None
+    """(P,) at which the rotor turned when each point was measured; None when the file does not tell."""
 
     @property
     def n_points(self) -> int:
@@ -86,6 +88,7 @@ class Sweep:
             time_s=None if self.time_s is None else self.time_s[index],
             phase_rad=None if self.phase_rad is None else self.phase_rad[index],
             kurtosis=self.kurtosis,
+            point_speed_rad_s=None if self.point_speed_rad_s is None else self.point_speed_rad_s[index],
         )
 
 

@@ -189,6 +189,8 @@ def _write_sweep(group: Any, sweep: Sweep) -> None:
         group["block_samples"] = sweep.block_samples
     if sweep.time_s is not None:
         group["time_s"] = sweep.time_s
+    if sweep.point_speed_rad_s is not None:
+        group["point_speed_rad_s"] = sweep.point_speed_rad_s
     if sweep.kurtosis is not None:
         group["kurtosis"] = sweep.kurtosis
     if sweep.phase_rad is not None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from service.experiment.data import Experiment
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
 
 SPEED_APART, SPEED_APART_RAD_S = 0.01, 1.0
 """How far speeds may be apart that count as one: a share of it, and rad/s."""
 SPEED_CHANGED = "speed_changed"
 """Attribute of a file whose rotor turned otherwise when the campaign had ended: from which speed to which."""
+FEW_LINES = 6
+"""Lines at another speed up to which each is told."""
 
 
 def same(one_rad_s: float, other_rad_s: float) -> bool:
@@ -29,7 +33,13 @@ def alike(one_rad_s: float, other_rad_s: float) -> bool:
 
 
 def changed_speed(experiment: Experiment) -> list[str]:
-    """That the rotor's speed changed while the experiment was measured, in a sentence."""
+    """That the rotor's speed changed while the experiment was measured, in a sentence; at which lines, where known."""
+    found = [told for sweep in experiment.sweeps if (told := _elsewhere(sweep))]
+    if found:
+        return [
+            f"the rotor turned at another speed than the sweep's at {'; at '.join(found)}: what goes by the speed, as "
+            "gyroscopic coupling and runout, is wrong by that there; measure at one speed"
+        ]
     how = experiment.attributes.get(SPEED_CHANGED)
     if how is None:
         return []
@@ -37,3 +47,21 @@ def changed_speed(experiment: Experiment) -> list[str]:
         f"the rotor's speed changed {how} while it was measured, and every point is taken for one at the first: what "
         "goes by the speed, as gyroscopic coupling and runout, is wrong by that; measure at one speed"
     ]
+
+
+def _elsewhere(sweep: Sweep) -> str:
+    """Which points of a sweep were measured at another speed than its own, and at which; "" where none was."""
+    if sweep.point_speed_rad_s is None:
+        return ""
+    away = np.array([not same(sweep.speed_rad_s, w) for w in sweep.point_speed_rad_s.tolist()])
+    if not away.any():
+        return ""
+    lines = np.unique(sweep.frequency_hz[away])
+    where = ", ".join(f"{f:.4g}" for f in lines) if len(lines) <= FEW_LINES else f"{lines[0]:.4g} to {lines[-1]:.4g}"
+    slowest, fastest = (f"{f(sweep.point_speed_rad_s[away]):.4g}" for f in (np.min, np.max))
+    speeds = slowest if slowest == fastest else f"{slowest} to {fastest}"
+    name = f" of {sweep.comment}" if sweep.comment else ""
+    return (
+        f"{away.sum()} of {sweep.n_points} points{name} ({where} Hz: {speeds} rad/s in place of "
+        f"{sweep.speed_rad_s:.4g})"
+    )

@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drivers.controller import State, Status
-from drivers.errors import CancelledError, LeaseError
+from drivers.errors import BusError, CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import measure, write_datasheet
 from service.campaign.journal import entries, line
@@ -100,15 +101,63 @@ def test_a_speed_that_differs_by_little_is_the_one_at_which_the_campaign_began(t
     assert {s.speed_rad_s for s in campaign(second, tmp_path, TINY).sweeps} == {314.0}
 
 
-def test_a_rotor_that_changes_speed_under_way_is_told(tmp_path):
-    """As one that runs down: its speed is read as a campaign begins, and no point has one of its own."""
+def test_a_rotor_that_changes_speed_under_way_is_told_with_its_lines(tmp_path):
+    """As one that runs down: every point has the speed at which it was measured."""
     rig = Turning(lambda k: setattr(rig, "speed_rad_s", 314.0 - k))
     experiment = campaign(rig, tmp_path, TINY)
     left = 314.0 - rig.n
     assert experiment.attributes["speed_changed"] == f"from 314 to {left:.4g} rad/s"
     (told,) = changed_speed(experiment)
-    assert f"changed from 314 to {left:.4g} rad/s while it was measured" in told
+    main = experiment.main
+    speeds = main.point_speed_rad_s
+    assert len(np.unique(speeds)) > 8
+    assert speeds.min() < 314.0 - main.n_points < speeds.max()
+    away = np.abs(speeds - 314.0) > 1.0 + 3.14
+    assert f"at {away.sum()} of {main.n_points} points of main (" in told
+    assert f"{speeds[away].min():.4g} to {speeds[away].max():.4g} rad/s in place of 314" in told
+    assert {s.speed_rad_s for s in experiment.sweeps} == {314.0}
     assert [told] == changed_speed(read(tmp_path / "experiment.h5"))
+
+
+def test_a_speed_that_came_back_before_the_end_is_told(tmp_path):
+    """Read as a campaign begins and ends alone it would not be seen."""
+    rig = Turning(lambda k: setattr(rig, "speed_rad_s", 100.0 if k in (40, 41) else 314.0))
+    experiment = campaign(rig, tmp_path, TINY)
+    assert "speed_changed" not in experiment.attributes
+    (told,) = changed_speed(experiment)
+    (sweep,) = [s for s in experiment.sweeps if (s.point_speed_rad_s == 100.0).any()]
+    (line,) = np.unique(sweep.frequency_hz[sweep.point_speed_rad_s == 100.0])[:1]
+    assert f"{line:.4g}" in told
+    assert "100 rad/s in place of 314" in told
+
+
+def test_speeds_are_kept_over_an_interruption(tmp_path):
+    """Those of the points that the first run measured, too, and by ambit recover."""
+    first = Turning(interrupted_at(30, KeyboardInterrupt()))
+    with pytest.raises(CancelledError):
+        campaign(first, tmp_path, TINY)
+    kept = [s.point_speed_rad_s for s in recover(tmp_path).sweeps]
+    assert kept
+    assert all((speeds == 314.0).all() for speeds in kept)
+    second = Turning(lambda k: None)
+    second.speed_rad_s = 315.5
+    speeds = np.concatenate([s.point_speed_rad_s for s in campaign(second, tmp_path, TINY).sweeps])
+    assert set(speeds.tolist()) == {314.0, 315.5}
+
+
+class Mute(Turning):
+    """A controller whose status cannot be read while it is measured."""
+
+    def status(self) -> Status:
+        if self.n:
+            raise BusError("no answer")
+        return super().status()
+
+
+def test_a_status_that_cannot_be_read_spoils_no_measurement(tmp_path):
+    experiment = campaign(Mute(lambda k: None), tmp_path, TINY)
+    assert experiment.main.n_points
+    assert changed_speed(experiment) == []
 
 
 def test_a_campaign_that_is_refused_leaves_the_datasheet_of_the_other_one(tmp_path):

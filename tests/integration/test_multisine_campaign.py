@@ -15,6 +15,7 @@ from service.campaign.run import recover, run_campaign
 from service.experiment.errors import CampaignError
 from service.experiment.file import read
 from service.experiment.multisine import synthesise
+from service.experiment.speeds import changed_speed
 from service.identification.fit import identify
 from sim.reference import reference_datasheet, reference_rig
 from sim.twin import linear_model
@@ -156,6 +157,24 @@ def test_distortion_is_told_apart_from_noise(whole):
     assert all(x is not None and -80 < x < -50 for x in levels["odd"])
     assert all(x is None or x < -75 for x in levels["even"])
     assert all(-80 < x < -50 for x in levels["noise"])
+
+
+class RunsDown(Counted):
+    """A rotor that turns a little slower with every waveform."""
+
+    def status(self):
+        return replace(self.inner.status(), speed_rad_s=100.0 - self.n)
+
+
+def test_a_multisine_has_the_speed_furthest_from_the_campaigns_of_all_that_it_is_made_of(tmp_path):
+    """Its points are of several waveforms, and of one realisation after the other."""
+    experiment = campaign(tmp_path, RunsDown(lambda k: None))
+    main = experiment.main
+    (speed,) = set(main.point_speed_rad_s.tolist())
+    assert 50.0 < speed < 98.0
+    (told,) = changed_speed(experiment)
+    assert f"at {main.n_points} of {main.n_points} points of main (" in told
+    assert f"{speed:.4g} rad/s in place of 100" in told
 
 
 def test_equal_campaigns_are_equal(tmp_path, short):

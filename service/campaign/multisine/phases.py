@@ -74,6 +74,8 @@ class Played:
     peak_current_a: float
     kurtosis: Real
     """(n_axes,) E[y^4] / (3 E[y^2]^2) over all experiments: 1 for Gaussian."""
+    speeds_rad_s: tuple[float, ...] = ()
+    """At which the rotor turned, of those experiments of which that is known."""
 
     def columns(self) -> dict[str, Complex]:
         """(P, L, inputs, n) of every period, each input as if alone."""
@@ -307,6 +309,7 @@ class MultisinePhases:
             max(float(x["peak_current_a"]) for x in found),
             # a log coarser than the motion shows none
             np.divide(fourth, 3 * second**2, out=np.ones_like(fourth), where=second > 0),
+            tuple(x["speed_rad_s"] for x in found if x["speed_rad_s"] is not None),
         )
 
     def _excess(self, multisine: Multisine, found: dict[str, Any]) -> float:
@@ -339,6 +342,9 @@ class MultisinePhases:
             plan.periods_of(name, self.profile),
             plan.settle_samples(self._settling(name), self.limits),
         )
+        # of all that a point is made of, the speed that is furthest from the campaign's
+        speeds = [w for p in played for w in p.speeds_rad_s]
+        speed = max(speeds, key=lambda w: abs(w - self.speed_rad_s), default=None)
         points = []
         for k, line in enumerate(lines.excited):
             for axis in range(self.limits.n_axes):
@@ -361,6 +367,7 @@ class MultisinePhases:
                         phase_rad=late[:, k, axis]
                         + np.repeat([np.angle(p.multisine.spectrum[k, axis]) for p in played], periods),
                         kurtosis=np.mean([p.kurtosis for p in played], axis=0),
+                        speed_rad_s=speed,
                     )
                 )
         return points

@@ -144,6 +144,7 @@ def _both(one: Sweep, other: Sweep, blocks: int) -> Sweep:
         flags=flags if any(flags) else (),
         block_samples=per_point("block_samples"),
         time_s=per_point("time_s"),
+        point_speed_rad_s=per_point("point_speed_rad_s"),
     )
 
 

@@ -28,7 +28,8 @@ def test_what_is_written_is_read_back(tmp_path, experiment):
     again = read(tmp_path / "e.h5")
     assert (again.rig, again.axes, again.attributes) == (experiment.rig, experiment.axes, experiment.attributes)
     for old, new in zip(experiment.sweeps, again.sweeps, strict=True):
-        for name in ("frequency_hz", "axis", "amplitude_a", "R", "U", "I", "Y", "block_samples", "time_s"):
+        per_point = ("frequency_hz", "axis", "amplitude_a", "block_samples", "time_s", "point_speed_rad_s")
+        for name in (*per_point, "R", "U", "I", "Y"):
             np.testing.assert_array_equal(getattr(new, name), getattr(old, name), err_msg=name)
         assert (new.kind, new.comment, new.flags, new.harmonics) == (old.kind, old.comment, old.flags, old.harmonics)
 
