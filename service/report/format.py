@@ -131,11 +131,19 @@ def moment(iso: str) -> str:
 def span(values: list[float], digits: int = 4) -> str:
     """Smallest to largest of some values.
 
-    >>> span([186.0, 181.0]), span([2.0])
-    ('181 to 186', '2')
+    Both with as many decimals as the one that needs more: 1.680 and 1.879 are known alike.
+
+    >>> span([186.0, 181.0]), span([2.0]), span([1.879, 1.68])
+    ('181 to 186', '2', '1.680 to 1.879')
     """
-    low, high = number(min(values), digits), number(max(values), digits)
-    return low if low == high else f"{low} to {high}"
+    ends = min(values), max(values)
+    told = [number(v, digits) for v in ends]
+    if told[0] == told[1]:
+        return told[0]
+    if not any("e" in t for t in told):
+        decimals = max(len(t.partition(".")[2]) for t in told)
+        told = [fixed(v, decimals) for v in ends]
+    return " to ".join(told)
 
 
 def count(n: int, noun: str) -> str:

@@ -192,7 +192,8 @@ async function schedule(found, context) {
   const runs = await Promise.all(found.map((s) => get("/schedules/" + s.id + "/runs?limit=30", context.signal)));
   const rows = found.map((s, k) => {
     const missed = runs[k].items.filter((r) => r.state === "missed");
-    const last = missed.length ? h("span", {}, state("missed"), " " + missed.length + ", last ", when(missed[0].due_at)) : "none of the last " + runs[k].items.length;
+    const none = runs[k].items.length ? "none of the last " + runs[k].items.length : "no run yet";
+    const last = missed.length ? h("span", {}, state("missed"), " " + missed.length + ", last ", when(missed[0].due_at)) : none;
     return [s.cron + " " + s.timezone, s.enabled ? when(s.next_at) : "off", last, s.webhook ? s.webhook.url : ""];
   });
   return [table(["schedule", "next", "missed", "webhook"], rows)];

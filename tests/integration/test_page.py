@@ -116,6 +116,12 @@ def ids(service: Serving) -> dict[str, str]:
             created_at=now(), updated_at=now(), created_by="local",
         )  # fmt: skip
         session.add(schedule)
+        session.add(
+            ScheduleRow(
+                id=new_id("sch"), rig_id=second.id, cron="0 7 * * *", options={}, enabled=True, next_at=now(),
+                created_at=now(), updated_at=now(), created_by="local",
+            )
+        )  # fmt: skip
         session.flush()
         missed = ScheduleRunRow(schedule_id=schedule.id, due_at=now(), state="missed", detail="", recorded_at=now())
         session.add(missed)
@@ -227,6 +233,7 @@ def test_one_check_is_told_in_figures_as_it_is_no_trend(service, ids):
         page.until("document.querySelectorAll('#changes table').length === 2")
         text = page.text()
         assert "1 check ·" in text
+        assert "no run yet" in text
         assert "x.kiA" in text
         assert page.run("document.querySelectorAll('#trend').length") == 0
         assert page.complaints == []
