@@ -107,8 +107,8 @@ def _show(document: dict[str, Any]) -> None:
     if document["axes"]:
         console.print(_margins(document["axes"]))
     if turning is not None and turning["axes"]:
-        fastest = max(turning["speeds_rad_s"], key=abs)
-        console.print(f"at speed, the worst from standstill to {fastest:.4g} rad/s")
+        slowest, fastest = (turning["speeds_rad_s"][k] for k in (0, -1))
+        console.print(f"at speed, the worst from {slowest:.4g} to {fastest:.4g} rad/s")
         console.print(_margins(turning["axes"]))
     if document["axes"]:
         console.print("gain, phase and delay: of one axis' loop, the others closed", style="dim")

@@ -162,9 +162,8 @@ def trend(
         sigma = "" if s.significance is None else f"{s.significance:+z.1f}"
         table.add_row(name, last, slope, sigma, "steady" if s.drifting else "")
     stdout().print(table)
-    stdout().print(
-        f"steady: beyond chance, of which {rule.per_year:g} a year are accepted over all figures", style="dim"
-    )
+    told = f"steady: beyond chance, but for {rule.per_year:g} false alarms a year over all figures"
+    stdout().print(told, style="dim")
 
 
 @app.command()

@@ -80,7 +80,11 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     """The sentence that says the result, and how good the news are."""
     tone, text = _of_the_planes(result)
     turned = result.rotating
-    if turned is None or turned.uncertainty.adequate:
+    if turned is None:
+        return tone, text
+    if turned.uncertainty.adequate:
+        if result.speed_rad_s and not all(p.adequate for p in result.planes.values()):
+            text += " The model of the turning rotor has what the planes lack, and describes every speed to the noise."
         return tone, text
     return "warn" if tone == "good" else tone, (
         f"{text} The turning rotor does not behave as its model: over all speeds the residuals are "

@@ -396,6 +396,19 @@ def test_whoever_reads_the_report_of_a_wrong_model_of_the_turning_rotor_is_told(
     assert tone != "good"
 
 
+def test_planes_without_gyroscopic_coupling_are_not_the_last_word_on_a_turning_rotor(
+    turning_result: CommissioningResult,
+) -> None:
+    """Measured at speed alone, the planes' models lack something that the turning rotor's has."""
+    from service.report.commissioning import verdict
+
+    planes = {k: replace(p, adequate=False, residual_rms_total=4.3) for k, p in turning_result.planes.items()}
+    told = "The model of the turning rotor has what the planes lack"
+    assert told in verdict(replace(turning_result, planes=planes, speed_rad_s=314.0))[1]
+    assert told not in verdict(replace(turning_result, planes=planes))[1]
+    assert told not in verdict(turning_result)[1]
+
+
 def test_one_speed_has_no_such_section(result: CommissioningResult) -> None:
     assert "rotating" not in result.document()
 
