@@ -36,7 +36,7 @@ def check_controller(
     import numpy as np
 
     from service.checkup import read_baseline
-    from service.identification.controller_check import check_controller as checked
+    from service.identification.controller.check import check_controller as checked
     from service.identification.loop.margins import zone_table
     from service.identification.result.saved import saved_planes, saved_rotor
     from service.output import json_text, write_text

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from service.api.options import checked_options
 from service.api.problems import UnprocessableError
+from service.api.resources.options import checked_options
 from service.cli import run
 from service.experiment import file
 from service.health.tones import short_plan

@@ -9,7 +9,7 @@ import pytest
 from service.experiment.data import Experiment
 from service.exports.linear import of_result
 from service.health.compare import Baseline, compare
-from service.identification.controller_check import check_controller
+from service.identification.controller.check import check_controller
 from service.identification.fit import identify
 from service.identification.loop.closed_loop import closed_loop_poles, sampled
 from service.identification.loop.margins import computed_response

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
-from service.identification.controller_check import ControllerCheck, check_controller
-from service.identification.drawn import drawn
+from service.identification.controller.check import ControllerCheck, check_controller
 from service.identification.fit import identify
 from service.identification.priors.beyond import BEYOND_ROWS
 from service.identification.priors.split import Split, log_ratios
@@ -23,6 +22,7 @@ from service.identification.rotating.motion import TurningPoints
 from service.identification.rotating.points import speed_points
 from service.identification.rotating.turned import Turned
 from service.identification.rotating.whirl import loop_matrix, whirl
+from service.identification.statistics.drawn import drawn
 from sim.datasheet import Datasheet
 from sim.loop import Loop
 from sim.rig import Rig

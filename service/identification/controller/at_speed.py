@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from service.identification.arrays import Complex, Real
-from service.identification.drawn import DRAWS, Interval, drawn, interval
 from service.identification.loop.closed_loop import block_diagonal, slowest_decay
 from service.identification.loop.loop_margins import loop_margins
 from service.identification.loop.margins import loop_grid, zone
@@ -21,6 +20,7 @@ from service.identification.plane.zoh import aliases, discrete_response
 from service.identification.result.saved import SavedRotor
 from service.identification.rotating.model import RotatingModel
 from service.identification.rotating.whirl import loop_matrix
+from service.identification.statistics.drawn import DRAWS, Interval, drawn, interval
 
 AXES = ("xA", "xB", "yA", "yB")
 RINGS = 0.1

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from service.health import compare
-from service.identification.controller_check import check_controller
-from service.identification.drawn import interval
+from service.identification.controller.check import check_controller
 from service.identification.loop import closed_loop
 from service.identification.loop.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
 from service.identification.loop.margins import computed_response, zone_table
 from service.identification.measured.points import plane_points
 from service.identification.result import assemble
 from service.identification.result.saved import saved_planes
+from service.identification.statistics.drawn import interval
 from sim.errors import AmbError, LevitationError
 from sim.reference import reference_rig
 from sim.stepping import Simulation

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from service.identification.arrays import Real
-from service.identification.check_at_speed import AtSpeed, AxisAtSpeed, at_speed, unstable_words
-from service.identification.drawn import DRAWS, Interval, drawn, interval
+from service.identification.controller.at_speed import AtSpeed, AxisAtSpeed, at_speed, unstable_words
 from service.identification.loop.closed_loop import closed_loop_poles, slowest_decay
 from service.identification.loop.loop_margins import loop_margins
 from service.identification.loop.margins import loop_grid, sensitivity, sensitivity_peaks, zone
 from service.identification.plane.model import PlaneModel
 from service.identification.result.saved import AT_STANDSTILL, SPEEDLESS, SavedPlane, SavedRotor
+from service.identification.statistics.drawn import DRAWS, Interval, drawn, interval
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import AmbError
 
