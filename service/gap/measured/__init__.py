@@ -1,1 +1,1 @@
-"""What was measured, made ready to be weighed: sweeps as observations, with the noise that a model must leave."""
+"""Sweeps prepared for fitting: `Observation`s of mean amplitudes and the standard deviations of their residuals."""

@@ -1,10 +1,10 @@
-"""Blocks that begin where the one before ended: what their ends leave cancels in the mean.
+"""Variance of a mean over consecutive blocks whose end effects cancel.
 
-The controller's law holds sample by sample, so its residual in a block is only what its states at the block's end and
-beginning leave; of a plant the slow states leave most at low frequencies, where a stiff loop lets noise move them. From
-one block to the next these cancel: the mean over B blocks holds the first and the last only, and its variance is that
-of a block over B squared, not over B. Noise of a sensor or of the log does not, nor do blocks that do not follow one
-another; so it is read from how neighbouring blocks go together.
+Y = G U holds for a block except for a term of the states at its two ends (transient leakage). It is all that a
+controller leaves, whose law holds sample by sample; of a plant it matters at low frequencies, where noise moves its
+slow states. A block begins where the one before ended, so these terms telescope: the mean over B blocks holds only the
+first and the last, and its variance is that of one block over B squared, not over B. Sensor noise does not cancel, nor
+do blocks that are not consecutive. The share of each is estimated from the correlation of neighbouring blocks.
 """
 
 from __future__ import annotations
@@ -19,24 +19,26 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 ENOUGH_BLOCKS = 4
-"""Blocks from which neighbours can be told from others."""
+"""Fewest blocks for an estimate of the correlation of neighbours."""
 CHANCE_DEVIATIONS = 2.0
-"""Standard deviations of what independent blocks show by chance, below which ends are taken to cancel."""
+"""Standard deviations of the estimate by which the ratio must be below one for a cancellation to be believed."""
 NEIGHBOURS = 12
-"""Points on either side, by frequency, whose blocks are looked at together: a point alone has too few."""
+"""Points on either side, by frequency, over which correlations are pooled: one point has too few blocks."""
 
 
-def share(deviations: Complex, variance: Real, frequency_hz: Real, by: Estimate | None = None) -> Real:
-    """Variance of the mean over that of as many independent blocks, between what cancelling ends leave and 1, (P,).
+def mean_variance_ratio(deviations: Complex, variance: Real, frequency_hz: Real, by: Estimate | None = None) -> Real:
+    """Variance of a point's mean over that of the mean of independent blocks, (P,): 1 / B where all cancels, 1 else.
+
+    Only neighbouring blocks are taken to be correlated.
 
     Parameters
     ----------
     deviations
-        Of blocks from their mean, (P, B, n), or what else ``by`` leaves of them; neighbours alone go together.
+        Of blocks from their mean, or from another estimate ``by``, (P, B, n).
     variance
-        Of each, (P, n), from its neighbours too: from a point's own blocks alone it goes with what is asked.
+        Of a block, (P, n), pooled over neighbouring points: that of a point's own blocks is correlated with the ratio.
     frequency_hz
-        Of each point, (P,): how much of the scatter ends leave is a matter of frequency.
+        Of each point, (P,): the share of the end effects varies with frequency.
     """
     blocks = deviations.shape[1]
     if blocks < ENOUGH_BLOCKS:
@@ -44,23 +46,29 @@ def share(deviations: Complex, variance: Real, frequency_hz: Real, by: Estimate 
     by = by or plain_mean(len(deviations), blocks)
     e = deviations / np.sqrt(np.maximum(variance, 1e-300))[:, None]
     order = np.argsort(frequency_hz, kind="stable")
-    # what the estimate leaves of a variance of one, and of a covariance of neighbours of one
-    beside = np.eye(blocks, k=1) + np.eye(blocks, k=-1)
-    made = [by.left @ covariance @ by.left.conj().swapaxes(1, 2) for covariance in (np.eye(blocks), beside)]
-    expected = np.array([[np.trace(m, lag, 1, 2).real for m in made] for lag in (0, 1)])  # (2, 2, P)
-    pooled = np.concatenate([expected, np.array([_lagged(e, lag) for lag in (0, 1)])[:, None]], axis=1)[..., order]
-    smooth = np.empty_like(pooled)
-    smooth[..., order] = uniform_filter1d(pooled, 2 * NEIGHBOURS + 1, axis=-1)
-    seen = np.moveaxis(smooth, -1, 0)  # (P, 2, 3)
-    alone, together = np.linalg.solve(seen[..., :2], seen[..., 2:])[..., 0].T
+    # Sums of products of deviations at lags 0 and 1 that a unit variance of blocks makes, and a unit covariance of
+    # neighbours; solving for both from the sums seen is unbiased, although the deviations have lost the mean.
+    neighbour_covariance = np.eye(blocks, k=1) + np.eye(blocks, k=-1)
+    of_deviations = [
+        by.residual_map @ covariance @ by.residual_map.conj().swapaxes(1, 2)
+        for covariance in (np.eye(blocks), neighbour_covariance)
+    ]
+    expected = np.array([[np.trace(m, lag, 1, 2).real for m in of_deviations] for lag in (0, 1)])  # (2, 2, P)
+    seen = np.array([_lagged_sum(e, lag) for lag in (0, 1)])[:, None]  # (2, 1, P)
+    sums = np.concatenate([expected, seen], axis=1)[..., order]
+    pooled = np.empty_like(sums)
+    pooled[..., order] = uniform_filter1d(sums, 2 * NEIGHBOURS + 1, axis=-1)
+    systems = np.moveaxis(pooled, -1, 0)  # (P, 2, 3)
+    block_variance, covariance = np.linalg.solve(systems[..., :2], systems[..., 2:])[..., 0].T
     w = by.weights
-    neighbours = (w[:, 1:].conj() * w[:, :-1]).real.sum(axis=1) / (np.abs(w) ** 2).sum(axis=1)
-    of_mean = 1 + 2 * neighbours * together / np.where(alone > 0, alone, np.inf)
-    # cut off at one, an estimate that scatters would be below one in the mean of blocks that go together nowhere
+    neighbour_weight = (w[:, 1:].conj() * w[:, :-1]).real.sum(axis=1) / (np.abs(w) ** 2).sum(axis=1)
+    ratio = 1 + 2 * neighbour_weight * covariance / np.where(block_variance > 0, block_variance, np.inf)
+    # Only what is clearly below one counts: clipped at one alone, an estimate that scatters would be biased low.
     pairs = min(2 * NEIGHBOURS + 1, len(e)) * e.shape[2] * (blocks - 1)
-    scatter = 2 * np.abs(neighbours) / np.sqrt(2 * pairs)
-    return np.asarray(np.where(of_mean < 1 - CHANCE_DEVIATIONS * scatter, np.maximum(of_mean, 1 / blocks), 1.0))
+    deviation = 2 * np.abs(neighbour_weight) / np.sqrt(2 * pairs)
+    return np.asarray(np.where(ratio < 1 - CHANCE_DEVIATIONS * deviation, np.maximum(ratio, 1 / blocks), 1.0))
 
 
-def _lagged(e: Complex, lag: int) -> Real:
+def _lagged_sum(e: Complex, lag: int) -> Real:
+    """Sum over blocks and channels of e_b conj(e_(b + lag)), real part, (P,)."""
     return np.asarray(np.sum((e[:, : e.shape[1] - lag] * e[:, lag:].conj()).real, axis=(1, 2)))

@@ -1,4 +1,4 @@
-"""At which amplitude and speed a sweep was measured, held against another one."""
+"""Whether two sweeps were measured at different amplitudes or speeds."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from service.gap.measured.observation import Observation
 Real = NDArray[np.float64]
 
 ANOTHER_AMPLITUDE = 1.2
-"""Ratio of amplitudes from which a sweep is at another one: the cubic terms of the magnets' force, which grow with its
-square, then change by 44 %; below, by less than what two laws of one effect differ (`UNEXPLAINED`)."""
+"""Ratio of amplitudes from which they count as different: the relative size of cubic terms of the magnets' force, which
+goes with the square, then differs by 44 %; below, by less than two programs' laws of one effect."""
 ANOTHER_SPEED = 0.01
-"""The same, relative, of speeds: a rig's speed is held to better than that."""
+"""Relative difference of speeds from which they count as different: a rig holds its speed better than that."""
 
 
 def conditions_of(main: Observation, other: Observation) -> tuple[bool, bool]:
     """Whether two sweeps differ in amplitude, and whether in speed."""
     ratios = []
     for axis in np.unique(other.axis):
-        (hz, points), (at, points_there) = lines_of(main, int(axis)), lines_of(other, int(axis))
-        if len(hz) > 1:
-            own, there = _drive(main)[points, axis], _drive(other)[points_there, axis]
-            ratios.append(np.log(there) - np.interp(np.log(at), np.log(hz), np.log(own)))
+        (main_hz, main_points), (other_hz, other_points) = lines_of(main, int(axis)), lines_of(other, int(axis))
+        if len(main_hz) > 1:
+            in_main, in_other = _excitation(main)[main_points, axis], _excitation(other)[other_points, axis]
+            ratios.append(np.log(in_other) - np.interp(np.log(other_hz), np.log(main_hz), np.log(in_main)))
     amplitude = bool(ratios) and bool(abs(np.median(np.concatenate(ratios))) > np.log(ANOTHER_AMPLITUDE))
     fastest = max(abs(main.speed_rad_s), abs(other.speed_rad_s))
     return amplitude, abs(main.speed_rad_s - other.speed_rad_s) > ANOTHER_SPEED * fastest
 
 
-def _drive(o: Observation) -> Real:
-    """Amplitude of the excitation, (P, n), A; no less than rounding."""
+def _excitation(o: Observation) -> Real:
+    """Amplitude of r, (P, n), A; not quite zero, as its logarithm is taken."""
     return np.asarray(np.maximum(np.abs(o.R[:, o.fundamental]), 1e-300))
 
 
 def same_condition(main: Observation, other: Observation) -> str | None:
-    """What to say of an unseen sweep that is no other condition."""
+    """The note on two sweeps at the same amplitude and speed; None where they differ."""
     if any(conditions_of(main, other)):
         return None
     return (

@@ -1,4 +1,4 @@
-"""How a point's response is estimated from its blocks, and what that leaves of them as scatter."""
+"""Linear estimates of a point's response from its blocks, with the deviations that they leave."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ class Estimate:
     """A linear estimate of each of P points' responses from B blocks."""
 
     weights: Complex
-    """(P, B) of the blocks in the response"""
-    left: Complex
-    """(P, B, B) blocks -> their deviations, scaled so that the mean square over B - 1 is a block's variance"""
-    free: Real
-    """(P,) complex dimensions that the deviations have"""
+    """(P, B) weight of each block in the response"""
+    residual_map: Complex
+    """(P, B, B) blocks -> deviations from the estimate, scaled so that their sum of squares over B - 1 is a block's
+    variance"""
+    dof: Real
+    """(P,) complex degrees of freedom of the deviations"""
 
     def select(self, points: NDArray[np.int64]) -> Estimate:
-        """Of some points alone."""
-        return Estimate(self.weights[points], self.left[points], self.free[points])
+        """The estimate of some of the points."""
+        return Estimate(self.weights[points], self.residual_map[points], self.dof[points])
 
     @property
     def spread(self) -> Real:
@@ -33,10 +34,10 @@ class Estimate:
 
 
 def plain_mean(points: int, blocks: int) -> Estimate:
-    """The mean over a point's blocks, which leaves their deviations from it."""
-    weights, left = np.full(blocks, 1 / blocks, dtype=complex), np.eye(blocks) - 1 / blocks + 0j
+    """The mean over a point's blocks."""
+    weights, residual_map = np.full(blocks, 1 / blocks, dtype=complex), np.eye(blocks) - 1 / blocks + 0j
     return Estimate(
         np.broadcast_to(weights, (points, blocks)),
-        np.broadcast_to(left, (points, blocks, blocks)),
+        np.broadcast_to(residual_map, (points, blocks, blocks)),
         np.full(points, blocks - 1.0),
     )

@@ -1,8 +1,8 @@
-"""A multisine's lines, which excite the rotor together: what the magnets' nonlinearity puts at each of them.
+"""The magnets' nonlinearity under a multisine, whose lines excite the rotor together.
 
-Its phases are known, so that the currents and displacements of every experiment can be written as functions of time,
-the force taken of them, and what that has at each line separated again as the signals were. The displacement is where
-the rotor was seen to be, as in `sim.harmonic_balance`, so that a force does not feed on itself.
+The phases of the lines are known, so currents and displacements are written as functions of time, the force is computed
+from them, and its components at the lines are separated again as those of the signals were. The displacement used is
+the measured one, as in `sim.harmonic_balance`, so no iteration is needed.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ Complex = NDArray[np.complex128]
 
 
 class PhasesError(AmbError):
-    """A multisine whose file does not tell what is needed to know it as a function of time."""
+    """A multisine whose file lacks what is needed to write it as a function of time."""
 
 
 @dataclass(frozen=True)
 class Together:
-    """All points of a sweep, P, of n axes: also those that an observation leaves out have moved the rotor."""
+    """All P points of a multisine with n axes, also those that an observation leaves out: they moved the rotor."""
 
     lines: ManyLines
-    """with each realisation of the phases once: B of them"""
+    """with each of the B distinct realisations of the phases once"""
     times: Real
-    """(B,) share of the blocks that had each"""
+    """(B,) share of the blocks that had each realisation"""
     frequency_hz: Real
     """(F,) distinct"""
     line: NDArray[np.int64]
@@ -49,12 +49,12 @@ class Together:
 
     @staticmethod
     def of(sweep: Sweep) -> Together | None:
-        """Of a multisine; None for tones.
+        """All points of a multisine; None for a stepped sine.
 
         Raises
         ------
         PhasesError
-            The file does not tell its phases, or the length of its period.
+            The file has no phases, or no length of the period.
         """
         if sweep.kind != "multisine":
             return None
@@ -75,9 +75,9 @@ class Together:
         )
 
     def force(self, rig: Rig) -> Complex:
-        """Fundamental of the bearing force beyond the linear one, N, (P, n).
+        """Bearing force at the excited lines beyond the linear one, N, (P, n).
 
-        Of the current as it was measured, where it was: no error of an amplifier or of the log is in it.
+        It is computed from the measured current where there is one, so that errors of amplifiers do not enter.
         """
         model = linear_model(replace(rig, logging_offset_samples=0.0), self.frequency_hz)
         if self.I is None:
@@ -103,9 +103,9 @@ class Together:
         return x.reshape(-1, *x.shape[2:]).swapaxes(1, 2)
 
     def displacement(self, rig: Rig, frequency_hz: Real, axis: NDArray[np.int64]) -> Complex:
-        """What that force adds to the sensors' signals at some of the points, (P',) each, m, (P', n)."""
+        """What `force` adds to the sensors' signals, m, (P', n), at points of frequencies and axes (P',) each."""
         line = np.searchsorted(self.frequency_hz, frequency_hz)
-        of = np.full((len(self.frequency_hz), self.U.shape[1]), -1)
-        of[self.line, self.lines.axis] = np.arange(len(self.line))
+        point_of = np.full((len(self.frequency_hz), self.U.shape[1]), -1)
+        point_of[self.line, self.lines.axis] = np.arange(len(self.line))
         y_per_force = linear_model(rig, self.frequency_hz).y_per_force[line]
-        return np.asarray((y_per_force @ self.force(rig)[of[line, axis], :, None])[..., 0])
+        return np.asarray((y_per_force @ self.force(rig)[point_of[line, axis], :, None])[..., 0])

@@ -1,8 +1,8 @@
-"""A sweep made ready for fitting: mean amplitudes, and the standard deviation of what a model leaves of them.
+"""A sweep prepared for fitting: mean amplitudes, and the standard deviations of a right model's residuals.
 
-The control signal is computed by the controller and so known exactly; noise sits in i and y. What a model must
-explain is e = X - model(U), and the scatter of exactly that quantity over the blocks is its noise: the part of
-the noise that feedback carries round cancels.
+The control signal is computed by the controller and so known exactly; noise is in i and y. A model is fitted to e = X -
+model(U), so the noise that counts is the scatter of e over the blocks: what the feedback loop makes of the noise is in
+X and in U alike, and cancels. Errors that do not scatter (the model's own, leakage, drift, hum) are added to it.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MODEL_FLOOR = 3e-4
-"""Relative error below which no twin is trusted: integrators, hold details and rounding of two programs for the
-same rig differ by this much near 1 kHz (measured on rigs of an independent program)."""
+"""Relative error of a twin that counts as noise: integrators, hold details and rounding of two programs for the same
+rig differ by this much near 1 kHz (measured on rigs of an independent program)."""
 
 
 CONTROLLER_FLOOR = 3e-5
@@ -40,30 +40,30 @@ which a datasheet writes its coefficients count."""
 
 
 UNSETTLED_SHARE = 0.25
-"""Share of a point's drift, first block to last, that is counted as its error: a block of a signal that still
-decays obeys Y = G U only up to what the state changes from end to end (0.17 of the drift measured near a mode)."""
+"""Share of a point's drift, first block to last, that is added to its error: a block of a signal that still decays
+obeys Y = G U only up to the change of the state from end to end (0.17 of the drift measured near a mode)."""
 
 
 DRIFT_P_VALUE = 1e-4
 """Probability by chance below which a channel's trend from block to block counts as a drift."""
 
 
-ENDS = 2.0
-"""What a drift over a point's k periods leaves of a law without a resonance, the controller's or an amplifier's, times
-pi k (0.7 to 1.7 times the drift on rigs of an independent program, at any harmonic of the controller's)."""
+LEAKAGE_OF_DRIFT = 2.0
+"""Residual of a law without a resonance (controller, amplifier) at a point that drifts, over drift / (pi k) of k
+periods (0.7 to 1.7 on rigs of an independent program, at any harmonic of the controller's)."""
 
 
 SMALLEST_SHARE = 1e-6
 """Smallest standard deviation, as a share of the largest amplitude of a signal: finer than any converter."""
 RINGING = 0.04
-"""Relative distance to a flexible mode within which it still rings in the blocks, from the last change of frequency or
-from noise: there blocks are not independent, so their mean is no better than one, and no harmonic is judged."""
+"""Relative distance to a flexible mode within which it rings in the blocks, from the last change of frequency or from
+noise. Blocks are not independent there, so their mean counts as one block, and other harmonics are not judged."""
 HARMONIC_ERROR = 0.1
-"""Relative error of a harmonic below which no law is trusted: two laws of one effect differ by this much."""
+"""Relative error of a predicted harmonic that counts as noise: two programs' laws of one effect differ by this much."""
 
 
 HUMMED = 0.35
-"""Relative distance to an interference within which it is counted as a point's own error."""
+"""Relative distance to an interference within which it adds to a point's error, where blocks have no known length."""
 
 
 class GapError(AmbError):
@@ -72,32 +72,38 @@ class GapError(AmbError):
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """One sweep. P points, H harmonics, n axes; standard deviations are of the complex mean, E|e|^2 = sd^2."""
+    """One sweep as it is fitted: P points, H harmonics, n axes.
+
+    R, U, I and Y are mean complex amplitudes over the blocks, (P, H, n), A and m. Standard deviations are those of the
+    complex residual, E|e|^2 = sd^2.
+    """
 
     frequency_hz: Real
     """(F,) distinct"""
     line: NDArray[np.int64]
     """(P,) index into ``frequency_hz``"""
     axis: NDArray[np.int64]
-    """(P,)"""
+    """(P,) index of the excited axis"""
     harmonics: tuple[int, ...]
     R: Complex
     U: Complex
     I: Complex | None
     Y: Complex
     sd_u: Real
-    """(P, H, n)"""
+    """(P, H, n) of u - (r - C y), A"""
     sd_i: Real
+    """(P, H, n) of i - A u, A"""
     sd_y: Real
+    """(P, H, n) of y - P A u, m"""
     progress: Real
-    """(P,) when each was measured, 0 to 1 over the sweeps looked at"""
+    """(P,) when each was measured, 0 to 1 over the sweeps of the diagnosis"""
     drifting: NDArray[np.bool_]
     """(P,) which points had not settled"""
     drift: Real
     """(P,) change along the trend of a point's blocks, relative to its size"""
     speed_rad_s: float
     together: Together | None = None
-    """Of a multisine, whose lines excite the rotor at once; None for one tone after the other."""
+    """All lines of a multisine, which excite the rotor at once; None of a stepped sine."""
 
     @property
     def points_hz(self) -> Real:
@@ -115,7 +121,7 @@ class Observation:
         return self.harmonics.index(1)
 
     def select(self, lines: NDArray[np.bool_]) -> Observation:
-        """Some of the lines, (F,), each with the noise that all of them together told of."""
+        """Some of the lines, (F,); their standard deviations stay those estimated from all lines."""
         at = lines[self.line]
         per_point = {f.name: getattr(self, f.name) for f in fields(self)}
         per_point.pop("frequency_hz")
@@ -149,34 +155,35 @@ def observe(
     span_s: tuple[float, float] | None = None,
     together: Together | None = None,
 ) -> Observation:
-    """Prepare a sweep.
+    """The observation of a sweep.
 
     Parameters
     ----------
     rig
-        Any reasonable twin: it only serves to take the feedback out of the block scatter.
+        Any reasonable twin: it serves to take the feedback of noise out of the block scatter.
     progress
         Of the first point and of the last, which are taken to be measured in order and at even intervals...
     span_s
         ... unless this gives the times, s, of progress 0 and 1, and the sweep those of its points.
     hums_hz
-        Frequencies of interference, the loudest first; it leaves something in the mean over a point's blocks.
+        Frequencies of interference, the loudest first. The loudest is taken off the blocks where they are long enough;
+        what hums leave in the means is added to the standard deviations.
     together
         All lines of the multisine that the sweep is part of.
     """
     sweep = usable(sweep)
     frequency, line = time_points(sweep.frequency_hz)
     U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
-    heard, by = sweep, None
+    with_hum, by = sweep, None
     if hums_hz and sweep.block_samples is not None and blocks > PATTERNS:
         by = beside_hum(sweep, hums_hz[0])
         sweep = without_hum(sweep, hums_hz[0])
         U, Y = sweep.U, sweep.Y
-    leaks = None
-    if hums_hz and heard.block_samples is not None:
-        leaks = slow_leaks(heard, heard.U, hums_hz), slow_leaks(heard, heard.Y, hums_hz)
+    hum_leaks = None
+    if hums_hz and with_hum.block_samples is not None:
+        hum_leaks = slow_leaks(with_hum, with_hum.U, hums_hz), slow_leaks(with_hum, with_hum.Y, hums_hz)
     sds = tuple(np.sqrt(v) for v in mean_scatter(sweep, rig, by))
-    sd_u, sd_i, sd_y = _with_hum(sds, heard, rig, hums_hz) if hums_hz else sds
+    sd_u, sd_i, sd_y = _with_hum(sds, with_hum, rig, hums_hz) if hums_hz else sds
     f = sweep.harmonics.index(1)
     mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
     mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
@@ -185,21 +192,21 @@ def observe(
     sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
     drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _trend(U[:, :, f])
     sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
-    sd_u = np.hypot(sd_u, _of_ends(sweep, drift_u)[:, None, None])
+    sd_u = np.hypot(sd_u, _drift_leakage(sweep, drift_u)[:, None, None])
     if sweep.I is not None:  # at the excited frequency an amplifier answers to a slow change as to a steady tone
         elsewhere = np.arange(len(sweep.harmonics)) != f
         drift_i = _trend(sweep.I[:, :, f])
-        sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _of_ends(sweep, drift_i)[:, None, None])
+        sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _drift_leakage(sweep, drift_i)[:, None, None])
     rings = ringing(rig, sweep)
     sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
     rings[:, f] = False
     sd_y[rings] = np.inf
     if 0 in sweep.harmonics:
         k = sweep.harmonics.index(0)
-        sd_u, sd_i, sd_y = _with_leak((sd_u, sd_i, sd_y), sweep, rig, k)
+        sd_u, sd_i, sd_y = _with_transient_leakage((sd_u, sd_i, sd_y), sweep, rig, k)
         means = (mean_u, mean_u if mean_i is None else mean_i, mean_y)
         sd_y[:, k] = np.hypot(sd_y[:, k], wander(rig, means, sd_y[:, k], k, f, sweep))
-    restless, change = drifting(sweep, leaks)
+    unsettled, change = drifting(sweep, hum_leaks)
     return Observation(
         frequency_hz=frequency,
         line=line,
@@ -213,7 +220,7 @@ def observe(
         sd_i=sd_i,
         sd_y=sd_y,
         progress=_progress(sweep, progress, span_s),
-        drifting=restless,
+        drifting=unsettled,
         drift=change,
         speed_rad_s=sweep.speed_rad_s,
         together=together,
@@ -222,23 +229,24 @@ def observe(
 
 def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...], floor: float = MODEL_FLOOR) -> Real:
     """Standard deviation with the model's own error, relative to the size of each channel and harmonic."""
-    relative = np.where(np.array(harmonics) > 1, HARMONIC_ERROR, 0.0)  # a mean holds the static position too
+    relative = np.where(np.array(harmonics) > 1, HARMONIC_ERROR, 0.0)  # harmonic 0 holds the static position too
     relative[harmonics.index(1)] = floor
     smallest = SMALLEST_SHARE * np.abs(mean).max()  # a coarse converter may not scatter at all
     return np.asarray(np.maximum(np.hypot(sd, relative[:, None] * np.abs(mean)), smallest))
 
 
 def _progress(sweep: Sweep, even: tuple[float, float], span_s: tuple[float, float] | None) -> Real:
+    """Progress of each point, (P,): by its time where that is known, else evenly spaced."""
     if span_s is None or sweep.time_s is None:
         return np.linspace(*even, sweep.n_points)
     return np.asarray((sweep.time_s - span_s[0]) / (span_s[1] - span_s[0]))
 
 
 def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[float]) -> tuple[Real, ...]:
-    """Standard deviations of u, i and y with what hums leave in the means of both ends of each part of the loop."""
-    if sweep.block_samples is None:  # as if the blocks were one
-        one = np.where(near_hum(sweep, hums_hz)[..., None], np.sqrt(sweep.Y.shape[1]), 1.0)
-        return tuple(sd * one for sd in sds)
+    """Standard deviations of u, i and y with what hums leave in input and output of each part of the loop."""
+    if sweep.block_samples is None:  # unknown leakage: near a hum the mean counts as one block
+        factor = np.where(near_hum(sweep, hums_hz)[..., None], np.sqrt(sweep.Y.shape[1]), 1.0)
+        return tuple(sd * factor for sd in sds)
     u, i, y = (left_in_mean(sweep, X, hums_hz) for X in (sweep.U, sweep.U if sweep.I is None else sweep.I, sweep.Y))
     of_u, of_i, of_y = (sd.copy() for sd in sds)
     frequency, line = time_points(sweep.frequency_hz)
@@ -246,6 +254,7 @@ def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[f
         model = linear_model(rig, np.maximum(h * frequency, 1e-2))
 
         def through(G: Complex, x: Real, k: int = k) -> Real:
+            """Rms amplitude of independent inputs x behind a response G, (P, n)."""
             return np.asarray(np.sqrt(np.einsum("pij,pj->pi", np.abs(G[line]) ** 2, x[:, k] ** 2)))
 
         C = model.controller[:, None, None] * np.eye(rig.n_axes)
@@ -255,8 +264,8 @@ def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[f
     return of_u, of_i, of_y
 
 
-def _with_leak(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, at_rest: int) -> tuple[Real, ...]:
-    """Standard deviations of u, i and y with what the slow rest of a start leaks; ``at_rest``: index of harmonic 0."""
+def _with_transient_leakage(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, at_rest: int) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with what slow transients leak; ``at_rest`` is the index of harmonic 0."""
     of_u, of_i, of_y = (sd.copy() for sd in sds)
     frequency, line = time_points(sweep.frequency_hz)
     U, Y = sweep.U[:, :, at_rest], sweep.Y[:, :, at_rest]
@@ -280,28 +289,28 @@ def near_hum(sweep: Sweep, hums_hz: Sequence[float], width: float = HUMMED) -> N
 
 
 def ringing(rig: Rig, sweep: Sweep) -> NDArray[np.bool_]:
-    """Harmonics that fall on a flexible mode, (P, H)."""
+    """Harmonics of points within `RINGING` of a flexible mode, (P, H)."""
     modes = np.array([mode.natural_frequency_rad_s for plane in rig.rotor.modes for mode in plane]) / (2 * np.pi)
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     return np.asarray(np.any(np.abs(at[..., None] - modes) < RINGING * modes, axis=-1))
 
 
-def _of_ends(sweep: Sweep, drift: Real) -> Real:
-    """What a law without a resonance leaves of a signal that drifts so much over the blocks of a point, (P,)."""
-    return np.asarray(drift * ENDS / (np.pi * periods(sweep) * sweep.Y.shape[1]))
+def _drift_leakage(sweep: Sweep, drift: Real) -> Real:
+    """Residual of a law without a resonance for a signal that drifts so much over the blocks of a point, (P,)."""
+    return np.asarray(drift * LEAKAGE_OF_DRIFT / (np.pi * periods(sweep) * sweep.Y.shape[1]))
 
 
 def _drift(Y: Complex, sd: Real, blocks: int) -> Real:
-    """Change of each point from its first block to its last beyond what noise allows, (P,), m."""
+    """Change of each point from its first block to its last beyond four standard deviations of noise, (P,), m."""
     change = np.abs(Y[:, -1] - Y[:, 0])
     return np.asarray(np.maximum(change - 4 * sd * np.sqrt(2 * blocks), 0.0).max(axis=1))
 
 
 def _trend(X: Complex) -> Real:
-    """Change of each point along the trend of its blocks, where noise has none like it, (P,), A.
+    """Significant change of each point along the trend of its blocks, (P,), A; 0 where noise may make it.
 
-    Held against the blocks' own scatter: the loop brings sensors' noise into u and i, and what the controller or an
-    amplifier leaves of them has hardly any.
+    It is compared with the blocks' own scatter, not with sd_u or sd_i: feedback brings sensor noise into u and i, of
+    which the residuals of controller and amplifiers have hardly any.
     """
     probability, change = trend(X)
     return np.asarray(np.where(probability < DRIFT_P_VALUE, change, 0.0).max(axis=1))

@@ -1,4 +1,4 @@
-"""The sweep that a diagnosis fits beside the one that it checks on, made ready for both."""
+"""The two sweeps of a diagnosis: the main one, which is fitted, and the other one, which checks."""
 
 from __future__ import annotations
 
@@ -19,23 +19,25 @@ from sim.rig import Rig
 
 @dataclass(frozen=True)
 class Pair:
-    """The sweep to fit and the one to check on, with what makes them so."""
+    """The sweep to fit (main) and the one to check on (other)."""
 
     main_name: str
     main: Sweep
     name: str
+    """of ``other``"""
     other: Sweep
     lines_only: bool
+    """whether both are halves of one sweep's lines"""
     together: tuple[Together | None, Together | None]
-    """of multisines, what their lines do to each other"""
+    """all lines of each, of multisines"""
 
     @classmethod
     def of(
         cls, main_name: str, main: Sweep, others: Sequence[tuple[str, Sweep]], rig: Rig
     ) -> tuple[Pair, tuple[str, ...]]:
-        """The main sweep beside the best of the others, or its own lines in two; and what is not used, in words.
+        """The main sweep and the best check among the others, or two halves of its own lines; notes on what is unused.
 
-        ``others`` are by name; ``rig`` is the twin that is to be fitted.
+        ``others`` are (name, sweep); ``rig`` is the twin that is to be fitted.
         """
         main = timed(main)
         if not others:
@@ -56,33 +58,34 @@ class Pair:
         return cls(main_name, main, name, other, False, together_each), tuple(notes)
 
     def about_rest(self) -> Pair:
-        """Both without what the magnets carry."""
+        """Both sweeps without their static load: currents and displacements about the resting point."""
         return replace(self, main=about_rest(self.main), other=about_rest(self.other))
 
     def without_erratic(self, axes: Sequence[str]) -> tuple[Pair, tuple[str, ...], Erratic | None]:
-        """Both without their erratic points, what is said of these, and where the rig itself is erratic."""
-        main, lost, of_main = _without_erratic(usable(self.main), self.main_name, axes)
-        other, lost_there, of_other = _without_erratic(usable(self.other), self.name, axes)
+        """Both sweeps without their erratic points, notes on these, and where several axes are erratic at once."""
+        main, main_words, of_main = _without_erratic(usable(self.main), self.main_name, axes)
+        other, other_words, of_other = _without_erratic(usable(self.other), self.name, axes)
         notes = tuple(
-            f"{words}; {'this line is' if several else 'that is'} left out" for words, several in (*lost, *lost_there)
+            f"{words}; {'this line is' if several else 'that is'} left out"
+            for words, several in (*main_words, *other_words)
         )
-        rig = next(
+        of_rig = next(
             (
                 Erratic(words, points, max(steepest(main), steepest(other)))
-                for told, points in ((lost, of_main), (lost_there, of_other))
-                for words, several in told
+                for described, points in ((main_words, of_main), (other_words, of_other))
+                for words, several in described
                 if several
             ),
             None,
         )
-        return replace(self, main=main, other=other), notes, rig
+        return replace(self, main=main, other=other), notes, of_rig
 
     def observations(
         self, rig: Rig, hums_hz: Sequence[Sequence[float]], span: tuple[float, float] | None
     ) -> tuple[Observation, Observation]:
-        """Both as a diagnosis fits them; ``hums_hz`` are of each, as of `observe`.
+        """Observations of both; ``hums_hz`` and ``span`` as in `observe`, hums of each sweep.
 
-        A file that does not date its points has them in their order, the other sweep after the main one.
+        Points without times count as measured in their order, the other sweep after the main one.
         """
         during, after = ((0.0, 1.0), (0.0, 1.0)) if self.lines_only else ((0.0, 0.8), (0.8, 1.0))
         o = observe(thinned(usable(self.main)), rig, during, hums_hz[0], span, self.together[0])
@@ -90,8 +93,11 @@ class Pair:
 
 
 def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]], Sweep]:
-    """A sweep without its erratic points, what is said of them, and the points; where it is the rig, whole lines."""
-    out = erratic(sweep)
-    hz, axes_of = np.unique(sweep.frequency_hz[out], return_counts=True)
-    lines = np.isin(sweep.frequency_hz, hz[axes_of >= FEWEST_AXES])
-    return sweep.select(~(out | lines)), erratic_in_words(sweep, out, axes, name), sweep.select(out & lines)
+    """A sweep without its erratic points, sentences on them, and those on lines where several axes are erratic.
+
+    Such a line is left out as a whole.
+    """
+    bad = erratic(sweep)
+    hz, axes_of = np.unique(sweep.frequency_hz[bad], return_counts=True)
+    on_bad_line = np.isin(sweep.frequency_hz, hz[axes_of >= FEWEST_AXES])
+    return sweep.select(~(bad | on_bad_line)), erratic_in_words(sweep, bad, axes, name), sweep.select(bad & on_bad_line)

@@ -1,7 +1,7 @@
-"""Did the rig settle: blocks of a point that follow a trend, against their own scatter about it.
+"""Whether the rig had settled: an F test of a linear trend along the blocks of a point.
 
-A transient that is still there decays from block to block, so a point's blocks lie along a trend; noise has none. The
-scatter about the trend is the yardstick, for scatter about the mean holds the transient itself and grows with it.
+A transient that still decays makes a trend from block to block; noise has none. The trend is compared with the scatter
+about it, as the scatter about the mean holds the transient itself.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ Real = NDArray[np.float64]
 FALSE_DRIFT_PROBABILITY = 0.01
 """Probability that a settled point counts as drifting."""
 ENOUGH_BLOCKS = 3
-"""Blocks from which the scatter about a trend can be told."""
+"""Fewest blocks from which the scatter about a trend can be estimated."""
 TOLD_DRIFTING_SHARE = 0.3
-"""Share of drifting points that is told. On 72 campaigns of three programs that let their rigs settle it was at most
-0.15, `FALSE_DRIFT_PROBABILITY` and what rings near sharp modes."""
+"""Share of drifting points from which a note says so. On 72 campaigns of three programs that let their rigs settle it
+was at most 0.15: `FALSE_DRIFT_PROBABILITY`, and points near sharp modes."""
 HALF_A_TURN = 2.5
-"""Change along a trend that a hum of amplitude one makes at most, which is two while it turns by half, and what its
-amplitude is off by."""
+"""Largest change along a trend that a hum of unit amplitude makes: two while it turns by half, with a margin for the
+error of its amplitude."""
 UNSETTLED = 0.5
-"""Share from which nothing is named: where most points are wrong no fit holds, however robust (breakdown point)."""
+"""Share of drifting points from which no effect is named: where most points are wrong no fit holds, however robust
+(breakdown point)."""
 
 
 def about_trend(X: Complex) -> tuple[Complex, Complex, Real]:
-    """What blocks, (P, B, n), are off a trend along them; its slope, (P, n), per unit of the way; that way, (B,)."""
+    """Linear regression along the blocks (P, B, n): residuals (P, B, n), slopes (P, n), and the unit regressor (B,)."""
     along = np.linspace(-1.0, 1.0, X.shape[1])
     along /= np.linalg.norm(along)
     slope = np.einsum("b,pbn->pn", along, X)
@@ -38,12 +39,12 @@ def about_trend(X: Complex) -> tuple[Complex, Complex, Real]:
 
 
 def trend(X: Complex) -> tuple[Real, Real]:
-    """Probability, (P, n), that the blocks of a settled point lie along such a trend, and the change along it.
+    """p-value of the trend of each point's blocks, (P, n), and the size of the change along it, (P, n).
 
     Parameters
     ----------
     X
-        One harmonic, (P, B, n). With fewer than `ENOUGH_BLOCKS` blocks nothing can be told: the probability is one.
+        One harmonic, (P, B, n). With fewer than `ENOUGH_BLOCKS` blocks the p-value is one.
     """
     blocks = X.shape[1]
     if blocks < ENOUGH_BLOCKS:
@@ -60,9 +61,9 @@ def trend(X: Complex) -> tuple[Real, Real]:
 def drifting(sweep: Sweep, leaks: tuple[Real, Real] | None = None) -> tuple[NDArray[np.bool_], Real]:
     """Which points had not settled, (P,), and the change of each from first block to last relative to its size, (P,).
 
-    Judged by u and y of the excited axis at the excited frequency; blocks that are not in sequence tell of no trend.
-    ``leaks`` are the amplitudes that hums which turn too slowly to be told from a trend have in a block of u and of y,
-    (P, H, n): what such a one can make is no sign of a rig that did not settle.
+    Judged by u and y of the excited axis at the excited frequency. Blocks that are not consecutive have no trend.
+    ``leaks`` are the amplitudes in u and y, (P, H, n), of hums that turn too slowly to be distinguished from a trend: a
+    change that they could make does not count.
     """
     f, points = sweep.harmonics.index(1), np.arange(sweep.n_points)
     found, change = np.zeros(sweep.n_points, dtype=bool), np.zeros(sweep.n_points)

@@ -1,4 +1,4 @@
-"""The sweeps of an experiment that a diagnosis uses: the one to fit, the one that no fit sees, what they lack."""
+"""Which sweeps of an experiment a diagnosis uses, and notes on what they lack."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from sim.rig import Rig
 from sim.wording import in_words
 
 ELSEWHERE = ("amplifier", "preliminary")
-"""Comments of sweeps that are not of the plant, or not exact enough."""
+"""Comments of sweeps that are not used: they are not of the plant, or not exact enough."""
 
 SAME_RATE = 0.01
 """Relative difference of two sample rates below which they are the same."""
 
 COPY_SHARE = 1e-9
-"""Share of a signal that its blocks differ by where they are copies of one another, rounding apart."""
+"""Largest difference of blocks, relative to the signal, at which they are copies of one another (rounding)."""
 
 
 def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
-    """The sweep to fit and those that may be the one that no fit sees, with their names: excited ones of the plant."""
+    """Excited sweeps of the plant with their names: the one to fit first, then those that may check it."""
     plant = [(k, s) for k, s in enumerate(experiment.sweeps) if s.kind != "noise" and s.comment not in ELSEWHERE]
-    tones = [(k, s) for k, s in plant if s.kind == "stepped-sine"]  # shows more effects than a multisine does
+    tones = [(k, s) for k, s in plant if s.kind == "stepped-sine"]  # they show more effects than a multisine
     excited = tones or plant
     if not excited:
         raise GapError("the experiment has no stepped-sine or multisine sweep of the plant; run one, then diagnose")
@@ -37,24 +37,24 @@ def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
 
 
 def best_check(main: Sweep, others: Sequence[tuple[str, Sweep]], rig: Rig) -> tuple[tuple[str, Sweep], list[str]]:
-    """The sweep to check on, the first at another condition if there is one, and the names of those left over."""
+    """The sweep to check on, the first at another amplitude or speed if there is one, and the names of the others."""
     chosen = others[0]
     if len(others) > 1:
-        here = observe(usable(main), rig)
-        apart = (one for one in others if any(conditions_of(here, observe(usable(one[1]), rig))))
-        chosen = next(apart, chosen)
+        o = observe(usable(main), rig)
+        at_other_condition = (one for one in others if any(conditions_of(o, observe(usable(one[1]), rig))))
+        chosen = next(at_other_condition, chosen)
     return chosen, [name for name, _ in others if name != chosen[0]]
 
 
 def timed(sweep: Sweep) -> Sweep:
-    """The sweep with the length of its blocks, told by its lines where the file does not tell it and they do."""
-    if sweep.block_samples is not None or (told := block_samples(sweep)) is None:
+    """The sweep with the length of its blocks, inferred from its frequencies where the file lacks it and they allow."""
+    if sweep.block_samples is not None or (inferred := block_samples(sweep)) is None:
         return sweep
-    return replace(sweep, block_samples=told.astype(np.int64))
+    return replace(sweep, block_samples=inferred.astype(np.int64))
 
 
 def span_s(*sweeps: Sweep) -> tuple[float, float] | None:
-    """When the first point of all was measured and when the last, s; None where the file does not tell."""
+    """Times of the first and of the last point of all sweeps, s; None where the file lacks them."""
     times = [s.time_s for s in sweeps if s.time_s is not None and np.isfinite(s.time_s).all() and s.n_points]
     if len(times) < len(sweeps):
         return None
@@ -65,27 +65,27 @@ def span_s(*sweeps: Sweep) -> tuple[float, float] | None:
 def halves(
     other: Observation, name: str, fitted_hz: float | None = None
 ) -> tuple[Observation, Observation, str] | None:
-    """The other sweep in two: every other line to fit, with the one at ``fitted_hz`` or else the first; unseen ones.
+    """The other sweep split line by line into a half to fit and an unseen half, and the name of the latter.
 
-    None where it has one line alone.
+    The line nearest to ``fitted_hz``, or else the first one, is in the half to fit. None where there is one line alone.
     """
     if len(other.frequency_hz) < 2:
         return None
     first = 0 if fitted_hz is None else int(np.argmin(np.abs(other.frequency_hz - fitted_hz)))
     fitted = (np.arange(len(other.frequency_hz)) - first) % 2 == 0
-    seen, unseen = other.select(fitted), other.select(~fitted)
-    return seen, unseen, name + ", every other line"
+    to_fit, unseen = other.select(fitted), other.select(~fitted)
+    return to_fit, unseen, name + ", every other line"
 
 
 def unseen_across(datasheet: Datasheet, turning: bool) -> list[str]:
-    """Effects that couple x and y, which two axes cannot show."""
+    """Ids of effects that couple x and y, which data of two axes cannot show."""
     if datasheet.n_axes > 2:
         return []
     return [e.id for e in CATALOGUE.values() if e.needs_axes > 2 and (turning or not e.needs_speed)]
 
 
 def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
-    """What the data or the datasheet lack, in words; ``checked``: there is another sweep."""
+    """Notes on what the data or the datasheet lack; ``checked``: there is another sweep."""
     notes = []
     if not checked:
         notes.append(
@@ -112,10 +112,10 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
 
 
 def other_rate(sweep: Sweep, datasheet: Datasheet) -> str | None:
-    """That the log's sample rate is not the controller's of the datasheet, in words; None where they agree.
+    """A note where the log's sample rate is not that of the datasheet's controller; None where they agree.
 
-    A log may be thinned out on purpose, so it is no error; but a datasheet with a wrong sample time has another
-    controller, and that is what a diagnosis would find.
+    A log may be decimated on purpose, so it is no error; but a datasheet with a wrong sample time describes another
+    controller, and a diagnosis would find a gap there.
     """
     logged, stated = sweep.sample_rate_hz, 1 / datasheet.sample_time_s
     if abs(logged / stated - 1) < SAME_RATE:

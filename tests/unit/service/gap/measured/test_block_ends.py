@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.gap.measured.block_ends import share
+from service.gap.measured.block_ends import mean_variance_ratio
 
 SIZE = np.exp(np.random.default_rng(2).standard_normal((300, 1, 2)))
 """Of each channel's scatter."""
@@ -11,7 +11,7 @@ SIZE = np.exp(np.random.default_rng(2).standard_normal((300, 1, 2)))
 
 def seen(blocks: np.ndarray) -> np.ndarray:
     """The share of each point, of blocks whose scatter is known."""
-    return share(blocks - blocks.mean(axis=1, keepdims=True), SIZE[:, 0] ** 2, np.arange(len(blocks)))
+    return mean_variance_ratio(blocks - blocks.mean(axis=1, keepdims=True), SIZE[:, 0] ** 2, np.arange(len(blocks)))
 
 
 def white(blocks: int) -> np.ndarray:

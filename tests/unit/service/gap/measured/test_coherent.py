@@ -103,7 +103,7 @@ def test_beside_it_the_scatter_foretells_how_far_off_responses_are(hum_hz: float
     """What is left of the blocks goes together from one to the next as noise does not: no ends cancel in that."""
     loud, _ = played(1e-6, hum_hz, seed=4)
     by = beside_hum(loud, hum_hz)
-    told = by.free < BLOCKS - 1
+    told = by.dof < BLOCKS - 1
     assert told.mean() > 0.5
     _, _, of_y = mean_scatter(without_hum(loud, hum_hz), reference_rig(), by)
     true = 2 * NOISE_M**2 * (np.abs(by.weights) ** 2).sum(axis=1)
