@@ -1,1 +1,1 @@
-"""One explanation of one part of the loop, fitted: what is uncertain, the prediction, the fit, its evidence."""
+"""Fit of one explanation to one part of the loop: unknowns, prediction, objective, fit, evidence."""

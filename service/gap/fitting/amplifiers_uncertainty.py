@@ -1,4 +1,4 @@
-"""What the fit of the amplifiers leaves uncertain, for the plant, which is held against u through them."""
+"""The posterior of the amplifiers' fit as a prior of the plant's, whose model from u to y contains them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from service.gap.fitting.unknowns import slow_to_compute
 
 
 def inherited_from(ground: Ground, candidate: Candidate) -> Inherited:
-    """Datasheet's values and effect parameters of a fitted part, normal about what was found.
+    """Normal posterior of a fitted part's values: the datasheet's and those of its effects.
 
-    What the part's own law leaves beyond the noise widens them. Effects that are slow to compute stay as fitted.
+    It is widened by the residuals beyond noise. Effects that are slow to compute stay as fitted.
     """
     unknowns, fit = Problem.of(ground, candidate.fit).unknowns, candidate.fit
     widened = max(1.0, fit.chi_square / fit.n_residuals)

@@ -1,4 +1,4 @@
-"""Explanations fitted beside the datasheet's uncertain values: each from its starts, all of them side by side."""
+"""Explanations fitted beside the datasheet's uncertain values, each from several starts, in parallel."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
 Real = NDArray[np.float64]
-One = TypeVar("One")
-Other = TypeVar("Other")
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
 
 
-KEPT_BEGINNINGS = 2
-"""Beginnings that go on after each rough stage of a fit."""
+KEPT_STARTS = 2
+"""Best vectors that are kept after each rough stage of a fit."""
 LAW_ERROR = 0.01
 """Relative error of a parameter that no data remove: two programs' laws of one effect agree no better (loop delays of
 an independent program are found 0.25 us short)."""
@@ -41,10 +41,11 @@ class Candidate:
     effects: tuple[str, ...]
     fit: Fit
     occam: float
-    """log of the share of the prior that the data leave"""
+    """log Occam factor: posterior over prior volume of the parameters"""
     standard_deviations: tuple[dict[str, float], ...]
+    """of each effect's parameters, by name"""
     given: frozenset[tuple[str, str]] = frozenset()
-    """(effect, parameter) that no fit has found: what the others are stated over"""
+    """(effect, parameter) that was not fitted but stated, as the time over which a drift is stated"""
 
 
 @dataclass(frozen=True)
@@ -58,54 +59,57 @@ class Task:
     theta: Real
     """(k,) deviations to start from"""
     stages: tuple[Stage, ...] = (COARSE, MIDDLE, EXACT)
-    held: Candidate | None = None
+    frozen: Candidate | None = None
     """An explanation whose nonlinear effects stay as fitted: their force hardly depends on what is fitted beside
     them, and is costly to compute."""
-    occam_alone: float = 0.0
-    """Occam factor of the plain twin, which both parts of such a sum hold."""
-    plain: frozenset[tuple[str, str]] = frozenset()
-    """(effect, parameter) that stay where their law is the plainest."""
+    occam_of_plain: float = 0.0
+    """Log Occam factor of the plain twin, which is in that of ``frozen`` and in that of the new fit: it counts once."""
+    nulled: frozenset[tuple[str, str]] = frozenset()
+    """(effect, parameter) that are not fitted but held at their null, where the law is the simplest."""
 
 
 def fit_task(task: Task) -> Candidate:
     """Fit one explanation from each of its starts, and keep the best."""
-    if task.held is None:
-        return _fitted(task)
-    held = task.held
-    fixed = {name: v for name, v in zip(held.effects, held.fit.values, strict=True) if slow_to_compute(name)}
+    return _fit_all(task) if task.frozen is None else _fit_beside(task, task.frozen)
+
+
+def _fit_beside(task: Task, frozen: Candidate) -> Candidate:
+    """Fit an explanation's effects but for the nonlinear ones of ``frozen``, which stay as they are."""
+    fixed = {name: v for name, v in zip(frozen.effects, frozen.fit.values, strict=True) if slow_to_compute(name)}
     rest = [k for k, name in enumerate(task.effects) if name not in fixed]
     free = replace(
         task,
         ground=replace(task.ground, found=(*task.ground.found, *fixed.items())),
         effects=tuple(task.effects[k] for k in rest),
         starts=tuple(tuple(start[k] for k in rest) for start in task.starts),
-        held=None,
+        frozen=None,
     )
-    c = _fitted(free)
+    c = _fit_all(free)
     values = {**fixed, **dict(zip(c.effects, c.fit.values, strict=True))}
-    spread = {
-        **dict(zip(held.effects, held.standard_deviations, strict=True)),
+    deviations = {
+        **dict(zip(frozen.effects, frozen.standard_deviations, strict=True)),
         **dict(zip(c.effects, c.standard_deviations, strict=True)),
     }
-    ends = {end: which for end, which in held.fit.ends.items() if end[0] in fixed} | dict(c.fit.ends)
+    ends = {end: which for end, which in frozen.fit.ends.items() if end[0] in fixed} | dict(c.fit.ends)
     fit = replace(c.fit, effects=task.effects, values=tuple(dict(values[name]) for name in task.effects), ends=ends)
-    occam_factor = c.occam + held.occam - task.occam_alone
-    return Candidate(task.effects, fit, occam_factor, tuple(spread[name] for name in task.effects))
+    occam_factor = c.occam + frozen.occam - task.occam_of_plain
+    return Candidate(task.effects, fit, occam_factor, tuple(deviations[name] for name in task.effects))
 
 
-def _fitted(task: Task) -> Candidate:
+def _fit_all(task: Task) -> Candidate:
+    """Fit all effects of an explanation: rough stages sort its starts, the last stage goes on from the best ones."""
     dormant = frozenset.intersection(*(asleep(task.effects, values) for values in task.starts))
     if len({o.speed_rad_s for o in task.ground.observations}) > 1:
         dormant -= BY_SPEED
-    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.plain | dormant)
+    problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)
     unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
-    begun = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
-    straight = _straight(problem, begun) if problem.model.nonlinear and rough and len(begun) > 1 else []
+    vectors = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
+    skipping = _best_start(problem, vectors) if problem.model.nonlinear and rough and len(vectors) > 1 else []
     for stage in rough:
-        begun = _best_of(problem, begun, stage)
-    begun += straight
+        vectors = _best_after(problem, vectors, stage)
+    vectors += skipping
     best: Fit | None = None
-    for x in begun:
+    for x in vectors:
         try:
             fit = problem.run(x, task.stages[-1])
         except (AmbError, np.linalg.LinAlgError):
@@ -117,33 +121,33 @@ def _fitted(task: Task) -> Candidate:
     return Candidate(task.effects, best, occam(unknowns, best), _deviations(unknowns, best))
 
 
-def _best_of(problem: Problem, begun: Sequence[Real], stage: Stage) -> list[Real]:
-    """Where a rough stage leads from each beginning, the best ones."""
-    led: list[tuple[float, Real]] = []
-    for x in begun:
-        with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to a rig that cannot be; another may not
+def _best_after(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list[Real]:
+    """The best ends of a rough stage that is run from each vector."""
+    ends: list[tuple[float, Real]] = []
+    for x in vectors:
+        with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to an impossible rig; another may not
             fit = problem.run(x, stage)
-            led.append((fit.cost, problem.unknowns.vector(fit)))
-    return [x for _, x in sorted(led, key=lambda one: one[0])[:KEPT_BEGINNINGS]]
+            ends.append((fit.cost, problem.unknowns.vector(fit)))
+    return [x for _, x in sorted(ends, key=lambda end: end[0])[:KEPT_STARTS]]
 
 
-def _straight(problem: Problem, begun: Sequence[Real]) -> list[Real]:
-    """The beginning that leaves least once the datasheet's values have followed it; none where none is possible.
+def _best_start(problem: Problem, vectors: Sequence[Real]) -> list[Real]:
+    """The start of least cost once the datasheet's values are fitted to it; none where none is possible.
 
-    Rough stages see little of a force that bends little, and may end where it does nothing.
+    It skips the rough stages: their floor hides a weakly nonlinear force, and they may end where it has no effect.
     """
-    led: list[tuple[float, Real]] = []
-    for x in begun:
+    ends: list[tuple[float, Real]] = []
+    for x in vectors:
         with suppress(AmbError, np.linalg.LinAlgError):
-            led.append(problem.settled(x))
-    return [x for _, x in sorted(led, key=lambda one: one[0])[:1]]
+            ends.append(problem.settled(x))
+    return [x for _, x in sorted(ends, key=lambda end: end[0])[:1]]
 
 
 def _deviations(unknowns: Unknowns, fit: Fit) -> tuple[dict[str, float], ...]:
-    """Standard deviation of each effect parameter: the data's, widened where more than noise is left, and the law's.
+    """Standard deviation of each effect parameter: the data's, widened by residuals beyond noise, and the law's error.
 
-    A strength that is fitted by its logarithm counts in its own unit here: near nothing its logarithm moves nothing,
-    and would seem to leave no room for another parameter that trades against it.
+    A strength that is fitted by its logarithm is linearised in its own unit here: near zero its logarithm moves
+    nothing, and would seem to leave no freedom to another parameter that trades against it.
     """
     k, own = unknowns.n_nuisance, unknowns.own
     at = slice(k, k + len(own))
@@ -151,7 +155,7 @@ def _deviations(unknowns: Unknowns, fit: Fit) -> tuple[dict[str, float], ...]:
     logarithmic = np.array([p.scale == "log" for _, p in own], dtype=bool)
     strength = np.array([p.strength for _, p in own], dtype=bool)
     ranges = np.array([p.high - p.low for _, p in own], dtype=float)
-    unit = np.where(logarithmic & strength, value, 1.0)  # of the fit's, in the parameter's own or its logarithm's
+    unit = np.where(logarithmic & strength, value, 1.0)  # of the fit's vector, in the unit of the deviation
     width = np.where(logarithmic & strength, ranges, (unknowns.high - unknowns.low)[: len(own)])
     prior, per = unknowns.prior.copy(), np.ones(len(unknowns.prior))
     prior[at, at], per[at] = np.diag(12.0 / np.maximum(width, 1e-12) ** 2), 1.0 / unit
@@ -166,12 +170,12 @@ def _deviations(unknowns: Unknowns, fit: Fit) -> tuple[dict[str, float], ...]:
 
 
 class Fitter:
-    """Runs fits, on several processes where ``jobs`` says so; ``fitted`` is called after each."""
+    """Runs fits, on ``jobs`` processes; ``fitted`` is called after each."""
 
     def __init__(self, jobs: int = 1, fitted: Callable[[], None] = lambda: None) -> None:
         self._fitted = fitted
         self.lost: set[tuple[str, ...]] = set()
-        """explanations that no start led to a rig for"""
+        """explanations that could not be fitted: every start led to an impossible rig"""
         self._pool: Workers | None = None
         if jobs > 1:
             processes.load()
@@ -187,13 +191,13 @@ class Fitter:
             self._pool.__exit__(kind, error, trace)
 
     def run(self, tasks: Iterable[Task]) -> list[Candidate]:
-        """Fit all; a candidate that no start leads to a rig for is left out, and named in `lost`."""
+        """Fit all; what cannot be fitted is left out, and added to `lost`."""
         return [c for c in self.each(tasks) if c is not None]
 
     def each(self, tasks: Iterable[Task]) -> list[Candidate | None]:
-        """The same with a None in the place of what is lost."""
+        """The same, task by task, with None for what cannot be fitted."""
         tasks = list(tasks)
-        # the longest first, so that none is waited for alone
+        # the longest first, so that no process waits for a last long one
         order = sorted(range(len(tasks)), key=lambda k: -_labour(tasks[k]))
         mapped = self._mapped([tasks[k] for k in order])
         found: dict[int, Candidate | None] = {}
@@ -203,24 +207,24 @@ class Fitter:
         self.lost |= {t.effects for k, t in enumerate(tasks) if found[k] is None}
         return [found[k] for k in range(len(tasks))]
 
-    def over(self, function: Callable[[One], Other], ones: Iterable[One]) -> Iterator[Other]:
-        """A pure function of each, on the same processes, which begin at once; without them as it is asked for."""
-        return iter(self._pool.map(function, ones)) if self._pool else map(function, ones)
+    def over(self, function: Callable[[Argument], Result], arguments: Iterable[Argument]) -> Iterator[Result]:
+        """Results of a pure function on the same processes, which begin at once; with one process, lazily."""
+        return iter(self._pool.map(function, arguments)) if self._pool else map(function, arguments)
 
     def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:
-        # Fits of the controller take no longer than the way to another process.
+        # Fits of the controller take no longer than sending them to another process.
         if self._pool and any(t.ground.part.path != "controller" for t in tasks):
-            return iter(self._pool.map(_quietly, tasks))
-        return map(_quietly, tasks)
+            return iter(self._pool.map(_fitted_or_none, tasks))
+        return map(_fitted_or_none, tasks)
 
 
 def _labour(task: Task) -> int:
-    """What a fit costs, roughly."""
+    """Rough relative duration of a fit."""
     return len(task.starts) * (5 if any(map(slow_to_compute, task.effects)) else 1)
 
 
-def _quietly(task: Task) -> Candidate | None:
+def _fitted_or_none(task: Task) -> Candidate | None:
     try:
         return fit_task(task)
-    except (AmbError, np.linalg.LinAlgError):  # one fit that fails is told as not weighed
+    except (AmbError, np.linalg.LinAlgError):  # the report lists it as not weighed
         return None

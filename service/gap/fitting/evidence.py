@@ -1,9 +1,9 @@
-"""Evidence of fitted twins, and probabilities from it.
+"""Laplace evidence of fitted twins, and probabilities from it.
 
-Laplace's approximation weighs fit, tolerances and freedom (MacKay, Information Theory, 2003, chapter 28). What a
-fit leaves beyond the noise is judged as an error of unknown size with a limited number of independent values,
-which gives a Student-t likelihood: two laws of the same effect differ by far more than noise, so the ratio of
-what they leave tells them apart, not the difference.
+Log evidence = log likelihood - penalty / 2 + log Occam factor (MacKay, Information Theory, 2003, chapter 28). Residuals
+beyond noise are an error of the law, of unknown size and with a limited number of independent values, which gives a
+Student-t likelihood: laws of the same effect differ by far more than noise, so the ratio of two chi-squares counts, not
+their difference.
 """
 
 from __future__ import annotations
@@ -22,17 +22,15 @@ Real = NDArray[np.float64]
 TEMPERATURE = 1.5
 """Log evidence is divided by this before it becomes a probability: the widths of priors are judgements, a rig's own law
 of an effect differs from the catalogue's, and effects that hardly show are common. Calibrated on the blind trial, where
-at 2 a verdict promised less than came true; rigs of an independent program, with other laws, come true somewhat less
-often than is said. `benchmarks/gap.py` prints the error of both."""
+at 2 verdicts were underconfident; on rigs of an independent program, with other laws, they are somewhat overconfident.
+`benchmarks/gap.py` prints the error of both."""
 MODEL_ERRORS = 40.0
-"""Independent values in what a twin leaves: residuals of neighbouring lines and channels go together."""
+"""Effective number of independent values in a law's error: residuals of neighbouring lines and channels are
+correlated."""
 
 
 def prior_precision(unknowns: Unknowns) -> Real:
-    """Inverse covariance of what is known before the fit, (a + e, a + e).
-
-    A parameter of an effect that the data say nothing of keeps its prior, a uniform one between its bounds.
-    """
+    """Prior precision of the unknowns, (a + e, a + e), with the variance of a uniform prior for effects' parameters."""
     k, own = unknowns.n_nuisance, unknowns.n_own
     width = (unknowns.high - unknowns.low)[:own]
     precision = unknowns.prior.copy()
@@ -41,33 +39,34 @@ def prior_precision(unknowns: Unknowns) -> Real:
 
 
 def occam(unknowns: Unknowns, fit: Fit) -> float:
-    """Log of the share of the prior that the data leave: -1/2 logdet of curvature, effect priors uniform.
+    """Log Occam factor, posterior over prior volume: 1/2 (logdet prior precision - logdet posterior precision).
 
-    A shape that stayed at the end of its range where the law is the plainest is no freedom that was used.
+    A shape parameter at the end of its range where the law is the simplest does not count.
     """
     used = np.ones(len(fit.curvature), dtype=bool)
-    used[unknowns.n_nuisance :][: unknowns.n_own] = [not _plain(p, fit.values[k]) for k, p in unknowns.own]
+    used[unknowns.n_nuisance :][: unknowns.n_own] = [not _at_simplest_end(p, fit.values[k]) for k, p in unknowns.own]
     prior, curvature = (m[np.ix_(used, used)] for m in (prior_precision(unknowns), fit.curvature))
     (_, after), (_, before) = np.linalg.slogdet(curvature + prior), np.linalg.slogdet(prior)
     return float(0.5 * (before - after))
 
 
-def _plain(p: Parameter, values: Mapping[str, float]) -> bool:
+def _at_simplest_end(p: Parameter, values: Mapping[str, float]) -> bool:
+    """Whether a shape parameter is at its null, which is an end of its range."""
     return not p.strength and p.null in (p.low, p.high) and values[p.name] == p.null
 
 
 def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float:
     """Log evidence of a fit; ``noise`` is the chi-square that a right twin leaves in each of its groups.
 
-    What a group leaves above it is the twin's own error. Groups are judged apart: an effect that shows in the
-    harmonics does not drown one that shows in the fundamental.
+    Groups (fundamental and harmonics of each sweep) are judged separately, so that a gap in one does not hide a gap in
+    another.
     """
     excess = np.array([max(chi - level, 0.0) for (chi, _), level in zip(fit.groups, noise, strict=True)])
     return float(log_likelihood(excess).sum() - 0.5 * fit.penalty + occam_factor)
 
 
 def log_likelihood(excess: Real) -> Real:
-    """Log likelihood of groups that leave so much chi-square beyond a right twin's."""
+    """Student-t log likelihood of groups with so much chi-square beyond a right twin's."""
     return np.asarray(-0.5 * MODEL_ERRORS * np.log1p(excess / MODEL_ERRORS))
 
 

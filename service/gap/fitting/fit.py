@@ -1,8 +1,8 @@
 """Maximum a posteriori fit of one part of the loop, with chosen effects, to observations: Levenberg-Marquardt.
 
-Every candidate is fitted beside the datasheet's uncertain values, each under its tolerance as a unit-normal
-prior; an effect's own parameters range freely between their bounds. The derivatives by the datasheet's values
-change little from step to step, so they are kept until a step fails with them (the chord method).
+Every candidate is fitted beside the datasheet's uncertain values, each under its tolerance as a unit-normal prior; an
+effect's own parameters range freely between their bounds. The derivatives with respect to the datasheet's values change
+little from step to step, so they are reused until a step fails with them (the chord method).
 """
 
 from __future__ import annotations
@@ -26,42 +26,42 @@ Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 CHORD = 4
-"""Steps for which the derivatives by the datasheet's values, and by what is inherited, are kept."""
+"""Steps for which the derivatives with respect to the datasheet's values, and to inherited ones, are reused."""
 RENEWED = 4
-"""First steps after which the magnets' nonlinearity is computed anew, for effects that hardly change it."""
+"""First steps after each of which the magnets' nonlinearity is recomputed, for effects that hardly change it."""
 SETTLING = 3
-"""Steps of the datasheet's values alone before a force law is fitted."""
-TRIALS, TRIALS_WITH_KEPT = 7, 2
-"""Dampings tried for a step with new derivatives, and with kept ones, which are renewed when none of them helps."""
+"""Gauss-Newton steps of the datasheet's values alone, before the parameters of a force law are fitted."""
+TRIALS, TRIALS_WITH_REUSED = 7, 2
+"""Dampings tried for a step with new derivatives, and with reused ones, which are renewed when none of them helps."""
 DAMPING, LEAST_DAMPING, LEAST_AFTER_FAILURE = 1e-3, 1e-9, 1e-6
-"""Share of the curvature's diagonal added to it: at first, at least, and at least once a step has failed."""
+"""Share of the Hessian's diagonal added to it: at first, at least, and at least once a step has failed."""
 
 
 class Problem:
     """Observations of a part of the loop, its uncertain values, and the effects that are fitted beside them."""
 
     def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
-        """``held`` are parameters, by effect and name, that stay where their law is the plainest."""
+        """``held`` are parameters, (effect, name), that are held at their null, where the law is the simplest."""
         self.ground, self.observations = ground, ground.observations
         self.unknowns = Unknowns(ground, effects, held)
         self.model = PartModel(self.unknowns)
 
     @classmethod
     def of(cls, ground: Ground, fit: Fit) -> Problem:
-        """The problem that a fit has solved, but for what was held where a law is the plainest."""
+        """The problem that a fit has solved; only dormant parameters are held at their null."""
         return cls(ground, [CATALOGUE[name] for name in fit.effects], asleep(fit.effects, fit.values))
 
     def run(self, x: Real, stage: Stage) -> Fit:
         """One Levenberg-Marquardt pass from ``x``, (a + e,).
 
-        Raises what the model does of a rig that cannot be (`sim.errors.AmbError`, `numpy.linalg.LinAlgError`).
+        For an impossible rig it raises what the model does (`sim.errors.AmbError`, `numpy.linalg.LinAlgError`).
         """
         objective, damping, status = Objective(self.model, stage), DAMPING, OUT_OF_STEPS
-        state, derivatives = objective.begun(x), _Derivatives(objective)
+        state, derivatives = objective.fresh_state(x), _Derivatives(objective)
         curvature = np.zeros((len(x), len(x)))
         for iteration in range(stage.iterations):
             curvature, gradient = derivatives.normal_equations(state)
-            trials = TRIALS if derivatives.new else TRIALS_WITH_KEPT
+            trials = TRIALS if derivatives.new else TRIALS_WITH_REUSED
             found, damping = self._step(objective, state, curvature, gradient, damping, trials)
             if found is None and derivatives.new:
                 status = "no step lowers the cost"
@@ -74,7 +74,7 @@ class Problem:
             drop, state = state.cost - found.cost, found
             plant = self.model.signal == "y" and not self.model.nonlinear
             if plant and not stage.closed and iteration < RENEWED:
-                state = objective.begun(state.x)
+                state = objective.fresh_state(state.x)
             if objective.within_floor(state) or drop < stage.tolerance * max(1.0, state.cost):
                 status = "converged"
                 break
@@ -83,7 +83,7 @@ class Problem:
     def _step(
         self, objective: Objective, state: State, curvature: Real, gradient: Real, damping: float, trials: int
     ) -> tuple[State | None, float]:
-        """The first state of steps damped more and more that costs less, and its damping; or none."""
+        """The first state of lower cost, as the damping of the step is raised, and that damping; or None."""
         low, high, longest = self.unknowns.bounds()
         hessian = curvature + self.unknowns.prior
         scale = np.diag(np.maximum(np.diag(hessian), 1e-12))
@@ -91,33 +91,35 @@ class Problem:
         for _ in range(trials):
             step = _within(hessian + damping * scale, pull, state.x <= low, state.x >= high)
             x = np.clip(state.x + np.clip(step, -longest, longest), low, high)
-            found = objective.state(x, state.carried)
+            found = objective.state(x, state.nonlinearity)
             if np.isfinite(found.cost) and found.cost < state.cost:
                 return found, damping
             damping = max(damping * 10, LEAST_AFTER_FAILURE)
         return None, damping
 
     def settled(self, x: Real) -> tuple[float, Real]:
-        """Cost and ``x``, the datasheet's values where the effects as they are leave least: a few Gauss-Newton steps.
+        """Cost and ``x`` after a few Gauss-Newton steps of the datasheet's values, effects' parameters held.
 
-        A force law that starts far from its valley turns stiffnesses and gains over; what is left then misleads.
+        It makes the starts of a force law comparable: far from its optimum, stiffnesses and gains must change much
+        first.
         """
         a, prior, objective = self.unknowns.n_nuisance, self.unknowns.prior, Objective(self.model, EXACT)
-        state = objective.begun(x)
+        state = objective.fresh_state(x)
         for _ in range(SETTLING):
-            nothing = [np.zeros((*p.shape, len(x) - a), dtype=complex) for p in state.predictions]
-            curvature, gradient = objective.normal_equations(state, objective.nuisance_rows(state.rig), nothing)
+            no_effects = [np.zeros((*p.shape, len(x) - a), dtype=complex) for p in state.predictions]
+            curvature, gradient = objective.normal_equations(state, objective.nuisance_rows(state.rig), no_effects)
             hessian, pull = (curvature + prior)[:a, :a], (prior @ (state.x - self.unknowns.prior_mean))[:a]
             moved = state.x.copy()
             moved[:a] += np.linalg.solve(hessian, gradient[:a] - pull)
             moved[:a] = np.clip(moved[:a], -TOLERANCE_BOUND, TOLERANCE_BOUND)
-            trial = objective.begun(moved)
+            trial = objective.fresh_state(moved)
             if not trial.cost < state.cost:
                 break
             state = trial
         return state.cost, state.x
 
     def _fit(self, objective: Objective, state: State, curvature: Real, status: str) -> Fit:
+        """The result of a pass that ended in ``state``."""
         groups: list[tuple[float, int]] = []
         across: list[tuple[float, int]] = []
 
@@ -125,8 +127,8 @@ class Problem:
             return float(np.sum(np.abs(r) ** 2)), 2 * int((w > 0).sum())
 
         for o, r, w in zip(self.observations, state.residuals, objective.weights, strict=True):
-            own = np.arange(len(o.harmonics)) == o.fundamental
-            groups += [chi_square(r[:, chosen], w[:, chosen]) for chosen in (own, ~own)]
+            fundamental = np.arange(len(o.harmonics)) == o.fundamental
+            groups += [chi_square(r[:, chosen], w[:, chosen]) for chosen in (fundamental, ~fundamental)]
             other_plane = np.arange(r.shape[2]) // 2 != o.axis[:, None] // 2
             across.append(chi_square(r[:, o.fundamental][other_plane], w[:, o.fundamental][other_plane]))
         e, n = state.x[self.unknowns.n_nuisance :], len(self.unknowns.effects)
@@ -147,9 +149,9 @@ class Problem:
         )
 
     def linearised(self, fit: Fit) -> Linearised:
-        """The fit as a linear problem about where it ended."""
+        """The fit as a linear least-squares problem about its solution."""
         x, objective = self.unknowns.vector(fit), Objective(self.model, EXACT)
-        state = objective.begun(x)
+        state = objective.fresh_state(x)
         nuisance = objective.nuisance_columns(state.rig)
         effects = objective.effect_columns(state, range(len(self.unknowns.scale)))
         fundamental = [o.fundamental for o in self.observations]
@@ -161,9 +163,9 @@ class Problem:
         )
 
     def within_floor(self, fit: Fit, stage: Stage) -> bool:
-        """Whether a stage with a floor of its own would find a fit of this problem good enough."""
+        """Whether the residuals of a fit are small beside the floor of a rough stage."""
         objective = Objective(self.model, stage)
-        return objective.within_floor(objective.begun(self.unknowns.vector(fit)))
+        return objective.within_floor(objective.fresh_state(self.unknowns.vector(fit)))
 
     def residuals(self, fit: Fit) -> list[Complex]:
         """Weighted residuals of a fit of this part, (P, H, n) per sweep."""
@@ -171,40 +173,40 @@ class Problem:
 
 
 class _Derivatives:
-    """Derivatives along a fit: those by the datasheet's values and by what is inherited are kept for `CHORD` steps."""
+    """Derivatives along a fit; those with respect to nuisance and inherited values are reused for `CHORD` steps."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective, n_own = objective, objective.unknowns.n_own
         self._own, self._inherited = range(n_own), range(n_own, len(objective.unknowns.scale))
-        self._rows: list[Real] = []
-        self._theirs: list[Complex] = []
+        self._nuisance_rows: list[Real] = []
+        self._inherited_columns: list[Complex] = []
         self._age = CHORD
 
     @property
     def new(self) -> bool:
-        """Whether those of the last call are all of its own state."""
+        """Whether all derivatives of the last call were computed at its own state."""
         return self._age == 1
 
     def renew(self) -> None:
-        """Keep none for the next call."""
+        """Recompute all at the next call."""
         self._age = CHORD
 
     def normal_equations(self, state: State) -> tuple[Real, Real]:
         """J^T J, (a + e, a + e), and J^T r, (a + e,)."""
         if self._age >= CHORD:
-            self._rows, self._age = self._objective.nuisance_rows(state.rig), 0
-            self._theirs = self._objective.effect_columns(state, self._inherited)
+            self._nuisance_rows, self._age = self._objective.nuisance_rows(state.rig), 0
+            self._inherited_columns = self._objective.effect_columns(state, self._inherited)
         self._age += 1
         own = self._objective.effect_columns(state, self._own)
-        columns = [np.concatenate(both, axis=-1) for both in zip(own, self._theirs, strict=True)]
-        return self._objective.normal_equations(state, self._rows, columns)
+        columns = [np.concatenate(both, axis=-1) for both in zip(own, self._inherited_columns, strict=True)]
+        return self._objective.normal_equations(state, self._nuisance_rows, columns)
 
 
 def _within(hessian: Real, pull: Real, lowest: Mask, highest: Mask) -> Real:
-    """Newton step of the values that are not at a bound that the step would cross, the others held there.
+    """Projected Newton step (Bertsekas, SIAM J. Control Optim. 20, 1982): values at a bound do not cross it.
 
-    Only clipped, such a value would leave the others short of where they are best with it at its bound, and the fit
-    would crawl (projected Newton: Bertsekas, SIAM J. Control Optim. 20, 1982).
+    They are held there and the step of the others is solved for again. If the full step were clipped instead, the
+    others would miss their optimum with that value at its bound, and the fit would converge slowly.
     """
     free = np.ones(len(pull), dtype=bool)
     while True:

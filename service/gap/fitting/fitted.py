@@ -1,4 +1,4 @@
-"""What a fit of a part of the loop ends with: the twin, what it leaves, and the fit as a linear problem."""
+"""The result of a fit of a part of the loop, and its linearisation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Complex = NDArray[np.complex128]
 
 
 OUT_OF_STEPS = "reached the largest number of iterations"
-"""Status of a fit that could go on."""
+"""Status of a fit that has not converged and could go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +30,25 @@ class Fit:
     """parameters of each effect"""
     rig: Rig
     groups: tuple[tuple[float, int], ...]
-    """(chi-square, number of residuals) of the fundamental and of the other harmonics, sweep by sweep"""
+    """(chi-square, number of residuals) of the fundamental, then of the other harmonics, for each sweep in turn"""
     penalty: float
-    """of the values fitted, what the datasheet's tolerances hold against them, |theta|^2 where it states them; of
-    another part's values what its data hold against them"""
+    """of the values fitted, as a chi-square: |theta|^2 where the datasheet states its tolerances, less where they are
+    assumed; of values inherited from another part, by the precision that its data gave"""
     active: NDArray[np.int64]
-    """indices of the values fitted"""
+    """(a,) indices of the nuisance values fitted"""
     curvature: Real
     """(a + e, a + e), J^T J of the weighted residuals; effect parameters in units of their scale"""
     status: str
     inherited: tuple[dict[str, float], ...] = ()
-    """parameters of the effects that are another part's and uncertain, last in ``curvature``"""
+    """parameters of uncertain effects of another part, fitted again here; last in ``curvature``"""
     across: tuple[tuple[float, int], ...] = ()
-    """as ``groups``, of the fundamental in the plane that was not excited alone, sweep by sweep; part of those"""
+    """as ``groups``, of the fundamental in the plane that was not excited, for each sweep; contained in ``groups``"""
     ends: Mapping[tuple[str, str], End] = field(default_factory=dict)
-    """effects' parameters, by effect and name, that the fit left at an end of their range, and which"""
+    """(effect, parameter) that ended at an end of its range, and which end"""
 
     @property
     def out_of_steps(self) -> bool:
-        """Whether it ended before it settled."""
+        """Whether it ended before it converged."""
         return self.status == OUT_OF_STEPS
 
     @property
@@ -58,7 +58,7 @@ class Fit:
 
     @property
     def cost(self) -> float:
-        """What was minimised: chi-square and the price of the datasheet's values."""
+        """Chi-square and penalty: what was minimised."""
         return self.chi_square + self.penalty
 
     @property
@@ -69,13 +69,13 @@ class Fit:
 
 @dataclass(frozen=True)
 class Linearised:
-    """A fit as a linear problem, for what is asked beside it; sweep by sweep, at the excited frequency."""
+    """A fit as a linear problem about its solution, to which further regressors can be added; fundamentals only."""
 
     weights: Sequence[Real]
-    """(P, H, n)"""
+    """(P, H, n) per sweep"""
     residuals: Sequence[Complex]
-    """(P, n) weighted"""
+    """(P, n) per sweep, weighted"""
     columns: Sequence[Complex]
-    """(P, n, a + e) weighted derivatives of the predictions"""
+    """(P, n, a + e) per sweep, weighted derivatives of the predictions"""
     pull: Real
-    """(a + e,) of what is known beforehand, towards its mean"""
+    """(a + e,) pull of the prior at the solution: precision (mean - x), added to J^T r"""

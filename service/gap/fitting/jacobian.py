@@ -1,4 +1,4 @@
-"""Exact derivatives of the small-signal answer with respect to what a datasheet leaves uncertain.
+"""Exact derivatives of the small-signal response with respect to the datasheet's uncertain values.
 
 With the closed mechanics Zc = M s^2 + D s + K - B R Ks Cb, coordinates q = Zc^-1 B R Ki E i and y = S Cs q, a change
 of any part is a generalised force on q or a change of the sensor map, so each column costs one outer product.
@@ -22,12 +22,12 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 STEP = 1e-5
-"""Central difference of the amplifiers' closed form, relative: smooth to well below it."""
+"""Relative step of central differences of closed forms (amplifiers, magnets), which are smooth to well below it."""
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """Coordinates and forces at the points of an observation."""
+    """Generalised coordinates and forces of the rotor at the P points of an observation."""
 
     q: Complex
     """(P, q)"""
@@ -59,10 +59,10 @@ def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
 
 
 def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifiers: bool = True) -> Complex:
-    """Derivative of the small-signal y at the fundamental, (P, n, k), per unit of the vector.
+    """Derivative of the small-signal y at the fundamental, (P, n, k), per unit of the nuisance vector.
 
-    ``rig`` is the rig at the present deviations, effects included; the columns of the amplifiers' values are left
-    at zero where they are not asked for.
+    ``rig`` is the rig at the present deviations, effects included. Without ``amplifiers`` the columns of their values
+    are zero.
     """
     rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
     n, omega = rig.n_axes, 2 * np.pi * o.frequency_hz
@@ -83,7 +83,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
     per_current = magnetic / point.ki
     for k, (ki, ks) in enumerate(_moved_points(rig, point)):
         columns[:, :, k * n : (k + 1) * n] = per_magnet * (ki * per_current + ks * at_bearing)[:, None, :]
-    if rig.gravity_m_per_s2:  # a heavier rotor hangs in other factors
+    if rig.gravity_m_per_s2:  # the mass is a static load, which changes ki and ks
         ki, ks = _moved_point(lambda factor: _with_mass(rig, factor))
         columns[:, :, 6 * n] = ((ki * per_current + ks * at_bearing)[:, None, :] * per_magnet).sum(axis=-1)
     if amplifiers:
@@ -101,7 +101,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
 
 
 def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
-    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit of the vector."""
+    """Derivative of the small-signal [i, y] at the fundamental, (P, 2 n, k), per unit of the nuisance vector."""
     n = rig.n_axes
     of_current = np.zeros((len(o.line), n, len(nuisance)), dtype=complex)
     of_current[:, :, _amplifiers(n)] = current_jacobian(nuisance, rig, o)
@@ -109,17 +109,17 @@ def answer_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
 
 
 def _amplifiers(n: int) -> slice:
-    """Where gain, frequency and damping of ``n`` amplifiers are in the vector; nothing else goes with them."""
+    """Place of gain, frequency and damping of ``n`` amplifiers in the nuisance vector; they correlate with no other."""
     return slice(2 * n, 5 * n)
 
 
 def _per_unit(columns: Complex, per_unit: Real) -> Complex:
-    """Physical derivatives (P, n, k) per unit of the vector; as one product, which is faster than one of each point."""
+    """Physical derivatives (P, n, k) in units of the vector; one product for all points is faster than many."""
     return np.asarray((columns.reshape(-1, len(per_unit)) @ per_unit).reshape(columns.shape))
 
 
 def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> _Motion:
-    """Motion of mechanics ``m`` under the force of the coil currents alone, (P, n), before it is turned."""
+    """Motion under the force of the coil currents, (P, n), before the rotation of cross-coupled magnets."""
     omega = 2 * np.pi * o.frequency_hz
     point, rotation, s = actuator.operating_point(rig), force_rotation(rig), 1j * omega
     stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
@@ -133,20 +133,20 @@ def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> 
 
 @dataclass(frozen=True)
 class Swing:
-    """A flexible mode at the points of an observation, in each plane."""
+    """A flexible mode at the P points of an observation, in each plane."""
 
     coordinate: Complex
-    """(P, planes) of the small-signal twin, m sqrt(kg)"""
+    """(P, planes) modal coordinate of the small-signal twin, m sqrt(kg)"""
     own: Complex
-    """(P, planes) coordinate per generalised force on it"""
+    """(P, planes) receptance: modal coordinate per generalised force on the mode"""
     seen: Complex
-    """(P, n, planes) sensor signals per generalised force on it"""
+    """(P, n, planes) sensor signals per generalised force on the mode"""
 
 
 def swing_of(rig: Rig, o: Observation, mode: int) -> Swing:
-    """How the twin's flexible mode number ``mode`` swings at the points of an observation, the loop at the rotor open.
+    """Response of the twin's flexible mode number ``mode`` to the measured control signal.
 
-    Its input is the measured control signal, as in `displacement_jacobian`.
+    The magnets' stiffness is closed, the controller's loop is open.
     """
     rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
     m = rotor.mechanics(rig)
@@ -169,8 +169,8 @@ def _magnetic(rig: Rig, o: Observation) -> Complex:
 def residue_columns(rig: Rig, o: Observation) -> Complex:
     """Change of y per residue of one more resonance, (P, n, 2, 2), without its own 1 / (s^2 + 2 zeta w s + w^2).
 
-    The residue is that of a light mode, the same in every plane: displacement at end A or B, by bearing and by sensor
-    alike, for a force at end A or B.
+    To first order in the residue, which is the same in every plane: displacement at end A or B, of bearing and sensor
+    alike, per force at end A or B.
     """
     rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
     n, m = rig.n_axes, rotor.mechanics(rig)
@@ -184,7 +184,7 @@ def residue_columns(rig: Rig, o: Observation) -> Complex:
 
 
 def _changes(amp: Amplifiers, response: Callable[[Amplifiers], Complex]) -> list[Complex]:
-    """Derivatives of a response of the amplifiers by ln gain, ln frequency and ln damping, each (F, n)."""
+    """Derivatives of a response of the amplifiers with respect to ln gain, ln frequency, ln damping, each (F, n)."""
 
     def moved(name: str, factor: float) -> Complex:
         value = getattr(amp, name)
@@ -195,10 +195,10 @@ def _changes(amp: Amplifiers, response: Callable[[Amplifiers], Complex]) -> list
 
 
 def _moved_points(rig: Rig, point: actuator.OperatingPoint) -> tuple[tuple[Real, Real], tuple[Real, Real]]:
-    """Changes of (ki, ks) where the magnets work, (n,) each, per ln of the magnets' own ki and then of their ks.
+    """Changes of (ki, ks) at the operating point, (n,) each, per ln of the nominal ki and then of the nominal ks.
 
-    Of centred magnets without a load either moves itself alone. The gap that ki and ks state moves with them, and with
-    it what an offset or a load makes of both.
+    Of centred magnets without a load each changes itself alone. Else the air gap that ki and ks imply changes too, and
+    with it the effect of offset and load on both.
     """
     if rig.static_current_a is None and not rig.gravity_m_per_s2 and not np.any(rig.magnets.offset_m):
         nothing = np.zeros(rig.n_axes)
@@ -212,7 +212,7 @@ def _moved_points(rig: Rig, point: actuator.OperatingPoint) -> tuple[tuple[Real,
 
 
 def _moved_point(moved: Callable[[float], Rig]) -> tuple[Real, Real]:
-    """Changes of (ki, ks) where the magnets work per ln of what ``moved`` takes a factor of, (n,) each."""
+    """Changes of (ki, ks) at the operating point, (n,) each, per ln of the factor that ``moved`` applies."""
     ahead, behind = (actuator.operating_point(moved(1 + step)) for step in (STEP, -STEP))
     return (ahead.ki - behind.ki) / (2 * STEP), (ahead.ks - behind.ks) / (2 * STEP)
 
@@ -224,18 +224,19 @@ def _with_mass(rig: Rig, factor: float) -> Rig:
 def _mechanical_columns(
     nuisance: Nuisance, rig: Rig, m: rotor.Mechanics, motion: _Motion, magnets: Real, columns: Complex
 ) -> None:
-    """Columns of mass, inertia, sensor positions and modes, written in place.
+    """Write the columns of mass, inertia, sensor positions and modes in place.
 
     ``magnets`` is the force of the magnets at the bearings per displacement there, (n, n).
     """
     c, r = 6 * rig.n_axes, rig.rotor
     s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
     per_displacement, force = magnets, motion.force
-    if rotor.sealed(rig):  # pushes at the bearings too
+    if rotor.sealed(rig):  # a seal acts at the bearings too
         seal = rotor.seal_stiffness(rig)
         per_displacement, force = magnets - seal, force - (motion.q @ m.bearing_map.T) @ seal.T
 
     def pushed(coordinate: int, generalised_force: Complex) -> Complex:
+        """Sensor signals, (P, n), of a generalised force (P, 1) on one coordinate."""
         return motion.y_per_push[:, :, coordinate] * generalised_force
 
     turning = rig.n_planes == 2 and bool(rig.speed_rad_s)
@@ -253,7 +254,7 @@ def _mechanical_columns(
             w, qk, s = mode.natural_frequency_rad_s, q[:, [at]], motion.s[:, None]
             damping = 2 * (mode.damping_ratio + mode.internal_damping_ratio) * w * s
             columns[:, :, column] = pushed(at, -(2 * w**2 + damping) * qk)
-            if turning and k < len(r.modes[1 - plane]):  # its stiffness is of the mean frequency of both planes
+            if turning and k < len(r.modes[1 - plane]):  # circulatory stiffness of the planes' mean frequency
                 other, sign = (plane + 1) % 2 * (2 + len(r.modes[0])) + 2 + k, 1.0 if plane == 0 else -1.0
                 both = (mode.internal_damping_ratio + r.modes[1 - plane][k].internal_damping_ratio) / 2
                 circulatory = both * w * rig.speed_rad_s

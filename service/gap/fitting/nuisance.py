@@ -1,7 +1,7 @@
-"""What a datasheet leaves uncertain: the parameters that every candidate is fitted beside.
+"""Nuisance parameters: the uncertain values of a datasheet, which every candidate is fitted beside.
 
-Each parameter is scaled to its own tolerance, and errors with one cause are correlated. The vector that is fitted has a
-unit normal prior; the root of the correlation makes deviations of it.
+Each is scaled to its own tolerance, and errors with one cause are correlated. The vector theta that is fitted has a
+unit-normal prior; the root of the correlation matrix turns it into deviations.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ ASSUMED_DOF = 4.0
 """Degrees of freedom of Student's t for assumed tolerances (Lange, Little and Taylor, JASA 84, 1989, pp. 881-896):
 within its tolerance a value costs what it would with a normal, at twice it 3.5 instead of 4, at four 8, not 16."""
 
-ALIKE_IN_PLANES, DAMPED_ALIKE = 0.75, 0.5
+MODES_CORRELATION, DAMPING_CORRELATION = 0.75, 0.5
 """Correlation of a mode's errors in the two planes, and of its damping's: a datasheet states one mode for both, and
 the rotor is nearly the same in them. By tolerances of 0.5 and 50 %, the planes' frequencies then differ by 0.35 % and
 their dampings by a factor of 1.6, one sigma; in the reference rig by 0.19 and 0.12 %, by factors of 1.1 and 2.1."""
-ALIKE_MAGNETS = 0.5
+MAGNETS_CORRELATION = 0.5
 """Correlation of the magnets' errors: one design, one air gap and one bias stand behind them. The reference rig's
 magnets had half of the force of their design, all four."""
 
 FAR_OFF = 2.5
-"""Tolerances from which a datasheet's value is told to be off."""
+"""Tolerances from which a value of the datasheet is reported as off."""
 BEYOND_DOUBT = 3.5
-"""Tolerances from which it is so by no chance: of some fifty values of a datasheet one in forty has one."""
+"""Tolerances from which a single value is so by no chance: of some fifty values one gets there in one of forty rigs."""
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Vector of unit normals -> deviations from the datasheet -> rig.
+    """Nuisance vector theta of unit normals -> deviations from the datasheet -> rig.
 
     Blocks of the deviations, in order: ki and ks per axis, amplifier gain, frequency and damping per axis, sensor
     gain per axis (all logarithmic), mass, inertia (logarithmic), sensor positions A and B, then per plane and mode
@@ -50,18 +50,18 @@ class Nuisance:
     sigma: Real
     """(k,) physical size of one tolerance."""
     root: Real
-    """(k, k) of the deviations' correlation, symmetric: deviations in tolerances are root theta"""
+    """(k, k) symmetric root of the correlation: deviations in tolerances are root theta"""
     names: tuple[str, ...]
     stated: bool
-    """whether the datasheet states the tolerances, or they are this product's defaults"""
+    """whether the datasheet states the tolerances; else they are this product's defaults"""
     n_modes: int
-    """modes of the datasheet, per plane; an effect of it may add others to the rig, after these"""
+    """modes of the datasheet, per plane; an effect that it names may add others to the rig, after these"""
 
     def __len__(self) -> int:
         return len(self.sigma)
 
     def at(self, theta: Real, base: Rig | None = None) -> Rig:
-        """The rig at ``theta``, (k,); ``base`` may carry other effects of the same datasheet."""
+        """The rig at ``theta``, (k,); ``base`` may be the datasheet's rig with other effects."""
         rig = base or self.rig
         n = rig.n_axes
         v = iter(np.split(self.off(theta) * self.sigma, self._splits(n)))
@@ -112,20 +112,20 @@ class Nuisance:
         return np.asarray(self.sigma[:, None] * self.root)
 
     def price(self, theta: Real) -> float:
-        """What the tolerances hold against some of the deviations, as a chi-square.
+        """Penalty of some of the deviations by their tolerances, as a chi-square.
 
-        Assumed ones say little of a value far beyond them: it is judged by Student's t, not by a normal.
+        Assumed tolerances say little of a value far beyond them: there it is Student's t, not a normal.
         """
         if self.stated:
             return float(theta @ theta)
         return float((ASSUMED_DOF + 1) * np.log1p(theta**2 / ASSUMED_DOF).sum())
 
     def far_off(self, theta: Real, least: float = FAR_OFF) -> list[str]:
-        """What the datasheet is off by beyond ``least`` of its tolerances, in words, the farthest first."""
+        """Values of the datasheet that are off by more than ``least`` of their tolerances, in words, farthest first."""
         return self._in_words(self.off(theta), np.abs(self.off(theta)) > least)
 
     def clearly_off(self, theta: Real) -> list[str]:
-        """What it is off by beyond doubt, in the same words: a value very far off, or the same one of several axes."""
+        """Values that are off beyond doubt: one by `BEYOND_DOUBT`, or the same one of several axes by `FAR_OFF`."""
         off = self.off(theta)
         far = np.abs(off) > FAR_OFF
         kinds = np.array([name if name.startswith("mode") else name.rpartition("_")[0] for name in self.names])
@@ -133,16 +133,18 @@ class Nuisance:
         return self._in_words(off, far & (several | (np.abs(off) > BEYOND_DOUBT)))
 
     def _in_words(self, off: Real, which: NDArray[np.bool_]) -> list[str]:
+        """Some of the deviations in words, the farthest first."""
         order = [int(k) for k in np.argsort(-np.abs(off)) if which[k]]
         return [f"{_words(self.names[k])} {_moved(self.names[k], float(off[k] * self.sigma[k]))}" for k in order]
 
     def _splits(self, n: int) -> Real:
+        """Where the blocks of the deviations end, for `numpy.split`."""
         sizes = [n, n, n, n, n, n, 1, 1, 2] + [6] * (self.n_modes * (n // 2))
         return np.cumsum(sizes)[:-1]
 
 
 def nuisance(datasheet: Datasheet) -> Nuisance:
-    """The uncertain parameters of a datasheet, each with its tolerance as one unit."""
+    """The nuisance parameters of a datasheet."""
     rig, t, n = rig_from_datasheet(datasheet), datasheet.tolerance, datasheet.n_axes
     per_axis = [
         ("ki", t.current_stiffness),
@@ -164,27 +166,27 @@ def nuisance(datasheet: Datasheet) -> Nuisance:
             labels = ("frequency", "damping", "bearing_A", "bearing_B", "sensor_A", "sensor_B")
             names += [f"mode{k + 1}_{label}_{plane}" for label in labels]
             sigma += [t.mode_frequency, t.mode_damping, *spread.tolist()]
-    root = _root(_alike(len(sigma), n, len(datasheet.modes)))
+    root = _root(_correlation(len(sigma), n, len(datasheet.modes)))
     return Nuisance(
         rig, np.array(sigma, dtype=float), root, tuple(names), datasheet.tolerance_stated, len(datasheet.modes)
     )
 
 
-def _alike(k: int, n: int, modes: int) -> Real:
+def _correlation(k: int, n: int, modes: int) -> Real:
     """Correlation of ``k`` deviations, (k, k): ki and ks of n magnets come first, the planes' modes last."""
-    alike = np.eye(k)
+    correlation = np.eye(k)
     for block in (slice(0, n), slice(n, 2 * n)):
-        alike[block, block] += ALIKE_MAGNETS * (1 - np.eye(n))
+        correlation[block, block] += MAGNETS_CORRELATION * (1 - np.eye(n))
     if n == 4:
-        of_modes = np.tile([ALIKE_IN_PLANES, DAMPED_ALIKE, *[ALIKE_IN_PLANES] * 4], modes)
+        of_modes = np.tile([MODES_CORRELATION, DAMPING_CORRELATION, *[MODES_CORRELATION] * 4], modes)
         y = k - len(of_modes) + np.arange(len(of_modes))
         x = y - len(of_modes)
-        alike[x, y] = alike[y, x] = of_modes
-    return alike
+        correlation[x, y] = correlation[y, x] = of_modes
+    return correlation
 
 
 def _root(correlation: Real) -> Real:
-    """The symmetric root: a value of the vector stays nearest to the deviation of its name.
+    """The symmetric root: of all roots, the one whose vector stays nearest to the deviations.
 
     >>> root = _root(np.array([[1.0, 0.75], [0.75, 1.0]]))
     >>> np.round(root, 3)
@@ -199,7 +201,7 @@ def _root(correlation: Real) -> Real:
 
 
 def _words(name: str) -> str:
-    """A value's name as it is told.
+    """A value's name in words.
 
     >>> _words("ki_xA"), _words("mode1_frequency_y")
     ('current stiffness xA', 'mode1 frequency y')
@@ -210,7 +212,7 @@ def _words(name: str) -> str:
 
 
 def _moved(name: str, by: float) -> str:
-    """By how much a datasheet is off a value that moved ``by`` from it, in the value's unit; as the reports have it.
+    """Error of the datasheet's value where the fitted one is ``by`` above it: datasheet less fit, in words.
 
     >>> _moved("ki_xA", -0.6), _moved("sensor_position_A", 3e-3), _moved("mode1_bearing_B_x", 0.02)
     ('+82 %', '-3 mm', '-0.02 1/sqrt(kg)')

@@ -1,7 +1,7 @@
-"""The loop in parts, each held against its own measured input, so that an error of one does not colour the next.
+"""The parts of the loop, each predicted from its own measured input, so that an error of one does not bias the next.
 
-The controller is held by r - C y, the amplifiers by u, the plant by the measured coil current. Each part has its
-own uncertain values and its own effects, so a mixture that spans parts is several single diagnoses.
+The controller predicts u from r and y, the amplifiers i from u, the plant y from i. Each part has its own uncertain
+values and its own effects, so a mixture that spans parts is several single diagnoses.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ Real = NDArray[np.float64]
 Values = Mapping[str, float]
 
 STANDSTILL = {"modal_damping": "internal_damping"}
-"""Effects that nothing tells apart on a rotor that stands still: only the first is fitted then, and both are named."""
-ONE_TONE = ("amplifier_voltage_limit", "thermal_drift")
-"""Effects that are not looked for in a multisine: what its lines show of them depends on all of the current's slope, or
-on when each was measured."""
+"""Exact aliases on a rotor at standstill: only the first is fitted then, and both are named."""
+STEPPED_SINE_ONLY = ("amplifier_voltage_limit", "thermal_drift")
+"""Effects that are not searched for in a multisine: their response at a line depends on the current's slope in all
+lines, or on when each line was measured."""
 SIGNALS = {"controller": "u", "amplifier": "i", "plant": "y"}
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the loop: its output signal, the datasheet's values that act in it, the effects that may."""
+    """A part of the loop: its output signal, the nuisance values that act in it, the effects that may."""
 
     path: str
     active: NDArray[np.int64]
     """indices of the nuisance vector"""
     effects: tuple[str, ...]
     from_control: bool = False
-    """The plant with the amplifiers, from u: the current was not logged."""
+    """whether this is amplifiers and plant in one, from u to y, as the current was not logged"""
 
     @property
     def signal(self) -> str:
@@ -50,10 +50,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Inherited:
-    """What the fit of another part leaves uncertain, normal about what it found: it is fitted here too.
+    """Normal posterior of another part's fit, the prior of its values, which are fitted again in this part.
 
-    Held at what noisy currents made of it, a delay of the amplifiers that they hardly showed came back as a lag of the
-    plant, which is measured much better.
+    If the amplifiers were held at their own fit, a delay that their noisy currents hardly show would reappear as a lag
+    of the plant, which is measured much better.
     """
 
     of: tuple[str, ...]
@@ -61,7 +61,7 @@ class Inherited:
     active: NDArray[np.int64]
     """(a,) indices of the nuisance vector"""
     effects: tuple[tuple[str, Values], ...]
-    """those whose parameters, e in all, are uncertain too"""
+    """those of them whose parameters, e in all, are fitted again; by name, with the values found"""
     mean: Real
     """(a + e,) deviations and effect parameters, in the units of the fit"""
     precision: Real
@@ -70,7 +70,7 @@ class Inherited:
 
 @dataclass(frozen=True)
 class Ground:
-    """What every fit of a part shares: data, the values that other parts fixed, and the effects found there."""
+    """What all fits of a part have in common: its data, and what the fits of other parts found."""
 
     nuisance: Nuisance
     part: Part
@@ -78,16 +78,16 @@ class Ground:
     theta: Real
     """(k,) deviations of all values; only the part's own are fitted"""
     found: tuple[tuple[str, Values], ...] = ()
-    """effects of other parts"""
+    """effects of other parts, held at these values"""
     from_current: bool = False
-    """The plant is driven by the measured current: no amplifier explains how it came to be."""
+    """whether the plant is driven by the measured current, as no model of the amplifiers predicts it"""
     inherited: Inherited | None = None
-    """what is uncertain of another part; its effects are not among ``found``"""
+    """another part's values that are fitted again; its effects are not among ``found``"""
 
     def rig(self, theta: Real, inherited: Sequence[Values] | None = None) -> Rig:
-        """The rig at deviations ``theta`` with what other parts have found.
+        """The rig at deviations ``theta`` with the effects of other parts.
 
-        ``inherited`` are the parameters of the uncertain ones among their effects, by default as they were found.
+        ``inherited`` are the parameters of inherited effects, by default those found.
         """
         rig = self.nuisance.at(theta)
         uncertain = () if self.inherited is None else self.inherited.effects
@@ -100,20 +100,20 @@ class Ground:
         return rig
 
     def fitted_rig(self, theta: Real, inherited: Sequence[Values]) -> Rig:
-        """The rig at a fit's deviations, which may be of before another part was explained anew.
+        """The rig of a fit of this part, which may be older than the present fits of other parts.
 
-        Its own deviations count and, where this ground has any, what it made of the uncertain part of another one
-        (``inherited``, as of `Fit`); all else is as other parts have it now.
+        Of ``theta`` the part's own deviations count, and inherited ones where this ground has any, with ``inherited``
+        as of `Fit`; all else is as other parts have it now.
         """
         uncertain = self.inherited
-        of = self.part.active if uncertain is None else np.concatenate([self.part.active, uncertain.active])
+        fitted = self.part.active if uncertain is None else np.concatenate([self.part.active, uncertain.active])
         now = self.theta.copy()
-        now[of] = theta[of]
+        now[fitted] = theta[fitted]
         return self.rig(now, inherited if uncertain is not None and inherited else None)
 
 
 def possible(nuisance: Nuisance, observations: Sequence[Observation], paths: Sequence[str]) -> list[Effect]:
-    """Effects of some paths that this rig and these conditions could show, one of each exact alias."""
+    """Effects of some paths that could show on this rig in these sweeps, one of each pair of exact aliases."""
     turning = any(o.speed_rad_s for o in observations)
     together = any(o.together for o in observations)
     return [
@@ -124,12 +124,12 @@ def possible(nuisance: Nuisance, observations: Sequence[Observation], paths: Seq
         and (turning or not e.needs_speed)
         and (nuisance.n_modes or e.id not in ("modal_damping", "internal_damping"))
         and (turning or e.id not in STANDSTILL.values())
-        and not (together and e.id in ONE_TONE)
+        and not (together and e.id in STEPPED_SINE_ONLY)
     ]
 
 
 def parts(nuisance: Nuisance, observations: Sequence[Observation]) -> list[Part]:
-    """The parts of the loop that the log tells apart, in the order in which they are to be looked at."""
+    """The parts of the loop that the logged signals separate, in the order in which they are explained."""
 
     def part(path: str, of: NDArray[np.bool_], paths: Sequence[str], from_control: bool = False) -> Part:
         names = tuple(e.id for e in possible(nuisance, observations, paths))
@@ -143,16 +143,16 @@ def parts(nuisance: Nuisance, observations: Sequence[Observation]) -> list[Part]
 
 
 def driven_by_current(rig: Rig, o: Observation) -> Observation:
-    """The observation with the control signal that would have made the measured current, and noise to match.
+    """The observation with u replaced by the one from which ``rig`` would make the measured current.
 
-    Fitting y to it is fitting the plant alone, whatever the amplifiers do; the current's own noise then counts, so
-    where the amplifiers are understood it is better to let them answer to u, which has none.
+    Fitting y to it is fitting the plant alone, whatever the amplifiers do. The noise of the current then adds to that
+    of y, so where a model explains the amplifiers it is better to predict the current from u, which has no noise.
     """
     assert o.I is not None
     U, sd_y = o.U.copy(), o.sd_y.copy()
     for k, h in enumerate(o.harmonics):
         model = linear_model(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))
         U[:, k] = np.linalg.solve(model.i_per_u[o.line], o.I[:, k, :, None])[..., 0]
-        spread = np.abs(model.y_per_i[o.line]) ** 2 @ (o.sd_i[:, k, :, None] ** 2)
-        sd_y[:, k] = np.sqrt(o.sd_y[:, k] ** 2 + spread[..., 0])
+        of_current = np.abs(model.y_per_i[o.line]) ** 2 @ (o.sd_i[:, k, :, None] ** 2)
+        sd_y[:, k] = np.sqrt(o.sd_y[:, k] ** 2 + of_current[..., 0])
     return replace(o, U=U, sd_y=sd_y)

@@ -1,4 +1,4 @@
-"""What a part of the loop answers to its measured input with chosen values of its unknowns, and its derivatives."""
+"""Model of a part of the loop: predictions of its output from its measured input, and their derivatives."""
 
 from __future__ import annotations
 
@@ -17,37 +17,38 @@ from sim.twin import LinearModel, linear_model
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Carried = Sequence[Complex | None]
-"""What the magnets' nonlinearity adds to the small-signal displacement of each sweep, (P, H, n); None: not known."""
+Nonlinearity = Sequence[Complex | None]
+"""What the magnets' nonlinearity adds to the small-signal displacement of each sweep, (P, H, n); None: to be computed
+with each prediction, as a nonlinear effect is fitted."""
 
 STEP = 2e-5
-"""Forward difference of an effect's parameter, in units of its scale."""
+"""Step of forward differences of an effect's parameter, in units of its scale."""
 
 
 class PartModel:
-    """The model of a part of the loop, by sweeps: predictions of its signal and their derivatives by the unknowns."""
+    """The model of a part of the loop: predictions of its signal in each sweep, and derivatives."""
 
     def __init__(self, unknowns: Unknowns) -> None:
-        """Of the part, the sweeps and the effects that the unknowns are of."""
+        """Part, sweeps and effects are those of the unknowns."""
         self.unknowns, self.ground = unknowns, unknowns.ground
         self.observations, self.signal = self.ground.observations, self.ground.part.signal
         self.nonlinear = any(slow_to_compute(e.id) for e in unknowns.effects)
 
-    def predict(self, rig: Rig, o: Observation, closed: bool, carried: Complex | None = None) -> Complex:
+    def predict(self, rig: Rig, o: Observation, closed: bool, nonlinearity: Complex | None = None) -> Complex:
         """The part's output for its measured input, (P, H, n) in the unit of the signal.
 
-        ``closed`` takes the input that the twin's own loop would have. ``carried`` is what the magnets' nonlinearity
-        adds to the small-signal displacement, (P, H, n), all harmonics; it hardly changes while a linear effect is
-        fitted, so it is computed once a stage.
+        With ``closed`` the input is what the twin's own loop makes of the excitation. ``nonlinearity`` is what the
+        magnets' nonlinearity adds to the small-signal displacement, (P, H, n); it hardly changes while a linear effect
+        is fitted, so it is computed once a stage.
         """
         if self.signal == "u":
             return control(rig, o)
         if self.signal == "i":
             return current(rig, o)
-        if carried is None and not closed:
+        if nonlinearity is None and not closed:
             return whole_displacement(rig, o)
         f = o.fundamental
-        out = self.beyond_linear(rig, o) if carried is None else carried.copy()
+        out = self.beyond_linear(rig, o) if nonlinearity is None else nonlinearity.copy()
         if closed:
             model = linear_model(at_speed_of(rig, o), o.frequency_hz)
             out[:, f] += (model.y_per_u[o.line] @ self._closed_control(o, model)[..., None])[..., 0]
@@ -55,12 +56,12 @@ class PartModel:
             out[:, f] += displacement(rig, o)
         return out
 
-    def carried(self, rig: Rig) -> Carried:
-        """What `predict` is to carry, sweep by sweep; nothing where an effect's own force changes from step to step."""
+    def nonlinearity(self, rig: Rig) -> Nonlinearity:
+        """The nonlinearity of each sweep, for `predict`; None where a fitted effect changes it at every step."""
         return [None if self.nonlinear else self.beyond_linear(rig, o) for o in self.observations]
 
     def beyond_linear(self, rig: Rig, o: Observation) -> Complex:
-        """Displacement without its small-signal fundamental, (P, H, n); other parts have nothing of the kind."""
+        """Displacement less its small-signal fundamental, (P, H, n); of other parts than the plant it is empty."""
         if self.signal != "y":
             return np.zeros((*o.U.shape[:2], 0), dtype=complex)
         out = whole_displacement(rig, o)
@@ -68,7 +69,7 @@ class PartModel:
         return out
 
     def nuisance_columns(self, rig: Rig, o: Observation, closed: bool) -> Complex:
-        """Derivative of the fundamental by the datasheet's values that are fitted, (P, n, a)."""
+        """Derivative of the fundamental with respect to the nuisance values that are fitted, (P, n, a)."""
         n, nuisance, active = rig.n_axes, self.ground.nuisance, self.unknowns.active
         if self.signal == "u":
             return np.zeros((len(o.line), n, 0), dtype=complex)
@@ -85,11 +86,11 @@ class PartModel:
         return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 
     def effect_columns(
-        self, x: Real, predictions: Sequence[Complex], of: range, closed: bool, carried: Carried
+        self, x: Real, predictions: Sequence[Complex], of: range, closed: bool, nonlinearity: Nonlinearity
     ) -> list[Complex]:
-        """Derivatives of the ``predictions`` at ``x`` by some of the effects' parameters, (P, H, n, len(of)) a sweep.
+        """Derivatives of the ``predictions`` at ``x`` with respect to effect parameters, (P, H, n, len(of)) per sweep.
 
-        ``of`` counts the parameters from the first effect's first. One that is held has none.
+        ``of`` are their indices, counted from the first effect's first. Columns of held parameters are zero.
         """
         low, high, a = self.unknowns.low, self.unknowns.high, self.unknowns.n_nuisance
         columns = [np.zeros((*p.shape, len(of)), dtype=complex) for p in predictions]
@@ -99,15 +100,17 @@ class PartModel:
             moved, at = x.copy(), a + j
             moved[at] += STEP if moved[at] + STEP <= high[j] else -STEP
             rig = self.unknowns.build(moved)
-            for column, o, c, p in zip(columns, self.observations, carried, predictions, strict=True):
+            for column, o, c, p in zip(columns, self.observations, nonlinearity, predictions, strict=True):
                 column[..., column_of] = (self.predict(rig, o, closed, c) - p) / (moved[at] - x[at])
         return columns
 
     def _closed_control(self, o: Observation, model: LinearModel) -> Complex:
-        """Control signal, (P, n), that the twin's loop would have for the excitation the controller really saw."""
+        """Control signal, (P, n), of the twin's loop for the excitation u + C y.
+
+        It is not r, so that an error of the controller does not appear as one of the plant. A logging offset is taken
+        out before the loop is closed and is not part of it: with it the loop could be nearly unstable.
+        """
         f = o.fundamental
         C, late = model.controller[o.line, None], model.log_phase[o.line, None]
-        # Not r itself: a controller that differs is not the plant's fault. With a log that is off, still of the loop
-        # that runs: that of the log could be nearly unstable.
         excitation = late * o.U[:, f] + C * o.Y[:, f]
         return np.asarray((model.u_per_r[o.line] @ excitation[..., None])[..., 0])

@@ -1,7 +1,7 @@
-"""Observation and rig -> weighted residuals of u, i and y: what the twin leaves unexplained, in units of noise.
+"""Predictions of u, i and y by a rig for an observation, and weighted residuals in units of noise.
 
-u is held against r and y through the controller, i and y against u through amplifier and plant, so an error in
-one block of the loop does not spread to the others.
+u is predicted from r and y through the controller, i and y from u through amplifiers and plant, so that an error in one
+part of the loop does not spread to the others.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 NOTHING_TOLD, NOTHING_SEEN = 1e-100, 1e-30
-"""In place of a weight, 1/m or 1/A, and of a signal, m or A, that are zero: far below any, and squares stay finite."""
+"""Substitutes for a weight (1/m or 1/A) and a signal (m or A) of zero in a denominator: far below any other, and their
+squares are finite."""
 
 
 def at_speed_of(rig: Rig, o: Observation) -> Rig:
@@ -30,7 +31,7 @@ def at_speed_of(rig: Rig, o: Observation) -> Rig:
 
 
 def answer(rig: Rig, o: Observation) -> Complex:
-    """Twin's [i, y] for the measured control signal, all harmonics, (P, H, 2 n)."""
+    """Twin's response [i, y] to the measured control signal, all harmonics, (P, H, 2 n)."""
     if o.together:
         return np.concatenate([current(rig, o), whole_displacement(rig, o)], axis=2)
     a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(
@@ -40,7 +41,7 @@ def answer(rig: Rig, o: Observation) -> Complex:
 
 
 def whole_displacement(rig: Rig, o: Observation) -> Complex:
-    """y of `answer`, (P, H, n), which takes half the time."""
+    """y of `answer` alone, (P, H, n), in half the time."""
     if o.together:
         added = o.together.displacement(at_speed_of(rig, o), o.points_hz, o.axis)
         return (displacement(rig, o) + added)[:, None]
@@ -73,7 +74,7 @@ def current(rig: Rig, o: Observation) -> Complex:
 def control(rig: Rig, o: Observation) -> Complex:
     """Twin's logged control signal for the measured displacement, R - C Y, all harmonics, (P, H, n).
 
-    Harmonic 0 is taken as measured: an integrator's mean says nothing.
+    Harmonic 0 is taken as measured: the mean of an integrator's output tells nothing.
     """
     out = o.U.copy()
     for k, h in enumerate(o.harmonics):
@@ -98,7 +99,7 @@ def weight(o: Observation, signal: str) -> Real:
     """1 / sd of the real and of the imaginary part of u, i or y, (P, H, n)."""
     w = np.asarray(np.sqrt(2) / {"u": o.sd_u, "i": o.sd_i, "y": o.sd_y}[signal])
     if signal == "u" and 0 in o.harmonics:
-        w[:, o.harmonics.index(0)] = 0.0  # an integrator's mean says nothing
+        w[:, o.harmonics.index(0)] = 0.0  # the mean of an integrator's output tells nothing
     return w
 
 
@@ -115,10 +116,10 @@ def weights(o: Observation) -> Real:
 
 
 def centred(e: Complex, w: Real, o: Observation) -> Complex:
-    """``e`` (P, H, 3 n, ...) without the weighted mean of harmonic 0 of each line: no effect predicts a static load.
+    """``e`` (P, H, channels, ...) with the weighted mean over each line's points taken off harmonic 0.
 
-    They wander, as magnets keep some of their flux after a large swing and as rigs warm up; what counts is how the mean
-    differs with the axis that is excited.
+    No effect predicts the static load, which wanders with the magnets' remanence and as rigs warm up. Only its
+    differences between the points of a line, with one axis excited and with another, are judged.
     """
     if 0 not in o.harmonics:
         return e

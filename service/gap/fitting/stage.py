@@ -1,4 +1,4 @@
-"""How exact the passes of a fit are, one after the other."""
+"""Stages of a fit, from coarse to exact."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Stage:
-    """How exact a pass of the fit is.
+    """How exact one Levenberg-Marquardt pass of a fit is.
 
-    ``closed`` compares the closed loop's answer to r, smooth where the plant has sharp peaks;
-    ``relative_floor`` is an error allowed beside the noise, relative to the largest signal of a point.
+    ``closed`` compares closed-loop responses, which are smooth where the plant has sharp peaks; ``relative_floor`` is
+    an error that is allowed beside the noise, relative to the largest signal of a point; ``tolerance`` is the relative
+    decrease of the cost from which the pass has converged.
     """
 
     closed: bool

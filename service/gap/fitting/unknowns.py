@@ -1,4 +1,4 @@
-"""What is fitted: a part's uncertain values and the parameters of its effects as one vector, and what is known of them.
+"""The vector of unknowns of a fit: a part's nuisance values and its effects' parameters, with bounds and priors.
 
 The datasheet's values are in units of their tolerances, with a unit-normal prior; an effect's own parameters range
 freely between their bounds.
@@ -20,45 +20,49 @@ from sim.rig import Rig
 Real = NDArray[np.float64]
 
 TOLERANCE_BOUND = 4.0
-"""A datasheet's value may be off by this many of its tolerances; what lies beyond is a gap, not an uncertainty."""
+"""Bound of a nuisance value, in tolerances; what lies beyond is a gap, not an uncertainty."""
 LONGEST_LOG, LONGEST = 1.5, 4.0
-"""Longest step of a magnitude, in nats, and of another parameter, in units of its scale: a clearance that jumps past
-the rotor's reach would not come back."""
+"""Longest step of a parameter with a log scale, in nats, and of another one, in units of its scale: a clearance that
+jumps past the rotor's reach has no derivative there and would not come back."""
 IN_BAND = ("extra_flexible_mode", "frequency_hz")
-"""An effect and its parameter that is no lower than the lowest line: to all lines a mode below them is a mass, and with
-any shape at bearings and sensors as good as any mass, inertia and place of sensors together."""
+"""An effect's parameter that is bounded by the lowest line: a mode below all lines acts as a mass, and with any shapes
+at bearings and sensors can imitate any mass, inertia and sensor positions together."""
 BY_SPEED = frozenset({("cross_coupled_stiffness", "by_speed_ns_per_m")})
-"""Dormant parameters, by effect and name, that sweeps at several speeds wake: at one they say what another one does."""
+"""Dormant (effect, parameter) that are fitted where sweeps are at several speeds: at one speed they are aliases of
+another parameter."""
 OFF_CENTRE, ECCENTRIC = "off_centre_rotor", 0.45
-"""An effect, and the share of the smallest air gap that its offsets reach at most: at the pole there is no force law,
-and magnets do not levitate a rotor much farther off than 0.3."""
+"""An effect, and the bound of its offsets as a share of the smallest air gap: at the pole face the force law is
+singular, and magnets do not levitate a rotor much farther off than 0.3."""
 CHANGING = ("thermal_drift",)
-"""Linear effects that change while a sweep is measured, so that they are no part of the small-signal model."""
+"""Linear effects that change while a sweep is measured, so that they are not in the small-signal model."""
 
 
 class Unknowns:
-    """The vector (a + e,) of a fit: ``a`` deviations of the datasheet's values, then ``e`` parameters of effects."""
+    """The vector (a + e,) of a fit: ``a`` nuisance values, then ``e`` parameters of effects.
+
+    Nuisance values are the part's own, then inherited ones; effects are those to be fitted, then inherited ones.
+    """
 
     def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
-        """``held`` are parameters, by effect and name, that stay where their law is the plainest."""
+        """``held`` are parameters, (effect, name), that are held at their null, where the law is the simplest."""
         rig = ground.nuisance.rig
         self.ground, self.effects = ground, tuple(effect.of(rig) for effect in effects)
         self.active = ground.part.active
         other = ground.inherited
         self._held = {*held, *(() if other is None else asleep(*zip(*other.effects, strict=True)))}
-        theirs = () if other is None else tuple(CATALOGUE[name].of(rig) for name, _ in other.effects)
-        self._together = (*self.effects, *theirs)
-        self.parameters = [(k, p) for k, e in enumerate(self._together) for p in e.parameters]
-        """those of the effects, then those of inherited ones, each with the number of its effect"""
+        inherited = () if other is None else tuple(CATALOGUE[name].of(rig) for name, _ in other.effects)
+        self._all_effects = (*self.effects, *inherited)
+        self.parameters = [(k, p) for k, e in enumerate(self._all_effects) for p in e.parameters]
+        """(number of the effect, parameter), of the effects to be fitted, then of inherited ones"""
         self.n_own = sum(len(e.parameters) for e in effects)
-        """number of those of the effects"""
+        """number of parameters of the effects to be fitted"""
         if other is not None:
             self.active = np.concatenate([self.active, other.active])
-        """(a,) indices of the datasheet's values that are fitted"""
+        """(a,) indices of the nuisance values that are fitted"""
         self.n_nuisance = len(self.active)
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
-        """(e,) size of a unit of each parameter in the vector; of a magnitude, in nats"""
-        ranges = [self._range(self._together[k], p) for k, p in self.parameters]
+        """(e,) size of a unit of each parameter in the vector; with a log scale, in nats"""
+        ranges = [self._range(self._all_effects[k], p) for k, p in self.parameters]
         self.low: Real = np.array([low for low, _ in ranges], dtype=float) / self.scale
         self.high: Real = np.array([high for _, high in ranges], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else LONGEST for _, p in self.parameters])
@@ -72,23 +76,23 @@ class Unknowns:
 
     @property
     def own(self) -> list[tuple[int, Parameter]]:
-        """Parameters of the part's own effects, each with the number of its effect."""
+        """(number of the effect, parameter) of the effects to be fitted, without inherited ones."""
         return self.parameters[: self.n_own]
 
     def _range(self, effect: Effect, p: Parameter) -> tuple[float, float]:
-        """Lowest and highest value that a fit gives a parameter, in the fit's own unit."""
+        """Bounds of a parameter in the fit, logarithmic with a log scale."""
         if (effect.id, p.name) in self._held:
-            return self._inner(p, p.null), self._inner(p, p.null)
+            return self._internal(p, p.null), self._internal(p, p.null)
         low, high = p.low, p.high
         if (effect.id, p.name) == IN_BAND:
             low = max(low, min(float(o.frequency_hz.min()) for o in self.ground.observations))
         if effect.id == OFF_CENTRE:
             most = ECCENTRIC * float(np.min(self.ground.nuisance.rig.magnets.gap_m))
             low, high = max(low, -most), min(high, most)
-        return self._inner(p, low), self._inner(p, high)
+        return self._internal(p, low), self._internal(p, high)
 
     def _priors(self) -> tuple[Real, Real]:
-        """Precision, (a + e, a + e), and mean of what is known beforehand: effects of the part itself range freely."""
+        """Precision, (a + e, a + e), and mean of the normal priors; zero for effects to be fitted: no prior."""
         a, size, other = self.n_nuisance, self.n_nuisance + len(self.scale), self.ground.inherited
         precision, centre = np.zeros((size, size)), np.zeros(size)
         precision[range(a), range(a)] = 1.0
@@ -98,25 +102,25 @@ class Unknowns:
         return precision, centre
 
     @staticmethod
-    def _inner(p: Parameter, value: float) -> float:
-        """A parameter as the fit sees it: magnitudes over decades by their logarithm."""
+    def _internal(p: Parameter, value: float) -> float:
+        """A parameter as the fit has it: its logarithm with a log scale."""
         return float(np.log(np.clip(value, p.low, p.high))) if p.scale == "log" else value
 
     def values(self, e: Real) -> tuple[dict[str, float], ...]:
-        """Effect parameters by name, one dict per effect, then per inherited one, from the scaled vector."""
+        """Parameters by name, one dict per effect and then per inherited one, from their part (e,) of the vector."""
         inside = np.clip(e, self.low, self.high) * self.scale
-        out: list[dict[str, float]] = [{} for _ in self._together]
+        out: list[dict[str, float]] = [{} for _ in self._all_effects]
         for (k, p), v in zip(self.parameters, inside, strict=True):
-            # of a bound, scaling back leaves what is beyond it by its last digit
+            # clipped again, as rounding may put a value at its bound just beyond it
             out[k][p.name] = float(np.clip(np.exp(v) if p.scale == "log" else v, p.low, p.high))
         for k, effect in enumerate(self.effects):
             out[k] |= {p.name: p.null for p in effect.parameters if (effect.id, p.name) in self._held}
         return tuple(out)
 
     def ends(self, e: Real) -> dict[tuple[str, str], End]:
-        """Parameters, by effect and name, that a scaled vector has at an end of their range.
+        """(effect, parameter) that are at an end of their range, from their part (e,) of the vector.
 
-        Where an effect vanishes is no end.
+        The null, where an effect vanishes or its law is the simplest, does not count as an end.
         """
         values, near = self.values(e), 1e-9 * (self.high - self.low)
         out: dict[tuple[str, str], End] = {}
@@ -124,20 +128,20 @@ class Unknowns:
             if self.low[j] == self.high[j] or values[k][p.name] == p.null:
                 continue
             if e[j] <= self.low[j] + near[j]:
-                out[self._together[k].id, p.name] = "low"
+                out[self._all_effects[k].id, p.name] = "low"
             elif e[j] >= self.high[j] - near[j]:
-                out[self._together[k].id, p.name] = "high"
+                out[self._all_effects[k].id, p.name] = "high"
         return out
 
     def scaled(self, values: Sequence[Mapping[str, float]]) -> Real:
-        """Inverse of `values`; parameters not given keep their typical value, inherited ones what was found."""
-        if self.ground.inherited is not None and len(values) < len(self._together):
+        """Inverse of `values`; parameters not given have their typical value, inherited effects the values found."""
+        if self.ground.inherited is not None and len(values) < len(self._all_effects):
             values = (*values, *(found for _, found in self.ground.inherited.effects))
-        inner = [self._inner(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
-        return np.asarray(np.array(inner, dtype=float) / self.scale)
+        internal = [self._internal(p, values[k].get(p.name, p.typical)) for k, p in self.parameters]
+        return np.asarray(np.array(internal, dtype=float) / self.scale)
 
     def theta(self, x: Real) -> Real:
-        """All deviations, (k,): the part's own from ``x``, the others as found before."""
+        """The whole nuisance vector, (k,): values that are fitted from ``x``, the others as other parts have them."""
         theta = self.ground.theta.copy()
         theta[self.active] = x[: self.n_nuisance]
         return theta
@@ -152,23 +156,23 @@ class Unknowns:
 
     def vector(self, fit: Fit) -> Real:
         """The vector (a + e,) at which a fit of this problem ended."""
-        theirs = fit.inherited if len(self._together) > len(self.effects) else ()
-        return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *theirs))])
+        inherited = fit.inherited if len(self._all_effects) > len(self.effects) else ()
+        return np.concatenate([fit.theta[self.active], self.scaled((*fit.values, *inherited))])
 
     def penalty(self, x: Real) -> float:
-        """What is known beforehand holds so much against a vector, chi-square, as a fit minimises it."""
+        """Penalty of the normal priors, a chi-square, as a fit minimises it."""
         away = x - self.prior_mean
         return float(away @ self.prior @ away)
 
     def price(self, x: Real) -> float:
-        """The same as an explanation is judged by it: of tolerances that are only assumed, less."""
+        """Penalty by which an explanation is judged: less than `penalty` where tolerances are only assumed."""
         other = self.ground.inherited
         own = x[: self.n_nuisance - (0 if other is None else len(other.active))]
         return self.penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
 
 
 def asleep(effects: Sequence[str] = (), values: Sequence[Mapping[str, float]] = ()) -> frozenset[tuple[str, str]]:
-    """Dormant parameters, by effect and name, that are at their null.
+    """Dormant (effect, parameter) that are at their null, so that a fit holds them there.
 
     >>> asleep(["sensor_lag"], [{"end_imbalance": 0.5}])
     frozenset({('sensor_lag', 'plane_imbalance')})
@@ -182,10 +186,10 @@ def asleep(effects: Sequence[str] = (), values: Sequence[Mapping[str, float]] = 
 
 
 def slow_to_compute(name: str) -> bool:
-    """Whether an effect's force has to be evaluated in time; it is held where it hardly changes."""
+    """Whether an effect is evaluated in the time domain, which is slow: nonlinear, or changing during a sweep."""
     return CATALOGUE[name].nonlinear or name in CHANGING
 
 
 def _scale(p: Parameter) -> float:
-    """Size of one unit of an effect's parameter in the fit."""
+    """Size of one unit of an effect's parameter in the vector."""
     return 1.0 if p.scale == "log" else abs(p.typical - p.null) or abs(p.high - p.low)

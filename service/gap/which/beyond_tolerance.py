@@ -80,7 +80,7 @@ def _task(name: str, ground: Ground, theta: Real, changes: Mapping[str, float], 
     moved[list(_own(name, ground).values())] = 0.0
     starts = [({p: _stated(p, share * changes[p]) if p in freed else 0.0 for p in parameters},) for share in (1, 2)]
     held = frozenset((name, p) for p in parameters if p not in freed)
-    return Task(ground, (name,), tuple(starts), moved, (EXACT,), plain=held)
+    return Task(ground, (name,), tuple(starts), moved, (EXACT,), nulled=held)
 
 
 def _own(name: str, ground: Ground) -> dict[str, int]:

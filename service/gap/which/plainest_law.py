@@ -67,11 +67,11 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
 
     def as_good(without: Sequence[frozenset[tuple[str, str]]]) -> dict[frozenset[tuple[str, str]], Candidate]:
         """The fits without these that leave about as little."""
-        tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), plain=w) for w in without]
+        tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), nulled=w) for w in without]
         return {
-            task.plain: replace(c, standard_deviations=best.standard_deviations)
+            task.nulled: replace(c, standard_deviations=best.standard_deviations)
             for task, c in zip(tasks, fitter.each(tasks), strict=True)
-            if c is not None and c.fit.cost - best.fit.cost < WORTH_CHI_SQUARE * per_residual * len(task.plain)
+            if c is not None and c.fit.cost - best.fit.cost < WORTH_CHI_SQUARE * per_residual * len(task.nulled)
         }
 
     everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]

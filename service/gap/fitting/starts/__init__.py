@@ -1,1 +1,1 @@
-"""Starting values of effects, found in what the twin leaves unexplained."""
+"""Starting values of effects, estimated from the residuals of a twin."""

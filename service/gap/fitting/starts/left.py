@@ -1,4 +1,4 @@
-"""What a rig leaves unexplained of a sweep, for an effect to start from."""
+"""Residuals of a sweep, from which the starts of effects are estimated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """A sweep, and what a fitted rig leaves of a part's signal in it."""
+    """A sweep with the residuals of a fitted rig in one part's signal."""
 
     rig: Rig
     z: Complex
@@ -28,10 +28,10 @@ class Left:
     ground: Ground
 
     def datasheet_basis(self) -> Real:
-        """What the datasheet's values can do within their tolerances to the weighted fundamentals, (2 P n, a).
+        """Basis Q, (2 P n, a), of what the nuisance values can explain of the weighted fundamentals.
 
-        Columns are orthonormal together with the tolerances as data, so that what is projected on them is what is left
-        of it once the values have followed.
+        By QR of the Jacobian with the priors as further rows: v - Q Q^T v is what remains of residuals v once the
+        nuisance values have been refitted under their priors.
         """
         o, part = self.o, self.ground.part
         w = weight(o, "y")[:, o.fundamental]
@@ -40,13 +40,13 @@ class Left:
         return np.linalg.qr(np.concatenate([rows, np.eye(rows.shape[1])]))[0][: len(rows)]
 
     def peaks_hz(self, count: int = 2) -> list[float]:
-        """Frequencies where most is left, Hz, largest first."""
+        """Frequencies of the largest local maxima of the residuals, Hz, largest first."""
         o = self.o
         total = np.bincount(
             o.line, weights=np.log1p(np.abs(self.z[:, o.fundamental]) ** 2).sum(axis=1), minlength=len(o.frequency_hz)
         )
         per_line = total / np.maximum(np.bincount(o.line, minlength=len(o.frequency_hz)), 1)
-        padded = np.pad(per_line, 1, constant_values=-np.inf)  # a line at the end has one neighbour, one alone none
-        inner = (per_line >= padded[:-2]) & (per_line >= padded[2:])
-        order = np.argsort(np.where(inner, -per_line, 0.0))
+        padded = np.pad(per_line, 1, constant_values=-np.inf)  # the first and the last line may be maxima, too
+        maximum = (per_line >= padded[:-2]) & (per_line >= padded[2:])
+        order = np.argsort(np.where(maximum, -per_line, 0.0))
         return [float(o.frequency_hz[k]) for k in order[:count]]

@@ -1,7 +1,7 @@
-"""Starting values of any effect; several where its answer has several valleys, of which a fit finds its own only.
+"""Starting values of any effect; several where the cost has several local minima, of which a fit finds the nearest.
 
-A resonance starts where the twin fails most, a slew limit at the largest rate of current, a stop at the clearance
-whose force answers best to the residuals.
+A resonance starts where the residuals are largest, a slew limit near the largest slope of the current, a stop at the
+clearance whose force matches the residuals best.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ Start = dict[str, float]
 Search = Callable[[Effect, Start, Left], list[Start]]
 
 FAINT = 0.2
-"""Share of its typical strength at which an effect starts that nothing else is known of."""
+"""Share of its typical strength at which an effect starts by default."""
 
 
 def starts(effect: Effect, left: Left) -> list[Start]:
-    """Values of all of the effect's parameters, by name, to begin a fit from, the best first.
+    """Starts of a fit, all of the effect's parameters by name, the best first.
 
-    ``left`` is what the effect is to explain, of the part that it acts in.
+    ``left`` are the residuals that the effect is to explain, of the part that it acts in.
     """
     effect = effect.of(left.ground.nuisance.rig)
     base = {
@@ -38,13 +38,13 @@ def starts(effect: Effect, left: Left) -> list[Start]:
 
 
 def _sides(_: Effect, base: Start, left: Left) -> list[Start]:
-    """The largest change is stated: on which side of the bearings that is, is another valley."""
+    """Alike on all axes, or more at B or in y: as the largest change is stated, these are separate local minima."""
     sides = product(*((0.0, -0.5) for name in imbalance.NAMES[: left.rig.n_planes]))
     return [{**base, **dict(zip(imbalance.NAMES, side, strict=False))} for side in sides]
 
 
 def _lags(_: Effect, base: Start, __: Left) -> list[Start]:
-    """Eddy currents as typical, and slow ones that end within the band."""
+    """Eddy currents as typical, and ones whose lag is of first order up to a corner near the end of the band."""
     return [base, {**base, "time_constant_s": 1e-5, "corner_rad_s": 2e4}]
 
 
@@ -56,14 +56,14 @@ def _laws_of_flux(effect: Effect, base: Start, _: Left) -> list[Start]:
 
 
 def _loops(_: Effect, base: Start, left: Left) -> list[Start]:
-    """Loops of hysteresis of any width, and about those that the measured swing of the flux goes through."""
+    """Hysteresis with plays of every width, and with plays about widths that the measured currents pass through."""
     o = left.o
     swing = float(np.quantile(np.abs(o.U if o.I is None else o.I)[:, o.fundamental].max(axis=1), 0.9))
-    middles = (0.25 * swing, 0.6 * swing)
-    return [base, *({**base, "narrowest_a": 0.5 * m, "widest_inverse_per_a": 1 / (1.5 * m)} for m in middles)]
+    widths = (0.25 * swing, 0.6 * swing)
+    return [base, *({**base, "narrowest_a": 0.5 * m, "widest_inverse_per_a": 1 / (1.5 * m)} for m in widths)]
 
 
-def _both_ways(_: Effect, base: Start, __: Left) -> list[Start]:
+def _both_signs(_: Effect, base: Start, __: Left) -> list[Start]:
     return [{name: sign * v for name, v in base.items()} for sign in (1.0, -1.0)]
 
 
@@ -74,9 +74,9 @@ SEARCHES: Mapping[str, Search] = {
     "extra_flexible_mode": resonances.starts,
     "magnetic_hysteresis": _loops,
     "magnetic_saturation": _laws_of_flux,
-    "off_centre_rotor": _both_ways,
+    "off_centre_rotor": _both_signs,
     "support_resonance": resonances.starts,
     "thermal_drift": drifts.starts,
     "touchdown_contact": stops.starts,
 }
-"""By effect, how its starts are found; another's is where it is faint."""
+"""By effect, the function that finds its starts; other effects start at a `FAINT` strength."""

@@ -1,4 +1,4 @@
-"""Where one more resonance starts: of a rotor's mode or of a housing."""
+"""Starts of one more resonance, a mode of the rotor or a housing, by a score test over a grid of frequencies."""
 
 from __future__ import annotations
 
@@ -12,29 +12,31 @@ from sim.effect import Effect
 
 Real = NDArray[np.float64]
 
-DAMPED = 0.02
-"""Damping ratio of a resonance that is looked for: wide enough not to fall between two lines."""
-DAMPINGS = (0.001, 0.003, 0.006, 0.06)
-"""Those at which the best is looked at more closely: it may stand between two lines and show at one of them alone..."""
-GRID_BETWEEN = 17
-"""... at so many frequencies from the one beside it to the other."""
-LINES_APART = 8
-"""Frequencies looked at, lines and what lies between two, between which a second resonance is not looked for."""
+GRID_DAMPING = 0.02
+"""Damping ratio on the grid: wide enough for a resonance not to fall between two lines."""
+FINE_DAMPINGS = (0.001, 0.003, 0.006, 0.06)
+"""Further damping ratios that are tried near the best frequencies, as a resonance between two lines may show at
+one..."""
+FINE_FREQUENCIES = 17
+"""... at so many frequencies between the neighbours on the grid."""
+GRID_APART = 8
+"""Least distance of a second resonance from the first, in steps of the grid (lines, and one frequency between each)."""
 
 
 def starts(effect: Effect, base: dict[str, float], left: Left) -> list[dict[str, float]]:
-    """The best resonances, then one where most is left, then the typical one."""
+    """The best resonances, then one at the largest residuals, then the typical one."""
     others = (left.peaks_hz(1)[0], base["frequency_hz"])
     found = (*resonances(effect, left), *({"frequency_hz": f} for f in dict.fromkeys(others)))
     return [{**base, **f} for f in found]
 
 
 def resonances(effect: Effect, left: Left, count: int = 2) -> list[dict[str, float]]:
-    """Where one more resonance would explain most that the datasheet's values cannot, best first.
+    """Resonances that explain most beyond what the nuisance values can, best first: frequency, damping and shape.
 
-    A score test: the resonance is so light that its answer is proportional to its residues, and what the values of the
-    datasheet could do as well is projected out. A housing moves both ends alike; what is ``shaped`` moves them by the
-    residue of rank one that is nearest, and gets that shape.
+    A score test: a resonance of small modal participation has a response that is linear in its residues, so these
+    follow from a regression of the residuals, with what the nuisance values can explain projected out. A housing moves
+    both ends alike and has one residue. A flexible mode has four; it gets the shapes of the nearest residue of rank
+    one.
     """
     shaped = effect.id == "extra_flexible_mode"
     if left.rig.support is not None and not shaped:
@@ -47,22 +49,24 @@ def resonances(effect: Effect, left: Left, count: int = 2) -> list[dict[str, flo
     wanted -= basis @ (basis.T @ wanted)
 
     def score(own_hz: float, damping_ratio: float) -> tuple[float, Real]:
+        """Chi-square that such a resonance takes off, and its residues."""
         own = 2 * np.pi * own_hz
-        light = stacked(columns / (s**2 + 2 * damping_ratio * own * s + own**2)[:, None, None])
-        along, known = (light.T @ wanted)[:, 0], basis.T @ light
-        power = light.T @ light - known.T @ known
+        responses = stacked(columns / (s**2 + 2 * damping_ratio * own * s + own**2)[:, None, None])
+        along, known = (responses.T @ wanted)[:, 0], basis.T @ responses
+        power = responses.T @ responses - known.T @ known
         residue = np.linalg.solve(power + 1e-9 * np.trace(power) * np.eye(len(power)), along)
         return float(along @ residue) if shaped or residue[0] > 0 else 0.0, residue
 
     between = np.sqrt(o.frequency_hz[:-1] * o.frequency_hz[1:])
     grid = np.sort(np.concatenate([o.frequency_hz, between]))
-    order = np.argsort([-score(own, DAMPED)[0] for own in grid])
+    order = np.argsort([-score(own, GRID_DAMPING)[0] for own in grid])
     best = [int(order[0])]
-    best += [int(k) for k in order if abs(int(k) - best[0]) > LINES_APART][: count - 1]
+    best += [int(k) for k in order if abs(int(k) - best[0]) > GRID_APART][: count - 1]
     found = []
     for k in best:
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-        tried = [(own, damping) for damping in (DAMPED, *DAMPINGS) for own in np.geomspace(low, high, GRID_BETWEEN)]
+        fine = np.geomspace(low, high, FINE_FREQUENCIES)
+        tried = [(own, damping) for damping in (GRID_DAMPING, *FINE_DAMPINGS) for own in fine]
         own, damping = max(tried, key=lambda at: score(*at)[0])
         shape = _shape(effect, score(own, damping)[1]) if shaped else {}
         found.append({"frequency_hz": float(own), "damping_ratio": float(damping), **shape})
@@ -70,7 +74,10 @@ def resonances(effect: Effect, left: Left, count: int = 2) -> list[dict[str, flo
 
 
 def _shape(effect: Effect, residue: Real) -> dict[str, float]:
-    """The mode shape whose residue, (4,), is nearest: displacement at A and B for forces at A, then at B."""
+    """Mode shapes of the nearest residue of rank one.
+
+    ``residue``, (4,), is displacement at A per force at A and at B, then displacement at B.
+    """
     u, size, v = np.linalg.svd(residue.reshape(2, 2))
     at_sensors, at_bearings = np.sqrt(size[0]) * u[:, 0], np.sqrt(size[0]) * v[0]
     known = {p.name: p for p in effect.parameters}

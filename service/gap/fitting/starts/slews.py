@@ -1,4 +1,4 @@
-"""Where a voltage limit of the amplifiers starts: at the slew limit that leaves least of the measured current."""
+"""Starts of a voltage limit of the amplifiers: the slew limits, on a grid, with the least residuals of the current."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from sim.effect import Effect
 from sim.rig import Rig
 
 SLEWS = tuple(np.geomspace(0.7, 1.02, 25).tolist())
-"""Shares of the largest slope of a current's excited frequency at which a slew limit is looked for: a current that
-slews all the time is a triangle, 4/pi as steep in this as it is."""
-SEEN = (0.0, 0.5, 1.0)
-"""Shares of a current loop's damping that act on the slope the coil has, of the loops that are tried."""
+"""Slew limits on the grid, over the largest slope of the measured fundamental: from below pi/4, as a current that is at
+its limit all the time is a triangle, whose fundamental is 4/pi as steep as the limit."""
+DAMPING_SHARES = (0.0, 0.5, 1.0)
+"""Shares of a current loop's damping that act on the limited slope, of the kinds of loops that are tried."""
 
 
 def starts(effect: Effect, _base: dict[str, float], left: Left) -> list[dict[str, float]]:
-    """For each kind of current loop the slew limit that leaves least, best first.
+    """For each kind of current loop the slew limit with the least residuals, best first.
 
-    Near the limit of a loop that winds up the current jumps to lag by half a period, so its valley is narrow. Where
-    the current was not logged, limits are not told so finely.
+    Near the limit a loop that winds up makes the current jump to a lag of half a period, so the minimum of the cost is
+    narrow and needs a fine grid. Where the current was not logged, y does not show limits so finely, and a few do.
     """
     rig, o = left.rig, left.o
     rate, limits = largest_rate(o, rig), {p.name: p for p in effect.parameters}["slew_inverse_s_per_a"]
@@ -33,10 +33,11 @@ def starts(effect: Effect, _base: dict[str, float], left: Left) -> list[dict[str
     if o.I is None or np.isfinite(rig.amplifiers.slew_limit_a_per_s).any():
         return [values(share, seen) for share in (0.9, np.pi / 4) for seen in (0.1, 0.9)]
     without, w = current(rig, o), weight(o, "i")
-    kinds = SEEN[:1] if rig.amplifiers.damping_ratio is None else SEEN
+    kinds = DAMPING_SHARES[:1] if rig.amplifiers.damping_ratio is None else DAMPING_SHARES
 
-    def remainder(one: dict[str, float]) -> float:
-        change = (current(effect.on(rig, **one), o) - without) * w
+    def remainder(parameters: dict[str, float]) -> float:
+        """Chi-square that is left with such a limit."""
+        change = (current(effect.on(rig, **parameters), o) - without) * w
         return float(np.sum(np.abs(left.z - change) ** 2))
 
     best = [min(((remainder(v := values(s, seen)), v) for s in SLEWS), key=lambda one: one[0]) for seen in kinds]
@@ -44,12 +45,12 @@ def starts(effect: Effect, _base: dict[str, float], left: Left) -> list[dict[str
 
 
 def largest_rate(o: Observation, rig: Rig | None = None) -> float:
-    """Largest slope of the coil current, A/s.
+    """Largest slope of the coil current's fundamental, A/s.
 
     Where the current was not logged it is that of the small-signal ``rig``, or else of the control signal.
     """
     if o.I is not None or rig is None:
         currents = (o.U if o.I is None else o.I)[:, o.fundamental]
-    else:  # of an amplifier far above its bandwidth, much less than the control signal asks for
+    else:  # far above the amplifiers' bandwidth it is much less than the control signal's
         currents = linear_answer(rig, o)[:, : rig.n_axes]
     return float((np.abs(currents).max(axis=1) * 2 * np.pi * o.points_hz).max())

@@ -1,4 +1,4 @@
-"""Where a stop that the rotor touches starts: at the clearance whose force answers best to what is left."""
+"""Starts of a stop that the rotor touches: the clearances, on a grid, whose force matches the residuals best."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from service.gap.fitting.starts.left import Left
 from sim.effect import Effect
 
 CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
-"""Shares of each axis's largest displacement at which a stop is looked for."""
+"""Clearances on the grid, as shares of each axis's largest displacement."""
 SOFT = 0.02
-"""Stiffness of the stop that is tried, as a share of the magnets': small enough for its answer to be proportional."""
+"""Stiffness of the trial stop over the magnets': small enough for the response to be proportional to it."""
 
 
 def starts(effect: Effect, base: dict[str, float], left: Left, count: int = 2) -> list[dict[str, float]]:
-    """The clearances and sides, best first, whose soft stop answers most to the residuals, with the fitting stiffness.
+    """The best clearances and sides, each with its best stiffness.
 
-    The force of a stop is proportional to its stiffness where the rotor was seen to move, so one soft stop tells
-    the best stiffness of each clearance by linear regression.
+    For the measured motion the force of a stop is proportional to its stiffness, so the response of one soft stop gives
+    the best stiffness of a clearance by linear regression.
     """
     rig, o = left.rig, left.o
     if rig.contact is not None:
