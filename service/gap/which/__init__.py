@@ -1,1 +1,1 @@
-"""Which effect: every explanation of a part tried, alone and together, and held against unseen data."""
+"""Which effect: the search for the explanation of a part, over single effects and mixtures."""

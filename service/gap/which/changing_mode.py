@@ -1,8 +1,8 @@
-"""A flexible mode whose stiffness or damping changes with its own swing, fitted to a plant as an effect would be.
+"""A flexible mode whose stiffness or damping changes with its own amplitude, fitted to a plant as an effect would be.
 
-Joints slip, shrink fits open: w^2 (1 + a |q|^2) and 2 zeta + b |q|^2 of the modal coordinate q. No law of the catalogue
-does so, and another resonance beside the mode bends to the peak that it makes. Each input drives the mode to another
-swing, which no linear effect can follow.
+Joints slip, shrink fits open: w^2 (1 + a |q|^2) and 2 zeta + b |q|^2, |q| the amplitude of the modal coordinate (a
+describing function). No law of the catalogue is like it, and an extra resonance can imitate the distorted peak. But
+each input drives the mode to another amplitude, which no linear effect can reproduce.
 """
 
 from __future__ import annotations
@@ -27,30 +27,32 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 SIZES = (0.03, 0.1, 0.3, 1.0, 3.0)
-BEGINNINGS = (*((s * way, 0.0) for s in SIZES for way in (1, -1)), *((0.0, s) for s in SIZES), (0.0, -0.3))
-"""Changes of frequency and of damping at the largest swing, in half widths of the peak, from which a fit may begin."""
-FITTED_BEGINNINGS = 2
-"""Modes and beginnings, those that leave least, which are fitted."""
-STEPS = 25
-"""Evaluations of a fit."""
-SETTLES = 60
-"""Steps to the swing that a mode has with what that swing changes."""
+STARTS = (*((s * sign, 0.0) for s in SIZES for sign in (1, -1)), *((0.0, s) for s in SIZES), (0.0, -0.3))
+"""Starts of a fit: changes of frequency and of damping at the largest amplitude, in half widths of the peak."""
+FITTED_STARTS = 2
+"""Number of (mode, start), those of least cost, that are fitted."""
+MAX_EVALUATIONS = 25
+"""Of a fit."""
+AMPLITUDE_ITERATIONS = 60
+"""Fixed-point iterations for the amplitude of a mode that depends on its own amplitude."""
 
 
 @dataclass(frozen=True)
 class ChangingMode:
-    """A mode that changes with its swing, the datasheet's values fitted beside it."""
+    """A mode that changes with its amplitude, fitted beside the nuisance values."""
 
     ground: Ground
     null: Candidate
     """the plain twin"""
     mode: int
     solution: Real
-    """the part's deviations, then changes of frequency and damping at the largest swing, in half widths, (a + 2,)"""
+    """(a + 2,) the part's nuisance values, then changes of frequency and damping at the largest amplitude, in half
+    widths
+    of the peak"""
     largest: float
-    """that swing squared, m^2 kg"""
+    """that amplitude squared, m^2 kg"""
     explained: float
-    """of the plain twin's cost on the fitted sweeps"""
+    """decrease of the plain twin's cost on the fitted sweeps"""
 
     @property
     def _own(self) -> tuple[float, float]:
@@ -59,39 +61,39 @@ class ChangingMode:
 
     @property
     def frequency_hz(self) -> float:
-        """Of the mode, by the datasheet."""
+        """Natural frequency of the mode by the datasheet."""
         return self._own[0] / (2 * np.pi)
 
     @property
     def damping_ratio(self) -> float:
-        """The same."""
+        """Damping ratio of the mode by the datasheet."""
         return self._own[1]
 
     @property
     def frequency_change(self) -> float:
-        """Relative, at the largest swing."""
+        """Relative change of the natural frequency at the largest amplitude."""
         return float(self.solution[-2] * self._own[1])
 
     @property
     def damping_change(self) -> float:
-        """Of the damping ratio, at the largest swing."""
+        """Change of the damping ratio at the largest amplitude."""
         return float(self.solution[-1] * self._own[1])
 
     def explained_on(self, o: Observation, plain: Complex) -> float:
-        """Chi-square that it takes off a sweep no fit has seen; ``plain`` is what the plain twin leaves, (P, H, n)."""
-        left = _Fitted(self.ground, self.null, (o,), self.mode, self.largest).left(self.solution)
-        return float(np.sum(np.abs(plain[:, o.fundamental]) ** 2) - np.sum(left**2))
+        """Chi-square that it takes off an unseen sweep; ``plain`` are the plain twin's residuals, (P, H, n)."""
+        z = _ModeProblem(self.ground, self.null, (o,), self.mode, self.largest).weighted_residuals(self.solution)
+        return float(np.sum(np.abs(plain[:, o.fundamental]) ** 2) - np.sum(z**2))
 
 
 def changing_mode(ground: Ground, null: Candidate) -> ChangingMode | None:
-    """The changing mode that explains most of what the plain twin leaves; None of a part without modes."""
+    """The changing mode that takes most off the cost of the plain twin ``null``; None for a part without modes."""
     modes = range(ground.nuisance.n_modes) if ground.part.path == "plant" else ()
-    begun: list[tuple[float, int, Real]] = []
-    problems = {mode: _Fitted.of(ground, null, mode) for mode in modes}
+    starts: list[tuple[float, int, Real]] = []
+    problems = {mode: _ModeProblem.of(ground, null, mode) for mode in modes}
     for mode, problem in problems.items():
-        begun += [(cost, mode, x) for cost, x in problem.beginnings()]
+        starts += [(cost, mode, x) for cost, x in problem.starts()]
     found = []
-    for _, mode, x in sorted(begun, key=lambda one: one[0])[:FITTED_BEGINNINGS]:
+    for _, mode, x in sorted(starts, key=lambda start: start[0])[:FITTED_STARTS]:
         problem = problems[mode]
         x = min(problem.plain, x, problem.fitted(x), key=problem.cost)
         explained = problem.cost(problem.plain) - problem.cost(x)
@@ -99,8 +101,8 @@ def changing_mode(ground: Ground, null: Candidate) -> ChangingMode | None:
     return max(found, key=lambda c: c.explained, default=None)
 
 
-class _Fitted:
-    """The plant's fundamentals with a changing mode: residuals and derivatives for least squares."""
+class _ModeProblem:
+    """Least-squares problem of a changing mode and the nuisance values, on the plant's fundamentals."""
 
     def __init__(
         self, ground: Ground, null: Candidate, observations: Sequence[Observation], mode: int, largest: float
@@ -118,47 +120,49 @@ class _Fitted:
             self._sweeps.append((o, w, rest))
 
     @classmethod
-    def of(cls, ground: Ground, null: Candidate, mode: int) -> _Fitted:
-        """Of all fitted sweeps; the largest swing is that of the plain twin."""
+    def of(cls, ground: Ground, null: Candidate, mode: int) -> _ModeProblem:
+        """The problem of all fitted sweeps; the largest amplitude is that of the plain twin."""
         swings = [swing_of(at_speed_of(null.fit.rig, o), o, mode) for o in ground.observations]
         largest = max(float(np.max(np.abs(swing.coordinate) ** 2)) for swing in swings)
         return cls(ground, null, ground.observations, mode, largest)
 
-    def beginnings(self) -> list[tuple[float, Real]]:
-        """Where a fit may begin, the datasheet's values as the plain twin has them, with what each leaves."""
+    def starts(self) -> list[tuple[float, Real]]:
+        """Starts of a fit with their chi-squares; the nuisance values are the plain twin's."""
         rig, out = self._rig(self.plain), []
         known = [
             (o, w, rest - displacement(rig, o), swing_of(at_speed_of(rig, o), o, self._mode))
             for o, w, rest in self._sweeps
         ]
-        for own in BEGINNINGS:
-            x = np.concatenate([self.plain[:-2], own])
-            left = sum(float(np.sum(np.abs(w * (z - self._change(rig, o, s, x))) ** 2)) for o, w, z, s in known)
-            out.append((left, x))
+        for changes in STARTS:
+            x = np.concatenate([self.plain[:-2], changes])
+            chi_square = sum(float(np.sum(np.abs(w * (z - self._change(rig, o, s, x))) ** 2)) for o, w, z, s in known)
+            out.append((chi_square, x))
         return out
 
     def fitted(self, x: Real) -> Real:
-        """Where least squares lead from there."""
+        """The solution of least squares from a start."""
         bound = np.concatenate([np.full(len(x) - 2, TOLERANCE_BOUND), [np.inf, np.inf]])
         inside = np.clip(x, -0.999 * bound, 0.999 * bound)
-        return np.asarray(least_squares(self.residuals, inside, self.jacobian, (-bound, bound), max_nfev=STEPS).x)
+        bounds = (-bound, bound)
+        return np.asarray(least_squares(self.residuals, inside, self.jacobian, bounds, max_nfev=MAX_EVALUATIONS).x)
 
     def cost(self, x: Real) -> float:
+        """Chi-square and penalty."""
         return float(np.sum(self.residuals(x) ** 2))
 
     def residuals(self, x: Real) -> Real:
-        """Weighted residuals, real and imaginary parts, and what is known of the values beforehand."""
-        return np.concatenate([self.left(x), self._prior @ x[:-2]])
+        """Weighted residuals, then those of the priors of the nuisance values."""
+        return np.concatenate([self.weighted_residuals(x), self._prior @ x[:-2]])
 
-    def left(self, x: Real) -> Real:
-        """The weighted residuals alone."""
+    def weighted_residuals(self, x: Real) -> Real:
+        """Weighted residuals of all sweeps, real parts and then imaginary ones of each."""
         rig = self._rig(x)
         return np.concatenate(
             [stacked((w * (rest - self._answer(rig, o, x)))[..., None])[:, 0] for o, w, rest in self._sweeps]
         )
 
     def jacobian(self, x: Real) -> Real:
-        """Derivatives of `residuals`; those by the datasheet's values are the small-signal twin's."""
+        """Derivatives of `residuals`; those with respect to nuisance values are the small-signal twin's."""
         rig, rows = self._rig(x), []
         for o, w, _ in self._sweeps:
             swing = swing_of(at_speed_of(rig, o), o, self._mode)
@@ -183,11 +187,11 @@ class _Fitted:
         omega = 2 * np.pi * o.points_hz[:, None]
         w = np.array([plane[self._mode].natural_frequency_rad_s for plane in rig.rotor.modes])
         zeta = np.array([plane[self._mode].damping_ratio for plane in rig.rotor.modes])
-        # at the largest swing: w (1 + x zeta) and zeta (1 + x)
+        # modal force per coordinate and per squared amplitude; at the largest amplitude w (1 + x zeta) and zeta (1 + x)
         per_square = (2 * zeta * w**2 * x[-2] + 2j * zeta * w * omega * x[-1]) / self.largest
-        square = np.abs(swing.coordinate) ** 2
-        now = square.copy()
-        for _ in range(SETTLES):
-            now = np.sqrt(now * square / np.abs(1 + swing.own * per_square * now) ** 2)
-        pushed = -per_square * now * swing.coordinate / (1 + swing.own * per_square * now)
-        return np.asarray(np.einsum("pnv,pv->pn", swing.seen, pushed))
+        linear_square = np.abs(swing.coordinate) ** 2
+        square = linear_square.copy()
+        for _ in range(AMPLITUDE_ITERATIONS):
+            square = np.sqrt(square * linear_square / np.abs(1 + swing.own * per_square * square) ** 2)
+        force = -per_square * square * swing.coordinate / (1 + swing.own * per_square * square)
+        return np.asarray(np.einsum("pnv,pv->pn", swing.seen, force))

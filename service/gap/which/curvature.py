@@ -1,9 +1,8 @@
-"""A characteristic that is curved, c2 x^2 + c3 x^3 + .., fitted to a part of the loop as an effect would be.
+"""A curved characteristic, x + c2 x^2 + c3 x^3 + .., fitted to a part of the loop as an effect would be.
 
-No law of the catalogue bends the characteristic of a sensor, or of an amplifier but at its voltage limit, nor has it a
-force at the bearings that grows smoothly; effects that bend a force make harmonics too, and change the answer with the
-amplitude, so they may stand for one. All of it is linear in the curvatures, and so are small changes of the datasheet's
-values beside them.
+The catalogue has no law with a smoothly nonlinear sensor, amplifier or bearing force. Its nonlinear effects make
+harmonics and change the response with amplitude, too, so one of them may be mistaken for such a characteristic. The
+response is linear in the curvatures, and to first order in the nuisance values beside them: one linear least squares.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 NOTHING = 1e-12
-"""Share of the largest eigenvalue below which data tell nothing of a direction."""
+"""Share of the largest eigenvalue below which a direction of the unknowns is taken as unobservable."""
 CHI_SQUARE_SHOWN = 36.0
-"""Chi-square that the next power takes off where it is there; else it would only blur what is known of the third."""
+"""Chi-square that a further power must take off to be included; else it would only widen the deviation of the third."""
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """A part's curved characteristic, the datasheet's values fitted beside it."""
+    """A part's curved characteristic, fitted beside the nuisance values."""
 
     ground: Ground
     null: Candidate
@@ -44,11 +43,11 @@ class Curvature:
     law: CurvedLaw
     powers: tuple[int, ...]
     solution: Real
-    """changes of the plain twin's values, then curvatures, (a + powers * n,)"""
+    """(a + powers * n,) changes of the plain twin's values, then curvatures"""
     deviation: Real
-    """standard deviation of each, (a + powers * n,); infinite where no signal tells it"""
+    """(a + powers * n,) standard deviation of each; infinite where it is unobservable"""
     explained: float
-    """of the plain twin's cost on the fitted sweeps"""
+    """decrease of the plain twin's cost on the fitted sweeps"""
 
     @property
     def value(self) -> Real:
@@ -61,19 +60,20 @@ class Curvature:
         return self._curvatures(self.deviation)
 
     def explained_on(self, o: Observation, plain: Complex) -> float:
-        """Chi-square that it takes off a sweep no fit has seen; ``plain`` is what the plain twin leaves, (P, H, n)."""
-        rows, left, *_ = _system(self.ground, self.null, [(o, plain)], self.law, self.powers)
-        return float(left @ left - np.sum((left - rows @ self.solution) ** 2))
+        """Chi-square that it takes off an unseen sweep; ``plain`` are the plain twin's residuals, (P, H, n)."""
+        rows, z, *_ = _system(self.ground, self.null, [(o, plain)], self.law, self.powers)
+        return float(z @ z - np.sum((z - rows @ self.solution) ** 2))
 
     def _curvatures(self, x: Real) -> Real:
+        """The curvatures of `POWERS` among the unknowns, (powers, n)."""
         n = self.ground.nuisance.rig.n_axes
         return x[len(x) - len(self.powers) * n :].reshape(len(self.powers), n)[: len(POWERS)]
 
 
 def curvatures(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> list[Curvature]:
-    """What each curved characteristic of a part explains of what the plain twin leaves, (P, H, n) per sweep.
+    """Each possible curved characteristic of a part, fitted to the plain twin's residuals, (P, H, n) per sweep.
 
-    A higher power is there only where it shows.
+    A higher power is included only where it explains enough.
     """
     out = []
     for law in curved_laws(ground.part):
@@ -87,28 +87,29 @@ def curvatures(ground: Ground, null: Candidate, plain: Sequence[Complex]) -> lis
 def _fitted(
     ground: Ground, null: Candidate, plain: Sequence[Complex], law: CurvedLaw, powers: tuple[int, ...]
 ) -> Curvature:
+    """The bounded linear least-squares fit of a characteristic with these powers."""
     sweeps = list(zip(ground.observations, plain, strict=True))
-    rows, left, prior, pull = _system(ground, null, sweeps, law, powers)
+    rows, z, prior, pull = _system(ground, null, sweeps, law, powers)
     hessian = rows.T @ rows + prior
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))  # a curvature is per m^2, a deviation per tolerance
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
-    gradient = rows.T @ left + pull
-    # To first order a value could make up for anything, many tolerances away.
+    gradient = rows.T @ z + pull
+    # Without bounds a linearised nuisance value could compensate for anything, many tolerances away.
     now = null.fit.theta[ground.part.active]
     low, high = (np.full(len(scale), far) for far in (-np.inf, np.inf))
     low[: len(now)], high[: len(now)] = -TOLERANCE_BOUND - now, TOLERANCE_BOUND - now
-    x = _within(hessian / np.outer(scale, scale), gradient / scale, low * scale, high * scale) / scale
+    x = _bounded_minimum(hessian / np.outer(scale, scale), gradient / scale, low * scale, high * scale) / scale
     variance = np.diag(inverse)
     std = np.where(variance > 0, np.sqrt(np.maximum(variance, 0)), np.inf)
     return Curvature(ground, null, law, powers, x, std, float(2 * gradient @ x - x @ hessian @ x))
 
 
-def _within(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
-    """Where a quadratic is least between bounds."""
+def _bounded_minimum(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
+    """The minimum of x^T hessian x / 2 - gradient^T x between bounds."""
     values, along = np.linalg.eigh(hessian)
-    kept = values > NOTHING * values[-1]
-    root = np.sqrt(values[kept])
-    rows, target = root[:, None] * along[:, kept].T, along[:, kept].T @ gradient / root
+    observable = values > NOTHING * values[-1]
+    root = np.sqrt(values[observable])
+    rows, target = root[:, None] * along[:, observable].T, along[:, observable].T @ gradient / root
     return np.asarray(lsq_linear(rows, target, (low - NOTHING, high + NOTHING)).x)
 
 
@@ -119,9 +120,10 @@ def _system(
     law: CurvedLaw,
     powers: Sequence[int],
 ) -> tuple[Real, Real, Real, Real]:
-    """The plain twin's values and the curvatures as a linear problem: rows (m, u) and what the twin leaves, (m,).
+    """Linear problem of u unknowns, changes of the plain twin's values and then curvatures.
 
-    Then what is known of the u unknowns beforehand, their precision (u, u) and what pulls them to their mean, (u,).
+    Returns the design matrix (m, u) and the plain twin's residuals (m,), then the prior precision (u, u) and the
+    prior's pull (u,) of `Linearised`.
     """
     problem = Problem.of(replace(ground, observations=tuple(o for o, _ in sweeps)), null.fit)
     linear = problem.linearised(null.fit)
@@ -130,8 +132,8 @@ def _system(
     for (o, z), J in zip(sweeps, linear.columns, strict=True):
         of_values = np.zeros((*z.shape, known), dtype=complex)
         of_values[:, o.fundamental] = J
-        bent = _columns(law, null.fit.rig, o, powers) * weight(o, ground.part.signal)[..., None]
-        rows.append(stacked(np.concatenate([of_values, bent], axis=-1)))
+        of_curvatures = _columns(law, null.fit.rig, o, powers) * weight(o, ground.part.signal)[..., None]
+        rows.append(stacked(np.concatenate([of_values, of_curvatures], axis=-1)))
     size = rows[0].shape[1]
     prior, pull = np.zeros((size, size)), np.zeros(size)
     prior[:known, :known], pull[:known] = problem.unknowns.prior, linear.pull
@@ -139,7 +141,7 @@ def _system(
 
 
 def _columns(law: CurvedLaw, rig: Rig, o: Observation, powers: Sequence[int]) -> Complex:
-    """Change of a part's signal per curvature, (P, H, n, powers * n). Without means: no effect predicts them."""
+    """Change of a part's signal per curvature, (P, H, n, powers * n); zero at harmonic 0, which is not used."""
     n = rig.n_axes
     out = np.zeros((len(o.axis), len(o.harmonics), n, len(powers), n), dtype=complex)
     for row, power in enumerate(powers):

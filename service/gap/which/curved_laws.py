@@ -1,6 +1,7 @@
-"""Characteristics that may be curved: a sensor's, a current probe's or amplifier's, and a force at the bearings.
+"""Characteristics that may be curved: of a sensor, of a current probe or amplifier, and of a force at the bearings.
 
-Of an amplitude X at the excited frequency c3 x^3 is 3/4 |X|^2 X there, three times what it is at harmonic 3.
+For x of complex amplitude X at the excited frequency, x^3 has the amplitude 3/4 |X|^2 X there and 1/4 X^3 at harmonic
+3.
 """
 
 from __future__ import annotations
@@ -22,27 +23,27 @@ from sim.twin import linear_model
 Complex = NDArray[np.complex128]
 
 POWERS = (2, 3)
-"""Those that harmonics show."""
+"""Powers whose harmonics are measured."""
 NEXT_POWER = 5
-"""Harmonics above 3 are not measured, but of a cubic term that is a third of the signal the next one is a tenth of it
-and shows at the excited frequency."""
+"""A further power. Its own harmonic is not measured, but where the cubic term is a third of the signal, this one is a
+tenth of it, and shows at the excited frequency."""
 
 
 class CurvedLaw(ABC):
-    """What a characteristic's curvature makes of a part's signal."""
+    """How the curvature of a characteristic changes a part's signal."""
 
     signal: str
-    """that of the part"""
+    """output of the part"""
     introduced: str
-    """what is curved, in words, before what `told` says"""
+    """what is curved, in words, followed by `told`"""
     cause: str
-    """what would do so, as a rival of an effect"""
+    """possible cause, in words, as a rival of an effect"""
     powers: tuple[tuple[int, ...], ...]
-    """what it may consist of: the least, then what it may be where more shows"""
+    """sets of powers that it may consist of, the smallest first"""
 
     @abstractmethod
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
-        """Amplitudes that the signals have more at a harmonic per curvature of each axis, (P, n signals, n axes)."""
+        """Change of the signals' amplitudes at a harmonic per curvature of each axis, (P, n signals, n axes)."""
 
     @abstractmethod
     def told(self, axis: str, power: int, value: float, deviation: float) -> str:
@@ -51,7 +52,7 @@ class CurvedLaw(ABC):
 
 @dataclass(frozen=True)
 class CurvedSignal(CurvedLaw):
-    """Displacement or current x + c x^p, of each channel for itself."""
+    """A displacement or current x + c x^p, each channel with its own c."""
 
     signal: str
     unit: str
@@ -72,15 +73,15 @@ class CurvedSignal(CurvedLaw):
 
 @dataclass(frozen=True)
 class CurvedForce(CurvedLaw):
-    """A force -k x^p at each bearing, of the displacement there that sensors and currents tell of."""
+    """A force -k x^p at each bearing, x the displacement there as sensors and currents show it."""
 
     signal = "y"
     introduced = "a force at the bearings is not in proportion to the displacement, as of a ring or an elastic stop:"
     cause = "a ring whose force grows smoothly"
-    powers = (POWERS,)  # with more it would bend to a stop
+    powers = (POWERS,)  # with more it would approximate a stop
 
     def change(self, rig: Rig, o: Observation, power: int, harmonic: int) -> Complex:
-        """How the force moves the rotor, the magnets' stiffness closed."""
+        """The displacement that the force causes, with the magnets' stiffness closed."""
         rig = at_speed_of(rig, o)
         through = linear_model(rig, harmonic * o.frequency_hz).y_per_force[o.line]
         return np.asarray(-through * _power(_at_bearings(rig, o), power, harmonic)[:, None, :])
@@ -103,12 +104,12 @@ LAWS: tuple[CurvedLaw, ...] = (SENSOR, CurvedForce(), PROBE)
 
 
 def curved_laws(part: Part) -> tuple[CurvedLaw, ...]:
-    """What may be curved in a part of the loop; of a controller nothing."""
+    """The characteristics that may be curved in a part of the loop; none in the controller."""
     return tuple(law for law in LAWS if law.signal == part.signal)
 
 
 def _power(x: Complex, power: int, harmonic: int) -> Complex:
-    """Amplitude at a harmonic of x(t)^power, x of amplitude x at harmonic 1."""
+    """Complex amplitude at a harmonic of x(t)^power, where x(t) has the complex amplitude ``x`` at harmonic 1."""
     pairs = (power - harmonic) // 2
     return np.asarray(comb(power, pairs) / 2 ** (power - 1) * np.abs(x) ** (2 * pairs) * x**harmonic)
 
@@ -116,9 +117,9 @@ def _power(x: Complex, power: int, harmonic: int) -> Complex:
 def _at_bearings(rig: Rig, o: Observation) -> Complex:
     """Displacement at the bearings at the excited frequency, (P, n).
 
-    The model's, put right by what the sensors see beyond it as of a rigid rotor.
+    It is the model's, corrected by the residuals at the sensors as if these were of a rigid rotor.
     """
     m, U = linear_model(rig, o.frequency_hz), o.U[:, o.fundamental, :, None]
-    own, to_bearings = bearings_per_sensors(rig, m.omega_rad_s)
-    beyond = o.Y[:, o.fundamental] - (m.y_per_u[o.line] @ U)[..., 0]
-    return np.asarray((m.bearing_per_u[o.line] @ U)[..., 0] + (beyond * own[o.line]) @ to_bearings)
+    per_signal, to_bearings = bearings_per_sensors(rig, m.omega_rad_s)
+    residuals = o.Y[:, o.fundamental] - (m.y_per_u[o.line] @ U)[..., 0]
+    return np.asarray((m.bearing_per_u[o.line] @ U)[..., 0] + (residuals * per_signal[o.line]) @ to_bearings)

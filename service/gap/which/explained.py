@@ -1,4 +1,4 @@
-"""What a search found in one part of the loop: its explanations in order, and what they leave."""
+"""Result of the search in one part of the loop: its explanations, ranked, and their residuals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Explained:
-    """What the search found in one part."""
+    """The explanations of one part."""
 
     ground: Ground
     order: tuple[Ranked, ...]
@@ -28,9 +28,10 @@ class Explained:
     plain: tuple[Complex, ...]
     """weighted residuals of the plain twin, (P, H, n) per sweep"""
     left: tuple[Complex, ...]
-    """the same of the best explanation"""
+    """weighted residuals of the best explanation, (P, H, n) per sweep"""
     elsewhere: tuple[Ranked, ...] = ()
-    """by effects of another part, which would explain this one's gap about as well; log evidence on this one's scale"""
+    """effects of another part that would explain this part's gap about as well; their log evidence is comparable with
+    that of ``order``"""
 
     @property
     def part(self) -> Part:
@@ -39,7 +40,7 @@ class Explained:
 
     @property
     def chosen(self) -> Candidate:
-        """The explanation that other parts build on: the best one where it beats the plain twin, else that."""
+        """The explanation of most evidence, on which the fits of other parts build; it may be the plain twin."""
         return self.order[0].candidate
 
     @property
@@ -49,7 +50,7 @@ class Explained:
 
     @property
     def significance(self) -> float:
-        """Of the gap that the plain twin leaves."""
+        """Significance of the gap, a normal deviate."""
         return gap_significance(self.plain, self.ground.observations)
 
     @property
@@ -64,10 +65,10 @@ class Explained:
 
     @property
     def remaining(self) -> float:
-        """Significance of what the best explanation leaves."""
+        """Significance of the best explanation's residuals, a normal deviate."""
         return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
 
 
 def gap_significance(plain: Sequence[Complex], observations: Sequence[Observation]) -> float:
-    """Significance of what the plain twin leaves at the excited frequency, over bands and channels."""
+    """Significance of the plain twin's residuals at the excited frequency, over bands and channels."""
     return max(significance(z[:, [o.fundamental]], o, bound=np.inf) for z, o in zip(plain, observations, strict=True))

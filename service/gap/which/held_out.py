@@ -1,4 +1,4 @@
-"""Explanations of one part of the loop on a sweep that no fit has seen."""
+"""Explanations of one part of the loop on unseen data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Complex = NDArray[np.complex128]
 
 
 def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observation, Complex]:
-    """A sweep as the part sees it, and the weighted residuals of a candidate there, (P, H, n)."""
+    """A sweep with the input of the part as its fits have it, and a candidate's weighted residuals there, (P, H, n)."""
     ground = e.ground
     if ground.from_current:
         o = driven_by_current(ground.rig(ground.theta), o)
@@ -31,15 +31,15 @@ def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observ
 
 
 def held_out(e: Explained, unseen: Observation) -> HeldOut:
-    """A part on the unseen sweep, with the plain twin and with the best explanation."""
+    """Residuals of a part on the unseen sweep, with the plain twin and with the best explanation."""
     o, before = on_sweep(e, e.null.candidate, unseen)
     _, after = on_sweep(e, e.order[0].candidate, unseen)
     f = o.fundamental
     gap, left = (max(significance(z[:, [f]], o), overall(z[:, f])) for z in (before, after))
     J_b, J_a, J_fb, J_fa = map(mean_power, (before, after, before[:, f], after[:, f]))
-    apart = np.arange(before.shape[1]) == f
+    fundamental = np.arange(before.shape[1]) == f
     support = 0.0
-    for group in (apart, ~apart):
+    for group in (fundamental, ~fundamental):
         b, a = (float(np.sum(np.abs(z[:, group]) ** 2)) for z in (before, after))
         noise = min(float(2 * before[:, group].size), a, b)
         support += float(log_likelihood(np.array(a - noise)) - log_likelihood(np.array(b - noise)))
@@ -48,10 +48,10 @@ def held_out(e: Explained, unseen: Observation) -> HeldOut:
 
 
 def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
-    """What unseen lines of the fitted sweep itself leave, beyond what the fitted ones leave open of the explanation.
+    """The test of `held_out` where the unseen lines are of the fitted sweep itself, allowing for the fit's uncertainty.
 
-    Of few lines those between them may lean on values that none of them tells. So the explanation's values may follow
-    the unseen ones, at the price of moving away from the fit; what still is left contradicts it.
+    The lines between few fitted ones may depend on values that these do not determine. So the explanation's values may
+    follow the unseen lines, with the posterior of the fit as their prior; residuals that remain contradict it.
     """
     if not there.fails:
         return there
@@ -63,6 +63,7 @@ def between_lines(e: Explained, unseen: Observation, there: HeldOut) -> HeldOut:
     rows = stacked(J)
     known = best.fit.curvature + prior_precision(problem.unknowns)
     moved = np.linalg.solve(known + rows.T @ rows, rows.T @ stacked(z[..., None])[:, 0])
-    left = (z - J @ moved)[:, None]
-    closes = closure_of(mean_power(before[:, f]), mean_power(left))
-    return replace(there, left=max(significance(left, o), overall(left)), closes=1.0 if closes is None else closes)
+    remaining = (z - J @ moved)[:, None]
+    closes = closure_of(mean_power(before[:, f]), mean_power(remaining))
+    left = max(significance(remaining, o), overall(remaining))
+    return replace(there, left=left, closes=1.0 if closes is None else closes)

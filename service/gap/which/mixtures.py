@@ -1,4 +1,4 @@
-"""Mixtures of effects in one part of the loop: whether to look for one more, which, and whether all are needed."""
+"""Mixtures of effects in one part of the loop: when to add one more effect, which, and whether all are needed."""
 
 from __future__ import annotations
 
@@ -25,116 +25,121 @@ from sim.effects import CATALOGUE, aliases
 Real = NDArray[np.float64]
 
 PAIRED = 5
-"""Best single effects that are also tried in pairs."""
+"""Number of the best single effects that are also tried in pairs."""
 REMAINS = 4.0
-"""Significance of what an explanation leaves from which another effect beside it is looked for."""
+"""Significance of an explanation's residuals from which one more effect is searched for."""
 STRAINED = 3.0
-"""Standard deviations of the datasheet's part of the cost, chi-squared, beyond which it is no chance."""
+"""Standard deviations of a chi-square variable by which the nuisance values' penalty is beyond chance."""
 ANOTHER_LAW = 0.15
 """Share of the gap that another program's law of the same effect may leave."""
 HARMONICS_OF_ANOTHER_LAW = 0.05
-"""Share of the harmonics that another program's law of a nonlinear effect may leave: one stop that gives some of its
-force back late left 1.8 or 2.3 % as one half or the other of a sweep's lines was fitted, and hysteresis took that."""
+"""Share of the harmonics that another program's law of a nonlinear effect may leave: a stop whose force lags at release
+left 1.8 or 2.3 %, depending on which half of a sweep's lines was fitted, and that was explained as hysteresis."""
 WHOLE_OF_ANOTHER_LAW = 0.01
-"""Share of the whole gap that another law of a nonlinear effect may leave in one group, however large a share of that
-group's own it is: the error of a law goes with all that the effect does. Six plays in the place of a band of them left
-0.0024 in harmonics that held 0.005, and eddy currents took that."""
+"""Share of the whole gap that another law of a nonlinear effect may leave in one group, however much of that group it
+is: a law's error is in proportion to the whole effect. Six plays, fitted by a band of them, left 0.0024 of the gap in
+harmonics that held 0.005 of it, and that was explained as eddy currents."""
 HOPEFUL = 0.75
-"""Share of what fewer effects leave of a group, fundamental or harmonics of a sweep, that one more must get below for
-a further one to be tried: an unknown law gives way to the catalogue in small steps only."""
+"""Factor by which one more effect must reduce the residuals of a group (fundamental or harmonics of a sweep) for a
+further one to be tried: a law outside the catalogue is approximated in many small steps."""
 
 
 @dataclass(frozen=True)
 class Extension:
-    """What one more effect is looked for beside, and which."""
+    """An explanation to be extended by one more effect."""
 
     base: Ranked
     beside: tuple[str, ...]
+    """effects to try beside those of ``base``"""
     pairs: bool
-    """whether two others may do in its place"""
+    """whether pairs of other single effects are tried, too"""
 
 
 def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) -> Extension | None:
-    """How the explanation by ``size`` effects is extended by one more; None where that has no prospect.
+    """How the best explanation by ``size`` effects is to be extended by one more; None where that has no prospect.
 
-    ``fewer`` is the explanation by fewer effects that these were looked for beside.
+    ``fewer`` is the explanation that was extended to it.
     """
     if hopeless(ground, (r.candidate.fit for r in order)):
         return None
-    # Of a large gap one effect may explain half and still be no likelier than none; two may explain it all.
+    # Even where no single effect beats the plain twin: one may explain half of a large gap, and two all of it.
     singles = [r for r in order if r.candidate.effects]
     base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
     leaves = leaves_something(ground, base)
-    more = ground.part.effects if leaves else _explaining_more(base, order)
-    # Alone, an effect may explain much by values that the datasheet does not allow; beside another it need not.
-    hopeful = [base] if size > 1 else [r for r in order if r.candidate.effects]
-    gives_way = any(now < HOPEFUL * was for r in hopeful for now, was in zip(r.shares, fewer.shares, strict=True))
-    names = tuple(name for name in ground.part.effects if name in more and name not in base.candidate.effects)
-    return Extension(base, names, leaves and size == 1) if names and gives_way else None
+    promising = ground.part.effects if leaves else _explaining_more(base, order)
+    # Of single effects any may show a prospect: one that needs implausible nuisance values alone may not need them
+    # beside another.
+    larger = [base] if size > 1 else [r for r in order if r.candidate.effects]
+    progress = any(now < HOPEFUL * was for r in larger for now, was in zip(r.shares, fewer.shares, strict=True))
+    names = tuple(name for name in ground.part.effects if name in promising and name not in base.candidate.effects)
+    return Extension(base, names, leaves and size == 1) if names and progress else None
 
 
 def with_one_more(
     fitter: Fitter, ground: Ground, order: Sequence[Ranked], extension: Extension, found: Sequence[Candidate]
 ) -> list[Candidate]:
-    """What was found and the mixtures of one effect more than was extended, the best fit of each."""
+    """The best fit of each explanation, of those ``found`` and of mixtures by one effect more."""
     null = next(r.candidate for r in order if not r.candidate.effects)
     larger = refitted(fitter, ground, null, fitter.run(_larger(order, extension, ground)))
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
         if leaves_something(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
-            everything += from_the_other_side(fitter, ground, null, best, everything)
-            everything += exchanged(fitter, ground, best, everything)
+            everything += refitted_in_turn(fitter, ground, null, best, everything)
+            everything += with_aliases(fitter, ground, best, everything)
     return best_of_each(null, [*everything, *contained(fitter, ground, null, *everything)])
 
 
 def leaves_something(ground: Ground, best: Ranked) -> bool:
     """Whether an explanation leaves more than another program's law of the same effects would."""
-    # Of a large gap another law of the same effect may leave a little, but asks for no impossible datasheet.
+    # Such a law leaves a small share of a large gap, without implausible nuisance values.
     if max(best.apart) < MIXTURE_SHARE and not _strained(best) and not _at_bound(best):
         return False
-    everywhere = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
-    if any(significance(z, o) > REMAINS for z, o in everywhere):
+    sweeps = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
+    if any(significance(z, o) > REMAINS for z, o in sweeps):
         return True
-    return any(alone_hz(ground.part, z, o) is not None for z, o in everywhere)
+    return any(alone_hz(ground.part, z, o) is not None for z, o in sweeps)
 
 
 def _strained(r: Ranked) -> bool:
-    """Whether the datasheet's values are further off than chance allows: they make up for what an effect is not."""
+    """Whether the penalty of the nuisance values is beyond chance: they compensate for the error of an explanation."""
     n = len(r.candidate.fit.active)
     return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n))
 
 
 def _at_bound(r: Ranked) -> bool:
-    """Whether a value of the datasheet is as far off as any may be: by chance, one of forty in one twin of 400."""
+    """Whether a nuisance value is at its bound: by chance one of forty is so in one twin of 400."""
     return bool(at_bound(r.candidate.fit).any())
 
 
 def _explaining_more(base: Ranked, order: Sequence[Ranked]) -> set[str]:
-    """Effects that leave less where ``base`` leaves too much, with their aliases: they know a shape that bands blur."""
+    """Effects of explanations with clearly less chi-square in a group of which ``base`` leaves much, and their aliases.
+
+    They may fit a shape over frequency that the mean over a band does not show.
+    """
     left = [(k, chi) for k, (chi, _) in enumerate(base.candidate.fit.groups) if base.shares[k] > MIXTURE_SHARE]
     others = [r.candidate for r in order if not set(r.candidate.effects) <= set(base.candidate.effects)]
-    more = {
+    better = {
         name
         for c in others
         if any(chi - c.fit.groups[k][0] > CLEAR_CHI_SQUARE for k, chi in left)
         for name in c.effects
     } - set(base.candidate.effects)
-    return more | {alias for name in more for alias in CATALOGUE[name].aliases}
+    return better | {alias for name in better for alias in CATALOGUE[name].aliases}
 
 
 def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> Iterable[Task]:
-    """Mixtures of one effect more: those of the base with others, and pairs of good singles."""
+    """Tasks of mixtures of one effect more: the base with another effect, and pairs of the best single effects."""
     best, null = extension.base.candidate, next(r.candidate for r in order if not r.candidate.effects)
     tried, rough, left = set(), rough_beside(best, ground), residuals(ground, best)
     for name in extension.beside:
         tried.add(frozenset((*best.effects, name)))
         task = beside(name, best, null, left, ground, best.fit.theta, rough)
         yield task
-        if (more := with_all_parameters(task)) is not None:
-            yield more
+        if (with_more_parameters := with_all_parameters(task)) is not None:
+            yield with_more_parameters
     if not extension.pairs:
         return
     singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]
@@ -144,15 +149,16 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
         yield beside(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta, rough_beside(a, ground))
 
 
-def from_the_other_side(
+def refitted_in_turn(
     fitter: Fitter, ground: Ground, null: Candidate, best: Candidate, found: Sequence[Candidate]
 ) -> list[Candidate]:
-    """A mixture that leaves something, each of its effects begun anew beside the others.
+    """The mixture ``best`` fitted again, each of its earlier effects from its own starts beside the others.
 
-    What was found first had explained the gap of both, and may have kept a valley that only this made good.
+    The first effect was fitted alone to a gap that two made, and may be in a local minimum that fits both.
     """
     fewer = {frozenset(c.effects): c for c in found}
-    others = [(name, fewer.get(frozenset(best.effects) - {name})) for name in best.effects[:-1]]  # the last was so
+    # the last effect was fitted from its own starts
+    others = [(name, fewer.get(frozenset(best.effects) - {name})) for name in best.effects[:-1]]
     probed = fitter.run(
         beside(name, rest, null, residuals(ground, rest), ground, best.fit.theta, rough_beside(rest, ground))
         for name, rest in others
@@ -162,13 +168,13 @@ def from_the_other_side(
     return fitter.run(to_the_end(ground, sorted(better, key=cost)[:1]))
 
 
-def exchanged(fitter: Fitter, ground: Ground, best: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
-    """The mixture ``best``, an alias in the place of one of its effects, where none such does as well.
+def with_aliases(fitter: Fitter, ground: Ground, best: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
+    """The best mixture that has an alias in the place of one effect of ``best``, unless one as good was found.
 
-    Alone the two looked alike and one was taken; beside another effect it may be the other that fits, or either.
+    Alone both looked alike, and one was chosen; beside another effect only the other may fit, or both.
     """
     singles = {c.effects[0]: c.fit.values[0] for c in found if len(c.effects) == 1}
-    as_well = {frozenset(c.effects) for c in found if cost(c) < cost(best) + 2 * ALIKE_LOG_EVIDENCE}
+    as_good = {frozenset(c.effects) for c in found if cost(c) < cost(best) + 2 * ALIKE_LOG_EVIDENCE}
     probed = fitter.run(
         Task(ground, effects, (values,), best.fit.theta, (PROBE,))
         for k, name in enumerate(best.effects)
@@ -176,21 +182,21 @@ def exchanged(fitter: Fitter, ground: Ground, best: Candidate, found: Sequence[C
         if alias in singles and alias not in best.effects
         for effects in [(*best.effects[:k], alias, *best.effects[k + 1 :])]
         for values in [(*best.fit.values[:k], singles[alias], *best.fit.values[k + 1 :])]
-        if frozenset(effects) not in as_well
+        if frozenset(effects) not in as_good
     )
     return fitter.run(to_the_end(ground, sorted(probed, key=cost)[:1]))
 
 
-def worthy(everything: Sequence[Ranked]) -> list[Ranked]:
+def without_superfluous(everything: Sequence[Ranked]) -> list[Ranked]:
     """The explanations that need all of their effects, by falling evidence."""
-    return renormalised([r for r in everything if worth_it(r, everything)])
+    return renormalised([r for r in everything if needs_all_effects(r, everything)])
 
 
-def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
-    """Whether all effects of a mixture are needed: whatever fewer explain, somewhere they leave three times as much.
+def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
+    """Whether every explanation by fewer effects has a group of which it leaves too much, and three times as much.
 
-    And more than a little of that. Each of two effects may explain all of what is its own, one the fundamental and one
-    the harmonics: no single one explains both.
+    Too much is more than another law of its effects would leave (`_tolerated`). One group is enough: of two effects one
+    may explain the fundamental and the other the harmonics.
     """
     size = len(mixture.candidate.effects)
     if size < 2:
@@ -201,14 +207,16 @@ def worth_it(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     effects = mixture.candidate.effects
     alias = any(aliases(a, b) for a, b in combinations(effects, 2))
     left = np.array(mixture.apart)
-    # Others explain by what the datasheet does not allow.
+    # The others' nuisance values are implausible.
     allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]
     gap = _gap_of_groups(order)
-    return all(np.any((np.array(r.apart) > _little(r, alias, gap)) & (left < np.array(r.apart) / 3)) for r in allowed)
+    return all(
+        np.any((np.array(r.apart) > _tolerated(r, alias, gap)) & (left < np.array(r.apart) / 3)) for r in allowed
+    )
 
 
 def _gap_of_groups(order: Sequence[Ranked]) -> Real:
-    """What the plain twin leaves of each of `Fit.groups` beyond noise, chi-square; zeros where it is not there."""
+    """Excess chi-square of the plain twin in each of `Fit.groups`; zeros where it is not in ``order``."""
     null = next((r.candidate for r in order if not r.candidate.effects), None)
     if null is None:
         return np.zeros(len(order[0].shares))
@@ -216,21 +224,22 @@ def _gap_of_groups(order: Sequence[Ranked]) -> Real:
     return np.array([max(chi - level, 0.0) for (chi, _), level in zip(null.fit.groups, noise, strict=True)])
 
 
-def _little(r: Ranked, alias: bool, gap: Real) -> Real:
-    """Share of what is told apart that an explanation may leave before another effect is needed, one each.
+def _tolerated(r: Ranked, alias: bool, gap: Real) -> Real:
+    """Share of each group in `Ranked.apart` that an explanation may leave before another effect is needed.
 
-    Another program's law of an effect is some way off, and an alias would make up for it. But what a linear effect
-    leaves at one amplitude and not at the other is no matter of its law. ``gap`` as of `_gap_of_groups`.
+    It is what another program's law of its effects may leave; with ``alias``, an alias is to be added, which would
+    compensate for the error of a law. But what a linear effect leaves at one amplitude and not at the other is no error
+    of its law. ``gap`` as of `_gap_of_groups`.
     """
-    little = np.full(len(r.apart), ANOTHER_LAW if alias else MIXTURE_SHARE)
+    tolerated = np.full(len(r.apart), ANOTHER_LAW if alias else MIXTURE_SHARE)
     nonlinear = any(CATALOGUE[name].nonlinear for name in r.candidate.effects)
     if nonlinear and not alias:
-        little[1 : len(r.shares) : 2] = HARMONICS_OF_ANOTHER_LAW
+        tolerated[1 : len(r.shares) : 2] = HARMONICS_OF_ANOTHER_LAW
     if nonlinear and alias:
         of_whole = WHOLE_OF_ANOTHER_LAW * gap.sum() / np.maximum(gap, np.finfo(float).tiny)
-        little[: len(r.shares)] = np.maximum(little[: len(r.shares)], of_whole)
+        tolerated[: len(r.shares)] = np.maximum(tolerated[: len(r.shares)], of_whole)
     if alias and not nonlinear:
-        of_sweep = np.array(r.shares)[::2]  # fundamentals
-        at_one = of_sweep > 3 * of_sweep.min(initial=np.inf)
-        little[: len(r.shares) : 2][at_one] = MIXTURE_SHARE
-    return little
+        fundamentals = np.array(r.shares)[::2]
+        at_one_amplitude = fundamentals > 3 * fundamentals.min(initial=np.inf)
+        tolerated[: len(r.shares) : 2][at_one_amplitude] = MIXTURE_SHARE
+    return tolerated

@@ -1,7 +1,8 @@
-"""Effects with the optional parameters of their law, which are fitted only where the basic law leaves too much.
+"""Effects with the dormant parameters of their law, which are fitted only where the basic law leaves too much.
 
-A disc that modes tilt, damping of one mode that turns with the shaft: such a parameter is held at its null, and costs
-no evidence, until the best explanation leaves too much. Then fits begin at values where it acts.
+Examples are the slope of a disc that modes tilt, and internal damping that differs from mode to mode. Such a parameter
+is held at its null, and costs no evidence, until the best explanation leaves too much. Then fits start at values where
+it acts (`Parameter.wakes`).
 """
 
 from __future__ import annotations
@@ -17,42 +18,43 @@ from service.gap.fitting.unknowns import asleep
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
-SHOWS = 0.2
-"""Share of a typical strength from which such a fit begins, too: at none, no shape of an effect moves anything."""
+VISIBLE = 0.2
+"""Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
+effect."""
 
 
 def with_optional_parameters(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
-    """Explanations of ``found`` with more of an effect's law, those that leave less.
+    """Explanations of ``found`` with dormant parameters fitted, where the cost is lower.
 
-    What the plain law explains is no hint: of a small disc that modes tilt far, the rigid body shows nothing.
+    All are tried, whatever their basic law explains: a small disc that modes tilt far has no effect on a rigid rotor.
     """
     before = {c.effects: cost(c) for c in found}
     return [c for c in fitter.run(task for c in found for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
 
 
 def with_all_parameters(task: Task) -> Task | None:
-    """The task with more of its last effect's law, from each of its starts; None where that has no more."""
+    """The task with the dormant parameters of its last effect fitted, from each of its starts; None without any."""
     *_, name = task.effects
-    wakes = _wakes(name, task.ground)
-    starts = tuple((*others, {**own, **more}) for *others, own in task.starts for more in wakes)
-    return replace(task, starts=starts) if wakes else None
+    dormant = _dormant_starts(name, task.ground)
+    starts = tuple((*others, {**own, **more}) for *others, own in task.starts for more in dormant)
+    return replace(task, starts=starts) if dormant else None
 
 
 def _tasks(ground: Ground, c: Candidate) -> Iterator[Task]:
-    """Fits that wake an effect: from the strength that its plain law has, and from one that shows."""
+    """Fits of one effect's dormant parameters: from the strength of its basic law, and from a visible one."""
     sleeping = asleep(c.effects, c.fit.values)
     for k, name in enumerate(c.effects):
         parameters = CATALOGUE[name].of(ground.nuisance.rig).parameters
-        shows = {p.name: p.null + SHOWS * (p.typical - p.null) for p in parameters if p.strength}
-        for more in _wakes(name, ground):
+        visible = {p.name: p.null + VISIBLE * (p.typical - p.null) for p in parameters if p.strength}
+        for more in _dormant_starts(name, ground):
             if all((name, parameter) in sleeping for parameter in more):
                 own = c.fit.values[k]
-                begun = ({**own, **more}, {**own, **shows, **more})
-                starts = tuple((*c.fit.values[:k], one, *c.fit.values[k + 1 :]) for one in begun)
+                own_starts = ({**own, **more}, {**own, **visible, **more})
+                starts = tuple((*c.fit.values[:k], start, *c.fit.values[k + 1 :]) for start in own_starts)
                 yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
 
 
-def _wakes(name: str, ground: Ground) -> list[dict[str, float]]:
-    """Values of an effect's dormant parameters from which fits begin that move them."""
+def _dormant_starts(name: str, ground: Ground) -> list[dict[str, float]]:
+    """Starts of an effect's dormant parameters, at which they act."""
     known = {p.name: p.wakes for p in CATALOGUE[name].of(ground.nuisance.rig).parameters if p.wakes}
     return [dict(zip(known, values, strict=True)) for values in product(*known.values())] if known else []

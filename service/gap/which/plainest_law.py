@@ -1,7 +1,7 @@
-"""The plainest law of an explanation that the data do not speak against.
+"""The simplest law of an explanation that the data do not contradict.
 
-A pole and a delay of a sensor, sheets and solid iron, two laws of saturation: near one another's alias, a fit with both
-ends anywhere along it, and neither value means anything. A law without the other says as much with fewer.
+A pole and a delay of a sensor, laminated and solid iron, two laws of saturation: such parameters are nearly aliases, so
+a fit of both ends anywhere along a valley, and neither value means anything. One of them alone fits as well.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
 WORTH_CHI_SQUARE = 6.0
-"""Chi-square that a parameter has to explain to be one of the law's, in units of what is left per residual: noise gives
-more once in seventy times. By evidence a parameter would be kept or not as its range is wide or narrow."""
+"""Chi-square that an optional parameter must explain to be kept, in units of the residual variance: by chance once in
+seventy times. Evidence is not used, as it depends on how wide the parameter's range is."""
 LOG_EVIDENCE_PER_CHOICE = float(np.log(2))
-"""Log evidence that leaving out a parameter costs: whether a law has it or not was even before the data were seen."""
+"""Log evidence that each parameter left out costs: the prior odds that a law has it are even."""
 
 NEARLY = 15.0
-"""Log evidence by which an effect beats the plain twin whatever parameters its law has: as many as they cost."""
+"""Lead in log evidence beyond which an effect beats the plain twin whatever its optional parameters cost."""
 
 
 def weighed_plainly(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) -> list[Ranked]:
-    """Explanations by falling evidence, none of them thought unlikely for what its law may do without.
+    """Explanations by falling evidence, with those of simpler laws where optional parameters cost the lead.
 
-    Of four amplifiers slow by three tolerances, the plain twin may move each so far; their law has lags, dampings and
-    shares too, each of which would have to be nothing by chance. Only where the plain twin is the best explanation or
-    nearly so, though others leave less.
+    Of four amplifiers slow by three tolerances each, the plain twin may move each so far; their law also has lags,
+    dampings and imbalances, which the data find to be zero at the price of an Occam factor each. Only where the plain
+    twin is the best explanation or nearly so, and for explanations that leave clearly less.
     """
     null = next(r for r in order if not r.candidate.effects)
     if order[0].log_evidence - null.log_evidence > NEARLY:
@@ -57,16 +57,16 @@ def weighed_plainly(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) -> 
 
 
 def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
-    """The explanation fitted without what its laws may do without, where that leaves about as little.
+    """The explanation fitted without optional parameters, as many of them as cost little chi-square.
 
-    Without all of it, or else without all that can be left out one by one, or else without one. What is not known of
-    the others for that stays their deviation.
+    Without all of them; or else without all that can be left out one by one; or else without one. Standard deviations
+    stay those of the full law, as nothing says that the parameters left out are exactly null.
     """
     used = _used(best)
     per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
 
     def as_good(without: Sequence[frozenset[tuple[str, str]]]) -> dict[frozenset[tuple[str, str]], Candidate]:
-        """The fits without these that leave about as little."""
+        """By the parameters left out, the fits that are about as good."""
         tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), nulled=w) for w in without]
         return {
             task.nulled: replace(c, standard_deviations=best.standard_deviations)
@@ -83,7 +83,7 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
 
 
 def _used(c: Candidate) -> list[tuple[str, str]]:
-    """Optional parameters of its effects' laws that an explanation uses, (effect, parameter) each."""
+    """(effect, parameter) of an explanation that are optional and not at their null."""
     return [
         (name, p.name)
         for name, values in zip(c.effects, c.fit.values, strict=True)

@@ -1,7 +1,7 @@
-"""An effect that the plant seems to have and the amplifiers may have: both parts are weighed together.
+"""Whether an effect of the plant is rather an alias of it in the amplifiers: both parts are compared together.
 
-The amplifiers are judged by their measured current first. Where that is noisy, a lag of theirs that hardly shows in it
-is plainly seen in the displacement, and the plant would be blamed for it.
+The amplifiers are explained first, by their measured current. Where that is noisy, a lag of theirs may hardly show in
+it and plainly in the displacement, so that an effect of the plant would be named for it.
 """
 
 from __future__ import annotations
@@ -21,31 +21,30 @@ from service.gap.which.refits import LOG_EVIDENCE_IN_REACH
 from sim.effects import aliases
 
 HARDLY_EXPLAINED = 0.5
-"""Share of the plant's gap left from which its best explanation says nothing of the amplifiers: of what no effect is
-like, one effect's law takes as little as another's, and the plant would be searched twice for nothing."""
+"""Share of the plant's gap left from which nothing is exchanged: where no effect fits, all explain about as little, and
+the plant would be searched twice for nothing."""
 
 Through = Callable[[Candidate], Ground]
-"""The plant's ground behind an explanation of the amplifiers."""
+"""Candidate of the amplifiers -> the plant's ground with them."""
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """An explanation of the amplifiers by one effect more, in place of one effect of the plant."""
+    """An explanation of the amplifiers by one more effect, in exchange for one effect of the plant."""
 
     amplifiers: Ranked
     kept: frozenset[str]
     """the plant's other effects"""
     log_evidence: float
-    """of the plant with those alone"""
+    """of the plant with these alone, behind those amplifiers"""
 
 
 def plant_or_amplifiers(
     fitter: Fitter, amplifiers: Explained, plant: Explained, through: Through
 ) -> tuple[Explained, Explained]:
-    """Amplifiers and plant as explained, with what would explain as well by an effect of the other part.
+    """Amplifiers and plant, the effect in the part where it explains both better, with its rivals of the other part.
 
-    Where one effect more of the amplifiers explains both parts better, they get it. The plant is returned as it was and
-    has to be explained anew behind them.
+    Where the amplifiers get one more effect, the plant is returned as it was and has to be explained again.
     """
     chosen, best = amplifiers.order[0], plant.order[0]
     if best.unexplained > HARDLY_EXPLAINED:
@@ -57,7 +56,7 @@ def plant_or_amplifiers(
     if first.amplifiers.log_evidence + first.log_evidence <= chosen.log_evidence + best.log_evidence:
         rivals = (_raised(x.amplifiers, x.log_evidence - chosen.log_evidence) for x in found)
         return amplifiers, replace(plant, elsewhere=_near(rivals, best.log_evidence))
-    # a mixture that does not need all of its effects is not in the order, but those that it needs are
+    # mixtures with a superfluous effect are not in the order, but one with fewer effects is
     without = max(r.log_evidence for r in plant.order if set(r.candidate.effects) <= first.kept)
     own = {x.amplifiers.candidate.effects: x.log_evidence for x in found if x.kept == first.kept}
     raised = [_raised(r, own.get(r.candidate.effects, without)) for r in amplifiers.order]
@@ -77,17 +76,17 @@ def _near(rivals: Iterable[Ranked], best: float) -> tuple[Ranked, ...]:
 
 
 def _exchanges(fitter: Fitter, amplifiers: Explained, plant: Explained, through: Through) -> Iterator[Exchange]:
-    """Every known alias in the amplifiers of an effect of the plant, with what the plant then says without that."""
+    """Exchanges of an effect of the plant for an alias in the amplifiers, with the plant fitted without that effect."""
     chosen, best = amplifiers.order[0].candidate, plant.order[0]
     noise = noise_levels(plant.null.candidate, [r.candidate for r in plant.order])
     for r in amplifiers.order:
-        more = set(r.candidate.effects) - set(chosen.effects)
-        if len(more) != 1 or not set(chosen.effects) <= set(r.candidate.effects):
+        added = set(r.candidate.effects) - set(chosen.effects)
+        if len(added) != 1 or not set(chosen.effects) <= set(r.candidate.effects):
             continue
         if r.log_evidence < amplifiers.order[0].log_evidence - LOG_EVIDENCE_IN_REACH:
             continue
         for name in best.candidate.effects:
-            if aliases(name, next(iter(more))):
+            if aliases(name, next(iter(added))):
                 tasks = [_without(name, best.candidate, through(r.candidate))]
                 for c in fitter.run(tasks):
                     own = log_evidence(c.fit, c.occam, noise) - LOG_EVIDENCE_PER_EFFECT * len(c.effects)

@@ -1,4 +1,4 @@
-"""Fits gone on with: to the end, from the plain twin where one was lost, and from where another explanation ended."""
+"""Continued fits: probes fitted exactly, again from the plain twin, or from the solution of another explanation."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from service.gap.weighing.ranking import ranked
 from sim.effects import CATALOGUE, aliases
 
 REFINED = 6
-"""Best candidates of a round that are fitted to the end; the others stay where a few steps brought them."""
+"""Number of the best candidates of a round that are fitted exactly; the others keep the few steps of a probe."""
 LOG_EVIDENCE_IN_REACH = 30.0
-"""Log evidence behind the best probed candidate up to which another may still win when fitted to the end."""
+"""Log evidence behind the best probe up to which another candidate may still win when fitted exactly."""
 ALIASES = 2
-"""Known aliases of the best that are fitted to the end whatever a probe makes of them: to be told apart takes both."""
+"""Number of aliases of the best candidate that are fitted exactly, however bad the probe: a comparison needs both."""
 CONTINUATIONS = 3
-"""Times that a fit whose steps ran out goes on."""
+"""Times that a fit which ran out of iterations is continued."""
 LOST_COST = 2.0
-"""Cost above the plain twin's from which a probe has not found its valley."""
+"""Cost above that of a contained explanation (such as the plain twin) from which a fit has missed its minimum."""
 
 
 def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[Candidate]) -> list[Candidate]:
-    """The probed candidates, those that may win fitted to the end.
+    """The probed candidates; those that may win are fitted exactly.
 
-    One that does worse than the plain twin, which it contains, is lost: it begins again at the plain twin.
+    One of higher cost than the plain twin, which it contains, is fitted again from the plain twin's nuisance values.
+    Aliases of those fitted exactly are also fitted from these solutions.
     """
     lost = [c for c in probed if cost(c) > cost(null) + LOST_COST and not any(map(slow_to_compute, c.effects))]
     again = fitter.run(Task(ground, c.effects, (c.fit.values,), null.fit.theta, (EXACT,)) for c in lost)
@@ -37,18 +38,18 @@ def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - LOG_EVIDENCE_IN_REACH][:REFINED]
     near += [r.candidate for r in order if r.candidate not in near and same_twin(r.candidate, near[0])][:ALIASES]
     refitted = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
-    lent = {frozenset(c.effects): c for c in fitter.run(_lent(ground, refitted[: len(near)], refitted))}
-    kept = []
+    from_aliases = {frozenset(c.effects): c for c in fitter.run(_from_aliases(ground, refitted[: len(near)], refitted))}
+    best = []
     for c in refitted:
-        other = lent.pop(frozenset(c.effects), c)
-        kept.append(c if cost(c) <= cost(other) else other)
-    return [*kept, *lent.values()]
+        other = from_aliases.pop(frozenset(c.effects), c)
+        best.append(c if cost(c) <= cost(other) else other)
+    return [*best, *from_aliases.values()]
 
 
 def refitted_from_best(fitter: Fitter, ground: Ground, found: Sequence[Candidate]) -> list[Candidate]:
-    """What was found, the one that leaves least fitted on where its steps ran out: mixtures would seem to explain more.
+    """What was found, with the fit of least cost continued where it ran out of iterations.
 
-    A force law that bends much takes many steps; another effect beside it would only go on from there, for minutes.
+    A strongly nonlinear force law takes many. Not converged, it would let any effect beside it seem to explain more.
     """
     best = min(found, key=cost, default=None)
     for _ in range(CONTINUATIONS):
@@ -61,29 +62,32 @@ def refitted_from_best(fitter: Fitter, ground: Ground, found: Sequence[Candidate
     return list(found)
 
 
-def _lent(ground: Ground, lenders: Sequence[Candidate], known: Sequence[Candidate]) -> Iterable[Task]:
-    """Tasks to fit known aliases from where their like ended, where they did worse: a resonance has many valleys."""
+def _from_aliases(ground: Ground, solved: Sequence[Candidate], known: Sequence[Candidate]) -> Iterable[Task]:
+    """Tasks to fit explanations from the solution of one with an alias in the place of an effect, if that is better.
+
+    A resonance has many local minima, and its aliases (`Effect.likened`) may have found a better one.
+    """
     costs = {frozenset(c.effects): cost(c) for c in known}
     tried: set[frozenset[str]] = set()
-    for lender in sorted(lenders, key=cost):
-        for k, name in enumerate(lender.effects):
+    for c in sorted(solved, key=cost):
+        for k, name in enumerate(c.effects):
             for alias in CATALOGUE[name].aliases:
                 likened = CATALOGUE[alias].likened.get(name)
-                effects = (*lender.effects[:k], alias, *lender.effects[k + 1 :])
+                effects = (*c.effects[:k], alias, *c.effects[k + 1 :])
                 these = frozenset(effects)
                 if likened is None or alias not in ground.part.effects or len(these) < len(effects) or these in tried:
                     continue
-                values = likened(lender.fit.values[k])
-                if values and costs.get(these, np.inf) > cost(lender):
+                values = likened(c.fit.values[k])
+                if values and costs.get(these, np.inf) > cost(c):
                     tried.add(these)
-                    starts = ((*lender.fit.values[:k], values, *lender.fit.values[k + 1 :]),)
-                    yield Task(ground, effects, starts, lender.fit.theta, (EXACT,))
+                    starts = ((*c.fit.values[:k], values, *c.fit.values[k + 1 :]),)
+                    yield Task(ground, effects, starts, c.fit.theta, (EXACT,))
 
 
 def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
-    """The explanations with one effect less than the one that leaves least, where they do better from where that ended.
+    """Explanations by one effect less than the best fit, where a fit from its solution is better than the one known.
 
-    A fit that stopped short of its valley leaves what any further effect seems to explain, by going on from there.
+    If a fit has missed its minimum, any further effect seems to explain the difference.
     """
     best, costs = min(found, key=cost), {frozenset(c.effects): cost(c) for c in found}
     tasks = []
@@ -95,10 +99,10 @@ def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candida
 
 
 def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
-    """Of explanations by the same effects the likeliest; there is one plain twin, ``null``, which is not among them.
+    """Of explanations by the same effects the one of most evidence; the plain twin ``null`` is not among them.
 
-    Where more than noise is left, that need not be the one that leaves least: what a fit still gains there by pulling
-    at the datasheet's values is the misfit of a law, and evidence holds their price against it in full.
+    It need not be the one of least cost: beyond noise, evidence counts a decrease of chi-square less than the penalty
+    of the nuisance values that it took, as it may be the error of a law.
     """
     best: dict[frozenset[str], Candidate] = {}
     for r in ranked(null, found):
@@ -107,16 +111,16 @@ def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]
 
 
 def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:
-    """Tasks to fit candidates exactly from where they are."""
+    """Tasks to fit candidates exactly from their present solutions."""
     return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
 
 
 def same_twin(a: Candidate, b: Candidate) -> bool:
-    """Whether two explanations are the same but for one effect that looks like the other's."""
+    """Whether two explanations differ in one effect only, by an alias."""
     one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
     return len(one) == len(other) == 1 and aliases(*one, *other)
 
 
 def cost(c: Candidate) -> float:
-    """What the fit minimised: chi-square and the price of the datasheet's values."""
+    """Chi-square and penalty, which the fit minimised."""
     return c.fit.cost

@@ -1,4 +1,4 @@
-"""Which explanations are left to be told apart: those of one alias class, else rivals of nearly the same evidence."""
+"""Which two explanations an experiment should separate: of one alias class, else of nearly the same evidence."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sim.effects import CATALOGUE
 from sim.rig import FlexibleMode, Rig
 
 NEARLY = 5.0
-"""Log evidence behind the chosen explanation up to which another is a rival: what naming an effect costs."""
+"""Log evidence behind the chosen explanation up to which another one is a rival: as much as an effect costs."""
 
 
 def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate, Candidate] | None:
-    """The chosen explanation and the one it is to be told from; None where nothing is left.
+    """The chosen explanation and the rival it is to be separated from; None where there is none.
 
-    What adds an effect to the chosen one is no rival: it contains it.
+    An explanation that adds effects to the chosen one is no rival.
     """
     chosen = next((r for r in order if r.candidate.effects == verdict.effects and r.candidate.effects), None)
     if verdict.kind not in ("effect", "effects") or chosen is None:
@@ -37,7 +37,7 @@ def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate,
                 instead = turning_with_the_shaft(c)
             if instead is not None:
                 return c, instead
-    fitted = {name for name in c.effects if CATALOGUE[name].path != "additive"}  # the others were heard
+    fitted = {name for name in c.effects if CATALOGUE[name].path != "additive"}  # interference was found in the noise
     for r in order:
         effects = set(r.candidate.effects)
         if effects and not effects >= fitted and r.log_evidence > chosen.log_evidence - NEARLY:
@@ -46,9 +46,9 @@ def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate,
 
 
 def turning_with_the_shaft(c: Candidate) -> Candidate | None:
-    """The same twin at rest, but what damping it has gained is internal; None where it has gained none.
+    """A twin that is the same at standstill, with the damping that it has gained as internal damping.
 
-    Nor where it has gained more than a shaft loses inside.
+    None where it has gained none, or more than internal damping can be.
     """
     k = c.effects.index("modal_damping")
     total = [m.damping_ratio for m in c.fit.rig.rotor.modes[0]]
@@ -60,14 +60,14 @@ def turning_with_the_shaft(c: Candidate) -> Candidate | None:
     if not strength.low <= mean <= strength.high:
         return None
     own = {"damping_ratio": mean, "mode_imbalance": (gained[0] - gained[-1]) / sum(gained)}
-    rig = _outside(effect.on(c.fit.rig, **own), c.fit.rig)
+    rig = _with_total_damping_kept(effect.on(c.fit.rig, **own), c.fit.rig)
     effects = (*c.effects[:k], effect.id, *c.effects[k + 1 :])
     values = (*c.fit.values[:k], own, *c.fit.values[k + 1 :])
     return replace(c, effects=effects, fit=replace(c.fit, effects=effects, values=values, rig=rig))
 
 
-def _outside(rig: Rig, before: Rig) -> Rig:
-    """The rig with as much less damping outside the shaft as it has more inside than before."""
+def _with_total_damping_kept(rig: Rig, before: Rig) -> Rig:
+    """The rig with its external damping reduced by what it has more internal damping than ``before``."""
 
     def less(now: FlexibleMode, then: FlexibleMode) -> FlexibleMode:
         more = now.internal_damping_ratio - then.internal_damping_ratio

@@ -1,4 +1,4 @@
-"""The explanations of one part of the loop: the plain twin, every single effect, then mixtures by forward selection."""
+"""Search for the explanation of one part: the plain twin, every single effect, then mixtures by forward selection."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVER
 from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
-from service.gap.which.mixtures import exchanged, extended, leaves_something, with_one_more, worthy
-from service.gap.which.one_more_effect import LOOKED_FOR, beside, residuals, rough_beside, rough_stages
+from service.gap.which.mixtures import extended, leaves_something, with_aliases, with_one_more, without_superfluous
+from service.gap.which.one_more_effect import GOOD_START, beside, residuals, rough_beside, rough_stages
 from service.gap.which.optional_parameters import with_optional_parameters
 from service.gap.which.plainest_law import plainer_law, weighed_plainly
 from service.gap.which.refits import best_of_each, contained, cost, refitted, refitted_from_best, same_twin
@@ -31,16 +31,16 @@ Complex = NDArray[np.complex128]
 
 LARGEST_MIXTURE = 3
 """Largest mixture within one part."""
-SAME_VALLEY_SHARE = 0.05
-"""Share of a gap that an explanation of fewer sweeps may leave of more, to be the same valley for sure."""
+SAME_MINIMUM_SHARE = 0.05
+"""Share of the gap up to which a fit from a solution on fewer sweeps is taken to be in the same minimum."""
 
 
 def plain_twin(
     fitter: Fitter, ground: Ground, before: Explained | None = None
 ) -> tuple[Candidate, tuple[Complex, ...]]:
-    """The plain twin, the datasheet's values of the part refitted, and what it leaves, (P, H, n) per sweep.
+    """The plain twin, the part's nuisance values refitted, and its weighted residuals, (P, H, n) per sweep.
 
-    ``before`` is what was found on fewer sweeps.
+    ``before`` is the result on fewer sweeps.
 
     Raises
     ------
@@ -72,57 +72,57 @@ def explain(
     Parameters
     ----------
     plain_fit
-        What `plain_twin` returned, where that was asked before.
+        The result of `plain_twin`, where it is known.
     most
-        Largest mixture to look at.
+        Effects of the largest mixture.
     before
-        What was found on fewer sweeps: effects in proportion to the excitation go on from there, others also.
+        The result on fewer sweeps, whose solutions are further starts.
     """
     null, plain = plain_fit or plain_twin(fitter, ground)
     search = _Search(fitter, ground, null, plain)
     search.single_effects(before)
     if most > 1 and not search.curved():
-        search.wider_laws(search.found)
-        search.mixtures(most)
+        search.add_wider_laws(search.found)
+        search.add_mixtures(most)
     order = beyond_tolerance(fitter, ground, weighed_plainly(fitter, ground, search.order))
-    # it leaves so little more that its evidence and shares stand
+    # the simpler law's chi-square differs so little that evidence and shares are kept
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     return Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))
 
 
 @dataclass
 class _Search:
-    """The explanations of one part as far as they are found."""
+    """State of the search in one part: explanations fitted so far, and their order."""
 
     fitter: Fitter
     ground: Ground
     null: Candidate
     """the plain twin"""
     plain: tuple[Complex, ...]
-    """what it leaves, (P, H, n) per sweep"""
+    """its weighted residuals, (P, H, n) per sweep"""
     found: list[Candidate] = field(default_factory=list)
     order: list[Ranked] = field(default_factory=list)
-    """those found and the plain twin, by falling evidence"""
+    """candidates found and the plain twin, by falling evidence"""
 
     def single_effects(self, before: Explained | None) -> None:
-        """Fit every effect of the part alone; ``before`` is what fewer sweeps told."""
-        kept = [] if before is None else self.fitter.run(_gone_on_with(self.ground, before))
-        done = {c.effects[0] for c in kept if _holds(c, self.null)}
-        begun = [name for name in self.ground.part.effects if name not in done]
-        found = refitted(
-            self.fitter, self.ground, self.null, _least_of_each([*self.fitter.run(self._begun(begun, before)), *kept])
-        )
-        if plainer := contained(self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)):
-            self.null, self.plain = plainer[0], residuals(self.ground, plainer[0])
+        """Fit every effect of the part alone; ``before`` is the result on fewer sweeps."""
+        continued = [] if before is None else self.fitter.run(_continued(self.ground, before))
+        done = {c.effects[0] for c in continued if _in_same_minimum(c, self.null)}
+        others = [name for name in self.ground.part.effects if name not in done]
+        probed = _cheapest_of_each([*self.fitter.run(self._first_fits(others, before)), *continued])
+        found = refitted(self.fitter, self.ground, self.null, probed)
+        if better_null := contained(self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)):
+            self.null, self.plain = better_null[0], residuals(self.ground, better_null[0])
             found = refitted(self.fitter, self.ground, self.null, found)
         self.found = refitted_from_best(self.fitter, self.ground, found)
         self.order = ranked(self.null, self.found)
 
-    def _begun(self, names: Iterable[str], before: Explained | None) -> Iterable[Task]:
-        """A first fit of each effect: on from ``before`` where it answers in proportion, or from its own starts.
+    def _first_fits(self, names: Iterable[str], before: Explained | None) -> Iterable[Task]:
+        """A first fit of each effect: of a linear one from its solution in ``before``, else from its own starts.
 
-        An effect draws the plain twin's values off, a large one as far as their tolerances let it: what is quickly
-        computed finds its own way from the datasheet's, and a resonance where hardly anything else is left.
+        An effect of the rig biases the plain twin's nuisance values, a large one up to their bounds. So a fit starts
+        from the datasheet's values; from the plain twin's where an effect is slow to compute, or a resonance whose
+        start needs small residuals, if the gap is small beside the floor of a rough stage.
         """
         known = {} if before is None else {r.candidate.effects: r.candidate for r in before.order}
         rough = rough_beside(self.null, self.ground)
@@ -132,12 +132,15 @@ class _Search:
                 c = known[name,]
                 yield Task(self.ground, (name,), (c.fit.values,), c.fit.theta, (PROBE,))
             else:
-                from_plain = near and (slow_to_compute(name) or name in LOOKED_FOR)
+                from_plain = near and (slow_to_compute(name) or name in GOOD_START)
                 theta = self.null.fit.theta if from_plain else self.ground.theta
                 yield beside(name, self.null, self.null, self.plain, self.ground, theta, rough)
 
     def curved(self) -> bool:
-        """Whether a curved characteristic explains most of a part, more than any effect: mixtures would bend to it."""
+        """Whether a curved characteristic explains most of the gap and more than any effect: no mixtures then.
+
+        They would only approximate it.
+        """
         explained = max((c.explained for c in curvatures(self.ground, self.null, self.plain)), default=0.0)
         if explained < CHI_SQUARE_SHOWN:
             return False
@@ -145,25 +148,25 @@ class _Search:
         by_effects = cost(self.null) - min(cost(r.candidate) for r in self.order)
         return explained > max(by_effects, (1 - MAX_SHARE_LEFT) * excess)
 
-    def wider_laws(self, of: Sequence[Candidate]) -> None:
-        """Add wider laws of some of the explanations, where the best leaves too much.
+    def add_wider_laws(self, of: Sequence[Candidate]) -> None:
+        """Add wider laws of some of the explanations, where the best one leaves too much.
 
-        Effects that differ from axis to axis, and those that have more of a law than most rigs need.
+        Effects that differ from axis to axis, and laws with their dormant parameters.
         """
         best = self.order[0].candidate
-        asks = leaves_something(self.ground, self.order[0]) or leaves_much(self.null, self.order)
-        # what looks like the best is held against it with all of its law: to be told apart takes both
-        wider = [c for c in of if asks or same_twin(c, best)]
+        needed = leaves_something(self.ground, self.order[0]) or leaves_much(self.null, self.order)
+        # an alias of the best explanation is always compared with it by all of its law
+        wider = [c for c in of if needed or same_twin(c, best)]
         more = [
-            *(with_uneven_effects(self.fitter, self.ground, self.null, of) if asks else ()),
+            *(with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else ()),
             *with_optional_parameters(self.fitter, self.ground, wider),
         ]
         if more:
             self.found = refitted_from_best(self.fitter, self.ground, best_of_each(self.null, [*self.found, *more]))
-            self.order = worthy(ranked(self.null, self.found))
+            self.order = without_superfluous(ranked(self.null, self.found))
 
-    def mixtures(self, most: int) -> None:
-        """Add mixtures of up to ``most`` effects by forward selection, and what could stand for one of theirs."""
+    def add_mixtures(self, most: int) -> None:
+        """Add mixtures of up to ``most`` effects by forward selection, and those with an alias of one of theirs."""
         fewer = next(r for r in self.order if r.candidate is self.null)
         for size in range(1, most):
             extension = extended(self.ground, self.order, fewer, size)
@@ -171,20 +174,21 @@ class _Search:
                 break
             fewer = extension.base
             self.found = with_one_more(self.fitter, self.ground, self.order, extension, self.found)
-            self.order = worthy(ranked(self.null, self.found))
+            self.order = without_superfluous(ranked(self.null, self.found))
         best = self.order[0].candidate
-        if len(best.effects) > 1:  # what else could stand for one of them, where nothing is left too
-            self.found = best_of_each(self.null, [*self.found, *exchanged(self.fitter, self.ground, best, self.found)])
-            self.order = worthy(ranked(self.null, self.found))
+        if len(best.effects) > 1:  # also where the last mixture was not extended, as it leaves nothing
+            more = with_aliases(self.fitter, self.ground, best, self.found)
+            self.found = best_of_each(self.null, [*self.found, *more])
+            self.order = without_superfluous(ranked(self.null, self.found))
         best = self.order[0].candidate
         if len(best.effects) > 1:
-            self.wider_laws([best])
+            self.add_wider_laws([best])
 
 
-def _gone_on_with(ground: Ground, before: Explained) -> Iterable[Task]:
-    """Nonlinear effects that explained most of fewer sweeps, from where they did: their valleys are narrow.
+def _continued(ground: Ground, before: Explained) -> Iterable[Task]:
+    """Tasks of nonlinear effects from their solutions on fewer sweeps, if they explained most: the minima are narrow.
 
-    Where one does not hold, it is begun anew as well: a louder sweep may show that it was another valley.
+    An effect that does not fit so is also fitted from its own starts: a louder sweep may show another minimum.
     """
     null = before.null.candidate
     noise = sum(noise_levels(null, [r.candidate for r in before.order]))
@@ -194,22 +198,22 @@ def _gone_on_with(ground: Ground, before: Explained) -> Iterable[Task]:
             yield Task(ground, c.effects, (c.fit.values,), c.fit.theta, (PROBE,))
 
 
-def _holds(c: Candidate, null: Candidate) -> bool:
-    """Whether an explanation leaves next to nothing of what the plain twin does."""
-    return cost(c) - c.fit.n_residuals < SAME_VALLEY_SHARE * (cost(null) - c.fit.n_residuals)
+def _in_same_minimum(c: Candidate, null: Candidate) -> bool:
+    """Whether an explanation leaves next to nothing of the gap."""
+    return cost(c) - c.fit.n_residuals < SAME_MINIMUM_SHARE * (cost(null) - c.fit.n_residuals)
 
 
-def _least_of_each(probed: Sequence[Candidate]) -> list[Candidate]:
-    """Of fits of the same effects the one that leaves least."""
-    least: dict[tuple[str, ...], Candidate] = {}
+def _cheapest_of_each(probed: Sequence[Candidate]) -> list[Candidate]:
+    """Of fits of the same effects the one of least cost."""
+    cheapest: dict[tuple[str, ...], Candidate] = {}
     for c in probed:
-        if c.effects not in least or cost(c) < cost(least[c.effects]):
-            least[c.effects] = c
-    return list(least.values())
+        if c.effects not in cheapest or cost(c) < cost(cheapest[c.effects]):
+            cheapest[c.effects] = c
+    return list(cheapest.values())
 
 
 def leaves_much(null: Candidate, order: Sequence[Ranked]) -> bool:
-    """Whether the best effects leave much of a gap, though overestimated noise hides it from every band."""
+    """Whether the best effects leave much of the gap, though no band shows it as the noise is overestimated."""
     best = order[0]
     left = cost(best.candidate) - sum(noise_levels(null, [r.candidate for r in order]))
     return bool(best.candidate.effects) and best.unexplained > MAX_SHARE_LEFT_BY_SEVERAL and left > CHI_SQUARE_SHOWN

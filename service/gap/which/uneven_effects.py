@@ -1,9 +1,8 @@
-"""Effects that are on one bearing, plane or axis more than on another, where the same on all leaves much.
+"""Uneven effects: stronger on one bearing, plane or axis than on another.
 
-A sensor that is slow, a magnet that saturates: of what there is one of in each axis, one alone may be at fault. Few
-rigs need that, and two more parameters of every law would cost all of them time. So the data are asked first which axes
-have an effect: its answer is nearly the sum of those that it has in each axis alone, and a regression tells their
-shares.
+Of sensors, magnets and amplifiers there is one per axis, and one alone may be faulty. Few rigs need that, and the two
+imbalance parameters of every law would cost all of them time. So a regression first estimates each axis's share of an
+effect, whose response is nearly the sum of its responses in each axis alone; only promising explanations are fitted.
 """
 
 from __future__ import annotations
@@ -37,61 +36,65 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 PROMISING = 0.5
-"""Share of what the best explanation leaves beyond noise that one must be expected to leave at most, to be fitted."""
+"""Share of the best explanation's excess chi-square that the regression must predict at most, for a fit to be tried."""
 TRIED = 3
-"""Most promising ones that are fitted: of those that look alike, more than one may be it."""
+"""Number of the most promising ones that are fitted: among aliases the second may be right."""
 HINTED = 0.02
-"""Share of the plain twin's excess that an effect must explain where it is the same on all, to be asked for the axes:
-one that is on one of four would explain a quarter, but the datasheet's values explain most of that as well (of eddy
-currents of one magnet 8 % were left to the same on all)."""
+"""Share of the gap that an effect must explain as an even one for the regression to be tried. One that is on one of
+four axes explains a quarter, but nuisance values explain most of that as well (8 % remained to even eddy currents
+where one magnet had them)."""
 
 
 @dataclass(frozen=True)
 class _Promise:
-    """What an explanation is expected to leave once one of its effects may differ from axis to axis."""
+    """The predicted cost of an explanation once one of its effects is uneven, and the task to fit it."""
 
     cost: float
     task: Task
 
 
 def with_uneven_effects(fitter: Fitter, ground: Ground, null: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
-    """Explanations of ``found`` with an effect that differs from axis to axis, where that leaves far less than any.
+    """Explanations of ``found`` with an uneven effect, where that leaves far less than any of these.
 
     ``null`` is the plain twin.
     """
     noise = sum(noise_levels(null, found))
     hinted = [c for c in found if cost(null) - cost(c) > HINTED * (cost(null) - noise)]
-    asked = [(ground, c, name) for c in hinted for name in _uneven_by(c)]
+    asked = [(ground, c, name) for c in hinted for name in _may_be_uneven(c)]
     if not asked:
         return []
     best = min(found, key=cost)
     most = noise + PROMISING * max(cost(best) - noise, 0.0)
-    promises = [p for p in fitter.over(_promise, asked) if p is not None and p.cost < most]
+    promises = [p for p in fitter.over(_promise_or_none, asked) if p is not None and p.cost < most]
     tasks = [p.task for p in sorted(promises, key=lambda p: p.cost)[:TRIED]]
     return [c for c in fitter.run(tasks) if cost(c) < cost(best)]
 
 
-def _uneven_by(c: Candidate) -> list[str]:
-    """Effects of an explanation that may differ from axis to axis, and do not yet."""
+def _may_be_uneven(c: Candidate) -> list[str]:
+    """Effects of an explanation that have dormant imbalances."""
     may = {name for name, p in asleep(c.effects, c.fit.values) if p in imbalance.NAMES}
     return [name for name in c.effects if name in may]
 
 
-def _promise(asked: tuple[Ground, Candidate, str]) -> _Promise | None:
-    """What an effect of an explanation would leave if each axis had its own share of it; None where none has any."""
-    with suppress(AmbError, np.linalg.LinAlgError):  # at these shares there is no such rig
-        return _asked(*asked)
+def _promise_or_none(asked: tuple[Ground, Candidate, str]) -> _Promise | None:
+    """`_promise`; None where a rig with these shares is impossible."""
+    with suppress(AmbError, np.linalg.LinAlgError):
+        return _promise(*asked)
     return None
 
 
-def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
-    """The same, at the excited frequency, the datasheet's values and the other effects following to first order."""
+def _promise(ground: Ground, c: Candidate, name: str) -> _Promise | None:
+    """Non-negative least squares of each axis's share of the effect ``name``; None where all shares are zero.
+
+    At the excited frequency. The effect's own columns are replaced by its responses in each axis alone; nuisance values
+    and the other effects are refitted to first order, under their priors.
+    """
     at, effect, problem = c.effects.index(name), CATALOGUE[name].of(ground.nuisance.rig), Problem.of(ground, c.fit)
     values, without, linear = c.fit.values[at], _without(name, ground, c), problem.linearised(c.fit)
-    shapes = [p.name for p in effect.parameters if p.name in imbalance.NAMES][: ground.nuisance.rig.n_planes]
-    corners = np.array(list(product((1.0, -1.0), repeat=len(shapes))))
-    one = _scaled(effect, values, 1 / len(corners))
-    rigs = [effect.on(without, **one, **dict(zip(shapes, corner, strict=True))) for corner in corners.tolist()]
+    imbalances = [p.name for p in effect.parameters if p.name in imbalance.NAMES][: ground.nuisance.rig.n_planes]
+    corners = np.array(list(product((1.0, -1.0), repeat=len(imbalances))))  # each is the effect in one axis alone
+    one_axis = _scaled(effect, values, 1 / len(corners))
+    rigs = [effect.on(without, **one_axis, **dict(zip(imbalances, corner, strict=True))) for corner in corners.tolist()]
 
     begin = len(problem.unknowns.active) + sum(len(CATALOGUE[e].parameters) for e in c.effects[:at])
     beside = np.r_[0:begin, begin + len(effect.parameters) : len(linear.pull)]
@@ -100,7 +103,7 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
     left = residuals + np.concatenate([change[:, -1] for change in changes])  # without the effect
     alone = np.concatenate([change[:, :-1] for change in changes])
 
-    # what is known of the values beside it counts as further data
+    # the priors of the other unknowns are further rows
     root = np.linalg.cholesky(prior_precision(problem.unknowns)[np.ix_(beside, beside)]).T
     pull = np.linalg.solve(root.T, linear.pull[beside])
     known = np.concatenate([*(stacked(J[..., beside]) for J in linear.columns), root])
@@ -113,7 +116,7 @@ def _asked(ground: Ground, c: Candidate, name: str) -> _Promise | None:
 
     moved, theta = np.linalg.lstsq(known, left - alone @ shares)[0][: len(problem.unknowns.active)], c.fit.theta.copy()
     theta[problem.unknowns.active] = np.clip(theta[problem.unknowns.active] + moved, -TOLERANCE_BOUND, TOLERANCE_BOUND)
-    start = _scaled(effect, values, shares.mean()) | dict(zip(shapes, shares @ corners / shares.sum(), strict=True))
+    start = _scaled(effect, values, shares.mean()) | dict(zip(imbalances, shares @ corners / shares.sum(), strict=True))
     starts = tuple(start if k == at else own for k, own in enumerate(c.fit.values))
     return _Promise(expected, Task(ground, c.effects, (starts,), theta, (EXACT,)))
 
@@ -128,15 +131,15 @@ def _without(name: str, ground: Ground, c: Candidate) -> Rig:
 
 
 def _changes(problem: Problem, rigs: Sequence[Rig], without: Rig, sweep: int, weight: Real) -> Real:
-    """What each of some rigs answers beyond the one without, weighted, at the excited frequency, (2 P n, rigs)."""
+    """Weighted responses of some rigs less that of the rig without, at the excited frequency, (2 P n, rigs)."""
     o = problem.observations[sweep]
     base = problem.model.predict(without, o, closed=False)
-    answers = [centred(problem.model.predict(rig, o, closed=False) - base, weight, o) * weight for rig in rigs]
-    return stacked(np.stack([answer[:, o.fundamental] for answer in answers], axis=-1))
+    changes = [centred(problem.model.predict(rig, o, closed=False) - base, weight, o) * weight for rig in rigs]
+    return stacked(np.stack([change[:, o.fundamental] for change in changes], axis=-1))
 
 
 def _scaled(effect: Effect, values: Mapping[str, float], share: float) -> dict[str, float]:
-    """An effect's parameters without its imbalances, the strengths multiplied."""
+    """An effect's parameters without its imbalances, its strengths multiplied by ``share``."""
     return {
         p.name: float(np.clip(values[p.name] * share, p.low, p.high)) if p.strength else values[p.name]
         for p in effect.parameters

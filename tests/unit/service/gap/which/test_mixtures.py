@@ -13,7 +13,7 @@ from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import MIXTURE_SHARE
-from service.gap.which.mixtures import from_the_other_side, worth_it
+from service.gap.which.mixtures import needs_all_effects, refitted_in_turn
 from service.gap.which.refits import best_of_each, cost
 from sim.reference import reference_rig
 from sim.twin import with_effects
@@ -38,14 +38,14 @@ def explanation(
 def test_of_two_effects_one_may_make_the_fundamental_s_gap_and_the_other_that_of_the_harmonics() -> None:
     both = explanation((CROSS, AWAY), -10.0, (0.01, 0.01))
     singles = [explanation((CROSS,), -90.0, (0.01, 1.0)), explanation((AWAY,), -99.0, (1.0, 0.01))]
-    assert worth_it(both, [both, *singles])
+    assert needs_all_effects(both, [both, *singles])
 
 
 def test_a_second_effect_that_one_alone_makes_needless_is_notworth_it() -> None:
     both = explanation((CROSS, AWAY), -10.0, (0.009, 0.008))
     enough = explanation((CROSS,), -15.0, (0.01, 0.01))
     useless = explanation((AWAY,), -99.0, (1.0, 0.5))
-    assert not worth_it(both, [both, enough, useless])
+    assert not needs_all_effects(both, [both, enough, useless])
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_what_a_linear_effect_leaves_at_one_amplitude_alone_is_no_other_law_of_i
     """An alias beside it would make up for another program's law, which is as far off at any amplitude."""
     both = explanation((linear, "magnetic_hysteresis"), -10.0, (0.001, 0.0, 0.001, 0.0))
     singles = [explanation((linear,), -90.0, left), explanation(("magnetic_hysteresis",), -99.0, (0.9, 0.5, 0.9, 0.5))]
-    assert worth_it(both, [both, *singles]) is worth
+    assert needs_all_effects(both, [both, *singles]) is worth
 
 
 @pytest.mark.parametrize(("harmonics", "worth"), [(200.0, False), (9_000.0, True)])
@@ -80,7 +80,7 @@ def test_a_law_s_error_goes_with_the_whole_effect_in_a_group_that_holds_little_o
 
     both = leaving(("magnetic_hysteresis", "eddy_currents"), -10.0, 0.0, 0.0)
     singles = [leaving(("magnetic_hysteresis",), -90.0, 0.03, 0.5), leaving(("eddy_currents",), -99.0, 0.5, 0.9)]
-    assert worth_it(both, [both, *singles, leaving((), -200.0, 1.0, 1.0)]) is worth
+    assert needs_all_effects(both, [both, *singles, leaving((), -200.0, 1.0, 1.0)]) is worth
 
 
 def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needless() -> None:
@@ -88,14 +88,14 @@ def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needles
     singles = [explanation(("rotor_inertia",), -90.0, (0.3, 0.3)), explanation(("sensor_position",), -99.0, (0.9, 0.9))]
     for penalty, worth in ((60.0, True), (1.0, False)):
         mode = explanation(("extra_flexible_mode",), -80.0, (0.05, 0.05), penalty)
-        assert worth_it(both, [both, mode, *singles]) is worth
+        assert needs_all_effects(both, [both, mode, *singles]) is worth
 
 
 def test_one_effect_beside_a_value_as_far_off_as_any_may_be_makes_two_not_needless() -> None:
     both = explanation(("eddy_currents", "sensor_gain"), -10.0, (0.003, 0.003))
     for off, worth in ((TOLERANCE_BOUND, True), (3.0, False)):
         single = explanation(("eddy_currents",), -50.0, (0.007, 0.007), off=off)
-        assert worth_it(both, [both, single]) is worth
+        assert needs_all_effects(both, [both, single]) is worth
 
 
 def test_what_couples_the_planes_is_found_beside_what_makes_a_gap_fifty_times_as_large() -> None:
@@ -145,7 +145,7 @@ def test_an_effect_that_was_found_first_is_looked_for_anew_beside_the_second() -
     null, singles = e.null.candidate, [r.candidate for r in e.order if len(r.candidate.effects) == 1]
     stuck = fit_task(Task(e.ground, tuple(both), (wrong,), null.fit.theta, (EXACT,)))
     with Fitter() as fitter:
-        (better,) = from_the_other_side(fitter, e.ground, null, stuck, [null, *singles, stuck])
+        (better,) = refitted_in_turn(fitter, e.ground, null, stuck, [null, *singles, stuck])
     assert cost(better) < 0.9 * cost(stuck)
     values = dict(zip(better.effects, better.fit.values, strict=True))
     assert values["magnetic_hysteresis"]["loss_angle_rad"] == pytest.approx(0.007, rel=0.02)
