@@ -1,1 +1,1 @@
-"""What fitted explanations are worth: significance, closure, the verdict on one part of the loop."""
+"""Judgement of fitted explanations: ranking, significance, closure, and the verdict on one part of the loop."""

@@ -1,4 +1,4 @@
-"""What the data cannot tell from the best explanation: its alias classes."""
+"""Alias classes: effects that the data cannot distinguish from those of the best explanation."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from service.gap.weighing.ranking import Ranked
 from sim.effects import aliases
 
 ALIKE_LOG_EVIDENCE = 6.0
-"""Log evidence behind the best up to which a candidate counts as not told apart."""
+"""Log evidence behind the best up to which a candidate counts as not distinguished."""
 
 
 def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = ()) -> tuple[str, ...]:
-    """Single effects that the data cannot tell from the best one, the best first.
+    """Single effects that the data cannot distinguish from the best one, the best first.
 
-    Known aliases that fit as well count whatever the number of their parameters: how many a law has says little
-    of how likely it is. As well is what leaves no more than the error of the best one's own law would: a large effect
-    shows shapes of a mode that differ by less than two programs do, and a housing has them equal.
+    A known alias of about the same cost counts, too, even if its evidence is lower: the number of its law's parameters
+    says little of how likely it is. The difference may be what the error of the best one's own law could make. Example:
+    a large resonance shows that bearings and sensors move by the same amplitudes to better than two programs agree, as
+    they do with a resonant housing.
     """
     name = best.candidate.effects[0]
     null = next(r.candidate.fit for r in order if not r.candidate.effects)
     cost = best.candidate.fit.cost
-    as_well = max(2 * ALIKE_LOG_EVIDENCE, LAW_ERROR**2 * (null.cost - cost))
+    margin = max(2 * ALIKE_LOG_EVIDENCE, LAW_ERROR**2 * (null.cost - cost))
 
     def close(r: Ranked) -> bool:
         other = r.candidate.effects[0]
         if r.log_evidence > best.log_evidence - ALIKE_LOG_EVIDENCE:
             return True
-        return aliases(name, other) and r.candidate.fit.cost < cost + as_well
+        return aliases(name, other) and r.candidate.fit.cost < cost + margin
 
     near = [r for r in order if len(r.candidate.effects) == 1 and close(r)]
     near += [r for r in elsewhere if r.log_evidence > best.log_evidence - ALIKE_LOG_EVIDENCE]
@@ -37,9 +38,9 @@ def alike(best: Ranked, order: Sequence[Ranked], elsewhere: Sequence[Ranked] = (
 
 
 def alike_beside(best: Ranked, order: Sequence[Ranked]) -> tuple[tuple[tuple[str, ...], ...], float]:
-    """Classes of a mixture's effects that known aliases could stand for beside the others, and what all of those add.
+    """Alias classes of a mixture's effects, and the probability of the mixtures with an alias in place of one effect.
 
-    The best one's effect first in each; the number is the probability of the mixtures that differ in one effect so.
+    Each class has the best mixture's effect first.
     """
     effects, classes, added = best.candidate.effects, [], 0.0
     near = [r for r in order if r is not best and r.log_evidence > best.log_evidence - ALIKE_LOG_EVIDENCE]

@@ -1,4 +1,4 @@
-"""Is the datasheet of another rig: its values would have to be off by more than its tolerances allow."""
+"""Whether the datasheet is of another rig, as its values would be off by more than its tolerances allow."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from service.gap.weighing.verdict import SURE_OF_NONE, Verdict
 from sim.wording import in_words
 
 IMPLAUSIBLE = 5.0
-"""Normal deviate of the datasheet's errors in units of its tolerances, chi-square, from which it is of another rig."""
+"""Deviate of the nuisance values' penalty, as a chi-square, from which they are off beyond chance."""
 HOPELESS = 0.35
-"""Share of the values that are as far off as any may be, whichever effect is beside them, from which no more are looked
-for. Where it was least, it was at most 0.03 on rigs with two gross effects, and 0.4 to 0.65 with datasheets of other
-rotors."""
+"""Share of the nuisance values at their bounds from which no further effects are searched for, if every explanation has
+it. The smallest of all explanations' shares was at most 0.03 on rigs with two gross effects, and 0.4 to 0.65 with
+datasheets of other rotors."""
 
 
 STRANGE = 0.03
-"""Relative gap from which a datasheet that is far off is another rig's: those of other rotors leave 0.09 to 0.17 at
-their bounds. What draws its values away for less is something in this rig that nothing describes."""
+"""Relative gap from which such a datasheet is said to be another rig's: with those of other rotors it was 0.09 to 0.17.
+With a smaller gap the values are biased by something in this rig that no effect describes."""
 
 
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
-    """Which of the values fitted are as far off as any may be, (a,)."""
+    """Which of the nuisance values fitted are at their bounds, (a,)."""
     return np.asarray(np.abs(fit.theta[fit.active]) > 0.999 * TOLERANCE_BOUND)
 
 
 def hopeless(ground: Ground, fits: Iterable[Fit]) -> bool:
-    """Whether every explanation leaves so many values as far off as any may be that no further effect would mend it."""
+    """Whether every explanation has so many nuisance values at their bounds that no further effect would help."""
     own = len(ground.part.active)
     return own > 0 and all(int(at_bound(fit)[:own].sum()) >= HOPELESS * own for fit in fits)
 
 
 def far_off(ground: Ground, fit: Fit) -> str | None:
-    """Which of the datasheet's values are off, in words, where they are farther than its tolerances allow."""
+    """The datasheet's values that are farthest off, in words, where all together are off beyond chance; else None."""
     own, names = ground.part.active, ground.nuisance.names
     k, off = len(own), ground.nuisance.price(fit.theta[own])
     if off <= k + IMPLAUSIBLE * np.sqrt(2 * k):
         return None
     away = ground.nuisance.off(fit.theta)
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
-    told = ", ".join(f"{in_words(names[j])} by {away[j]:+z.1f}" for j in worst)
-    return f"its values would be off, or apart where they are alike in a rig, by many tolerances ({told})"
+    values = ", ".join(f"{in_words(names[j])} by {away[j]:+z.1f}" for j in worst)
+    return f"its values would be off, or apart where they are alike in a rig, by many tolerances ({values})"
 
 
 def astray(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
-    """The verdict on a part whose datasheet would be off by more than it can be: ``away``, in words.
+    """The verdict on a part whose datasheet would be off beyond chance; ``away`` says by what (`far_off`).
 
-    ``relative_gap`` is what the plain twin leaves of the part's output.
+    ``relative_gap`` is that of the plain twin, over the part's output.
     """
     if relative_gap >= STRANGE and not verdict.bent:
         reason = f"the datasheet seems to be of another rig; {away}: check it"

@@ -1,4 +1,4 @@
-"""Fitted explanations in the order of their evidence, and what each leaves of the gap."""
+"""Fitted explanations ranked by evidence, with the share of the gap that each leaves."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from service.gap.fitting.evidence import log_evidence, probabilities
 from sim.effects import CATALOGUE
 
 LOG_EVIDENCE_PER_EFFECT = 5.0
-"""Log evidence by which an effect must beat the plain twin, some 25 candidates being tried: in 134 parts of rigs of an
-independent program that had no effect there, the largest advantage by chance was 2.2, with a tail like exp(-x)."""
+"""Log evidence by which an effect must beat the plain twin, as some 25 candidates are tried: in 134 parts of rigs of an
+independent program that had no effect there, the largest lead by chance was 2.2, with a tail like exp(-x)."""
 CLEAR_CHI_SQUARE = 30.0
-"""Excess chi-square of a group from which the share that an explanation leaves of it means something."""
+"""Excess chi-square of the plain twin in a group from which the share that is left of it is meaningful."""
 Groups = Sequence[tuple[float, int]]
 """(chi-square, number of residuals) each"""
 
@@ -26,30 +26,31 @@ class Ranked:
 
     candidate: Candidate
     log_evidence: float
-    """`LOG_EVIDENCE_PER_EFFECT` taken off for every effect: an effect is named only for good reason"""
+    """less `LOG_EVIDENCE_PER_EFFECT` for every effect"""
     probability: float
     unexplained: float
-    """share of the plain twin's excess chi-square that is left"""
+    """share of the gap (the plain twin's excess cost) that is left"""
     shares: tuple[float, ...] = ()
-    """the same for the fundamental and for the harmonics of each sweep in turn; 0 where there was no gap"""
+    """the same for the fundamental and for the harmonics of each sweep in turn (`Fit.groups`); 0 where there was no
+    gap"""
     across: tuple[float, ...] = ()
-    """the same for the fundamental in the plane that was not excited, sweep by sweep"""
+    """the same for the fundamental in the plane that was not excited, for each sweep (`Fit.across`)"""
     open_strength: tuple[str, ...] = ()
-    """effects that grow with amplitude, and without which the fitted data are as likely: nothing tells how strong they
-    are on louder ones"""
+    """nonlinear effects without which the fitted data are as likely: their strength at larger amplitudes is unknown"""
 
     @property
     def apart(self) -> tuple[float, ...]:
-        """Shares of everything that is told apart: what couples the planes shows where little else does."""
+        """Shares of all groups: `shares` and `across`, where a coupling of the planes shows best."""
         return (*self.shares, *self.across)
 
 
 def noise_levels(null: Candidate, candidates: Sequence[Candidate]) -> list[float]:
-    """Chi-square of each group that a right twin leaves: no more than one per residual, nor than the best fit has."""
+    """Chi-square of each group that a right twin leaves: one per residual, or that of the best fit where it is less."""
     return _levels([c.fit.groups for c in (null, *candidates)])
 
 
 def _levels(groups: Sequence[Groups]) -> list[float]:
+    """The noise level of each group from those of all fits."""
     return [float(min(one[0][1], *(chi for chi, _ in one))) for one in zip(*groups, strict=True)]
 
 
@@ -80,34 +81,34 @@ def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:
 def _open_strength(
     candidate: Candidate, log: float, everything: Sequence[Candidate], logs: Iterable[float]
 ) -> tuple[str, ...]:
-    """Effects of an explanation that grow with amplitude, and without which one of fewer effects is as likely.
+    """Nonlinear effects of an explanation without which one of its remaining effects has as much evidence.
 
-    What answers in proportion is as small on any sweep as on the fitted ones.
+    A linear effect that does not show is as small on any other sweep, so it is not listed.
     """
-    likely = [(set(c.effects), other) for c, other in zip(everything, logs, strict=True)]
+    evidence_of = [(set(c.effects), other) for c, other in zip(everything, logs, strict=True)]
 
     def without(effect: str) -> float:
         rest = set(candidate.effects) - {effect}
-        return max(other for effects, other in likely if effects <= rest)
+        return max(other for effects, other in evidence_of if effects <= rest)
 
-    grow = (effect for effect in candidate.effects if CATALOGUE[effect].nonlinear)
-    return tuple(effect for effect in grow if without(effect) >= log)
+    nonlinear = (effect for effect in candidate.effects if CATALOGUE[effect].nonlinear)
+    return tuple(effect for effect in nonlinear if without(effect) >= log)
 
 
 def renormalised(order: Sequence[Ranked]) -> list[Ranked]:
-    """The same explanations, others being out of the question."""
+    """The explanations with their probabilities normalised over these alone."""
     p = probabilities(np.array([r.log_evidence for r in order]))
     return [replace(r, probability=float(q)) for r, q in zip(order, p, strict=True)]
 
 
 def unexplained(candidate: Candidate, null: Candidate, noise: Sequence[float]) -> float:
-    """Share of the plain twin's excess that an explanation leaves, the datasheet's values at their own price."""
+    """Share of the plain twin's excess cost, chi-square beyond noise and penalty, that an explanation leaves."""
     before = max(null.fit.cost - sum(noise), 1e-9)
     return float((candidate.fit.cost - sum(noise)) / before)
 
 
 def shares(groups: Groups, null: Groups, noise: Sequence[float]) -> tuple[float, ...]:
-    """Share of the plain twin's excess that is left, group by group; 0 where the plain twin has no clear excess."""
+    """Share of the plain twin's excess chi-square that is left, by group; 0 where its excess is not clear."""
     out = []
     for (after, _), (before, _), level in zip(groups, null, noise, strict=True):
         clear = before - level > CLEAR_CHI_SQUARE

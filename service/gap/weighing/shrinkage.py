@@ -1,4 +1,4 @@
-"""How far the gap shrinks on data that no fit has seen."""
+"""Closure: how far the gap shrinks on unseen data."""
 
 from __future__ import annotations
 
@@ -29,35 +29,37 @@ SIGNALS = ("u", "i", "y")
 J_OF_NOISE = 1.0
 """J of a right twin: residuals in units of their own standard deviation."""
 J_OF_EXACT = 0.01
-"""J of a path, before and after, below which its law is held exactly: no noise to be left, nothing to be closed."""
+"""J of a path, before and after, below which its law holds exactly, without noise: it is left out of the mean."""
 RESAMPLES = 400
+"""Bootstrap resamples of a closure's interval."""
 
 
 @dataclass(frozen=True)
 class Closed:
-    """J = mean |residual|^2 / variance on the unseen sweep, before and after the effect is added."""
+    """J = mean |residual|^2 / variance on the unseen sweep, before and after the effect is added, and the closure."""
 
     before: float
     after: float
     closure: float | None
     """None where the unseen sweep does not show the gap"""
     closure_95: tuple[float | None, float | None]
+    """ends of the 95 % interval; None where it is open"""
 
 
 @dataclass(frozen=True)
 class Shrinkage(Closed):
-    """How far the whole gap shrinks, and that of every path and channel."""
+    """Closure of the whole gap, and of every path and channel."""
 
     held_out: str
     noise_floor: float
     paths: dict[str, Closed] = field(default_factory=dict)
-    """of u, i and y apart: "controller", "amplifier", "plant" """
+    """of u, i and y: "controller", "amplifier", "plant" """
     channels: dict[tuple[str, int, int], Closed] = field(default_factory=dict)
     """by signal, its axis and the excited axis"""
 
 
 def closure_of(before: float, after: float, noise: float = J_OF_NOISE) -> float | None:
-    """1 - (J_after - J_noise) / (J_before - J_noise), between -inf and 1; None where nothing was to be closed.
+    """1 - (J_after - J_noise) / (J_before - J_noise), at most 1; None where J_before shows no gap.
 
     >>> closure_of(11.0, 2.0)
     0.9
@@ -70,7 +72,10 @@ def closure_of(before: float, after: float, noise: float = J_OF_NOISE) -> float 
 
 
 def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0) -> Shrinkage:
-    """Closure with a 95 % interval from resampled lines (points of one line stand or fall together)."""
+    """Closure from the twin ``before`` to the twin ``after`` on an unseen sweep ``o`` of that name.
+
+    The 95 % interval is a bootstrap over lines, as the residuals of one line's points are correlated.
+    """
     z_b, z_a, w = residual(before, o), residual(after, o), weights(o) > 0
     n, used = before.n_axes, [k for k in range(3) if k != 1 or o.I is not None]
     drawn = _drawn(len(o.frequency_hz), seed)
@@ -102,7 +107,7 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
 
 
 def shows(z: Complex, o: Observation) -> bool:
-    """Whether weighted residuals (P, H, k) are more than noise, in a band and channel or all together."""
+    """Whether weighted residuals (P, H, k) are significant, in a band and channel or all together."""
     return max(significance(z, o), overall(z)) > SIGNIFICANT
 
 
@@ -113,11 +118,12 @@ def _per_point(z: Complex, known: NDArray[np.bool_]) -> Real:
 
 
 def _drawn(lines: int, seed: int) -> Real:
-    """How often each line is drawn, (resamples, lines)."""
+    """How often each line is drawn in each bootstrap resample, (resamples, lines)."""
     return np.random.default_rng(seed).multinomial(lines, np.full(lines, 1 / lines), RESAMPLES).astype(float)
 
 
 def _closed(before: Real, after: Real, line: NDArray[np.int64], drawn: Real, shown: bool) -> Closed:
+    """Closure and interval from each point's J before and after, (P,); ``shown``: whether the gap is significant."""
     J_b, J_a = float(before.mean()), float(after.mean())
     closure = closure_of(J_b, J_a) if shown else None
     if closure is None:
@@ -125,13 +131,13 @@ def _closed(before: Real, after: Real, line: NDArray[np.int64], drawn: Real, sho
     lines = drawn.shape[1]
     sums = np.stack([np.bincount(line, x, lines) for x in (before, after, np.ones(len(line)))], axis=1)
     b, a, count = (drawn @ sums).T
-    with np.errstate(divide="ignore", invalid="ignore"):  # what draws no line, or shows no gap, is left out
-        told = np.minimum(1.0, 1.0 - (a / count - J_OF_NOISE) / (b / count - J_OF_NOISE))
-    return Closed(J_b, J_a, closure, interval_95(told[b > J_OF_NOISE * count], int((count > 0).sum())))
+    with np.errstate(divide="ignore", invalid="ignore"):  # resamples without a line or without a gap are left out
+        closures = np.minimum(1.0, 1.0 - (a / count - J_OF_NOISE) / (b / count - J_OF_NOISE))
+    return Closed(J_b, J_a, closure, interval_95(closures[b > J_OF_NOISE * count], int((count > 0).sum())))
 
 
 def interval_95(closures: Sequence[float] | Real, resamples: int) -> tuple[float | None, float | None]:
-    """95 % interval of resampled closures; open where one resample in forty does not show the gap at all."""
+    """95 % interval of resampled closures; open below where one resample in forty shows no gap at all."""
     if not len(closures):
         return None, None
     low, high = (float(q) for q in np.quantile(closures, [0.025, 0.975]))
@@ -139,13 +145,13 @@ def interval_95(closures: Sequence[float] | Real, resamples: int) -> tuple[float
 
 
 def relative_gap(rig: Rig, o: Observation) -> float:
-    """||measured - twin|| / ||measured||, each signal by its own size, fundamental, root mean square over signals."""
+    """||measured - twin|| / ||measured|| of the fundamentals, of each signal by itself; rms over the signals."""
     z, w, m = residual(rig, o), weights(o), measured(o)
     return _relative(np.where(w > 0, z / np.maximum(w, 1e-300), 0), m, o, rig.n_axes)
 
 
 def relative_noise(o: Observation, n_axes: int) -> float:
-    """The same of noise alone."""
+    """The relative gap that noise alone makes."""
     w = weights(o)
     return _relative(np.where(w > 0, np.sqrt(2) / np.maximum(w, 1e-300), 0), measured(o), o, n_axes)
 

@@ -1,4 +1,4 @@
-"""Whether residuals are more than noise: the worst band and channel, with its false-alarm rate controlled."""
+"""Significance of residuals: tests of the worst band and channel, of single lines, and of all residuals together."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 SIGNIFICANT = 5.0
-"""Standard deviations, after the number of bands and channels looked at, beyond which there is a gap."""
+"""Normal deviate, after Bonferroni's correction for bands and channels, from which there is a gap."""
 OUTLIER = 12.0
-"""Largest squared residual (over its expectation) that one value adds to a cell."""
+"""Largest squared residual (over its expectation) with which a single value counts."""
 
 NEARLY_NORMAL = 32
-"""Values of a cell below which its mean is far from normal: at five deviates of ten values the tail is 28 times as
-heavy, at 32 twice."""
+"""Values of a cell from which their mean square is treated as normal: at five deviates the true tail is 28 times as
+heavy with ten values, and twice with 32."""
 ALONE_CHI_SQUARE = 2 * OUTLIER
-"""Squared residual (over its expectation) that two values of one line exceed where that line alone shows a gap."""
+"""Squared residual (over its expectation) that two values of one line must exceed for that line alone to show a gap."""
 PEAKED = 0.01
-"""Share of a line's displacement that another program's peak may be off by: its frequency by some 1e-5, where a mode
-has a quality of 500."""
+"""Share of a line's displacement by which two programs' peaks differ: a mode of quality 500 whose frequency differs by
+some 1e-5."""
 LINE_BY_CHANCE = 1e-19
-"""Probability that noise does so in one line of some dozen values."""
+"""Probability that noise makes such a line of some dozen values."""
 
 
 def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OUTLIER) -> float:
-    """Largest excess of mean square over bands and channels, as a one-sided normal deviate after Bonferroni.
+    """Largest excess of the mean square over bands and channels, as a one-sided normal deviate after Bonferroni.
 
-    Residuals of one line's points share what is left of the twin's error, so a cell counts half its values.
+    ``z`` are weighted residuals, (P, H, channels); each value counts up to ``bound``. Residuals of the points of one
+    line are correlated by what is left of the twin's error, so a cell counts as half as many independent values.
     """
     edges = np.quantile(o.frequency_hz, np.linspace(0, 1, n_bands + 1))
     which = np.clip(np.searchsorted(edges, o.points_hz, side="right") - 1, 0, n_bands - 1)
@@ -43,9 +44,9 @@ def significance(z: Complex, o: Observation, n_bands: int = 6, bound: float = OU
 
 
 def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -> float:
-    """Significance of the worst channel of some cells, weighted residuals (points, ...channels) each.
+    """Significance of the worst channel of some cells (points of a band), weighted residuals (points, channels..) each.
 
-    ``looked_at`` is how many times as many cells were looked at.
+    ``looked_at`` is the number of tests for each channel of each cell, for Bonferroni's correction.
     """
     deviates = []
     for z in cells:
@@ -65,7 +66,7 @@ def worst(cells: Sequence[Complex], bound: float = np.inf, looked_at: int = 1) -
 
 
 def _deviate(mean: Real, count: float) -> Real:
-    """Normal deviate of the mean of so many independent squares that are 1 in the mean, as of complex noise."""
+    """Normal deviate of the mean of ``count`` independent squared magnitudes of complex noise of unit mean square."""
     plain = (mean - 1.0) * np.sqrt(count)
     if 2 * count >= NEARLY_NORMAL:
         return np.asarray(plain)
@@ -74,16 +75,17 @@ def _deviate(mean: Real, count: float) -> Real:
 
 
 def mean_power(z: Complex) -> float:
-    """Mean square of weighted residuals over its expectation, J: 1 for noise. What was not weighed, 0, is left out."""
+    """J, the mean square of weighted residuals over its expectation: 1 for noise. Zeros (no weight) are left out."""
     power = np.abs(z[z != 0]) ** 2 / 2
     return float(power.mean()) if power.size else 0.0
 
 
 def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = None) -> float | None:
-    """The line that alone shows a gap, Hz: of all the one where two values are furthest off; None where none is so far.
+    """The line, Hz, of the largest second largest residual, if that exceeds `ALONE_CHI_SQUARE`; or None.
 
-    For amplifiers, which reach a voltage limit in the highest line alone, perhaps, where it drowns in a band. Other
-    parts have peaks that look so, but for some ``lines``. One value alone may be a transient.
+    For amplifiers, which may reach a voltage limit in one line only, so that the mean of its band hides it. Other parts
+    have sharp peaks that look the same, so for them it is used with a few ``lines`` only. Two values are required, as
+    one may be a transient.
     """
     off = np.abs(z) ** 2 / 2
     at, largest = 0, 0.0
@@ -95,19 +97,19 @@ def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = Non
 
 
 def fastest_alone_hz(z: Complex, o: Observation) -> float | None:
-    """The line that asks for the steepest current, Hz, where it shows a gap as in `shows_alone_hz`; None where not.
+    """The line with the steepest control signal, Hz, if it shows a gap by itself (`shows_alone_hz`); or None.
 
-    For the plant driven by the control signal, its currents not logged: a voltage limit is met in that line first.
+    For the plant with the amplifiers, where currents were not logged: a voltage limit is met in that line first.
     """
     steepness = np.abs(o.U[:, o.fundamental]).max(axis=1) * o.points_hz
     return shows_alone_hz(z, o, [int(o.line[np.argmax(steepness)])])
 
 
 def furthest_alone_hz(z: Complex, o: Observation) -> float | None:
-    """The line in which an axis swings furthest, Hz, where its fundamentals show a gap as in `shows_alone_hz`, or None.
+    """The line of an axis's largest displacement, Hz, if its fundamentals show a gap (`shows_alone_hz`); or None.
 
-    For the plant: a stop is met there first, and perhaps in no other line. What is less than `PEAKED` of the line's
-    displacement does not count: that could be a peak.
+    For the plant: a stop is met in that line first, and perhaps in no other. Residuals below `PEAKED` of the line's
+    displacement do not count, as a shifted peak could make them.
     """
     size = np.abs(o.Y[:, o.fundamental])
     of_line = np.array([size[o.line == line].max() for line in range(len(o.frequency_hz))])
@@ -118,7 +120,7 @@ def furthest_alone_hz(z: Complex, o: Observation) -> float | None:
 
 
 def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
-    """The line that alone shows a gap that a limit may make, Hz: amplifiers' of voltage, or a stop's."""
+    """The line, Hz, in which a part shows a gap by itself, as a voltage limit or a stop would make it; or None."""
     if part.path == "amplifier":
         return shows_alone_hz(z, o)
     if part.path != "plant":
@@ -128,9 +130,9 @@ def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
 
 
 def overall(z: Complex) -> float:
-    """Excess of the mean square of all residuals as a normal deviate: what every cell leaves a little of adds up.
+    """Excess of the mean square of all residuals as a normal deviate: it shows a small misfit in every cell.
 
-    As in `significance` a value counts half and up to a bound; what was not weighed, 0, does not count.
+    As in `significance`, a value counts half and up to a bound. Zeros (no weight) are left out.
     """
     size = np.minimum(np.abs(z[z != 0]) ** 2 / 2, OUTLIER)
     return float((size.mean() - 1.0) * np.sqrt(size.size / 2)) if size.size else 0.0

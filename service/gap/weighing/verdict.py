@@ -1,4 +1,4 @@
-"""From fitted explanations to a verdict: an effect, several, none of these, or no gap."""
+"""The verdict on one part of the loop: an effect, several, none of these, or no gap."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from sim.effects import CATALOGUE
 from sim.wording import in_words
 
 MAX_SHARE_LEFT = 0.25
-"""Share of the gap that may be left by another law of the same effect; more is something else."""
+"""Share of the gap up to which it may be left by another program's law of the same effect."""
 CLOSES = 1 - 1.2 * MAX_SHARE_LEFT
-"""Closure on unseen data below which an explanation is none."""
+"""Closure on unseen data below which an explanation is rejected."""
 MAX_SHARE_LEFT_BY_SEVERAL = 0.05
-"""The same for several effects in one part, or for one whose strength is at the end of its range: they bend to many
-things that they are not."""
+"""The same share for several effects in one part, or for one whose strength is at the end of its range: they can
+approximate many other laws."""
 MIXTURE_SHARE = 0.02
-"""Share of the gap that a first effect must leave for a second one, of another kind, to be looked for."""
+"""Share of the gap that an effect must leave for a second one, no alias, to be searched for."""
 VISIBLE_J = 1.5
-"""J on the unseen sweep from which there is a gap that could be closed."""
+"""J of the plain twin on the unseen sweep from which a closure there is used."""
 LARGEST_CLASS = 3
-"""Effects that a class lists, the likeliest; what else is not told apart is told in words."""
+"""Number of effects that a class lists, the likeliest; further ones are listed in a note."""
 LEAVES, LEAVES_ALL = 6.0, 8.0
-"""Normal deviates of what an effect leaves, and of a gap without any, from which it may be none of these."""
+"""Significance of an effect's residuals, and of the gap without an effect, from which it may be none of these."""
 SURE_OF_NONE = 0.95
-"""Probability that is stated where a test of its own says "none of these", or that the datasheet is of another rig.
-Such tests have no rivals to be weighed against. Of more than 70 such verdicts in blind trials and on rigs of another
-program all came true; laws of an effect that nobody thought of make it less. `benchmarks/gap.py` prints how often."""
+"""Probability that is stated where an absolute test says "none of these" or "datasheet of another rig". Such a test has
+no rivals to be weighed against. More than 70 such verdicts in blind trials and on rigs of another program were all
+right; unknown laws of an effect make it less than that. `benchmarks/gap.py` prints how often it is right."""
 LEAST_RIVALS = 1e-12
-"""Probability that rivals keep however certain an explanation was: unseen data can still speak for them."""
+"""Least probability of all rivals together, so that unseen data can still favour them."""
 
 
 @dataclass(frozen=True)
@@ -46,23 +46,23 @@ class Verdict:
     effects: tuple[str, ...]
     indistinguishable: tuple[tuple[str, ...], ...]
     probability: float
-    """that exactly these are there, each or one of its class"""
+    """that exactly these effects are there, each of them or one of its class"""
     reasons: tuple[str, ...]
     settled: bool = True
     """False where the rig drifted so much that the gap could not be judged"""
     unexplained: str | None = None
     """the part of the loop that no known effect explains"""
     another_rig: bool = False
-    """whether the datasheet seems to be of another rig, so that there is no gap to speak of"""
+    """whether the datasheet seems to be of another rig, so that its gap is meaningless"""
     bent: bool = False
-    """whether what is not explained is proven not to be in proportion to the excitation"""
+    """whether what no effect explains is proven to be nonlinear"""
     also_alike: tuple[str, ...] = ()
-    """what the data cannot tell from the effects either, beyond what the classes list"""
+    """further effects or causes that the data cannot distinguish from the effects, beyond the classes"""
     outdated: tuple[str, ...] = ()
     """effects that the twin names and the rig does not show as named"""
 
     def with_classes(self, classes: Sequence[tuple[str, ...]]) -> Verdict:
-        """The same with these alias classes, each cut to what a class lists."""
+        """The verdict with these alias classes, each cut to `LARGEST_CLASS`; the rest goes to ``also_alike``."""
         more = (name for group in classes for name in group[LARGEST_CLASS:])
         also = tuple(dict.fromkeys((*self.also_alike, *more)))
         return replace(self, indistinguishable=tuple(g[:LARGEST_CLASS] for g in classes), also_alike=also)
@@ -70,15 +70,16 @@ class Verdict:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One part of the loop on the unseen sweep: with the plain twin, and with the explanation that is best."""
+    """One part of the loop on the unseen sweep: with the plain twin, and with the best explanation."""
 
     before: float
     """J of the plain twin, harmonics included"""
     after: float
+    """J of the explanation, harmonics included"""
     gap: float = 0.0
-    """significance of what the plain twin leaves at the excited frequency"""
+    """significance of the plain twin's residuals at the excited frequency"""
     left: float = 0.0
-    """the same of the explanation"""
+    """significance of the explanation's residuals at the excited frequency"""
     closes: float = 1.0
     """closure at the excited frequency alone"""
     support: float = 0.0
@@ -86,9 +87,9 @@ class HeldOut:
 
     @property
     def fails(self) -> bool:
-        """Whether what explains the fitted data is none here.
+        """Whether the explanation of the fitted data is rejected by these: it closes too little.
 
-        A small gap may be closed in part by chance, so what is left must be beyond chance itself.
+        Both the gap and what is left must be significant, as a small gap may fail to close by chance.
         """
         return min(self.gap, self.left) > SIGNIFICANT and self.closes < CLOSES
 
@@ -99,7 +100,7 @@ class HeldOut:
 
 
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
-    """Whether the strength of an effect would have to be one that such effects do not have."""
+    """Whether a strength parameter of an effect is at an end of its range."""
     return any(
         p.strength and (effect, p.name) in candidate.fit.ends
         for effect in candidate.effects
@@ -108,19 +109,19 @@ def at_the_end_of_its_range(candidate: Candidate) -> bool:
 
 
 def rejected(best: Ranked, remaining: float) -> bool:
-    """Whether the sweeps that were fitted reject their best explanation: it leaves too much of the gap.
+    """Whether the fitted sweeps reject their best explanation: it leaves too much of the gap, significantly.
 
-    ``remaining`` is the significance (normal deviate) of what it leaves.
+    ``remaining`` is the significance (normal deviate) of its residuals.
     """
     if not best.candidate.effects:
         return remaining > LEAVES_ALL
-    bent = len(best.candidate.effects) > 1 or at_the_end_of_its_range(best.candidate)
-    allowed = MAX_SHARE_LEFT_BY_SEVERAL if bent else MAX_SHARE_LEFT
-    return remaining > LEAVES and (best.unexplained > allowed or _of_one_sweep(best) > MAX_SHARE_LEFT)
+    flexible = len(best.candidate.effects) > 1 or at_the_end_of_its_range(best.candidate)
+    allowed = MAX_SHARE_LEFT_BY_SEVERAL if flexible else MAX_SHARE_LEFT
+    return remaining > LEAVES and (best.unexplained > allowed or _worst_sweep_share(best) > MAX_SHARE_LEFT)
 
 
-def _of_one_sweep(best: Ranked) -> float:
-    """The largest share left of a sweep's fundamental: one that explains another sweep only explains neither."""
+def _worst_sweep_share(best: Ranked) -> float:
+    """The largest share left of a sweep's fundamental: an effect must explain every sweep, not only the loudest."""
     return max(best.shares[::2], default=0.0)
 
 
@@ -136,52 +137,71 @@ def decide(
 
     Parameters
     ----------
-    remaining : significance (normal deviate) of what the best explanation leaves
+    remaining : significance (normal deviate) of the best explanation's residuals
     there : the part on the unseen sweep
     significant : significance of the plain twin's gap on the sweeps fitted and unseen
-    elsewhere : what would explain it by an effect of another part
-    added_up : significance of what the plain twin leaves in all bands and channels together, fitted and unseen each
+    elsewhere : explanations of the part's gap by an effect of another part
+    added_up : significance of all of the plain twin's residuals together, on the sweeps fitted and unseen
     """
     best = order[0]
     if not best.candidate.effects:
-        shown_twice = min(added_up) > LEAVES  # a little everywhere, and on unseen data again
-        if rejected(best, min(remaining, significant)) or shown_twice:
-            reason = "no effect of the catalogue explains any of the gap"
-            return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
-        return Verdict("no_gap", (), (), best.probability, ())
-    effects = best.candidate.effects
-    words = " and ".join(map(in_words, effects))
-    closed = 1 - best.unexplained if there.closure is None else there.closure
-    if rejected(best, remaining) or (remaining > LEAVES and closed < CLOSES):
-        share = min(max(best.unexplained, _of_one_sweep(best), 1 - closed), 1.0)
+        return _without_effect(best, min(remaining, significant), added_up)
+    words = " and ".join(map(in_words, best.candidate.effects))
+    if (share := _share_too_much(best, remaining, there)) is not None:
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
     if there.fails:
         share = min(1 - there.closes, 1.0)
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap on unseen data"
         return Verdict("none_of_these", (), (), float(min(0.99, 0.5 + share)), (reason,))
-    weighed = renormalised([*order, *elsewhere]) if elsewhere else order
-    if len(effects) > 1:
-        classes, added = alike_beside(weighed[0], weighed)
-        probability = weighed[0].probability + added
-    else:
-        group = alike(best, order, elsewhere)
-        classes = (group,) if len(group) > 1 else ()
-        listed = group[:LARGEST_CLASS]
-        singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in listed]
-        probability = sum(r.probability for r in singles) if classes else weighed[0].probability
-    probability = supported(float(probability), there.support)
+    classes, of_class = _classes(order, elsewhere)
+    probability = supported(of_class, there.support)
     if probability < 0.5 and there.support < 0:
         if significant <= SIGNIFICANT:
             return Verdict("no_gap", (), (), 1 - probability, ())
         reason = f"the best explanation, {words}, predicts a gap on unseen data that is not there"
         return Verdict("none_of_these", (), (), 1 - probability, (reason,))
-    kind = "effect" if len(effects) == 1 else "effects"
-    return Verdict(kind, effects, (), probability, ()).with_classes(classes)
+    kind = "effect" if len(best.candidate.effects) == 1 else "effects"
+    return Verdict(kind, best.candidate.effects, (), probability, ()).with_classes(classes)
+
+
+def _without_effect(null: Ranked, remaining: float, added_up: tuple[float, float]) -> Verdict:
+    """The verdict where the plain twin is the best explanation: no gap, or one that no effect explains.
+
+    There is one where a band or channel shows it, or all residuals together do, on fitted and on unseen data each.
+    """
+    if rejected(null, remaining) or min(added_up) > LEAVES:
+        reason = "no effect of the catalogue explains any of the gap"
+        return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,))
+    return Verdict("no_gap", (), (), null.probability, ())
+
+
+def _share_too_much(best: Ranked, remaining: float, there: HeldOut) -> float | None:
+    """Share of the gap that the best effects leave, on fitted data or of unseen ones; None where it is acceptable."""
+    closed = 1 - best.unexplained if there.closure is None else there.closure
+    if not (rejected(best, remaining) or (remaining > LEAVES and closed < CLOSES)):
+        return None
+    return min(max(best.unexplained, _worst_sweep_share(best), 1 - closed), 1.0)
+
+
+def _classes(order: Sequence[Ranked], elsewhere: Sequence[Ranked]) -> tuple[tuple[tuple[str, ...], ...], float]:
+    """Alias classes of the best effects, and the probability that each of them or one of its class is there."""
+    best, weighed = order[0], renormalised([*order, *elsewhere]) if elsewhere else order
+    if len(best.candidate.effects) > 1:
+        classes, added = alike_beside(weighed[0], weighed)
+        return classes, float(weighed[0].probability + added)
+    group = alike(best, order, elsewhere)
+    if len(group) < 2:
+        return (), float(weighed[0].probability)
+    listed = group[:LARGEST_CLASS]
+    singles = [r for r in weighed if len(r.candidate.effects) == 1 and r.candidate.effects[0] in listed]
+    return (group,), float(sum(r.probability for r in singles))
 
 
 def supported(probability: float, support: float) -> float:
-    """Probability of an explanation after unseen data spoke against it; data for it are for its rivals too.
+    """Probability of an explanation after unseen data contradicted it; data in favour of it favour its rivals, too.
+
+    ``support`` is the log likelihood ratio of explanation and plain twin on the unseen data.
 
     >>> supported(0.9, 3.0), round(supported(0.9, -TEMPERATURE * math.log(9.0)), 3), supported(1.0, -1e9)
     (0.9, 0.5, 0.0)
