@@ -1,1 +1,1 @@
-"""What else may stand behind an explanation: the log, a bent signal, another plane, a lag that is not there."""
+"""Tests for other causes of a gap than effects: the log, curved signals, swinging stiffness, the unmeasured plane."""

@@ -1,4 +1,4 @@
-"""Whether a curved characteristic explains a part better than the effects that do so best."""
+"""Whether a curved characteristic explains a part better than the best effects do."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Complex = NDArray[np.complex128]
 
 
 def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
-    """What curvature, in words, explains a part better than the best effects do; None where none does.
+    """The curvature, in words, that explains a part better than the best effects do; or None.
 
-    It has to explain more of the fitted sweeps and of the unseen one together, and as much of the fitted ones alone: on
-    the unseen one an effect may fail for what else is there. ``plain`` and ``best`` are the sweep that no fit saw and
-    what the plain twin and the best explanation leave there, weighted, (P, H, n).
+    It must explain more of the fitted and the unseen sweeps together, and about as much of the fitted ones alone, as
+    the effects may fail on the unseen sweep for another reason. ``plain`` and ``best`` are the unseen sweep with the
+    residuals of the plain twin and of the best explanation.
     """
     sweeps = [*zip(e.ground.observations, e.plain, strict=True), plain]
     for better, c in _compared(e, plain, best):
@@ -30,24 +30,25 @@ def curved_instead(e: Explained, plain: Seen, best: Seen) -> str | None:
 
 
 def curved_alike(e: Explained, plain: Seen, best: Seen) -> tuple[str, ...]:
-    """Causes of curvatures that explain a part as well as the best effects do: what they lack may be chance."""
+    """Causes of curvatures that explain a part as well as the best effects do, to within chance."""
     return tuple(c.law.cause for better, c in _compared(e, plain, best) if better > -CHI_SQUARE_SHOWN)
 
 
 def _compared(e: Explained, plain: Seen, best: Seen) -> list[tuple[float, Curvature]]:
-    """Curvatures by what chi-square they explain beyond the best effects, the most first.
+    """(chi-square explained beyond what the best effects explain, curvature), the largest first.
 
-    They leave no more of the fitted sweeps than another law of an effect may.
+    Only curvatures that are clear, that leave no more of the gap than another law of an effect may, and that explain
+    about as much of the fitted sweeps as the effects.
     """
     null, named = e.null.candidate, e.order[0].candidate
     noise = sum(noise_levels(null, [r.candidate for r in e.order]))
-    fitted, there = null.fit.cost - named.fit.cost, _power(plain[1]) - _power(best[1])
-    enough = max(CHI_SQUARE_SHOWN, (1 - MAX_SHARE_LEFT) * (null.fit.cost - noise), fitted - CHI_SQUARE_SHOWN)
-    bent = [c for c in curvatures(e.ground, null, e.plain) if c.explained >= enough]
-    by_named = fitted + there
-    compared = [(c.explained + c.explained_on(*plain) - by_named, c) for c in bent]
+    on_fitted, on_unseen = null.fit.cost - named.fit.cost, _chi_square(plain[1]) - _chi_square(best[1])
+    enough = max(CHI_SQUARE_SHOWN, (1 - MAX_SHARE_LEFT) * (null.fit.cost - noise), on_fitted - CHI_SQUARE_SHOWN)
+    clear = [c for c in curvatures(e.ground, null, e.plain) if c.explained >= enough]
+    by_effects = on_fitted + on_unseen
+    compared = [(c.explained + c.explained_on(*plain) - by_effects, c) for c in clear]
     return sorted(compared, key=lambda one: -one[0])
 
 
-def _power(z: Complex) -> float:
+def _chi_square(z: Complex) -> float:
     return float(np.sum(np.abs(z) ** 2))

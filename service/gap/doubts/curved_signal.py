@@ -1,7 +1,7 @@
-"""Whether displacement or current is curved: a harmonic that goes with a power of the signal itself.
+"""Whether a displacement or a current is curved, by a matched filter over all lines.
 
-Line by line such a harmonic may drown in noise, but one number tells it in all lines of both sweeps: a curved signal
-y = x + c2 x^2 + c3 x^3 adds c2 Y^2 / 2 at harmonic 2 and c3 Y^3 / 4 at harmonic 3 to what the plant answers.
+A curved signal y = x + c2 x^2 + c3 x^3 has c2 X^2 / 2 at harmonic 2 and c3 X^3 / 4 at harmonic 3 beside what the plant
+puts there. At a single line noise may hide that; a regression of the residuals of all lines on it gives c2 and c3.
 """
 
 from __future__ import annotations
@@ -25,73 +25,80 @@ from sim.twin import linear_model
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Seen = tuple[Observation, Complex]
-"""A sweep, and what a twin leaves of it, weighted, (P, H, n)."""
+"""A sweep and the weighted residuals of a twin there, (P, H, n)."""
 
 FLOOR_HZ = 1000.0
-"""Frequency at which two programs differ by `MODEL_FLOOR`; of first order at least, they differ in proportion to it."""
+"""Frequency at which two programs differ by `MODEL_FLOOR`; below, integrators of first order at least differ in
+proportion to frequency."""
 OF_THE_MAGNETS = 2 * HARMONIC_ERROR
-"""Share of what the twin's own magnets leave at a harmonic that is no proof: it may be their law's error."""
+"""Share of the harmonic of the twin's own magnets that counts as uncertain, as the error of their law."""
 
 
 def curved_signal(e: Explained, unseen: Seen) -> str | None:
-    """What curvature the best explanation of a part leaves in its displacement or current, in words; None where none.
+    """The significant curvature in the best explanation's residuals of displacement or current, in words; or None.
 
-    ``unseen`` is the sweep that no fit saw and what the explanation leaves there, weighted, (P, H, n).
+    ``unseen`` is the unseen sweep with that explanation's residuals.
     """
     law = {"y": SENSOR, "i": PROBE}.get(e.part.signal)
     if law is None:
         return None
     sweeps = [*zip(e.ground.observations, e.left, strict=True), unseen]
     twin = e.order[0].candidate
-    along, size = _along(sweeps, law, twin.fit.rig)
-    allowed = systematic(sweeps, twin, law)
-    known = size > 0
-    value = along / np.where(known, size, 1.0)
-    std = np.hypot(np.where(known, 1 / np.sqrt(np.where(known, size, 1.0)), np.inf), allowed)
+    correlation, power = _matched(sweeps, law, twin.fit.rig)
+    known = power > 0
+    value = correlation / np.where(known, power, 1.0)
+    random = np.where(known, 1 / np.sqrt(np.where(known, power, 1.0)), np.inf)
+    std = np.hypot(random, systematic(sweeps, twin, law))
     return curvatures_in_words(law, e.ground.nuisance.rig.axes, value, std)
 
 
 def curvatures_in_words(law: CurvedLaw, axes: Sequence[str], value: Real, std: Real) -> str | None:
-    """Curvatures of `POWERS`, (powers, n), and their standard deviations in words; None where none of them is sure."""
-    told = []
+    """Significant curvatures of `POWERS` in words, or None, from values and standard deviations (powers, n)."""
+    sentences = []
     for power, c, sd in zip(POWERS, value, std, strict=True):
         n, chi_square = int(np.isfinite(sd).sum()), float(np.sum((c / sd) ** 2))
         if n and float(normal_above(chi2_tail(chi_square, n))) > SIGNIFICANT:
             k = int(np.argmax(np.abs(c / sd)))
-            told.append(law.told(axes[k], power, float(c[k]), float(sd[k])))
-    return f"{law.introduced} {' and '.join(told)}" if told else None
+            sentences.append(law.told(axes[k], power, float(c[k]), float(sd[k])))
+    return f"{law.introduced} {' and '.join(sentences)}" if sentences else None
 
 
-def _along(sweeps: Sequence[Seen], law: CurvedLaw, rig: Rig) -> tuple[Real, Real]:
-    """What is left along the harmonic of each curvature, and that harmonic's own square, both weighted, (powers, n)."""
+def _matched(sweeps: Sequence[Seen], law: CurvedLaw, rig: Rig) -> tuple[Real, Real]:
+    """Correlation of the residuals with the harmonic of a unit curvature, and that harmonic's power, (powers, n) each.
+
+    Their ratio is the regression of the residuals on each curvature by itself. Both are weighted.
+    """
     n = sweeps[0][0].Y.shape[2]
-    along, size = np.zeros((len(POWERS), n)), np.zeros((len(POWERS), n))
+    correlation, total = np.zeros((len(POWERS), n)), np.zeros((len(POWERS), n))
     for o, z in sweeps:
         for row, power in enumerate(POWERS):
             if power in o.harmonics:
                 k = o.harmonics.index(power)
                 own = _harmonic(law, rig, o, power)
-                along[row] += np.sum((z[:, k, :, None] * own.conj()).real, axis=(0, 1))
-                size[row] += np.sum(np.abs(own) ** 2, axis=(0, 1))
-    return along, size
+                correlation[row] += np.sum((z[:, k, :, None] * own.conj()).real, axis=(0, 1))
+                total[row] += np.sum(np.abs(own) ** 2, axis=(0, 1))
+    return correlation, total
 
 
 def _harmonic(law: CurvedLaw, rig: Rig, o: Observation, power: int) -> Complex:
-    """Weighted harmonic that a power makes by the same number, (P, n signals, n axes), per curvature."""
+    """Weighted amplitude of the power p at harmonic p per unit curvature, (P, n signals, n axes)."""
     w = weight(o, law.signal)[:, o.harmonics.index(power)]
     return np.asarray(law.change(rig, o, power, power) * w[..., None])
 
 
 def systematic(sweeps: Sequence[Seen], twin: Candidate, law: CurvedLaw) -> Real:
-    """Curvature that is no proof however little noise there is, (powers, n).
+    """Systematic standard deviation of the curvatures, however little noise there is, (powers, n).
 
-    A harmonic of less than `MODEL_FLOOR` of the largest signal is none: two programs' integrators bend as much. Of
-    the displacement's third that is no more than what such a current moves the rotor by, and integrators err less the
-    slower the swing, so what swings far at low frequency shows a small curvature. Its second may also be that of a
-    rotor off its centre by less than shows otherwise.
+    - A harmonic of `MODEL_FLOOR` of the largest signal, by which two programs' integrators differ. For harmonic 3 of
+    the
+      displacement it is smaller: what a current with such a harmonic moves the rotor by. Integrators err less at low
+      frequency, where displacements are large, so that small curvatures can be detected. For harmonic 2 of the
+      displacement it is not reduced, as a rotor slightly off its centre makes one, too.
+    - A share of what the twin's own magnets put at the harmonic of a displacement.
     """
-    _, size = _along(sweeps, law, twin.fit.rig)
-    own, moved, bends = np.zeros_like(size), np.zeros_like(size), np.full_like(size, NOTHING_SEEN)
+    _, size = _matched(sweeps, law, twin.fit.rig)
+    of_magnets, moved = np.zeros_like(size), np.zeros_like(size)
+    largest_harmonic = np.full_like(size, NOTHING_SEEN)  # per unit curvature
     largest = np.max([np.abs(measured_signal(o, law.signal)[:, o.fundamental]).max(axis=0) for o, _ in sweeps], axis=0)
     for o, _ in sweeps:
         rig = at_speed_of(twin.fit.rig, o)
@@ -99,30 +106,30 @@ def systematic(sweeps: Sequence[Seen], twin: Candidate, law: CurvedLaw) -> Real:
             if power not in o.harmonics:
                 continue
             k = o.harmonics.index(power)
-            own_harmonic, w = law.change(rig, o, power, power), weight(o, law.signal)[:, k]
-            bends[row] = np.maximum(bends[row], np.abs(own_harmonic).max(axis=(0, 1)))
+            harmonic, w = law.change(rig, o, power, power), weight(o, law.signal)[:, k]
+            largest_harmonic[row] = np.maximum(largest_harmonic[row], np.abs(harmonic).max(axis=(0, 1)))
             if law.signal == "y":
-                bent, beyond = own_harmonic * w[..., None], _beyond_linear(rig, o, k, power) * w
-                own[row] += np.sum((beyond[..., None] * bent.conj()).real, axis=(0, 1))
+                weighted, beyond = harmonic * w[..., None], _beyond_linear(rig, o, k, power) * w
+                of_magnets[row] += np.sum((beyond[..., None] * weighted.conj()).real, axis=(0, 1))
                 moved[row] += np.sum(
-                    np.abs(_moved_by_currents(rig, o, power) * w)[..., None] * np.abs(bent), axis=(0, 1)
+                    np.abs(_moved_by_currents(rig, o, power) * w)[..., None] * np.abs(weighted), axis=(0, 1)
                 )
     size = np.where(size > 0, size, 1.0)
-    floor = MODEL_FLOOR * largest / bends
+    floor = MODEL_FLOOR * largest / largest_harmonic
     if law.signal == "y":
         odd = np.array(POWERS) % 2 == 1
         floor[odd] = (moved / size)[odd]
-    return np.asarray(np.hypot(OF_THE_MAGNETS * own / size, floor))
+    return np.asarray(np.hypot(OF_THE_MAGNETS * of_magnets / size, floor))
 
 
 def _beyond_linear(rig: Rig, o: Observation, k: int, power: int) -> Complex:
-    """What the twin's own magnets leave in the displacement at a harmonic, (P, n)."""
+    """Harmonic of the displacement, index ``k``, that the twin's own magnets make, (P, n)."""
     through = linear_model(rig, np.maximum(power * o.frequency_hz, STATIC_HZ)).y_per_u[o.line]
     return np.asarray(whole_displacement(rig, o)[:, k] - (through @ o.U[:, k, :, None])[..., 0])
 
 
 def _moved_by_currents(rig: Rig, o: Observation, power: int) -> Complex:
-    """Displacement at a harmonic of currents that have as much of it as an integrator's error makes, (P, n)."""
+    """Displacement at a harmonic, (P, n), of currents that have as much of it as an integrator's error makes."""
     share = MODEL_FLOOR * np.minimum(power * o.points_hz / FLOOR_HZ, 1.0)
     currents = linear_model(rig, o.frequency_hz).i_per_u[o.line] @ o.U[:, o.fundamental, :, None]
     through = linear_model(rig, power * o.frequency_hz).y_per_i[o.line]

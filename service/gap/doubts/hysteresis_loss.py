@@ -1,8 +1,9 @@
-"""Whether the lag that makes hysteresis what it is can be seen: its law has a change of stiffness beside it.
+"""Whether the loss that distinguishes hysteresis is in the data, and not only its change of gain with amplitude.
 
-A dead band or a sensor that is not linear changes the force in phase with the current only. In noise the law of
-hysteresis, of any width, comes close enough to those to seem beyond doubt. So the changes in phase with the current and
-across it are fitted apart, beside everything else: of hysteresis, both are there in full.
+A dead band or a nonlinear sensor changes the force in phase with the current only. In noise a hysteresis with plays of
+a suitable width may fit that well enough to be named. So the describing function of the fitted hysteresis is split into
+its real part (gain) and its imaginary part (lag), and a share of each is fitted beside all other unknowns: hysteresis
+has both in full.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ Complex = NDArray[np.complex128]
 
 HYSTERESIS = "magnetic_hysteresis"
 HALF = 0.5
-"""Share of its lag below which there is no hysteresis: two laws of it differ by less."""
+"""Share of the lag below which there is no hysteresis: two laws of it differ by less."""
 DEVIATIONS = 2.0
-"""Standard deviations by which the lag must be below that share."""
+"""Standard deviations by which the share must be below that."""
 UNKNOWN = 10.0
-"""Standard deviation of both shares before the fit: where no current reaches the law's width, the data tell nothing."""
+"""Prior standard deviation of both shares: where no current reaches the width of a play, the data do not show them."""
 
 
 def lag_missing(e: Explained) -> str | None:
-    """Why the best explanation's hysteresis is none, in words; None where it is, or where the data cannot tell."""
+    """Why the best explanation's hysteresis is rejected, in words; None where it is not, or there is none."""
     if HYSTERESIS not in e.order[0].candidate.effects:
         return None
     share, std = lag_share(e)
@@ -45,13 +46,14 @@ def lag_share(e: Explained) -> tuple[float, float]:
     """Share of the fitted hysteresis's lag that the data show, and its standard deviation."""
     c = e.order[0].candidate
     problem = Problem.of(e.ground, c.fit)
-    begin = sum(len(CATALOGUE[name].parameters) for name in c.effects[: c.effects.index(HYSTERESIS)])
-    own = range(begin, begin + len(CATALOGUE[HYSTERESIS].parameters))
+    first = sum(len(CATALOGUE[name].parameters) for name in c.effects[: c.effects.index(HYSTERESIS)])
+    own = range(first, first + len(CATALOGUE[HYSTERESIS].parameters))
     without = e.ground.fitted_rig(c.fit.theta, c.fit.inherited)
     for name, values in zip(c.effects, c.fit.values, strict=True):
         if name != HYSTERESIS:
             without = CATALOGUE[name].on(without, **values)
     linear = problem.linearised(c.fit)
+    # normal equations of all other unknowns, then of the changes of both shares from one
     beside = [k for k in range(len(linear.pull)) if k - problem.unknowns.n_nuisance not in own]
     curvature, gradient = prior_precision(problem.unknowns)[np.ix_(beside, beside)], linear.pull[beside]
     curvature, gradient = np.pad(curvature, (0, 2)), np.pad(gradient, (0, 2))
@@ -65,9 +67,9 @@ def lag_share(e: Explained) -> tuple[float, float]:
         G = model.y_per_i[o.line]
         current = (model.i_per_u[o.line] @ o.U[:, f, :, None])[..., 0]
         force = np.linalg.solve(G, change[..., None])[..., 0]
-        more = np.divide(force, current, out=np.zeros_like(force), where=current != 0)
-        apart = [(G @ (of * current)[..., None])[..., 0] * weight[:, f] for of in (more.real, 1j * more.imag)]
-        J = np.concatenate([columns[..., beside], np.stack(apart, axis=-1)], axis=-1)
+        gain = np.divide(force, current, out=np.zeros_like(force), where=current != 0)  # describing function
+        of_parts = [(G @ (part * current)[..., None])[..., 0] * weight[:, f] for part in (gain.real, 1j * gain.imag)]
+        J = np.concatenate([columns[..., beside], np.stack(of_parts, axis=-1)], axis=-1)
         rows = _real(J.reshape(-1, J.shape[-1]))
         curvature += rows.T @ rows
         gradient += rows.T @ _real(residual.reshape(-1, 1))[:, 0]

@@ -1,7 +1,7 @@
-"""Whether the log itself is at fault: a signal that the loop saw otherwise than it was written down.
+"""Whether the log is at fault: a logged signal differs from the one in the loop.
 
-Such a log makes gaps in two parts of the loop at once, and two effects that are not there could explain them. One
-cause is simpler: with that signal worked out from the others, the plain twin explains the plant.
+Such a log makes gaps in two parts of the loop at once, which two effects that are not there could explain. It is at
+fault if the plain twin explains the plant once that signal is computed from the others.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sim import control_law
 Complex = NDArray[np.complex128]
 
 CURED = 0.1
-"""Share of the plant's excess that may be left once the signal is worked out."""
+"""Share of the plant's excess that may be left once the signal is computed from the others."""
 DISPLACEMENT = "the logged displacement is not the one that the controller used"
 
 
@@ -43,26 +43,27 @@ def log_fault(
     before
         The parts ahead of the plant, as effects explain them.
     ground, plain
-        The plant's, and its plain twin with what that leaves.
+        The plant's ground, and its plain twin with the residuals of that.
     logged
-        The plant's observations as logged: of those before, fewer sweeps may have been fitted.
+        The plant's observations as logged; the parts in ``before`` may have been fitted to fewer sweeps.
     """
     gap = {e.part.path: e for e in before if e.significance > SIGNIFICANT}
     if not gap or gap_significance(plain[1], ground.observations) <= SIGNIFICANT:
         return None
     if "controller" in gap and "logging_offset" not in gap["controller"].order[0].candidate.effects:
-        worked_out, as_uncertain = _worked_out(ground)
-        if _plain_excess(fitter, worked_out) < CURED * _plain_excess(fitter, as_uncertain):
+        computed, as_uncertain = _with_displacement_computed(ground)
+        if _plain_excess(fitter, computed) < CURED * _plain_excess(fitter, as_uncertain):
             return DISPLACEMENT
     if "amplifier" in gap:
-        driven = gap["amplifier"].ground
-        silent = tuple(replace(o, I=None) for o in logged)
-        through = next(part for part in parts(driven.nuisance, silent) if part.from_control)
-        silent_ground = Ground(driven.nuisance, through, silent, driven.theta, driven.found)
-        # Amplifiers within a wide datasheet may make up for a lag of the plant: then it is no cure to leave them alone.
+        amplifiers = gap["amplifier"].ground
+        without_i = tuple(replace(o, I=None) for o in logged)
+        from_control = next(part for part in parts(amplifiers.nuisance, without_i) if part.from_control)
+        ground_without_i = Ground(amplifiers.nuisance, from_control, without_i, amplifiers.theta, amplifiers.found)
+        # Amplifiers with wide tolerances may compensate for a lag of the plant. So the excess must also be much less
+        # than with the effects that the logged current shows in the amplifiers.
         c = gap["amplifier"].order[0].candidate
-        found = (*driven.found, *zip(c.effects, c.fit.values, strict=True))
-        cured, believed = (_plain_excess(fitter, g) for g in (silent_ground, replace(silent_ground, found=found)))
+        found = (*amplifiers.found, *zip(c.effects, c.fit.values, strict=True))
+        cured, believed = (_plain_excess(fitter, g) for g in (ground_without_i, replace(ground_without_i, found=found)))
         if cured < CURED * min(_excess(plain[0].fit), believed):
             return "the logged coil current is not the one that moves the rotor"
     return None
@@ -71,15 +72,15 @@ def log_fault(
 def faint_log_fault(fitter: Fitter, before: Sequence[Explained], plant: Explained, best: Candidate) -> str | None:
     """The same where the plant's gap is so faint that only an effect, ``best``, shows that there is one; or None.
 
-    Noise is estimated, and where it is overestimated a faint gap leaves no excess over the number of values. What the
-    effect leaves, where that is less, is then the measure for the plain twin with the displacement worked out.
+    Where noise is overestimated a faint gap leaves no excess over the number of residuals. Then the level of noise is
+    the least chi-square of three fits: that effect, the plain twin, and the plain twin with the displacement computed.
     """
     controller = next((e for e in before if e.part.path == "controller" and e.significance > SIGNIFICANT), None)
     if controller is None or not best.effects or "logging_offset" in controller.order[0].candidate.effects:
         return None
-    worked_out, as_uncertain = _worked_out(plant.ground)
-    told = Task(as_uncertain, best.effects, (best.fit.values,), best.fit.theta, (MIDDLE, EXACT))
-    cured, plain, explained = fitter.each([_plain(worked_out), _plain(as_uncertain), told])
+    computed, as_uncertain = _with_displacement_computed(plant.ground)
+    with_effect = Task(as_uncertain, best.effects, (best.fit.values,), best.fit.theta, (MIDDLE, EXACT))
+    cured, plain, explained = fitter.each([_plain(computed), _plain(as_uncertain), with_effect])
     if cured is None or plain is None or explained is None:
         return None
     noise = noise_levels(plain, [cured, explained])
@@ -87,20 +88,20 @@ def faint_log_fault(fitter: Fitter, before: Sequence[Explained], plant: Explaine
     return DISPLACEMENT if gap > CLEAR_CHI_SQUARE and left < CURED * gap else None
 
 
-def _worked_out(ground: Ground) -> tuple[Ground, Ground]:
-    """The plant with the displacement that the controller betrays, and with the logged one made as uncertain.
+def _with_displacement_computed(ground: Ground) -> tuple[Ground, Ground]:
+    """The plant with the displacement computed from the controller's output, and with the logged one as uncertain.
 
-    Worked out, the displacement is less certain; a gap that only that hides is not cured.
+    The computed displacement has more noise; with the logged one at the same noise, both excesses can be compared.
     """
-    worked_out = tuple(as_the_controller_saw(ground, o) for o in ground.observations)
-    as_uncertain = tuple(replace(o, sd_y=w.sd_y) for o, w in zip(ground.observations, worked_out, strict=True))
-    return replace(ground, observations=worked_out), replace(ground, observations=as_uncertain)
+    computed = tuple(as_the_controller_saw(ground, o) for o in ground.observations)
+    as_uncertain = tuple(replace(o, sd_y=c.sd_y) for o, c in zip(ground.observations, computed, strict=True))
+    return replace(ground, observations=computed), replace(ground, observations=as_uncertain)
 
 
 def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
-    """The observation with the displacement that the output of the datasheet's controller betrays, y = (r - u) / C.
+    """The observation with y computed from the controller's output by the datasheet's law, y = (r - u) / C.
 
-    The mean is left as logged.
+    Harmonic 0 stays as logged.
     """
     law, Y, sd_y = ground.nuisance.rig.controller, o.Y.copy(), o.sd_y.copy()
     for k, h in enumerate(o.harmonics):
@@ -112,19 +113,20 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
 
 
 def _plain_excess(fitter: Fitter, ground: Ground) -> float:
-    """What the plain twin, refitted, leaves of the plant on another ground."""
+    """Excess of the plain twin, refitted on this ground; infinite where it cannot be fitted."""
     (plain,) = fitter.each([_plain(ground)])
     return np.inf if plain is None else _excess(plain.fit)
 
 
 def _plain(ground: Ground) -> Task:
+    """Task to fit the plain twin."""
     return Task(ground, (), ((),), ground.theta, (COARSE, MIDDLE, EXACT))
 
 
 def _excess(fit: Fit, noise: Sequence[float] | None = None) -> float:
-    """Chi-square of the fundamentals beyond their noise, and the price of the datasheet's values.
+    """Chi-square of the fundamentals beyond noise, and the penalty.
 
-    ``noise`` is that of every group; one per residual where it is not given.
+    ``noise`` is that of each group in `Fit.groups`, by default one per residual.
     """
     levels = [float(count) for _, count in fit.groups] if noise is None else noise
     beyond = (max(chi - level, 0.0) for (chi, _), level in zip(fit.groups[::2], levels[::2], strict=True))

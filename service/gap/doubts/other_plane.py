@@ -1,8 +1,8 @@
-"""What couples x and y, seen in one plane alone: it goes out to the other plane and comes back through its loop.
+"""Couplings of x and y as they show in data of one plane alone: through the closed loop of the other plane.
 
-A share k of the force of x acts in y and moves the rotor there; the loop of y answers, and a share k of its force
-comes back. So the plant of x changes by the square of k, in the shape of y's closed loop; a lag of some nanoseconds
-looks like that. The other plane is taken to be built as the measured one.
+A share k of the force of x acts in y and moves the rotor there; the loop of y responds, and a share k of its force acts
+in x. So the plant of x changes by k squared times a response of y's closed loop, which may look like a lag of some
+nanoseconds. The unmeasured plane is assumed to be like the measured one.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ STRENGTH = {"magnetic_cross_coupling": "rotation_rad", "cross_coupled_stiffness"
 
 @dataclass(frozen=True)
 class Across:
-    """An effect that couples x and y and could make the plant's gap."""
+    """An effect that couples x and y and could explain the plant's gap."""
 
     effect: str
     strength: float
-    """that it would have, in the unit of the effect's own parameter"""
+    """in the unit of the effect's `STRENGTH` parameter"""
     left: float
-    """share of the gap that it would leave"""
+    """share of the gap that it leaves"""
 
     @property
     def words(self) -> str:
@@ -47,12 +47,12 @@ class Across:
 
 
 def across_alike(e: Explained) -> list[Across]:
-    """Effects across that explain the plant's gap of a rig with two axes as well as another law of one effect would.
+    """Couplings that explain most of the plant's gap of a rig with two axes, the best first.
 
-    The datasheet's values are refitted beside each, to first order.
+    Nuisance values are refitted beside each, to first order.
     """
-    there = e.significance > SIGNIFICANT or bool(e.chosen.effects)  # an effect may tell what no band does by itself
-    if e.part.path != "plant" or e.ground.nuisance.rig.n_axes > 2 or not there:
+    has_gap = e.significance > SIGNIFICANT or bool(e.chosen.effects)  # an effect may show a gap that no band shows
+    if e.part.path != "plant" or e.ground.nuisance.rig.n_axes > 2 or not has_gap:
         return []
     o, fit = e.ground.observations[0], e.null.candidate.fit
     f = o.fundamental
@@ -67,14 +67,14 @@ def across_alike(e: Explained) -> list[Across]:
     found = []
     for effect, change in signatures(rig, o).items():
         d = _real(w * change)
-        taken = J.T @ d
-        size = float(d @ d - taken @ np.linalg.solve(hessian, taken))
-        if size <= 0:
+        by_nuisance = J.T @ d
+        power = float(d @ d - by_nuisance @ np.linalg.solve(hessian, by_nuisance))
+        if power <= 0:
             continue
-        square = float(d @ z) / size  # the refitted values are where the plain twin's are best already
-        if effect == "cross_coupled_stiffness" and square <= 0:  # what goes out by k comes back by -k
+        square = float(d @ z) / power  # J^T z is in balance with the prior at the plain twin's fit
+        if effect == "cross_coupled_stiffness" and square <= 0:  # k out and -k back: no real k
             continue
-        after = before - square**2 * size
+        after = before - square**2 * power
         left = max(after - noise, 0.0) / max(before - noise, 1e-9)
         known = CATALOGUE[effect].of(e.ground.nuisance.rig).parameters
         parameter = next(p for p in known if p.name == STRENGTH[effect])
@@ -85,10 +85,10 @@ def across_alike(e: Explained) -> list[Across]:
 
 
 def signatures(rig: Rig, o: Observation) -> dict[str, Complex]:
-    """Change of y at the fundamental, (P, n), per square of an effect's strength; ``rig`` at the observation's speed.
+    """Change of y at the fundamental, (P, n), per squared strength of each effect; ``rig`` at the observation's speed.
 
-    Magnets that are turned by a give a^2 times theirs, beside what their own plane has less; a symmetric share of b
-    gives -b^2 times it.
+    Magnets rotated by an angle a change y by a^2 times their signature, a symmetric coupling of share b by -b^2 times
+    it. What a rotation takes off the gain of its own plane is an error of ki and ks.
     """
     model = linear_model(rig, o.frequency_hz)
     ki, ks, C = np.diag(model.point.ki), np.diag(model.point.ks), model.controller[:, None, None]
