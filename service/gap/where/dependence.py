@@ -1,8 +1,8 @@
-"""Does the gap depend on amplitude or speed: two sweeps at different conditions, held against each other.
+"""Whether the gap depends on amplitude or speed: two sweeps at different conditions are compared.
 
-A gap in proportion to the excitation is one transfer function, whatever the amplitude: the error over the measured
-signal of the excited axis is then the same in both sweeps. Their lines differ, so the main sweep's is interpolated, and
-what interpolation costs is told by leaving out each of its lines in turn.
+A linear gap is one transfer function, whatever the amplitude: the plain twin's error over the measured signal of the
+excited axis is the same in both sweeps. Their lines differ, so the main sweep's relative error is interpolated; the
+error of interpolation is estimated by leaving out each line in turn.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 ENOUGH_LINES = 4
-"""Lines of an axis from which its error can be interpolated."""
+"""Fewest lines of an axis from which its error is interpolated."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Dependence:
     amplitude: bool | None = None
     speed: bool | None = None
     significance: float | None = None
-    """of the change between the two sweeps, a normal deviate; None where they are at one condition"""
+    """significance of the change between the two sweeps, a normal deviate; None where they are at one condition"""
 
 
 def dependence(e: Explained, other: Observation, distorted: bool) -> Dependence:
@@ -43,11 +43,11 @@ def dependence(e: Explained, other: Observation, distorted: bool) -> Dependence:
     Parameters
     ----------
     e
-        The part, with what the plain twin leaves of the main sweep.
+        The part, with the plain twin's residuals on the main sweep.
     other
         The whole other sweep.
     distorted
-        A nonlinearity is proven at one amplitude already: by harmonics, or by what explains the gap.
+        Whether a nonlinearity is proven at one amplitude already: by harmonics, or by a nonlinear effect.
     """
     amplitude, speed = conditions_of(e.ground.observations[0], other)
     change = change_between(e, other) if amplitude or speed else None
@@ -58,51 +58,56 @@ def dependence(e: Explained, other: Observation, distorted: bool) -> Dependence:
 
 
 def change_between(e: Explained, other: Observation) -> float:
-    """How far the plain twin's relative error differs between the two sweeps, beside noise and interpolation.
+    """Significance of the difference of the plain twin's relative error between the two sweeps, a normal deviate.
 
-    A normal deviate; 0 for a difference that is no more than those.
+    Noise and the error of interpolation are allowed for; 0 for no difference beyond these.
     """
-    main, (there, z_there) = e.ground.observations[0], on_sweep(e, e.null.candidate, other)
+    main, (second, z_second) = e.ground.observations[0], on_sweep(e, e.null.candidate, other)
     signal, n = e.part.signal, e.ground.nuisance.rig.n_axes
-    (error, variance), (error_there, variance_there) = (
-        relative_error(z, o, signal) for z, o in ((e.plain[0], main), (z_there, there))
+    (error, variance), (error_second, variance_second) = (
+        relative_error(z, o, signal) for z, o in ((e.plain[0], main), (z_second, second))
     )
-    z = np.zeros((len(there.axis), 1, n), dtype=complex)
-    known = np.zeros(len(there.axis), dtype=bool)
-    for axis in np.unique(there.axis):
+    z = np.zeros((len(second.axis), 1, n), dtype=complex)
+    compared = np.zeros(len(second.axis), dtype=bool)
+    for axis in np.unique(second.axis):
         hz, at = lines_of(main, int(axis))
         if len(hz) < ENOUGH_LINES:
             continue
-        rows = np.flatnonzero((there.axis == axis) & (there.points_hz >= hz[0]) & (there.points_hz <= hz[-1]))
-        expected, spread = interpolated(hz, error[at], variance[at], there.points_hz[rows])
-        z[rows, 0] = np.sqrt(2) * (error_there[rows] - expected) / np.sqrt(variance_there[rows] + spread)
-        known[rows] = True
-    kept = replace(there, line=there.line[known], axis=there.axis[known])
-    if alone_hz(e.part, z_there, there) is not None and alone_hz(e.part, e.plain[0], main) is None:
-        return float(normal_above(LINE_BY_CHANCE))  # a limit that one line of one sweep reaches drowns in every band
-    return max(significance(z[known], kept), overall(z[known]), 0.0)
+        rows = np.flatnonzero((second.axis == axis) & (second.points_hz >= hz[0]) & (second.points_hz <= hz[-1]))
+        expected, expected_variance = interpolated(hz, error[at], variance[at], second.points_hz[rows])
+        z[rows, 0] = np.sqrt(2) * (error_second[rows] - expected) / np.sqrt(variance_second[rows] + expected_variance)
+        compared[rows] = True
+    points = replace(second, line=second.line[compared], axis=second.axis[compared])
+    if alone_hz(e.part, z_second, second) is not None and alone_hz(e.part, e.plain[0], main) is None:
+        return float(
+            normal_above(LINE_BY_CHANCE)
+        )  # the mean of a band hides a limit that one line of one sweep reaches
+    return max(significance(z[compared], points), overall(z[compared]), 0.0)
 
 
 def relative_error(z: Complex, o: Observation, signal: str) -> tuple[Complex, Real]:
-    """Error of a twin over the measured signal of the excited axis, (P, n), and its variance."""
+    """Error of a twin over the measured signal of the excited axis, (P, n), and its variance, (P, n).
+
+    ``z`` are weighted residuals, (P, H, n).
+    """
     f, points = o.fundamental, np.arange(len(o.axis))
     w = np.maximum(weight(o, signal)[:, f], NOTHING_TOLD)
     size = measured_signal(o, signal)[points, f, o.axis][:, None]
-    size = np.where(size == 0, NOTHING_SEEN, size)  # a log so coarse that it shows no displacement at all
+    size = np.where(size == 0, NOTHING_SEEN, size)  # the log may be too coarse to show any displacement
     return z[:, f] / w / size, 2 / (w * np.abs(size)) ** 2
 
 
 def interpolated(hz: Real, values: Complex, variance: Real, at_hz: Real) -> tuple[Complex, Real]:
-    """Values (F, n) at other frequencies, linear in log frequency, and their variance with interpolation's own error.
+    """Values (F, n) interpolated linearly in log frequency, and their variance, with the error of interpolation.
 
-    Leaving a line out widens its interval to two, so the error found this way is rather too large.
+    That error is the squared one at a line that is left out. It is an upper estimate, as the interval is then doubled.
     """
     x, at = np.log(hz), np.log(at_hz)
     share = ((x[1:-1] - x[:-2]) / (x[2:] - x[:-2]))[:, None]
-    missed = np.abs(values[1:-1] - (1 - share) * values[:-2] - share * values[2:]) ** 2
-    missed = np.concatenate([missed[:1], missed, missed[-1:]])
+    left_out = np.abs(values[1:-1] - (1 - share) * values[:-2] - share * values[2:]) ** 2
+    left_out = np.concatenate([left_out[:1], left_out, left_out[-1:]])
     k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
     s = ((at - x[k]) / (x[k + 1] - x[k]))[:, None]
     expected = (1 - s) * values[k] + s * values[k + 1]
     noise = (1 - s) ** 2 * variance[k] + s**2 * variance[k + 1]
-    return expected, noise + np.maximum(missed[k], missed[k + 1])
+    return expected, noise + np.maximum(left_out[k], left_out[k + 1])

@@ -1,8 +1,7 @@
-"""Where the gap lies: part by part, band by band, channel by channel, each with a significance.
+"""Where the gap lies: by part of the loop, band and channel, each with a significance.
 
-Every part of the loop is held against its own measured input, with only that part's uncertain values refitted:
-the controller by R - C Y, the amplifiers by u, the plant by the measured coil current. So an error of one part
-does not colour the next.
+Every part is predicted from its own measured input, with only its own nuisance values refitted: the controller from
+r and y, the amplifiers from u, the plant from the coil current. So an error of one part does not bias the next.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from sim.effects import CATALOGUE
 Complex = NDArray[np.complex128]
 
 BANDS = 6
-"""Bands, evenly wide in log frequency, by which the gap is told."""
+"""Number of bands, of equal width in log frequency, by which the gap is reported."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class PathGap:
 
 @dataclass(frozen=True)
 class Where:
-    """Where the twin, its datasheet's values refitted, differs from the rig."""
+    """Where the plain twin differs from the rig."""
 
     paths: tuple[PathGap, ...]
     bands: tuple[tuple[float, float, float, float], ...]
@@ -48,17 +47,18 @@ class Where:
     channels: tuple[tuple[str, str, float, float], ...]
     """(output, input, gap, significance) of the blamed part"""
     harmonics: tuple[tuple[str, int, float], ...]
-    """(signal, harmonic, significance) of what linear theory and the twin's magnets do not explain"""
+    """(signal, harmonic, significance) of the plain twin's residuals, its magnets' own harmonics being predicted"""
     depends: Dependence
     blamed: str
     """the part that bands, channels and dependence are of"""
     path: str
-    """the part that nothing explains; else the one whose gap stands out most on the fitted sweep, interference among
-    them; where none does there, the one that is blamed"""
+    """the part that no effect explains; else the path of the most significant gap on the fitted sweep, which may be
+    that
+    of interference; if none is significant there, the blamed part"""
 
 
 def relative_gap(e: Complex, x: Complex) -> float:
-    """||e|| / ||x||, 0 for nothing measured."""
+    """||e|| / ||x||; 0 where x is zero."""
     size = float(np.linalg.norm(x))
     return float(np.linalg.norm(e)) / size if size else 0.0
 
@@ -71,18 +71,19 @@ def locate(
     unexplained: str | None = None,
     bent: bool = False,
 ) -> Where:
-    """Where the plain twin fails, from what the search left of every part, plant last, and from interference.
+    """Where the plain twin fails, from the explanations of every part, the plant last, and from interference.
 
     Parameters
     ----------
     other
-        The other sweep, all of it.
+        The whole other sweep.
     effects
-        What the verdict names; the part of the first one is blamed, else the part whose gap stands out most.
+        Those that the verdict names. The part of the first one is blamed; without any, the part ``unexplained``, or
+        else that of the most significant gap.
     unexplained
-        The part that the verdict says nothing explains; it is blamed however plain the gap of another one is.
+        The part that no effect explains, by the verdict.
     bent
-        Whether the verdict says that what is not explained is not in proportion to the excitation.
+        Whether what no effect explains is nonlinear, by the verdict.
     """
     paths, harmonics = [], []
     for e in found:
@@ -90,17 +91,17 @@ def locate(
         signal, f = e.part.signal, o.fundamental
         error = unweighted(z, o, signal)
         gap = relative_gap(error[:, f], measured_signal(o, signal)[:, f])
-        own = significance(z[:, [f]], o, bound=np.inf)
-        paths.append(PathGap(e.part.path, gap, own, not e.part.from_control))
+        of_fundamental = significance(z[:, [f]], o, bound=np.inf)
+        paths.append(PathGap(e.part.path, gap, of_fundamental, not e.part.from_control))
         if signal != "u":
             harmonics += [(signal, h, significance(z[:, [k]], o)) for k, h in enumerate(o.harmonics) if h > 1]
-    plainest = max(paths, key=lambda p: p.significance).path
-    named = CATALOGUE[effects[0]].path if effects else unexplained or plainest
+    most_significant = max(paths, key=lambda p: p.significance).path
+    named = CATALOGUE[effects[0]].path if effects else unexplained or most_significant
     blamed = next((e for e in found if e.part.path == named), found[-1])
     distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
     bent = bent or any(CATALOGUE[name].nonlinear for name in effects)
     depends = dependence(blamed, other, distorted or bent)
-    if "thermal_drift" in effects:  # the sweeps differ in time too
+    if "thermal_drift" in effects:  # the sweeps also differ in time
         depends = Dependence(distorted or bent or None)
     o, f = found[-1].ground.observations[0], found[-1].ground.observations[0].fundamental
     for source in sources:
@@ -114,36 +115,38 @@ def locate(
 
 
 def _fundamental(e: Explained) -> tuple[Observation, Complex, Complex, Complex]:
-    """A part on the fitted sweep: weighted residuals, errors and measured signal, (P, n) each."""
+    """The fitted sweep; weighted residuals, errors and measured signal of a part's fundamentals, (P, n) each."""
     o, f, signal = e.ground.observations[0], e.ground.observations[0].fundamental, e.part.signal
     return o, e.plain[0][:, f], unweighted(e.plain[0], o, signal)[:, f], measured_signal(o, signal)[:, f]
 
 
 def _bands(e: Explained) -> tuple[tuple[float, float, float, float], ...]:
-    o, z, error, seen = _fundamental(e)
+    """`Where.bands` of a part."""
+    o, z, error, signal = _fundamental(e)
     edges = np.geomspace(o.frequency_hz[0] * 0.999, o.frequency_hz[-1] * 1.001, BANDS + 1)
     out = []
     for low, high in itertools.pairwise(edges):
         inside = (o.points_hz >= low) & (o.points_hz < high)
         if inside.any():
-            sure = worst([z[inside]], looked_at=BANDS)
-            out.append((float(low), float(high), relative_gap(error[inside], seen[inside]), sure))
+            of_band = worst([z[inside]], looked_at=BANDS)
+            out.append((float(low), float(high), relative_gap(error[inside], signal[inside]), of_band))
     return tuple(out)
 
 
 def _channels(e: Explained) -> tuple[tuple[str, str, float, float], ...]:
-    o, z, error, seen = _fundamental(e)
+    """`Where.channels` of a part."""
+    o, z, error, signal = _fundamental(e)
     names = e.ground.nuisance.rig.axes
     out = []
     for b in sorted(set(o.axis.tolist())):
-        of = o.axis == b
+        points = o.axis == b
         for a in range(len(names)):
-            sure = worst([z[of, a]], looked_at=len(names) ** 2)
-            out.append((names[a], names[b], relative_gap(error[of, a], seen[of, a]), sure))
+            of_channel = worst([z[points, a]], looked_at=len(names) ** 2)
+            out.append((names[a], names[b], relative_gap(error[points, a], signal[points, a]), of_channel))
     return tuple(out)
 
 
 def unweighted(z: Complex, o: Observation, signal: str) -> Complex:
-    """Residuals in A or m, (P, H, n); 0 where nothing was weighed."""
+    """Residuals in A or m, (P, H, n), from weighted ones; 0 where the weight is."""
     w = weight(o, signal)
     return np.where(w > 0, z / np.maximum(w, 1e-300), 0)
