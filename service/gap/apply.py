@@ -1,4 +1,4 @@
-"""Add a diagnosed effect to the twin: datasheet and effects, in one file that everything else reads."""
+"""Add diagnosed effects to a twin: a datasheet with effects, in one file."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class _Candidate(BaseModel):
 
 
 class _Report(BaseModel):
-    """What is read of a gap.json; the rest may be anything."""
+    """The fields of a gap.json that are read; others may be anything."""
 
     format: str = ""
     rig: str = ""
@@ -54,11 +54,11 @@ class _Report(BaseModel):
 def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     """The datasheet with the effects that a gap report (gap.json) found, at their fitted parameters.
 
-    Where it found no gap, that is the datasheet as it is: the twin is complete, and what takes it goes on. Where it
-    found that the twin names effects that the rig does not show, it is the twin without these.
+    Where it found no gap, that is the datasheet as it is: the twin is complete. Where it found that the twin is out of
+    date, it is the twin without the effects that the rig does not show.
 
-    An effect that the twin has already is refused: its parameters in the report are what is still missing, not
-    the total, and two entries of one effect in a file would hide that.
+    An effect that the twin has already is refused: its parameters in the report are what is missing beside it, not the
+    total, and two entries of one effect in a file would hide that.
 
     Raises
     ------
@@ -94,23 +94,23 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
 
 
 def of_another(datasheet: Datasheet, document: Mapping[str, Any]) -> bool:
-    """Whether a report says that it was made with another datasheet, beside whose values its effects were fitted."""
+    """Whether a report states the digest of another datasheet, so that its effects were fitted beside other values."""
     made_from = document.get("of")
-    told = made_from.get("datasheet_sha256") if isinstance(made_from, Mapping) else None
-    return isinstance(told, str) and told != datasheet_digest(datasheet)
+    digest = made_from.get("datasheet_sha256") if isinstance(made_from, Mapping) else None
+    return isinstance(digest, str) and digest != datasheet_digest(datasheet)
 
 
 def cannot_run(twin: Datasheet) -> str | None:
-    """Why a twin is no rig that levitates as it stands, in words; None where it is one.
+    """Why a twin does not levitate, in words; None where it does.
 
-    An effect was fitted beside the datasheet's own values, of which the twin has the unfitted ones: together they may
-    be a rig that does not levitate, although the measured one does.
+    An effect was fitted together with the datasheet's values, but the twin has the unfitted ones. With these it may not
+    levitate, although the measured rig does.
     """
     try:
-        # in time a log is off by whole samples only, and whether the rotor is held does not hang on it
+        # the simulation takes whole samples only, and levitation does not depend on the log
         Simulation(replace(rig_from_datasheet(twin), logging_offset_samples=0.0))
     except LevitationError as error:
-        # its remedy is of a rig whose controller is at fault
+        # the remedy in its message is for a controller that is at fault
         return str(error).removeprefix(f"rig {twin.name}: ").partition("; ")[0]
     except EffectError as error:
         return str(error)
@@ -128,13 +128,13 @@ def _read(document: Mapping[str, Any]) -> _Report:
 
 
 def _values(name: str, prefix: str, fitted: Mapping[str, _Parameter]) -> tuple[tuple[str, float], ...]:
-    """Values of an effect's parameters; what its law may do without, and a report does not tell, is null."""
+    """Values of an effect's parameters; optional ones that the report lacks are at their null."""
     known = effect(name).parameters
     missing = [p.name for p in known if prefix + p.name not in fitted and not p.optional]
     if missing:
         raise GapError(
             f"the gap report gives {name} no {' and no '.join(missing)}; diagnose again, which writes a whole gap.json"
         )
-    told = ((p, fitted[prefix + p.name].value if prefix + p.name in fitted else p.null) for p in known)
-    # an imbalance of nought is what a twin that says nothing of it has
-    return tuple((p.name, value) for p, value in told if not (p.dormant and value == p.null))
+    values = ((p, fitted[prefix + p.name].value if prefix + p.name in fitted else p.null) for p in known)
+    # a twin need not state a dormant parameter at its null
+    return tuple((p.name, value) for p, value in values if not (p.dormant and value == p.null))

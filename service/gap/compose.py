@@ -1,4 +1,4 @@
-"""What was found in the parts of the loop, put together: whole twins and their probabilities."""
+"""Whole twins composed of the parts' explanations."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from sim.effects import CATALOGUE
 Complex = NDArray[np.complex128]
 
 LISTED = 12
-"""Explanations of a part that are put together with those of the others."""
+"""Number of a part's best explanations that are combined with the chosen ones of the other parts."""
 
 
 @dataclass(frozen=True)
 class Composition:
-    """Whole twins by falling evidence, the plain one among them."""
+    """Whole twins by falling evidence, the plain twin among them."""
 
     order: tuple[Ranked, ...]
 
     @property
     def null(self) -> Ranked:
-        """The plain twin, its datasheet's values refitted."""
+        """The plain twin."""
         return next(r for r in self.order if not r.candidate.effects)
 
 
 def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
-    """Twins of the chosen explanations, of every alternative in one part, and of none."""
+    """Twins of the chosen explanations, of every alternative in one part, of effects in one part alone, and of none."""
     chosen = [next(r for r in e.order if r.candidate is e.chosen) for e in found]
     by_size = sorted(range(len(found)), key=lambda k: -excess_of(found[k]))
     picks = [list(chosen), [e.null for e in found]]
@@ -55,7 +55,7 @@ def composed(nuisance: Nuisance, found: Sequence[Explained]) -> Composition:
 
 
 def excess_of(e: Explained) -> float:
-    """Chi-square and penalty that the plain twin leaves of a part beyond the best explanation."""
+    """Cost of the plain twin of a part beyond that of the best fit."""
     best = min(r.candidate.fit.cost for r in e.order)
     return max(e.null.candidate.fit.cost - best, 0.0)
 
@@ -63,26 +63,30 @@ def excess_of(e: Explained) -> float:
 def _combined(
     nuisance: Nuisance, found: Sequence[Explained], pick: Sequence[Ranked], by_size: Sequence[int]
 ) -> Candidate:
-    """One candidate of the parts' own, effects of the largest gap first."""
+    """One candidate made of one explanation per part (``pick``), effects of the part with the largest gap first.
+
+    The plant may have refitted the amplifiers' values (`Ground.inherited`): if it did so with the amplifiers'
+    explanation that is picked, its values count, else those of the amplifiers' own fit.
+    """
     theta, k = np.zeros(len(nuisance)), len(nuisance)
     curvature = np.zeros((k, k))
-    moved: dict[str, Mapping[str, float]] = {}
+    refitted: dict[str, Mapping[str, float]] = {}
     ends: dict[tuple[str, str], End] = {}
     amplifiers = next((r.candidate.effects for e, r in zip(found, pick, strict=True) if e.part.path == "amplifier"), ())
-    for e, r in zip(found, pick, strict=True):  # as they were fitted: what one inherits of another it has moved
+    for e, r in zip(found, pick, strict=True):  # in the order of fitting, so that a later fit overrides an earlier one
         fit, other = r.candidate.fit, e.ground.inherited
-        active, told = fit.active, {*fit.effects}
+        active, effects = fit.active, {*fit.effects}
         if other is not None and other.of == amplifiers:
-            moved |= {name: values for (name, _), values in zip(other.effects, fit.inherited, strict=True)}
-            told |= {*moved}
+            refitted |= {name: values for (name, _), values in zip(other.effects, fit.inherited, strict=True)}
+            effects |= {*refitted}
         else:
             active = e.ground.part.active
         theta[active] = fit.theta[active]
         curvature[np.ix_(active, active)] += fit.curvature[: len(active), : len(active)]
-        ends = {of: end for of, end in ends.items() if of[0] not in told}
-        ends |= {of: end for of, end in fit.ends.items() if of[0] in told}
+        ends = {of: end for of, end in ends.items() if of[0] not in effects}
+        ends |= {of: end for of, end in fit.ends.items() if of[0] in effects}
     named = [
-        (name, moved.get(name, values), sds)
+        (name, refitted.get(name, values), sds)
         for r in (pick[n] for n in by_size)
         for name, values, sds in zip(
             r.candidate.effects, r.candidate.fit.values, r.candidate.standard_deviations, strict=True

@@ -1,4 +1,4 @@
-"""The diagnosis: where the twin differs from the rig, which effect does it, how far the gap shrinks with it."""
+"""The diagnosis: where the twin differs from the rig, which effect explains it, how far the gap closes with it."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def diagnose(
     Parameters
     ----------
     jobs
-        Processes that fit.
+        Number of processes for the fits.
     progress
-        Told the percent that are done, and what is done, after every fit.
+        Called after every fit with the percent done and a sentence.
 
     Raises
     ------
@@ -59,31 +59,31 @@ def diagnose(
     with Fitter(jobs, done.fitted) as fitter:
         found = explain_parts(data, fitter, done)
         done.judging(PERCENT_FITTED)
-        told = _told(experiment.rig, datasheet, data, found, fitter)
-        if datasheet.effects and told.verdict.kind != "no_gap" and told.verdict.settled:
-            told = _of_a_twin(told, experiment, datasheet, fitter, done)
-    return replace(told, of=origin(experiment, datasheet))
+        diagnosis = _diagnosis(experiment.rig, datasheet, data, found, fitter)
+        if datasheet.effects and diagnosis.verdict.kind != "no_gap" and diagnosis.verdict.settled:
+            diagnosis = _or_outdated(diagnosis, experiment, datasheet, fitter, done)
+    return replace(diagnosis, of=origin(experiment, datasheet))
 
 
-def _of_a_twin(
-    told: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter, progress: Progress
+def _or_outdated(
+    diagnosis: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter, progress: Progress
 ) -> Diagnosis:
-    """What was told, or that the twin is out of date: it is held against the twin without some of its effects."""
+    """The diagnosis, or that the twin is out of date, from diagnoses of the twin without some of its effects."""
     without = {}
     for names, sheet in fewer(datasheet):
         progress.without(names, PERCENT_FITTED)
-        fitter.lost.clear()  # of this twin alone
-        with suppress(AmbError):  # without them it may be no rig that can be fitted
+        fitter.lost.clear()  # what is lost is reported of one twin only
+        with suppress(AmbError):  # without them it may be a rig that cannot be fitted
             data = observed(experiment, sheet)
             found = explain_parts(data, fitter, Progress(None))
-            without[names] = _told(experiment.rig, sheet, data, found, fitter, propose=False)
-    return outdated(told, without) or told
+            without[names] = _diagnosis(experiment.rig, sheet, data, found, fitter, propose=False)
+    return outdated(diagnosis, without) or diagnosis
 
 
-def _told(
+def _diagnosis(
     rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter, propose: bool = True
 ) -> Diagnosis:
-    """What was found, judged and measured on data that no fit has seen; ``propose``: and what to measure next."""
+    """The diagnosis from the parts' explanations: verdict, closure on unseen data, and a proposal if asked for."""
     nu, o, unseen = data.nuisance, data.o, found.unseen
     whole = with_drift_rate(composed(nu, found.parts), nu.rig, data.duration_s)
     null = whole.null.candidate
@@ -109,7 +109,7 @@ def _told(
     shrunk = _shrinkages(whole, data, found, verdict, sources)
     where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
     twins = {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
-    told = Diagnosis(
+    diagnosis = Diagnosis(
         rig=rig,
         where=where,
         order=whole.order,
@@ -129,16 +129,16 @@ def _told(
         datasheet_off=tuple(nu.clearly_off(chosen.fit.theta)),
     )
     notes = (*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts))
-    return replace(told, notes=(*notes, *_notes(told, data, found), *_undecided(told, pair)))
+    return replace(diagnosis, notes=(*notes, *_notes(diagnosis, data, found), *_undecided(diagnosis, pair)))
 
 
 def _fitted(found: Found, effect: str) -> bool:
-    """Whether a part of the loop is explained by an effect as it was fitted."""
+    """Whether an effect is in the fitted explanation of a part."""
     return any(effect in e.chosen.effects for e in found.parts)
 
 
 def _measured_sources(data: Observed, whole: Composition) -> list[Interference]:
-    """The interference that was heard, as loud as the best twin has it."""
+    """Interference with the amplitudes that follow from the best twin's loop."""
     fitted = at_speed_of(whole.order[0].candidate.fit.rig, data.o)
     return [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
 
@@ -146,7 +146,7 @@ def _measured_sources(data: Observed, whole: Composition) -> list[Interference]:
 def _shrinkages(
     whole: Composition, data: Observed, found: Found, verdict: Verdict, sources: Sequence[Interference]
 ) -> dict[tuple[str, ...], Shrinkage]:
-    """How far the gap on unseen data shrinks with each explanation that the report lists, and with none."""
+    """Closure on unseen data of each explanation that the report lists, and of the plain twin."""
     null = whole.null.candidate
     shrunk = {
         r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, found.unseen, found.name)
@@ -159,7 +159,7 @@ def _shrinkages(
 
 
 def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
-    """What a person should know beside the verdict."""
+    """Notes beside the verdict."""
     nu, verdict = data.nuisance, d.verdict
     if verdict.also_alike:
         yield f"not told apart either: {', '.join(map(in_words, verdict.also_alike))}"
@@ -175,14 +175,14 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
 
 
 def _undecided(d: Diagnosis, pair: tuple[Candidate, Candidate] | None) -> Iterator[str]:
-    """That nothing is proposed for two explanations that are left together."""
+    """A note where no experiment is proposed to separate two explanations."""
     if pair and d.next_experiment is None:
         one, other = (in_words("+".join(c.effects)) for c in pair)
         yield f"no affordable experiment is likely to tell {one} from {other}"
 
 
 def not_weighed(lost: Collection[tuple[str, ...]], parts: Sequence[Explained]) -> list[str]:
-    """What is said of the single effects that were tried and of which no part has a fit."""
+    """Notes on the single effects that could not be fitted."""
     weighed = {r.candidate.effects for e in parts for r in e.order}
     single = sorted(effects[0] for effects in lost if len(effects) == 1 and effects not in weighed)
     return [f"{in_words(name)} was not weighed: no twin with it could be fitted" for name in single]

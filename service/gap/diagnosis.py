@@ -1,4 +1,4 @@
-"""What a diagnosis ends with, and which of its explanations are told."""
+"""The result of a diagnosis, and which of its explanations are reported."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from service.gap.where.where import Where
 from service.gap.which.beyond_tolerance import ERRORS_OF_STATED_VALUES
 
 CANDIDATES_REPORTED = 10
-"""Candidates in the report."""
+"""Number of candidates in the report."""
 
 
 def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = CANDIDATES_REPORTED) -> list[Ranked]:
-    """Explanations for the report: the chosen one, rivals by falling evidence, then what adds to the chosen one.
+    """Explanations for the report: the chosen one, rivals by falling evidence, then those that contain the chosen one.
 
-    What contains the chosen one is no rival of it, and there are so many that they would crowd out all others.
+    The latter are no rivals, and so many that they would crowd out the others.
     """
     effects = [r for r in order if r.candidate.effects]
     if not chosen:
@@ -35,13 +35,13 @@ def listed(order: Sequence[Ranked], chosen: tuple[str, ...], most: int = CANDIDA
 def closures_of(
     order: Sequence[Ranked], shrunk: Mapping[tuple[str, ...], Shrinkage], chosen: tuple[str, ...]
 ) -> dict[tuple[str, ...], float | None]:
-    """Share of the gap that each explanation closes; None with an effect whose strength the fitted data leave open.
+    """Closure of each explanation; None with an effect whose strength the fitted data do not determine.
 
-    They show nothing of it, and it is as strong as they let it be: amplifiers that nothing drove to their limit have
-    one anywhere above, and on a louder sweep the lowest of them is far off.
+    Example: amplifiers that were not driven to their voltage limit may have any limit above, and the fitted one would
+    predict a louder sweep wrongly.
     """
-    told = {r.candidate.effects for r in order if not r.open_strength or r.candidate.effects == chosen}
-    return {effects: of.closure if effects in told else None for effects, of in shrunk.items()}
+    known = {r.candidate.effects for r in order if not r.open_strength or r.candidate.effects == chosen}
+    return {effects: of.closure if effects in known else None for effects, of in shrunk.items()}
 
 
 def runner_up(order: Sequence[Ranked], chosen: tuple[str, ...]) -> Ranked | None:
@@ -72,19 +72,19 @@ class Diagnosis:
     discrepancy: dict[str, Any] | None = None
     """where nothing explains the gap, its shape over frequency, amplitude and channel"""
     datasheet_off: tuple[str, ...] = ()
-    """what the chosen twin shows the datasheet to be off by beyond doubt, in words, the farthest first"""
+    """values by which the datasheet is off beyond doubt in the chosen twin, in words, the farthest first"""
     of: dict[str, str] = field(default_factory=dict)
-    """what it was made from: `origin.origin`"""
+    """digests of the inputs: `origin.origin`"""
 
     @property
     def within_the_datasheet(self) -> bool:
-        """Whether the plain twin leaves noise, so that an effect is named for what its datasheet would be off by."""
+        """Whether the plain twin explains the data, and an effect is named as its datasheet would be too far off."""
         named = set(self.verdict.effects)
         return bool(named) and named <= set(ERRORS_OF_STATED_VALUES) and self.gap_before <= self.noise_floor
 
     @property
     def null(self) -> Candidate:
-        """The plain twin, its datasheet's values refitted."""
+        """The plain twin."""
         return next(r.candidate for r in self.order if not r.candidate.effects)
 
     @property

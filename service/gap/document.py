@@ -16,7 +16,7 @@ from sim.effects import CATALOGUE
 from sim.wording import in_words
 
 FEW_POINTS = 10.0
-"""Times the noise that a gap is where it cannot be noise, though no band and no channel shows one."""
+"""Ratio of gap and noise from which the gap is in a few points, where no band and no channel shows it."""
 
 
 def verdict_path(d: Diagnosis) -> str:
@@ -33,14 +33,14 @@ def _blamed(d: Diagnosis) -> str:
 
 
 def stated(c: Candidate) -> dict[str, dict[str, Any]]:
-    """Value and deviation of an explanation's parameters; "given" where it is none of the fit's results."""
+    """Value, deviation and reached bound of an explanation's parameters; "given" where it was not fitted."""
     out: dict[str, dict[str, Any]] = {}
     for effect, values, sds in zip(c.effects, c.fit.values, c.standard_deviations, strict=True):
         prefix = f"{effect}." if len(c.effects) > 1 else ""
         for name, value in values.items():
-            # without a deviation none was fitted
+            # a parameter without a deviation was not fitted
             end = c.fit.ends.get((effect, name)) if sds.get(name) else None
-            # a deviation of 0 alone would pass for a fit that knows it exactly
+            # so that a deviation of 0 is not read as one that is known exactly
             given = {"given": True} if (effect, name) in c.given else {}
             out[prefix + name] = {"value": value, "std": sds[name], "at_bound": end, **given}
     return out
@@ -65,16 +65,16 @@ def _candidate(d: Diagnosis, r: Ranked) -> dict[str, Any]:
 def likeliest(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The candidates of a gap.json as they are shown: the one that the verdict names, then by falling probability.
 
-    By whole per cent; of those with none, rivals stay before what only adds to the named one.
+    Probabilities are rounded to per cent, so that rivals of none stay before those that contain the named one.
     """
     named = "+".join(document["verdict"]["effects"])
     return sorted(document["candidates"], key=lambda c: (c["effect"] != named, -round(c["probability"], 2)))
 
 
 def ends_reached(document: Mapping[str, Any]) -> list[str]:
-    """What strength of the verdict's effects is at an end of its range, in words; ``document`` is a gap.json.
+    """Strengths of the verdict's effects that are at an end of their range, in words; ``document`` is a gap.json.
 
-    A shape may be at an end where its law is the plainest, and a strength of nought is none.
+    Shape parameters do not count, as their law may be the simplest there, nor does a strength at its null.
     """
     named = document["verdict"]["effects"]
     listed_effects = ((c.get("effects") or c["effect"].split("+"), c["parameters"]) for c in document["candidates"])
@@ -153,6 +153,7 @@ def gap_document(d: Diagnosis) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
+    """The value with plain numbers, None in the place of those that are not finite."""
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -165,10 +166,10 @@ def _finite(value: Any) -> Any:
 
 
 def alike(d: Diagnosis) -> tuple[list[str], list[str]]:
-    """Effects of the verdict's classes that it does not name: about as likely as those, and what only fits as well.
+    """Effects of the verdict's classes that it does not name: those about as likely, and those that only fit as well.
 
-    A law with more parameters, or one that leaves a little more, may fit within what laws of one effect differ by and
-    still be far less likely.
+    A law with more parameters or a slightly larger residual may fit as well as two laws of one effect agree, and still
+    be far less likely.
     """
     v, rivals, unlikely = d.verdict, list[str](), list[str]()
     evidence = {frozenset(r.candidate.effects): r.log_evidence for r in d.order}

@@ -1,4 +1,4 @@
-"""Every part of the loop explained: on the main sweep, then with half of the other where that does not hold there."""
+"""Explanations of every part of the loop: on the main sweep, and with half of the other one where they fail there."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from service.gap.which.held_out import held_out, on_sweep
 from sim.effects import CATALOGUE
 
 PERCENT_ONE_SWEEP, PERCENT_FITTED = 80.0, 97.0
-"""Percent that are done when the main sweep is explained, and when every fit is done."""
+"""Percent done when the main sweep is explained, and when all parts are."""
 CHI_SQUARE_BEYOND_CHANCE = 36.0
-"""Chi-square that a prediction takes off data no fit has seen: without the effect, a predicted change of x standard
-deviations takes off 2 n x - x^2 for noise of n along it, so that n has to be 6 or more, whatever x."""
+"""Chi-square that a prediction must take off unseen data. Without the effect, a predicted change of x standard
+deviations takes off 2 n x - x^2, where noise has n standard deviations along it: n would have to be 6 or more, for any
+x."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """The parts of the loop as they were explained, and what no fit has seen."""
+    """The explanations of all parts of the loop, and the data that stay unseen."""
 
     parts: tuple[Explained, ...]
     fault: str | None
-    """what is wrong with the log"""
+    """what is wrong with the log, in words"""
     unseen: Observation
     name: str
-    """of what is unseen"""
+    """of ``unseen``"""
     notes: tuple[str, ...] = ()
 
 
@@ -48,64 +49,64 @@ def explain_parts(data: Observed, fitter: Fitter, progress: Progress) -> Found:
         return of_main
     undecided = [e for e in main.explained if not _decided(e)]
     failing = {e.part.path: e for e in undecided if _fails_on(e, data.unseen)}
-    alone = {e.part.path: hz for e in undecided if (hz := _fails_alone_hz(e, data.unseen))}
-    if not failing and not alone:
+    failing_line_hz = {e.part.path: hz for e in undecided if (hz := _fails_alone_hz(e, data.unseen))}
+    if not failing and not failing_line_hz:
         return of_main
-    halved = data.halves(next(iter(alone.values()), None))
+    halved = data.halves(next(iter(failing_line_hz.values()), None))
     if halved is None:
         note = "the twin fits the main sweep but not the other, which has too few lines to fit half of it too"
         return replace(of_main, notes=(note,))
-    seen, unseen, name = halved
-    failing |= {e.part.path: e for e in undecided if e.part.path in alone}
+    to_fit, unseen, name = halved
+    failing |= {e.part.path: e for e in undecided if e.part.path in failing_line_hz}
     known = {e.part.path: e for e in main.explained if e.part.path not in failing}
-    both = PartsInTurn(fitter, data, (data.o, seen), before=failing)
+    both = PartsInTurn(fitter, data, (data.o, to_fit), before=failing)
     both.explain_all(progress, (PERCENT_ONE_SWEEP, PERCENT_FITTED), known)
     note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
     return Found(tuple(both.explained), both.fault, unseen, name, (note,))
 
 
 def _decided(e: Explained) -> bool:
-    """Whether more data explain no more: the main sweep rejects what explains it best, or is of another rig."""
+    """Whether more data would not help: the main sweep rejects its best explanation, or is of another rig."""
     return rejected(e.order[0], e.remaining) or hopeless(e.ground, (r.candidate.fit for r in e.order))
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:
-    """Whether what explains the main sweep leaves a clear gap on the other one, or would be rejected by it.
+    """Whether the explanation of the main sweep leaves a clear gap on the other one, or is rejected by it.
 
-    Or a curvature there, where nothing explains the main one: of a stop that few lines reach it may be all that shows.
+    Also, without an effect, whether the other sweep shows a curvature: a stop that few lines reach may show no more.
     """
     o, z = on_sweep(e, e.chosen, unseen)
     clear = mean_power(z) > VISIBLE_J and significance(z, o) > SIGNIFICANT
-    bent = not e.chosen.effects and curved_signal(e, (o, z)) is not None
-    return clear or bent or held_out(e, unseen).fails or told_by_the_other(e, unseen)
+    curved = not e.chosen.effects and curved_signal(e, (o, z)) is not None
+    return clear or curved or held_out(e, unseen).fails or shown_by_other_sweep(e, unseen)
 
 
-def told_by_the_other(e: Explained, unseen: Observation) -> bool:
-    """Whether an effect that the main sweep hardly shows predicts the other one beyond what chance could.
+def shown_by_other_sweep(e: Explained, unseen: Observation) -> bool:
+    """Whether a further nonlinear effect, fitted to the main sweep, predicts the other one beyond chance.
 
-    A force that grows with amplitude may be lost there in the mean of a band, and here in one effect's price.
+    On the main sweep it may not be worth its price in evidence, and on the other the mean of a band may hide it.
     """
     best = e.chosen
-    more = (
+    larger = (
         r.candidate
         for r in e.order
         if set(r.candidate.effects) > set(best.effects)
         and any(CATALOGUE[name].nonlinear for name in set(r.candidate.effects) - set(best.effects))
     )
-    left = _left(e, best, unseen)
-    return any(left - _left(e, c, unseen) > CHI_SQUARE_BEYOND_CHANCE for c in more)
+    chi_square = _chi_square(e, best, unseen)
+    return any(chi_square - _chi_square(e, c, unseen) > CHI_SQUARE_BEYOND_CHANCE for c in larger)
 
 
-def _left(e: Explained, candidate: Candidate, unseen: Observation) -> float:
-    """Chi-square that an explanation of the main sweep leaves of the other one; an outlier counts up to a bound."""
+def _chi_square(e: Explained, candidate: Candidate, unseen: Observation) -> float:
+    """Chi-square of an explanation on unseen data; an outlier counts up to a bound."""
     _, z = on_sweep(e, candidate, unseen)
     return float(np.minimum(np.abs(z) ** 2, 2 * OUTLIER).sum())
 
 
 def _fails_alone_hz(e: Explained, unseen: Observation) -> float | None:
-    """The line of the other sweep that alone shows a gap that a limit may make, Hz; None where there is none.
+    """The line of the other sweep, Hz, that shows a gap by itself, as of a limit or a stop (`alone_hz`); or None.
 
-    Nor where an effect explains as much of that line as its law in another program would.
+    None also where the plant's effects explain as much of that line as their law in another program would.
     """
     o, z = on_sweep(e, e.chosen, unseen)
     hz = alone_hz(e.part, z, o)

@@ -1,4 +1,4 @@
-"""What an engineer should look at before the verdict is believed: a label, a sign or a point that would do the same."""
+"""Notes on what to check before a verdict is believed: a label, a sign, a scale or a point may look like an effect."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Complex = NDArray[np.complex128]
 
 RESONANCES = ("extra_flexible_mode", "support_resonance")
 OF_THAT_MODE = 0.01
-"""Relative distance of a resonance that is named to a mode of the datasheet, from which that mode is asked about."""
+"""Relative distance of a named resonance from a mode of the datasheet up to which a note asks to check that mode."""
 SCALED = 0.005
-"""Change of the controller's gain from which the scale of the log is asked about."""
+"""Change of the controller's gain from which a note asks to check the scale of the log."""
 PLAIN = 300.0
-"""Chi-square that such a point has at least."""
+"""Least excess of a point that is noted, in squared residuals over their expectation."""
 SHARE_OF_ONE_POINT = 0.8
-"""Share of what the plain twin leaves of a part, beyond noise, that one point has where it is told."""
+"""Share of a part's excess that one point must have to be noted."""
 
 
 def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> list[str]:
-    """What else would look like the effects that are named, of causes that are no effect of a rig.
+    """Causes other than effects of a rig that would look like the named effects, in words.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
     named = dict(zip(chosen.effects, chosen.fit.values, strict=True))
     rotor = chosen.fit.rig.rotor
     stated = datasheet.rotor.whole_polar_inertia_kgm2
-    # what a disc has that modes tilt is no matter of the speed alone
+    # the moment of a disc that modes tilt is no wrong speed
     if "gyroscopic_coupling" in named and stated and rotor.discs == datasheet.rotor.discs:
         share = rotor.whole_polar_inertia_kgm2 / stated
         fastest = max((s.speed_rad_s for s in sweeps), key=abs)
@@ -72,10 +72,9 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
 
 
 def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str, str]) -> list[str]:
-    """The point that has nearly all of what the plain twin leaves of a part, in words.
+    """Points with nearly all of the plain twin's excess in a part, in words: each may be one bad measurement.
 
-    One bad measurement is no effect, and what it makes of the whole is none either. ``names`` are those of the fitted
-    sweep and of the unseen one.
+    ``names`` are those of the fitted sweep and of the unseen one.
     """
     told: dict[tuple[str, float, int], None] = {}
     for e in parts:
@@ -93,9 +92,9 @@ def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str,
 
 
 def _worst(z: Complex) -> int | None:
-    """The point that has most of the residuals' excess, z (P, H, n) weighted; None where none stands out so."""
+    """The point with nearly all of the excess of weighted residuals (P, H, n); None where there is no such point."""
     power = np.abs(z) ** 2 / 2
-    # of a point's dozen values noise never has twice their number, once a hundred points are looked at hardly so
+    # noise hardly makes twice the number of a point's dozen values, even in one of a hundred points
     excess = np.maximum(power.sum(axis=(1, 2)) - 2 * np.count_nonzero(power, axis=(1, 2)), 0.0)
     k = int(excess.argmax())
     return k if excess[k] > PLAIN and excess[k] > SHARE_OF_ONE_POINT * excess.sum() else None

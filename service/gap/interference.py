@@ -1,8 +1,8 @@
-"""Interference: what is added to the signals at fixed frequencies, whatever the excitation.
+"""Interference (hum): what is added to the signals at fixed frequencies, whatever the excitation.
 
-It hardly changes a mean over blocks, as its phase drifts from block to block, but the blocks scatter where a harmonic
-of a point comes near it. So it is looked for in the scatter: near the mains and their multiples, and near the rotor's
-speed. Where the file tells how long a block is, by its phase, which noise does not have; elsewhere by its loudness.
+Its phase drifts from block to block, so it hardly changes a mean over blocks, but scatters them where a harmonic of a
+point comes near it. So it is searched for in the scatter, near multiples of the mains and near the rotor's speed. Where
+the length of the blocks is known, it is detected by its phase (`measured.coherent`), else by the size of the scatter.
 """
 
 from __future__ import annotations
@@ -33,24 +33,26 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MAINS_HZ = tuple(mains * k for k in (1, 2, 3, 6) for mains in (50.0, 60.0))
-"""The mains, and what rectifiers make of them."""
+"""The mains, and the multiples of it that rectifiers make."""
 MULTIPLES = (1, 2, 3, 5)
+"""Multiples of a source's frequency at which it also adds to the signals."""
 NEAR_HUM = 0.06
-"""Relative distance up to which a harmonic is near an interference."""
+"""Relative distance up to which a harmonic of a point is near an interference."""
 FAR_FROM_HUM = (0.45, 0.8)
-"""Relative distances between which it is held against."""
+"""Relative distances between which the scatter is taken for comparison."""
 LOUD_RATIO = 1.8
-"""Ratio of the variance near to the variance far from which an interference is named."""
+"""Ratio of the variance near to the variance far from which an interference is detected by its size..."""
 CERTAIN = 8.0
-"""Normal deviate from which it is."""
+"""... and the normal deviate that this ratio must have."""
 SCATTERS = 0.95
-"""Share of the values that must scatter at all: a converter coarser than the noise tells nothing of it."""
+"""Least share of the values that scatter at all: with a converter coarser than the noise the scatter is no measure."""
 IN_PHASE = 8.0
-"""The same by its phase: of 123 simulated rigs without any 3.1 was the largest, of 9 rigs with one 25 the least."""
+"""Normal deviate from which it is detected by its phase: of 123 simulated rigs without any 3.1 was the largest, of 9
+rigs with one 25 the least."""
 OWN = 0.3
-"""Share of a current's hum that must be the current's own: what the controller makes of a sensor's hum is not."""
+"""Least share of a current's hum that is the current's own, and not made by the controller from a sensor's hum."""
 DISTANCE_BINS = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, HUMMED)
-"""Relative distances over which its share of the variance is averaged."""
+"""Edges of relative distances over which the variance ratio is averaged."""
 
 
 @dataclass(frozen=True)
@@ -61,18 +63,19 @@ class Interference:
     frequency_hz: float
     parameters: Mapping[str, float]
     std: float
-    """of the amplitude"""
+    """standard deviation of the amplitude"""
     level: float
     """mean log variance near it"""
     ratio: float
-    """variance near it over variance far from it, in the signal that shows it most"""
+    """variance near it over variance far from it, in the signal that shows it"""
     significance: float
     """normal deviate"""
     signal: str
+    """i or y, to which it is added"""
     shape: tuple[float, ...] = ()
-    """mean variance ratio over `DISTANCE_BINS`; empty where the phase tells more"""
+    """mean variance ratio over `DISTANCE_BINS`; empty where it was detected by its phase"""
     heard_hz: tuple[float, ...] = ()
-    """frequencies at which its phase was heard"""
+    """frequencies at which it was detected by its phase; empty where by its size"""
     aliases: tuple[str, ...] = ()
     """effects whose frequency is the same, within what the blocks of a point resolve"""
 
@@ -84,66 +87,68 @@ def interference(sweep: Sweep, rig: Rig) -> list[Interference]:
     if sweep.speed_rad_s:
         wanted["runout"] = (once_a_turn_hz(sweep.speed_rad_s),)
     if sweep.block_samples is not None:
-        return _all_told_by_phase(sweep, rig, wanted)
+        return _all_by_phase(sweep, rig, wanted)
     _, of_i, of_y = block_scatter(sweep, rig)
     signals = {"y": of_y} if sweep.I is None else {"i": of_i, "y": of_y}
     found = []
     for effect, frequencies in wanted.items():
-        for signal, variance in signals.items():  # in i first: what moves the current moves the rotor too
-            heard = [_heard(sweep, rig, effect, f, signal, variance) for f in frequencies]
-            loud = [one for one in heard if one is not None]
+        for signal, variance in signals.items():  # i first: what moves the current moves the rotor, too
+            detected = [_by_size(sweep, rig, effect, f, signal, variance) for f in frequencies]
+            loud = [one for one in detected if one is not None]
             if loud:
                 found.append(max(loud, key=lambda one: one.level))
                 break
     return found
 
 
-def _all_told_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]]) -> list[Interference]:
-    """One source of each kind at most, the loudest first.
+def _all_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]]) -> list[Interference]:
+    """Sources detected by their phase, one of each kind at most, the loudest first.
 
-    A loud hum leaks into every line, and where its phase happens to advance as another's would, it is heard as that:
-    the others must be heard beside it, where a faint one is heard better, too.
+    A loud hum leaks into every line, and may be taken for another one whose phase advances alike. So the others must be
+    detected with the loudest taken off, which also shows faint ones better.
     """
-    told = (_told_by_phase(sweep, rig, effect, frequencies) for effect, frequencies in wanted.items())
-    found = sorted((one for one in told if one is not None), key=lambda one: -one.ratio)
+    all_by_phase = (_by_phase(sweep, rig, effect, frequencies) for effect, frequencies in wanted.items())
+    found = sorted((one for one in all_by_phase if one is not None), key=lambda one: -one.ratio)
     if not found or sweep.Y.shape[1] <= PATTERNS + 1:
         return found
     loudest, by = found[0], beside_hum(sweep, found[0].frequency_hz)
     others = (e for e in wanted if e != loudest.effect)
-    beside = [one for e in others if (one := _told_by_phase(sweep, rig, e, wanted[e], by)) is not None]
+    beside = [one for e in others if (one := _by_phase(sweep, rig, e, wanted[e], by)) is not None]
     alike = (one.effect for one in found[1:] if abs(one.frequency_hz - loudest.frequency_hz) < resolution_hz(sweep))
     aliases = tuple(e for e in alike if e not in {one.effect for one in beside})
     return [replace(loudest, aliases=aliases), *beside]
 
 
-def _told_by_phase(
+def _by_phase(
     sweep: Sweep, rig: Rig, effect: str, frequencies_hz: Sequence[float], by: Estimate | None = None
 ) -> Interference | None:
-    """The interference whose phase advances from block to block as that of one of the frequencies.
+    """The interference at one of the frequencies, detected by its phase from block to block.
 
-    ``by``: how responses are estimated beside a louder one.
+    ``by`` is the estimate of responses beside a louder one.
     """
     signals = {"y": sweep.Y} if sweep.I is None else {"i": sweep.I, "y": sweep.Y}
-    heard = {(name, f): coherence(sweep, X, f, by) for name, X in signals.items() for f in frequencies_hz}
-    loud = {key: deviate for key, (_, deviate) in heard.items() if deviate > IN_PHASE}
+    coherences = {(name, f): coherence(sweep, X, f, by) for name, X in signals.items() for f in frequencies_hz}
+    detected = {key: deviate for key, (_, deviate) in coherences.items() if deviate > IN_PHASE}
     for name in signals:
-        at = [f for signal, f in loud if signal == name]
+        at = [f for signal, f in detected if signal == name]
         if not at:
             continue
-        f = max(at, key=lambda f: loud[name, f])
-        amplitude, spread, own = _amplitude(sweep, rig, name, f)
-        if name == "i" and own < OWN:  # what the controller makes of the sensors' hum
+        f = max(at, key=lambda f: detected[name, f])
+        amplitude, deviation, own = _amplitude(sweep, rig, name, f)
+        if name == "i" and own < OWN:  # made by the controller from the sensors' hum
             continue
-        ratio = 1 / max(1 - heard[name, f][0], 1e-6)
+        ratio = 1 / max(1 - coherences[name, f][0], 1e-6)
+        heard_hz = tuple(sorted({f for _, f in detected}))
         parameters = _parameters(effect, f, name, amplitude)
-        return Interference(
-            effect, f, parameters, spread, 0.0, ratio, loud[name, f], name, heard_hz=tuple(sorted({f for _, f in loud}))
-        )
+        return Interference(effect, f, parameters, deviation, 0.0, ratio, detected[name, f], name, heard_hz=heard_hz)
     return None
 
 
 def _amplitude(sweep: Sweep, rig: Rig, signal: str, frequency_hz: float) -> tuple[float, float, float]:
-    """Amplitude of a signal's own hum, its standard deviation, and its share of the hum there is; 0 if not told."""
+    """Amplitude of a signal's own hum, without what feedback makes, its standard deviation, and its share of all hum.
+
+    Zeros where no line is near enough.
+    """
     model = linear_model(rig, np.array([frequency_hz]))
     G, X = (model.i_per_u[0], sweep.I) if signal == "i" and sweep.I is not None else (model.y_per_u[0], sweep.Y)
     own, whole = (hum_power(sweep, Z, frequency_hz) for Z in (X - sweep.U @ G.T, X))
@@ -151,25 +156,29 @@ def _amplitude(sweep: Sweep, rig: Rig, signal: str, frequency_hz: float) -> tupl
         return 0.0, 0.0, 0.0
     power = max(float(own.mean()), 0.0)
     amplitude = float(np.sqrt(power))
-    spread = float(own.mean(axis=1).std() / np.sqrt(len(own)) / (2 * amplitude)) if power else 0.0
-    return amplitude, spread, float(np.sqrt(power / max(float(whole.mean()), 1e-300)))
+    deviation = float(own.mean(axis=1).std() / np.sqrt(len(own)) / (2 * amplitude)) if power else 0.0
+    return amplitude, deviation, float(np.sqrt(power / max(float(whole.mean()), 1e-300)))
 
 
 def measured_by(source: Interference, sweep: Sweep, rig: Rig) -> Interference:
-    """A source heard by its phase, with the amplitude that a twin fitted to the sweep tells.
+    """A source detected by its phase, with its amplitude estimated by a twin that was fitted to the sweep.
 
-    Feedback makes most of a hum that there is; what is left as a signal's own is only as good as the loop is known.
+    Feedback makes most of a hum, so the signal's own part is only as accurate as the model of the loop.
     """
-    amplitude, spread, _ = _amplitude(usable(sweep), rig, source.signal, source.frequency_hz)
+    amplitude, deviation, _ = _amplitude(usable(sweep), rig, source.signal, source.frequency_hz)
     if not amplitude:
         return source
     parameters = _parameters(source.effect, source.frequency_hz, source.signal, amplitude)
-    return replace(source, parameters=parameters, std=float(np.hypot(spread, LAW_ERROR * amplitude)))
+    return replace(source, parameters=parameters, std=float(np.hypot(deviation, LAW_ERROR * amplitude)))
 
 
-def _heard(
+def _by_size(
     sweep: Sweep, rig: Rig, effect: str, frequency_hz: float, signal: str, variance: Real
 ) -> Interference | None:
+    """The interference at a frequency, detected by the size of the scatter near it; None without.
+
+    ``variance`` is that of the signal's means, (P, H, n).
+    """
     at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
     away = np.abs(at / frequency_hz - 1)
     quiet = quiet_cells(sweep, rig)
@@ -178,10 +187,10 @@ def _heard(
         return None
     level, floor = (np.log(np.maximum(variance[cells], 1e-300)).mean(axis=0) for cells in (near, far))
     blocks = sweep.Y.shape[1]
-    # The log of a variance of B blocks scatters by about 1 / sqrt(B - 1); the channels share the interference.
-    spread = float(np.sqrt((1 / near.sum() + 1 / far.sum()) / (blocks - 1)))
-    heard = float((level - floor).mean())
-    if heard < np.log(LOUD_RATIO) or heard / spread < CERTAIN:
+    # The log of a variance of B blocks scatters by about 1 / sqrt(B - 1); channels count as one, as they may share it.
+    deviation = float(np.sqrt((1 / near.sum() + 1 / far.sum()) / (blocks - 1)))
+    log_ratio = float((level - floor).mean())
+    if log_ratio < np.log(LOUD_RATIO) or log_ratio / deviation < CERTAIN:
         return None
     ratio = variance / np.exp(floor)
     shape = tuple(
@@ -193,16 +202,17 @@ def _heard(
         effect,
         frequency_hz,
         _parameters(effect, frequency_hz, signal, amplitude),
-        amplitude * spread / 2,
+        amplitude * deviation / 2,
         float(level.mean()),
-        float(np.exp(heard)),
-        heard / spread,
+        float(np.exp(log_ratio)),
+        log_ratio / deviation,
         signal,
         shape,
     )
 
 
 def _parameters(effect: str, frequency_hz: float, signal: str, amplitude: float) -> dict[str, float]:
+    """Parameters of the effect that adds such a hum to a signal."""
     if effect == "runout":
         return {"amplitude_m": amplitude}
     name, other = ("amplitude_a", "amplitude_m") if signal == "i" else ("amplitude_m", "amplitude_a")
@@ -210,7 +220,7 @@ def _parameters(effect: str, frequency_hz: float, signal: str, amplitude: float)
 
 
 def quiet_cells(sweep: Sweep, rig: Rig) -> NDArray[np.bool_]:
-    """Harmonics of the points whose scatter may tell of interference: none that rings, nor the mean, (P, H)."""
+    """Harmonics of points whose scatter is used, (P, H): not near a flexible mode, which rings, nor harmonic 0."""
     harmonics = np.array(sweep.harmonics)
     return ~_near_modes(sweep.frequency_hz[:, None] * harmonics, rig) & (harmonics > 0)
 
@@ -221,7 +231,7 @@ def _near_modes(at_hz: Real, rig: Rig) -> NDArray[np.bool_]:
 
 
 def at_speed(sources: Sequence[Interference], speed_rad_s: float) -> tuple[Interference, ...]:
-    """The sources as a sweep at this speed has them: runout turns with the rotor, and is not there at standstill."""
+    """The sources as they are in a sweep at this speed: runout follows the rotor, and vanishes at standstill."""
     out = []
     for s in sources:
         if s.effect != "runout":
@@ -233,10 +243,10 @@ def at_speed(sources: Sequence[Interference], speed_rad_s: float) -> tuple[Inter
 
 
 def once_a_turn_hz(speed_rad_s: float) -> float:
-    """Turns a second, whichever way."""
+    """Revolutions per second, of either sense."""
     return abs(speed_rad_s) / (2 * np.pi)
 
 
 def hums_hz(sources: Sequence[Interference], speed_rad_s: float) -> tuple[float, ...]:
-    """Frequencies at which a sweep at this speed may have the sources, each source's own first."""
+    """Frequencies at which a sweep at this speed may have the sources, each with its `MULTIPLES`."""
     return tuple(k * s.frequency_hz for s in at_speed(sources, speed_rad_s) for k in MULTIPLES)

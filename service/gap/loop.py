@@ -1,8 +1,8 @@
-"""What the gap means for the loop: sensitivity peaks predicted and measured, and the nu-gap by frequency.
+"""What the gap means for the closed loop: sensitivity peaks predicted and measured, and the nu-gap by frequency.
 
 The nu-gap of two loops is the largest chordal distance of their responses, and 1 where a condition on winding numbers
-does not hold (Vinnicombe 2001, definition 3.1). Responses at some lines cannot show that: what is told of measured ones
-is a lower bound.
+does not hold (Vinnicombe 2001, definition 3.1). Measured responses at some lines cannot show that condition, so the
+value stated is a lower bound.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Real = NDArray[np.float64]
 
 QUANTITIES = ("sensitivity", "complementary_sensitivity", "dynamic_stiffness")
 LEAST = ("dynamic_stiffness",)
-"""Quantities whose smallest value counts; of the others, the largest."""
+"""Quantities whose smallest value counts; of the others the largest does."""
 MATTERS = 0.05
-"""Relative change over a point's blocks from which it tells nothing of a peak: 0.4 dB."""
+"""Relative change over a point's blocks from which it is not used for a peak: 0.4 dB."""
 NEAR_A_MODE, FINE = 0.03, 1e-4
-"""Relative distance to a mode within which its peak lies in closed loop, and step there: at a damping of 0.001 that a
-controller takes away almost all of, a peak is some 5e-4 wide."""
+"""Relative distance to a mode within which its peak lies in closed loop, and step of the frequencies there: where a
+controller takes away almost all of a damping of 0.001, a peak is some 5e-4 wide."""
 NOTHING: Mapping[str, Sequence[Rig]] = {}
 
 
@@ -41,7 +41,7 @@ def measured_responses(
 ) -> tuple[Complex, Complex, Complex, NDArray[np.int64]] | None:
     """u/r, y/u and y/r at the lines where every axis has a usable point, (F, n, n) each, and those lines.
 
-    Of a line that was measured more than once all points count, by least squares. None where fewer than three are.
+    All points of a line count, by least squares. None where there are fewer than three such lines.
     """
     n, f = o.U.shape[2], o.fundamental
     lines = [k for k in range(len(o.frequency_hz)) if set(o.axis[(o.line == k) & usable].tolist()) == set(range(n))]
@@ -54,12 +54,12 @@ def measured_responses(
 
 
 def settled(o: Observation) -> NDArray[np.bool_]:
-    """Which points, (P,), tell a peak: those that did not change by more than `MATTERS` while they were measured."""
+    """Which points, (P,), are used for peaks: those that did not change by more than `MATTERS` while measured."""
     return ~(o.drifting & (o.drift > MATTERS))
 
 
 def chordal_distance(a: Complex, b: Complex) -> Real:
-    """Chordal distance of two loop matrices, (F, n, n) -> (F,): 0 equal, 1 as far apart as can be.
+    """Chordal distance of two loop matrices, (F, n, n) -> (F,): 0 if equal, 1 at most.
 
     Source: Vinnicombe, Uncertainty and Feedback, 2001, eq. 3.20.
     """
@@ -76,13 +76,13 @@ def chordal_distance(a: Complex, b: Complex) -> Real:
 def loop_figures(
     before: Rig, after: Rig, o: Observation, drawn: Mapping[str, Sequence[Rig]] = NOTHING
 ) -> dict[str, Any]:
-    """What the gap means for the loop: S, T, dynamic stiffness, and the nu-gap at the measured lines, before and after.
+    """Figures of the loop by the twins before and after: S, T, dynamic stiffness, nu-gap at the measured lines.
 
     Parameters
     ----------
     drawn
-        Twins "before" and "after" as they could be too, drawn from what the data leave of their values: the spread of
-        the predicted figures.
+        Twins "before" and "after" drawn from the posteriors of their values (`drawn_twins`), for the standard
+        deviations of the predicted figures.
     """
     usable = settled(o)
     found = measured_responses(o, usable)
@@ -106,7 +106,7 @@ def loop_figures(
         gaps[name] = distance.tolist()
         gaps[f"largest_{name}"] = float(distance.max())
     whole = measured_responses(o, np.ones(len(o.axis), dtype=bool))
-    assert whole is not None  # it has all lines of those that had settled
+    assert whole is not None  # it has all lines that had settled, and maybe more
     restless = np.setdiff1d(whole[3], lines)
     return {
         "sensitivity_peak": _peaks(axes, {"measured": measured, **at_lines}),
@@ -136,13 +136,14 @@ def loop_figures(
 
 
 def _peaks(axes: Sequence[str], found: Mapping[str, Mapping[str, Real]]) -> dict[str, dict[str, float]]:
+    """Sensitivity peak of each axis, by source of the figures."""
     return {name: dict(zip(axes, of["sensitivity"].max(axis=0).tolist(), strict=True)) for name, of in found.items()}
 
 
 def _with_not_settled(
     o: Observation, whole: tuple[Complex, Complex, Complex, NDArray[np.int64]], twins: Mapping[str, Rig], force: Force
 ) -> dict[str, dict[str, float]]:
-    """Sensitivity peaks at all lines, as `measured_responses` has them: |S| peaks where a mode rings longest."""
+    """Sensitivity peaks over all lines of ``whole``, of `measured_responses`: |S| peaks where a mode rings longest."""
     S, _, y_per_r, lines = whole
     frequency = o.frequency_hz[lines]
     at_lines = {name: _of_twin(rig, o, frequency, force) for name, rig in twins.items()}
@@ -151,7 +152,7 @@ def _with_not_settled(
 
 @dataclass(frozen=True)
 class Force:
-    """r as a force at the bearings, ki A r by one twin: a change of units, the same for all that are compared."""
+    """Converts r to a force at the bearings, ki A r, by the same rig for all figures that are compared."""
 
     rig: Rig
 
@@ -170,16 +171,17 @@ def _of_twin(rig: Rig, o: Observation, frequency_hz: Real, force: Force) -> dict
 
 
 def _own(of: Complex) -> Complex:
+    """Each axis's response to its own excitation, (F, n, n) -> (F, n)."""
     return np.asarray(np.diagonal(of, axis1=1, axis2=2))
 
 
 def _noise(
     rig: Rig, o: Observation, usable: NDArray[np.bool_], lines: NDArray[np.int64], measured: dict[str, Real]
 ) -> dict[str, Real]:
-    """Standard deviation of the measured figures, (F, n) each, of the points that they are of.
+    """Standard deviation of the measured figures, (F, n) each, from the noise of the usable points.
 
-    The noise of u and y is of what their parts of the loop leave; ``rig`` carries it round: u = S (e_u - C e_y),
-    y = P S e_u + (I + P C)^-1 e_y.
+    ``Observation.sd_u`` and ``sd_y`` are of the residuals e_u and e_y of controller and plant; in closed loop by
+    ``rig`` u = S (e_u - C e_y), y = P S e_u + (I + P C)^-1 e_y.
     """
     f, n = o.fundamental, o.U.shape[2]
     of_u, of_y = np.zeros((len(lines), n)), np.zeros((len(lines), n))
@@ -195,16 +197,16 @@ def _noise(
             )
             of_u[row, a] = scatter_u / abs(o.R[point, f, a])
             of_y[row, a] = scatter_y / max(abs(o.Y[point, f, a]), NOTHING_SEEN)
-    # of the size of a complex mean: half of its variance
+    # the magnitude of a complex mean has half of its variance
     root = np.sqrt(0.5)
     return dict(zip(QUANTITIES, (root * of_u, root * of_u, root * of_y * measured["dynamic_stiffness"]), strict=True))
 
 
 def _dense(frequency_hz: Real, rigs: Sequence[Rig]) -> Real:
-    """Frequencies of the measured band, close enough for the peaks of flexible modes."""
+    """A grid over the measured band that is fine enough for the peaks of flexible modes."""
     low, high = float(frequency_hz[0]), float(frequency_hz[-1])
     modes = [m.natural_frequency_rad_s / (2 * np.pi) for rig in rigs for plane in rig.rotor.modes for m in plane]
-    # of all modes by one ladder of steps, so that those near each other share them
+    # one logarithmic grid for all modes, so that neighbouring modes share its points
     steps = np.unique([np.rint(np.log(m) / FINE) for m in modes]).astype(int)
     width = round(NEAR_A_MODE / FINE)
     near = np.exp(np.unique(steps[:, None] + np.arange(-width, width + 1)) * FINE)
@@ -213,13 +215,14 @@ def _dense(frequency_hz: Real, rigs: Sequence[Rig]) -> Real:
 
 
 def _value(quantity: str, of: Real) -> float:
+    """The largest or, of `LEAST`, the smallest value."""
     return float(of.min() if quantity in LEAST else of.max())
 
 
 def _extreme(quantity: str, of: Real, frequency_hz: Real, std: Real | None = None) -> dict[str, float]:
     k = int(of.argmin() if quantity in LEAST else of.argmax())
-    told = {"value": float(of[k]), "frequency_hz": float(frequency_hz[k])}
-    return told if std is None else told | {"std": float(std[k])}
+    extreme = {"value": float(of[k]), "frequency_hz": float(frequency_hz[k])}
+    return extreme if std is None else extreme | {"std": float(std[k])}
 
 
 def _std(values: Sequence[float]) -> float | None:
@@ -227,11 +230,11 @@ def _std(values: Sequence[float]) -> float | None:
 
 
 def drawn_twins(nuisance: Nuisance, candidate: Candidate, count: int = 12, seed: int = 0) -> list[Rig]:
-    """The twin with its datasheet's values drawn from what the data leave of them; its effects stay as fitted."""
+    """Twins with nuisance values drawn from their posterior; the effects stay as fitted."""
     k = len(nuisance)
-    # What is known is at least the tolerances, of unit size; beside what loud data tell, arithmetic would lose that.
-    known, along = np.linalg.eigh(candidate.fit.curvature[:k, :k] + np.eye(k))
-    root = along / np.sqrt(np.maximum(known, 1.0))
+    # The precision is at least that of the prior, one; rounding beside large curvatures must not make it less.
+    precision, along = np.linalg.eigh(candidate.fit.curvature[:k, :k] + np.eye(k))
+    root = along / np.sqrt(np.maximum(precision, 1.0))
     draws = np.random.default_rng(seed).standard_normal((count, k)) @ root.T
     out = []
     for draw in draws:

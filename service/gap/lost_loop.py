@@ -1,7 +1,7 @@
-"""Amplifiers that lose their loop at the steepest current that is asked of them: a voltage limit that no fit sees.
+"""A voltage limit that only shows by amplifiers whose current loop is lost at the steepest current asked of them.
 
-Such a point has no amplitude to fit, and every other one may be as if there were no limit. That tells where it lies:
-above the steepest current that was followed, and below what was asked for where the loop was lost.
+Such an erratic point has no amplitude to fit, and all others may be as without a limit. So the limit lies above the
+steepest current that was followed, and below what was asked for where the loop was lost.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from sim.twin import linear_model
 LIMIT = "amplifier_voltage_limit"
 SLEW_INVERSE = "slew_inverse_s_per_a"
 PROBABILITY_OF_A_LIMIT = 0.9
-"""Probability that it is one: on 250 sweeps of another program nothing else made amplifiers of two axes erratic."""
+"""Probability that it is a voltage limit: on 250 sweeps of another program nothing else made two axes erratic at
+once."""
 LEAST_WIDTH = 0.1
-"""Relative width within which the limit is never taken to be known: amplifiers lose their loop a little above it."""
+"""Least relative width of the interval that holds the limit: amplifiers lose their loop a little above it."""
 
 
 @dataclass(frozen=True)
 class LostLoop:
-    """Where amplifiers lose their loop, in words, and the slew limits between which theirs lies, A/s.
+    """Where amplifiers lose their loop, in words, and an interval of slew limits that holds theirs, A/s.
 
-    None for the limits where currents as steep were followed elsewhere: then it is not the slope.
+    The interval is None where currents as steep were followed elsewhere, so that the slope is not the cause.
     """
 
     words: str
@@ -39,7 +40,7 @@ class LostLoop:
 
     @classmethod
     def of(cls, erratic: Erratic, rig: Rig) -> LostLoop:
-        """From erratic points; what was asked for there is what ``rig``, its magnets linear, would have answered."""
+        """From erratic points; the current asked for there is that of ``rig`` in small-signal operation."""
         s = erratic.points
         m = linear_model(rig, s.frequency_hz)
         R = s.R[:, :, s.harmonics.index(1)].mean(axis=1)
@@ -54,12 +55,12 @@ class LostLoop:
 
 
 def named_limit(verdict: Verdict, lost: LostLoop) -> Verdict:
-    """The verdict with the limit beside its effects, unless it has none of these, or one that would do the same.
+    """The verdict with the limit added, unless it is none of these, or names a possible cause of the erratic points.
 
-    What grows with amplitude, or is of the amplifiers, may be the reason itself.
+    Such a cause is an effect that is nonlinear or of the amplifiers.
     """
-    may_be = any(CATALOGUE[name].nonlinear or CATALOGUE[name].path == "amplifier" for name in verdict.effects)
-    if lost.between_a_per_s is None or verdict.kind == "none_of_these" or may_be:
+    may_cause_it = any(CATALOGUE[name].nonlinear or CATALOGUE[name].path == "amplifier" for name in verdict.effects)
+    if lost.between_a_per_s is None or verdict.kind == "none_of_these" or may_cause_it:
         return verdict
     effects = (*verdict.effects, LIMIT)
     kind = "effect" if len(effects) == 1 else "effects"
@@ -67,29 +68,29 @@ def named_limit(verdict: Verdict, lost: LostLoop) -> Verdict:
 
 
 def with_limit(whole: Composition, nuisance: Nuisance, lost: LostLoop) -> Composition:
-    """The same twins, their voltage limit where the loop was lost: their fits know only that it is above the rest."""
+    """The twins with their voltage limit set from where the loop was lost, as fits only know that it is not lower."""
     if lost.between_a_per_s is None:
         return whole
     low, high = lost.between_a_per_s
-    value, spread = 1 / np.sqrt(low * high), float(np.log(high / low) / np.sqrt(12))
+    value, relative_sd = 1 / np.sqrt(low * high), float(np.log(high / low) / np.sqrt(12))
 
     def limited(r: Ranked) -> Ranked:
         c = r.candidate
         if LIMIT not in c.effects:
             return r
-        # last, as the verdict names it: its part may have the larger gap
-        last = sorted(range(len(c.effects)), key=lambda k: c.effects[k] == LIMIT)
-        effects = tuple(c.effects[k] for k in last)
-        values, deviations = ([dict(of[k]) for k in last] for of in (c.fit.values, c.standard_deviations))
-        values[-1][SLEW_INVERSE], deviations[-1][SLEW_INVERSE] = float(value), float(value * spread)
+        # the limit last, as in the verdict, though its part may have the larger gap
+        order = sorted(range(len(c.effects)), key=lambda k: c.effects[k] == LIMIT)
+        effects = tuple(c.effects[k] for k in order)
+        values, deviations = ([dict(of[k]) for k in order] for of in (c.fit.values, c.standard_deviations))
+        values[-1][SLEW_INVERSE], deviations[-1][SLEW_INVERSE] = float(value), float(value * relative_sd)
         rig = nuisance.at(c.fit.theta)
         for name, own in zip(effects, values, strict=True):
             rig = CATALOGUE[name].on(rig, **own)
         ends = {of: end for of, end in c.fit.ends.items() if of != (LIMIT, SLEW_INVERSE)}
         fit = replace(c.fit, effects=effects, values=tuple(values), rig=rig, ends=ends)
-        # the points that tell it are none that a fit has weighed
-        known = tuple(name for name in r.open_strength if name != LIMIT)
+        # its strength is known from points that were not fitted
+        still_open = tuple(name for name in r.open_strength if name != LIMIT)
         twin = replace(c, effects=effects, fit=fit, standard_deviations=tuple(deviations))
-        return replace(r, candidate=twin, open_strength=known)
+        return replace(r, candidate=twin, open_strength=still_open)
 
     return Composition(tuple(limited(r) for r in whole.order))

@@ -1,4 +1,4 @@
-"""Flexible modes for a datasheet that knows none: those that the experiment itself shows."""
+"""Flexible modes for a datasheet without any, identified from the experiment itself."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ if TYPE_CHECKING:
     from service.identification.result.parts import ModeResult
 
 SHAPE_TOLERANCE = 0.2
-"""Relative error of the identified shapes: an effect that is not in the model moves them between bearings and sensors
-by up to 14 % (measured on rigs of an independent program)."""
+"""Relative error of the identified shapes: an effect that is not in the model changes their product at bearings and
+sensors by up to 14 % (measured on rigs of an independent program)."""
 
 SPLIT = 2.0
-"""Ratio between a mode's amplitudes at bearings and at sensors, or its inverse, up to which what is identified of it is
-believed: data show their product, and the ratio only through the position stiffness at work, so that an effect that is
-not in the model moved it by up to a factor of 100, where rotors of an independent program had up to 2.2."""
+"""Largest ratio of a mode's amplitudes at bearings and at sensors, or inverse, that is believed. The data determine
+their product; the ratio only through the position stiffness, so that an effect that is not in the model changed it by
+up to a factor of 100, where rotors of an independent program had up to 2.2."""
 
 
 def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple[Datasheet, str]:
     """The datasheet with the rotor's modes as identified from the experiment, and a note on it.
 
-    What moves the ends as only a support does is left to the diagnosis. Any other resonance cannot be told from a mode
-    of the rotor.
+    A resonance with the shape of a support is left to the diagnosis. Any other one is taken for a mode of the rotor.
     """
     from service.identification.fit import identify  # takes a while, and few datasheets know no modes
 
@@ -40,14 +39,14 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
         result = identify(experiment, datasheet)
     except AmbError as error:
         return datasheet, f"the datasheet knows no flexible mode, and none could be identified: {error}"
-    # a housing or a mode that the twin names as an effect is identified too, and is in the twin already
+    # a housing or a mode that the twin names as an effect is identified, too, but is in the twin already
     named = [2 * np.pi * m.frequency_hz for m in folded(datasheet).datasheet.modes]
     of_planes = [
         _apart([m for m in plane.modes if m.kind == "rotor" and not _among(m, named)])
         for plane in result.planes.values()
     ]
     shown: list[Mode] = []
-    for k, plane in enumerate(of_planes):  # what one plane alone shows is a mode as well
+    for k, plane in enumerate(of_planes):  # a mode may show in one plane alone
         first = (mode for mode in plane if not _same(mode, of_planes[:k]))
         shown += [_mean([mode, *_same(mode, of_planes[k + 1 :])]) for mode in first]
     shown.sort(key=lambda mode: mode.frequency_hz)
@@ -59,20 +58,22 @@ def with_identified_modes(experiment: Experiment, datasheet: Datasheet) -> tuple
     note = "the datasheet knows no flexible mode"
     if modes:
         note += (
-            f": {_told(modes)} were identified from this experiment; another mode cannot be told from them, nor a "
+            f": {_listed(modes)} were identified from this experiment; another mode cannot be told from them, nor a "
             "resonance of the support that moves its ends unlike"
         )
     if left:
-        note += f"; {_told(left)} moves bearings and sensors as a support does, and was taken for no mode of the rotor"
+        note += (
+            f"; {_listed(left)} moves bearings and sensors as a support does, and was taken for no mode of the rotor"
+        )
     return replace(datasheet, modes=tuple(modes), tolerance=tolerance), note
 
 
-def _told(modes: Sequence[Mode]) -> str:
+def _listed(modes: Sequence[Mode]) -> str:
     return " and ".join(f"{mode.frequency_hz:.1f} Hz" for mode in modes)
 
 
 def _apart(modes: Sequence[ModeResult]) -> list[ModeResult]:
-    """A plane's modes without those beside a stronger one: a coupling shows the other plane's loop there, resonant."""
+    """A plane's modes without weaker ones beside a stronger one: coupling shows the other plane's loop there."""
     w, strength = (np.array([f(m) for m in modes]) for f in (lambda m: m.natural_frequency_rad_s.value, _strength))
     near = np.abs(w[:, None] / w - 1) < SAME
     return [m for m, beside, own in zip(modes, near, strength, strict=True) if own >= strength[beside].max()]
@@ -108,7 +109,7 @@ def _mean(modes: Sequence[ModeResult]) -> Mode:
 
 
 def _shape(mode: ModeResult) -> NDArray[np.float64]:
-    """(4,) at bearings and sensors, A and B each; positive where it is largest."""
+    """Shape at bearings A, B and sensors A, B, (4,), its ratio limited to `SPLIT`; positive where it is largest."""
     bearings, sensors = (np.array([e.value for e in at]) for at in (mode.shape_at_bearings, mode.shape_at_sensors))
     ratio = np.linalg.norm(bearings) / np.linalg.norm(sensors)
     moved = np.sqrt(np.clip(ratio, 1 / SPLIT, SPLIT) / ratio)

@@ -1,8 +1,8 @@
-"""The affordable experiment that best separates what is left.
+"""The next experiment: the affordable one that best separates two remaining explanations.
 
-Every option is the profile that would be submitted. The service's own campaign is rehearsed with it on the twin of the
-chosen explanation, and both explanations predict what a diagnosis would get of it. The option whose outcome most likely
-tells them apart wins.
+Every option is a profile as it would be submitted. The service's own campaign is rehearsed with it on the twin of the
+chosen explanation, and both explanations predict the data that a diagnosis would get. The option whose data most likely
+separate them wins.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
 WORTH, SURE = 0.75, 0.95
-"""Odds from which an experiment is worth its time, half-way from a coin's to certainty, and from which a better one is
-not worth more time."""
+"""Odds from which an experiment is worth its time, half-way between a coin's and certainty, and from which better odds
+are not worth more time."""
 BY_HAND = 0.05
-"""What an experiment that takes work by hand must add to the odds of one that takes none."""
+"""Odds that an experiment with work by hand must have more than one without."""
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What an option's experiment would tell."""
+class _Outlook:
+    """How well an option's experiment would separate two explanations."""
 
     case: Case
     distances: tuple[float, float]
-    """in standard deviations, where the one explanation is true and where the other is"""
+    """of the predictions, in standard deviations, if the one explanation is true and if the other is"""
 
     @property
     def odds(self) -> float:
-        """Probability that the true one explains the outcome better, either as likely to be true."""
+        """Probability that the true one explains the outcome better, with even prior odds."""
         return float(np.mean([normal_tail(-d / 2) for d in self.distances]))
 
     def order(self) -> tuple[bool, bool, float]:
-        """To sort by, the best one first."""
+        """Sort key, the best one first."""
         by_hand = bool(self.case.option.by_hand)
         if self.odds < SURE:
             return True, False, BY_HAND * by_hand - self.odds
         return False, by_hand, self.case.rig_seconds
 
     def figures(self) -> dict[str, float]:
-        """As gap.json has them; of the two distances the smaller one."""
+        """As in gap.json; of the two distances the smaller one."""
         return {
             "distance_sd": min(self.distances),
             "odds_of_telling_apart": self.odds,
@@ -61,50 +61,52 @@ class _Told:
         }
 
 
-def _told(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, option: Option) -> _Told | None:
-    """What an option would tell of two explanations; None where it has been measured or cannot be."""
+def _outlook(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, option: Option) -> _Outlook | None:
+    """How well an option would separate two explanations; None where it has been measured or cannot be."""
     try:
-        one = case(option, a.fit.rig, nuisance.rig, grounds)
-        return None if one is None else _Told(one, separations(nuisance, a, b, one.main, one.option))
+        planned = case(option, a.fit.rig, nuisance.rig, grounds)
+        if planned is None:
+            return None
+        return _Outlook(planned, separations(nuisance, a, b, planned.main, planned.option))
     except (AmbError, ValueError, np.linalg.LinAlgError):
         return None  # this rig cannot be brought to that condition
 
 
 def only_fainter(option: Option, a: Candidate, b: Candidate) -> bool:
-    """Whether an option has less amplitude for two explanations that answer in proportion to it."""
+    """Whether an option only has less amplitude, where the effects that two explanations differ in are linear."""
     apart = set(a.effects) ^ set(b.effects)
     return option.amplitude is not None and option.amplitude < 1 and not any(CATALOGUE[e].nonlinear for e in apart)
 
 
 class Proposal:
-    """The option that tells two explanations apart, looked for by the fitter's processes while others go on.
+    """The option that separates two explanations, searched for by the fitter's processes while the diagnosis goes on.
 
-    Of those that are nearly sure to, one without work by hand before one with, and then the one that needs the least
-    time of the rig; else the one that is most likely to. What takes work by hand is rehearsed only where nothing else
-    is nearly sure. The answer has the tones, and the command and the job that ask the service for them.
+    Of options that are nearly sure to separate them, one without work by hand is preferred, then the one of least time;
+    else the one of the best odds. Options with work by hand are rehearsed only where no other is nearly sure. The
+    proposal has the tones, and the command and the job that submit the experiment.
     """
 
     def __init__(
         self, nuisance: Nuisance, pair: tuple[Candidate, Candidate], grounds: Grounds, name: str, fitter: Fitter
     ) -> None:
-        """Begin to look; ``name`` is the rig's."""
+        """Start the search; ``name`` is the rig's."""
         self._pair, self._name, self._fitter = pair, name, fitter
-        self._what_it_tells = partial(_told, nuisance, *pair, grounds)
-        there_are = options(grounds.sweeps, pair[0].fit.rig, grounds.limits)
-        self._options = [o for o in there_are if not only_fainter(o, *pair)]
-        self._begun = self._told(by_hand=False)
+        self._outlook_of = partial(_outlook, nuisance, *pair, grounds)
+        all_options = options(grounds.sweeps, pair[0].fit.rig, grounds.limits)
+        self._options = [o for o in all_options if not only_fainter(o, *pair)]
+        self._started = self._outlooks(by_hand=False)
 
-    def _told(self, by_hand: bool) -> Iterator[_Told | None]:
-        return self._fitter.over(self._what_it_tells, [o for o in self._options if bool(o.by_hand) is by_hand])
+    def _outlooks(self, by_hand: bool) -> Iterator[_Outlook | None]:
+        return self._fitter.over(self._outlook_of, [o for o in self._options if bool(o.by_hand) is by_hand])
 
     def document(self) -> dict[str, Any] | None:
-        """As gap.json has it, once it is found; None where nothing affordable tells them apart."""
-        ranking = _worth(self._begun)
+        """The proposal as in gap.json, once it is found; None where no affordable option separates them."""
+        ranking = _worth(self._started)
         if not any(t.odds >= SURE for t in ranking):
-            ranking += _worth(self._told(by_hand=True))
+            ranking += _worth(self._outlooks(by_hand=True))
         if not ranking:
             return None
-        best, *others = sorted(ranking, key=_Told.order)
+        best, *others = sorted(ranking, key=_Outlook.order)
         option = best.case.option
         return {
             "separates": ["+".join(c.effects) or "none" for c in self._pair],
@@ -120,12 +122,12 @@ class Proposal:
         }
 
 
-def _worth(told: Iterable[_Told | None]) -> list[_Told]:
-    return [t for t in told if t is not None and t.odds >= WORTH]
+def _worth(outlooks: Iterable[_Outlook | None]) -> list[_Outlook]:
+    return [t for t in outlooks if t is not None and t.odds >= WORTH]
 
 
 def tones(planned: Case, axes: tuple[str, ...]) -> list[dict[str, Any]]:
-    """What the campaign is expected to play in the sweeps that a diagnosis uses."""
+    """Tones that the campaign is expected to play in the sweeps that a diagnosis uses."""
     return [
         {
             "sweep": sweep,
@@ -139,9 +141,9 @@ def tones(planned: Case, axes: tuple[str, ...]) -> list[dict[str, Any]]:
 
 
 def submission(option: Option, name: str) -> dict[str, Any]:
-    """The command and the API's job that run an option; the API wants the rig's id, the command knows names too.
+    """The command and the API's job that run an option; the API takes the rig's id, the command also its name.
 
-    Nothing is identified of it: it is for the diagnosis, and may have too narrow a band.
+    No identification is asked for, as the band may be too narrow for one.
     """
     chosen: dict[str, Any] = {"profile": dict(option.profile), "identify": False}
     words = " ".join(f"--option {shlex.quote(f'{k}={json.dumps(v)}')}" for k, v in chosen.items())

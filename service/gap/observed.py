@@ -1,4 +1,4 @@
-"""An experiment and its datasheet made ready for a diagnosis: sweeps as observations, interference, notes."""
+"""An experiment and its datasheet prepared for a diagnosis: observations, nuisance values, interference, notes."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
 
 FEWEST_LINES = 5
-"""Lines of the fitted sweep: of four, a rig with two axes and two modes has some thirty figures of y, about as many as
-its datasheet has uncertain values."""
+"""Fewest lines of the fitted sweep: with four, a rig with two axes and two modes has some thirty values of y, about as
+many as nuisance values."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """What a diagnosis works on."""
+    """The data of a diagnosis."""
 
     nuisance: Nuisance
     main: Sweep
     """the sweep to fit"""
     main_name: str
     other: Sweep
-    """the one that no fit sees, or the other lines of the same one"""
+    """the sweep to check on, or other lines of the main one"""
     name: str
     """of ``other``"""
     lines_only: bool
-    """whether it is of the same sweep"""
+    """whether ``other`` is of the same sweep"""
     o: Observation
     """of ``main``"""
     unseen: Observation
     """of ``other``"""
     sources: tuple[Interference, ...]
     span: tuple[float, float] | None
-    """when the first point was measured and when the last, s; None where the file does not tell"""
+    """times of the first and of the last point, s; None where the file lacks them"""
     notes: tuple[str, ...]
-    """what the data or the datasheet lack, in words"""
+    """what the data or the datasheet lack"""
     erratic: Erratic | None = None
-    """where amplifiers of several axes do not answer alike from block to block"""
+    """lines where the currents of several axes do not repeat from block to block"""
 
     @property
     def duration_s(self) -> float | None:
@@ -63,16 +63,16 @@ class Observed:
 
     @property
     def aloud(self) -> bool:
-        """Whether some interference is heard by its loudness alone."""
+        """Whether some interference was detected by the size of its scatter, not by its phase."""
         return not all(s.heard_hz for s in self.sources)
 
     def halves(self, fitted_hz: float | None) -> tuple[Observation, Observation, str] | None:
-        """The other sweep in two, one half to fit, the other one unseen, and the name of that: `sweeps.halves`."""
+        """Two halves of the other sweep, one to fit and one unseen, and the name of the latter: `sweeps.halves`."""
         return halves(self.unseen, self.name, fitted_hz)
 
 
 def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
-    """What a diagnosis of an experiment works on.
+    """The data of a diagnosis of an experiment.
 
     Raises
     ------
@@ -89,8 +89,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         *stated_amplitudes(experiment),
         *notes_on(main, bool(others), datasheet),
     ]
-    if told := other_rate(main, datasheet):
-        notes.append(told)
+    if rate_note := other_rate(main, datasheet):
+        notes.append(rate_note)
     if not datasheet.modes:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
@@ -101,14 +101,14 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         loaded = held_at(nu.rig, resting)
         notes.append(f"{load_in_words(loaded, nu.rig)}: the twin works there")
         pair, nu = pair.about_rest(), replace(nu, rig=loaded)
-    pair, lost, erratic_there = pair.without_erratic(nu.rig.axes)
-    notes += lost
-    if lost:
+    pair, left_out, erratic = pair.without_erratic(nu.rig.axes)
+    notes += left_out
+    if left_out:
         fitted = [pair.main, pair.other] if pair.lines_only else [pair.main]
         _require_lines(main_name, np.concatenate([s.frequency_hz for s in fitted]), "repeating")
     sources = tuple(interference(pair.main, nu.rig)) if pair.main.in_sequence else ()
     span = span_s(pair.main, pair.other)
-    nu, undated = _drifting_over(nu, span)
+    nu, undated = _with_drift_over(nu, span)
     notes += undated
     hums = [hums_hz(sources, sweep.speed_rad_s) for sweep in (pair.main, pair.other)]
     o, unseen = pair.observations(nu.rig, hums, span)
@@ -128,7 +128,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         sources=sources,
         span=span,
         notes=tuple(notes),
-        erratic=erratic_there,
+        erratic=erratic,
     )
 
 
@@ -157,8 +157,8 @@ def _require_lines(name: str, frequency_hz: NDArray[np.float64], of_which: str =
         )
 
 
-def _drifting_over(nu: Nuisance, span: tuple[float, float] | None) -> tuple[Nuisance, tuple[str, ...]]:
-    """The twin with its drift, where it has one, over the time of the experiment; or a note that this is not told."""
+def _with_drift_over(nu: Nuisance, span: tuple[float, float] | None) -> tuple[Nuisance, tuple[str, ...]]:
+    """The twin with its drift, if any, restated over the time of the experiment; or a note that it is unknown."""
     drift = nu.rig.drift
     if drift is None:
         return nu, ()
@@ -167,5 +167,5 @@ def _drifting_over(nu: Nuisance, span: tuple[float, float] | None) -> tuple[Nuis
             "the file does not tell when its points were measured: the drift of the twin is taken to have come about "
             "while they were",
         )
-    # points are dated by the share of the experiment that has passed
+    # the progress of points is their share of that time
     return replace(nu, rig=replace(nu.rig, drift=drift.over(span[1] - span[0]))), ()

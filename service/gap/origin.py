@@ -1,7 +1,7 @@
-"""What a diagnosis was made from: digests of datasheet and experiment, and which controller measured it.
+"""Provenance of a diagnosis: digests of datasheet and experiment, and the controller that measured it.
 
-They say whether two diagnoses are of the same data, and whether one is of a rig that was served. They are computed from
-the inputs of the diagnosis alone, and so hold nothing of what a blind trial withholds.
+They show whether two diagnoses are of the same data, and whether one is of a rig that was served. They are computed
+from the inputs of the diagnosis alone, and so hold nothing of what a blind trial withholds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sim.rig_file import to_toml
 
 
 def origin(experiment: Experiment, datasheet: Datasheet) -> dict[str, str]:
-    """What gap.json says of it, under "of"."""
+    """The entry "of" of gap.json."""
     return {
         "datasheet_sha256": datasheet_digest(datasheet),
         "experiment_sha256": experiment_digest(experiment),
@@ -28,7 +28,7 @@ def origin(experiment: Experiment, datasheet: Datasheet) -> dict[str, str]:
 
 
 def datasheet_digest(datasheet: Datasheet) -> str:
-    """SHA-256 of what a datasheet says, however its file was laid out.
+    """SHA-256 of a datasheet's content, however its file was laid out.
 
     >>> from sim.reference import reference_datasheet
     >>> from sim.rig_file import parse
@@ -52,6 +52,6 @@ def experiment_digest(experiment: Experiment) -> str:
 def _bytes(value: Any) -> bytes:
     if not isinstance(value, np.ndarray):
         return json.dumps(value).encode()
-    # a file keeps an axis in one byte, a controller in eight: the numbers count
+    # integers of different width, as of an axis in a file and in memory, must not differ
     wide = value.astype(np.complex128 if np.iscomplexobj(value) else np.float64)
     return f"{wide.shape} ".encode() + wide.tobytes()

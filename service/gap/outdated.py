@@ -1,7 +1,7 @@
-"""A twin that names an effect which its rig does not have, or has no longer: then the twin is what is wrong.
+"""A twin that is out of date: it names an effect that its rig does not have, or no longer.
 
-An effect that a diagnosis has added to a twin may be mended on the rig: a delay by other firmware, a housing by a bolt.
-What the twin then has too much of no effect of the catalogue takes away, and others would be blamed for it.
+An effect that was added to a twin may be repaired on the rig: a delay by new firmware, a housing by a bolt. No effect
+of the catalogue removes it from the twin, and others would be named for it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sim.wording import in_words
 
 
 def fewer(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
-    """The twin without each of its effects, and without all of them; first the effects that are left out."""
+    """(effects left out, the twin without them), for each effect of the twin and for all of them."""
     names = tuple(dict.fromkeys(name for name, _ in datasheet.effects))
     for without in dict.fromkeys((*((name,) for name in names), names)):
         kept = tuple((name, values) for name, values in datasheet.effects if name not in without)
@@ -27,14 +27,14 @@ def fewer(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
 
 
 def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diagnosis | None:
-    """The diagnosis that a twin names what its rig does not show; None where it is likelier right.
+    """The diagnosis that a twin is out of date; None where the twin as it is explains the rig better.
 
     Parameters
     ----------
     d
-        The diagnosis against the twin as it is.
+        The diagnosis of the twin as it is.
     without
-        Those against it without some of its effects, by these.
+        Those of the twin without some of its effects, by the effects left out.
     """
     explained = {names: other for names, other in without.items() if other.verdict.kind != "none_of_these"}
     by_price = sorted(explained.items(), key=lambda one: _price(*one))
@@ -64,15 +64,15 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
 
 
 def _price(names: tuple[str, ...], other: Diagnosis) -> tuple[int, int, float]:
-    """What an explanation without effects of the twin costs, the least first: effects that the rig then has."""
+    """Sort key of a twin without effects: fewest effects in all, then fewest left out, then the most evidence."""
     return len(other.verdict.effects) - len(names), len(names), -_evidence(other)
 
 
 def _likelier(names: tuple[str, ...], best: Diagnosis, d: Diagnosis) -> bool:
     """Whether the twin without effects explains the rig better than the twin as it is.
 
-    By evidence where both were fitted to the same sweeps. Otherwise evidence is of other data: then one must do with
-    fewer effects, or the other one explain nothing.
+    By evidence where both were fitted to the same sweeps. Otherwise evidence cannot be compared: then it must need
+    fewer effects in all, or the twin as it is explain nothing.
     """
     if len(best.null.fit.groups) == len(d.null.fit.groups):
         return _evidence(best) > _evidence(d) + LOG_EVIDENCE_PER_EFFECT
@@ -84,7 +84,7 @@ def _in_words(names: Iterable[str]) -> str:
 
 
 def _evidence(d: Diagnosis) -> float:
-    """Log evidence of what a diagnosis names, or else of the best it has."""
+    """Log evidence of the explanation that a diagnosis names, or else of its best one."""
     named = (r.log_evidence for r in d.order if r.candidate.effects == d.verdict.effects and d.verdict.effects)
     plain = (r.log_evidence for r in d.order if not r.candidate.effects and d.verdict.kind == "no_gap")
     return next(named, next(plain, d.order[0].log_evidence))

@@ -1,4 +1,4 @@
-"""One verdict from everything that was found: the parts of the loop, interference, the log, and how the rig settled."""
+"""The overall verdict: from those of the parts, interference, faults of the log, and how the rig settled."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from service.gap.weighing.significance import alone_hz, overall, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import between_lines, held_out, on_sweep
-from service.gap.with_interference import heard_too
+from service.gap.with_interference import with_sources
 from sim.effects import CATALOGUE
 
 NEGLIGIBLE = 0.02
-"""Share of all parts' excess that the chi-square of a part which nothing explains has to exceed to be told."""
+"""Share of all parts' excess that the chi-square of an unexplained part must exceed to be reported."""
 TELLS_NOTHING = 0.05
-"""Relative change of most points from first block to last from which "no gap" would say nothing: a small one that low
-noise shows is no reason to withhold it."""
+"""Relative drift of points from which "no gap" would be meaningless where most drift; smaller drifts, which low noise
+shows, are no reason to withhold it."""
 SHOWS_FIRST = {
     "amplifier": "which stands out there alone, as where a limit of voltage or current is met",
     "plant": "where the rotor swings furthest or its currents are steepest",
 }
-"""Why a line may show alone what no band shows."""
+"""Why one line may show a gap that no band shows, in words."""
 NO_MOMENT = 0.2
-"""Share of the datasheet's polar inertia below which a rotor is none that turns so fast: inertias are known better, and
-a speed in rpm leaves 0.105."""
+"""Share of the datasheet's polar inertia below which the stated speed is wrong: inertias are known better, and a speed
+in rpm makes it 0.105."""
 UNDECIDED = 0.5
-"""Probability of a verdict that says nothing either way."""
+"""Probability of a verdict where nothing can be said of the gap."""
 
 
 def overall_verdict(
@@ -54,29 +54,29 @@ def overall_verdict(
     lines_only: bool = False,
     lost: LostLoop | None = None,
 ) -> Verdict:
-    """The verdict.
+    """The verdict on all parts ``found``.
 
     Parameters
     ----------
     gap
-        Of the plain twin on the fitted sweep, relative.
+        Relative gap of the plain twin on the fitted sweep.
     fault
-        What is wrong with the log.
+        What is wrong with the log, in words.
     swings
-        What the blocks tell of an answer that swings, which their means do not.
+        That the response is modulated (`modulated_stiffness`), in words.
     lines_only
         Whether the unseen points are other lines of the fitted sweep.
     lost
         Where amplifiers lose their loop.
     """
-    there = {e.part.path: held_out(e, unseen) for e in found}
+    tests = {e.part.path: held_out(e, unseen) for e in found}
     if lines_only:
-        there = {e.part.path: between_lines(e, unseen, there[e.part.path]) for e in found}
-    verdict = verdict_of(found, there, unseen)
+        tests = {e.part.path: between_lines(e, unseen, tests[e.part.path]) for e in found}
+    verdict = verdict_of(found, tests, unseen)
     verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
     if lost is not None and fault is None:
         verdict = named_limit(verdict, lost)
-    verdict = heard_too(verdict, sources, found)
+    verdict = with_sources(verdict, sources, found)
     if fault is not None:
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
     elif swings and verdict.kind == "no_gap":
@@ -90,27 +90,24 @@ def overall_verdict(
 
 
 def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen: Observation) -> Verdict:
-    """One verdict from the parts': what nothing explains in one part outweighs what is explained in others."""
-    own = {}
-    for e in found:
-        plain = on_sweep(e, e.null.candidate, unseen)
-        significant = max(e.significance, significance(plain[1], plain[0]))
-        added_up = (max(map(overall, e.plain)), overall(plain[1]))
-        verdict = decide(e.order, e.remaining, there[e.part.path], significant, e.elsewhere, added_up)
-        own[e.part.path] = _doubted(e, verdict, plain, unseen)
+    """One verdict from those of the parts: an unexplained part outweighs what is explained in others.
+
+    ``there`` has each part's test on unseen data, by path.
+    """
+    of_part = {e.part.path: _verdict_of_part(e, there[e.part.path], unseen) for e in found}
     by_size = sorted(found, key=lambda e: -excess_of(e))
     unknown = [
         e
         for e in by_size
-        if own[e.part.path].kind == "none_of_these" and (own[e.part.path].another_rig or not _dwarfed(e, found))
+        if of_part[e.part.path].kind == "none_of_these" and (of_part[e.part.path].another_rig or not _dwarfed(e, found))
     ]
     if unknown:
-        strange = [e for e in unknown if own[e.part.path].another_rig]
-        unknown = [*strange, *(e for e in unknown if e not in strange)]  # what else fails there fails for that reason
-        reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in own[e.part.path].reasons)
-        return replace(own[unknown[0].part.path], reasons=reasons, unexplained=unknown[0].part.path)
-    named = [own[e.part.path] for e in by_size if own[e.part.path].effects]
-    probability = float(np.prod([v.probability for v in own.values() if v.kind != "none_of_these"]))
+        another_rig = [e for e in unknown if of_part[e.part.path].another_rig]
+        unknown = [*another_rig, *(e for e in unknown if e not in another_rig)]  # the others may fail for that reason
+        reasons = tuple(f"{e.part.path}: {reason}" for e in unknown for reason in of_part[e.part.path].reasons)
+        return replace(of_part[unknown[0].part.path], reasons=reasons, unexplained=unknown[0].part.path)
+    named = [of_part[e.part.path] for e in by_size if of_part[e.part.path].effects]
+    probability = float(np.prod([v.probability for v in of_part.values() if v.kind != "none_of_these"]))
     if not named:
         return Verdict("no_gap", (), (), probability, ())
     effects = tuple(name for v in named for name in v.effects)
@@ -122,31 +119,44 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
     return Verdict(kind, effects, (), probability, (), also_alike=also).with_classes(classes)
 
 
-def _dwarfed(e: Explained, found: Sequence[Explained]) -> bool:
-    """Whether a part's chi-square is nothing beside that of all: what leaks there from others needs no explanation.
+def _verdict_of_part(e: Explained, there: HeldOut, unseen: Observation) -> Verdict:
+    """The verdict on one part, doubts included."""
+    plain = on_sweep(e, e.null.candidate, unseen)
+    significant = max(e.significance, significance(plain[1], plain[0]))
+    added_up = (max(map(overall, e.plain)), overall(plain[1]))
+    verdict = decide(e.order, e.remaining, there, significant, e.elsewhere, added_up)
+    return _doubted(e, verdict, plain, unseen)
 
-    A controller has hardly any noise, and dwarfs every other part whatever is wrong there: it does not count.
+
+def _dwarfed(e: Explained, found: Sequence[Explained]) -> bool:
+    """Whether a part's chi-square is negligible beside the excess of all parts: other parts may leak into it.
+
+    The controller has hardly any noise, so that its excess would dwarf any other part: only its own part counts it.
     """
     total = sum(excess_of(other) for other in found if other.part.path != "controller" or other is e)
     return e.null.candidate.fit.chi_square <= NEGLIGIBLE * total
 
 
 def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> Verdict:
-    """A part's verdict, or none of these where something speaks against it; ``plain`` as in `_bent`."""
+    """A part's verdict, or none of these where another test contradicts it.
+
+    ``plain`` is the unseen sweep with the plain twin's residuals.
+    """
     explained = bool(verdict.effects)
-    late = lag_missing(e) if explained else None
-    if reason := _bent(e, verdict, plain, unseen):
-        reasons = (reason,) if late is None else (reason, late)
+    no_hysteresis = lag_missing(e) if explained else None
+    if reason := _nonlinear_cause(e, verdict, plain, unseen):
+        reasons = (reason,) if no_hysteresis is None else (reason, no_hysteresis)
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, bent=True)
-    # An amplifier that nothing explains draws its values off too, and says nothing of the rotor.
-    asked = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
-    if asked and (away := far_off(e.ground, e.chosen.fit)):
-        if not verdict.effects:  # no effect draws them where they are
+    # Amplifiers without an explanation bias their nuisance values, too, but that says nothing of the rotor.
+    check_datasheet = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
+    if check_datasheet and (away := far_off(e.ground, e.chosen.fit)):
+        if not verdict.effects:  # then by the plain twin, whose values no effect biases
             away = far_off(e.ground, e.null.candidate.fit) or away
         return astray(verdict, away, e.relative_gap)
     if verdict.bent:
         return verdict
-    if doubt := _alone(e, plain) if verdict.kind == "no_gap" else late or _stands(e, verdict):
+    doubt = _unexplained_line(e, plain) if verdict.kind == "no_gap" else no_hysteresis or _wrong_speed(e, verdict)
+    if doubt:
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (doubt,))
     if not explained:
         return verdict
@@ -154,8 +164,8 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -
     return replace(verdict, also_alike=(*verdict.also_alike, *alike))
 
 
-def _stands(e: Explained, verdict: Verdict) -> str | None:
-    """That a rotor shows no gyroscopic moment at a speed at which its datasheet's has one, in words, or None."""
+def _wrong_speed(e: Explained, verdict: Verdict) -> str | None:
+    """That the rotor shows hardly any of its datasheet's gyroscopic moment at the stated speed, in words; or None."""
     stated = e.ground.nuisance.rig.rotor.whole_polar_inertia_kgm2
     if "gyroscopic_coupling" not in verdict.effects or not stated:
         return None
@@ -169,30 +179,27 @@ def _stands(e: Explained, verdict: Verdict) -> str | None:
     )
 
 
-def _bent(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> str | None:
-    """What stands behind a part's gap that is not in proportion to the excitation, and no effect, in words.
-
-    ``plain`` is the unseen sweep by the plain twin.
-    """
+def _nonlinear_cause(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> str | None:
+    """A nonlinear cause of a part's gap that is no effect of the catalogue, in words; or None."""
     best = on_sweep(e, e.chosen, unseen)
     if verdict.kind != "no_gap":
         for instead in (curved_instead, changing_instead):
             if reason := instead(e, plain, best):
                 return reason
-    # What the whole of the residuals is too blunt to show: nothing found, or an effect that leaves much.
-    blunt = verdict.kind == "no_gap" or (verdict.effects and e.order[0].unexplained > MAX_SHARE_LEFT)
-    return curved_signal(e, best) if blunt else None
+    # Where nothing was found, or an effect leaves much, a matched filter on the residuals shows more.
+    look_closer = verdict.kind == "no_gap" or (verdict.effects and e.order[0].unexplained > MAX_SHARE_LEFT)
+    return curved_signal(e, best) if look_closer else None
 
 
-def _alone(e: Explained, plain: Seen) -> str | None:
-    """What a part without an effect leaves in one line, where a limit shows first, in words."""
+def _unexplained_line(e: Explained, plain: Seen) -> str | None:
+    """That a part without an effect shows a gap in one line, where a limit would show first, in words; or None."""
     sweeps = [plain, *zip(e.ground.observations, e.plain, strict=True)]
     at_hz = next((hz for o, z in sweeps if (hz := alone_hz(e.part, z, o)) is not None), None)
     return None if at_hz is None else f"no effect explains the gap at {at_hz:.3g} Hz, {SHOWS_FIRST[e.part.path]}"
 
 
 def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
-    """Alias classes with the effects that a rotor at rest cannot show apart from those named.
+    """Alias classes with the exact aliases at standstill of the named effects.
 
     >>> with_exact_aliases(["modal_damping"], [])
     (('modal_damping', 'internal_damping'),)
@@ -206,7 +213,7 @@ def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]
 
 
 def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:
-    """The verdict with what couples x and y and would look alike, where the data are of one plane."""
+    """The verdict with couplings of x and y that data of one plane cannot distinguish from its effects."""
     if not alike:
         return verdict
     if verdict.kind == "none_of_these":
@@ -222,19 +229,19 @@ def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:
 
 
 def drift_of(o: Observation) -> float:
-    """Relative change, root mean square, of the points that drift from their first block to their last."""
+    """Relative change from first block to last, rms over the drifting points."""
     change = o.drift[o.drifting]
     return float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
 
 
 def not_settled(o: Observation, gap: float) -> str | None:
-    """Why nothing can be said of a gap: most points drift, by more than another law of an effect may leave."""
+    """Why nothing can be said of a gap: most points drift, by more than an effect may leave of it; or None."""
     if o.unsettled <= UNSETTLED:
         return None
     change = o.drift[o.drifting]
     if drift_of(o) < MAX_SHARE_LEFT * gap:
         return None
-    return (  # where an answer is small its drift is large beside it: of such points the mean is
+    return (  # the median, as points of small amplitude have large relative drifts
         f"the rig did not settle: {100 * o.unsettled:.0f} % of the points still drift from block to block, half of "
         f"them by more than {100 * np.median(change):.2g} %; let it settle longer before each point and measure again"
     )

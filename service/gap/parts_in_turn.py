@@ -1,4 +1,4 @@
-"""The parts of the loop explained one after the other: controller, amplifiers, plant, each on what the others are."""
+"""The parts of the loop explained in turn: controller, amplifiers, plant, each with what was found before it."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from service.gap.which.search import LARGEST_MIXTURE, explain, plain_twin
 Real = NDArray[np.float64]
 
 UNDERSTOOD = 4.0
-"""Significance of what is left of the amplifiers up to which the plant is held against u through them."""
+"""Significance of the amplifiers' residuals up to which the plant is predicted from u through them..."""
 NOISE_ALONE = 2.0
-"""The same for the mean squared residual of a sweep: it counts single lines, of an amplifier at its limit, in full."""
+"""... and their mean square in a sweep, in which single lines, as of an amplifier at its limit, count in full."""
 
 
 @dataclass
 class PartsInTurn:
-    """The parts that are explained so far, and what is wrong with the log."""
+    """The parts explained so far, and what is wrong with the log."""
 
     fitter: Fitter
     data: Observed
     observations: tuple[Observation, ...]
     before: Mapping[str, Explained] = field(default_factory=dict)
-    """by path, what fewer sweeps told of a part"""
+    """by path, results on fewer sweeps"""
     explained: list[Explained] = field(default_factory=list)
     fault: str | None = None
 
     def explain_all(
         self, progress: Progress, percent: tuple[float, float], known: Mapping[str, Explained] | None = None
     ) -> None:
-        """Explain every part; those ``known``, by path, are not looked at again."""
+        """Explain every part, but for those that are ``known``, by path."""
         known = known or {}
         all_parts = parts(self.data.nuisance, self.observations)
         looked_at = [part for part in all_parts if part.path not in known]
@@ -55,25 +55,25 @@ class PartsInTurn:
                 self._explain(part)
 
     def _explain(self, part: Part) -> None:
-        """One part more.
+        """Explain one more part.
 
-        Where interference is heard aloud, it and not the log is at fault. With a log at fault no mixtures are looked
-        for: their effects would not be there.
+        With the plant, the log is tested, unless loud interference may be the cause. With a log at fault no mixtures
+        are searched for, as their effects would not be there.
         """
-        ground, sooner = self._ground(part), self.before.get(part.path)
-        plain = plain_twin(self.fitter, ground, sooner)
-        suspect = part.path == "plant" and not self.data.aloud
-        if suspect:
+        ground, before = self._ground(part), self.before.get(part.path)
+        plain = plain_twin(self.fitter, ground, before)
+        test_log = part.path == "plant" and not self.data.aloud
+        if test_log:
             self.fault = log_fault(self.fitter, self.explained, ground, plain, self.observations)
-        result = explain(self.fitter, ground, plain, 1 if self.fault else LARGEST_MIXTURE, sooner)
-        if suspect and not self.fault:
+        result = explain(self.fitter, ground, plain, 1 if self.fault else LARGEST_MIXTURE, before)
+        if test_log and not self.fault:
             self.fault = faint_log_fault(self.fitter, self.explained, result, result.chosen)
         if ground.inherited is not None and not self.fault:
             result = self._shared_with_amplifiers(result)
         self.explained.append(result)
 
     def _ground(self, part: Part) -> Ground:
-        """What a part is held against: of the plant u through the amplifiers, or the current where they are unclear."""
+        """The ground of a part; the plant's input is u through the amplifiers, or i where these are not understood."""
         theta, found = self._so_far()
         ground = Ground(self.data.nuisance, part, self.observations, theta, found)
         amplifiers = next((e for e in self.explained if e.part.path == "amplifier"), None)
@@ -85,14 +85,14 @@ class PartsInTurn:
         return replace(ground, observations=driven, from_current=True)
 
     def _so_far(self) -> tuple[Real, tuple[tuple[str, Values], ...]]:
-        """Deviations of all values, and the effects with their parameters, as the parts so far have them."""
+        """The nuisance vector, and the effects with their parameters, as found in the parts so far."""
         theta = self.explained[-1].chosen.fit.theta if self.explained else np.zeros(len(self.data.nuisance))
         return theta, tuple(found for e in self.explained for found in _found(e.chosen))
 
     def _rebased(self, e: Explained) -> Explained:
-        """A part that is not looked at again, where what was found in the other parts has changed.
+        """A part that is not explained again, on what was now found in the other parts.
 
-        The amplifiers' effects are held as they are now: what was uncertain of them before says nothing of these.
+        The amplifiers' effects are held at their present values, as an inherited posterior would be of former ones.
         """
         theta, found = self._so_far()
         ground = replace(e.ground, theta=theta, found=found, inherited=None)
@@ -102,7 +102,7 @@ class PartsInTurn:
         return replace(e, ground=ground, plain=plain, left=left)
 
     def _shared_with_amplifiers(self, plant: Explained) -> Explained:
-        """The plant, once an effect that amplifiers or plant may have is with the one where it explains both better."""
+        """The plant, with an effect moved to the amplifiers if an alias of it there explains both parts better."""
         amplifiers = self.explained[-1]
 
         def through(candidate: Candidate) -> Ground:
@@ -115,19 +115,20 @@ class PartsInTurn:
 
 
 def _found(c: Candidate) -> tuple[tuple[str, Values], ...]:
+    """The effects of a candidate with their parameters."""
     return tuple(zip(c.effects, c.fit.values, strict=True))
 
 
 def _through(ground: Ground, amplifiers: Explained, candidate: Candidate) -> Ground:
-    """The plant's ground behind an explanation of the amplifiers, with what is uncertain of it."""
-    theirs = inherited_from(amplifiers.ground, candidate)
-    uncertain = [name for name, _ in theirs.effects]
+    """The plant's ground with the amplifiers as a candidate explains them, and their posterior as a prior."""
+    inherited = inherited_from(amplifiers.ground, candidate)
+    uncertain = [name for name, _ in inherited.effects]
     fixed = tuple((name, values) for name, values in _found(candidate) if name not in uncertain)
     found = (*amplifiers.ground.found, *fixed)
-    return replace(ground, theta=candidate.fit.theta, found=found, inherited=theirs)
+    return replace(ground, theta=candidate.fit.theta, found=found, inherited=inherited)
 
 
 def _understood(amplifiers: Explained) -> bool:
-    """Whether the plant can be held against u through the amplifiers: what is left of them is noise, in every line."""
+    """Whether the amplifiers' residuals are noise, so that the plant can be predicted from u through them."""
     groups = amplifiers.chosen.fit.groups[::2]
     return amplifiers.remaining < UNDERSTOOD and all(chi < NOISE_ALONE * count for chi, count in groups)

@@ -1,4 +1,4 @@
-"""The processes that a diagnosis fits with: what they load, in advance."""
+"""The worker processes of a diagnosis: modules that they load in advance."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ LOADED = ("service.gap.fitting.candidates", "service.gap.next_experiment")
 
 
 def load() -> None:
-    """Begin to load what they work with; the sooner the better, as it takes as long as a command does to load it."""
+    """Start to load the modules of the worker processes; early, as that takes as long as starting a command."""
     prepare(*LOADED)

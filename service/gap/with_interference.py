@@ -1,4 +1,4 @@
-"""What interference that was heard changes: the twins, the verdict, and what closes."""
+"""Interference that was found, added to the verdict, the twins and the closure."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from sim.rig import Rig
 from sim.wording import in_words
 
 PROBABILITY_NAMED_ALONE = 0.9
-"""Probability of interference that is named in the place of what nothing explains near it."""
+"""Probability of interference that is named as the cause of an unexplained gap near it."""
 
 
-def heard_too(verdict: Verdict, sources: Sequence[Interference], found: Sequence[Explained] = ()) -> Verdict:
-    """The verdict with the interference that was heard beside it.
+def with_sources(verdict: Verdict, sources: Sequence[Interference], found: Sequence[Explained] = ()) -> Verdict:
+    """The verdict with the interference that was found.
 
-    Where it is heard by its loudness alone it could not be taken off the means, so what nothing explains is laid to it
-    where all of that lies near it. A phase tells how far it reaches; there nothing is.
+    If that was detected by its size alone, it could not be taken off the means. So it is named as the cause of an
+    unexplained gap that lies near its frequencies only. If it was detected by its phase, its leakage is known, and no
+    gap is attributed to it.
     """
     if not sources:
         return verdict
@@ -43,13 +44,13 @@ def heard_too(verdict: Verdict, sources: Sequence[Interference], found: Sequence
     by_phase = all(s.heard_hz for s in sources)
     unknown = [e for e in found if e.part.path == verdict.unexplained]
     if by_phase or verdict.another_rig or not all(_near(e, sources) for e in unknown):
-        told = tuple(f"{in_words(s.effect)} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
-        return replace(verdict, reasons=(*verdict.reasons, *told))
+        reasons = tuple(f"{in_words(s.effect)} at {s.frequency_hz:.4g} Hz is heard beside it" for s in sources)
+        return replace(verdict, reasons=(*verdict.reasons, *reasons))
     return Verdict("effect" if len(names) == 1 else "effects", names, classes, PROBABILITY_NAMED_ALONE, ())
 
 
 def once_a_turn(sources: Sequence[Interference]) -> list[str]:
-    """What is said where runout was heard: at one speed an unbalance sounds the same."""
+    """Notes on runout: at one speed an unbalance has the same signal."""
     return [
         f"the runout heard at {s.frequency_hz:.4g} Hz may as well be an unbalance, which pushes the rotor once a turn: "
         "at another speed that grows with the speed's square, and runout does not"
@@ -59,7 +60,7 @@ def once_a_turn(sources: Sequence[Interference]) -> list[str]:
 
 
 def _near(e: Explained, sources: Sequence[Interference]) -> bool:
-    """Whether what the best explanation of a part leaves lies near the interference, and nothing of it elsewhere."""
+    """Whether the best explanation of a part has significant residuals near the interference only."""
     for z, o in zip(e.left, e.ground.observations, strict=True):
         at = (o.points_hz[:, None] * np.array(o.harmonics))[..., None]
         hums = np.array(hums_hz(sources, o.speed_rad_s))
@@ -70,10 +71,10 @@ def _near(e: Explained, sources: Sequence[Interference]) -> bool:
 
 
 def with_interference(whole: Composition, effects: Sequence[str], sources: Sequence[Interference]) -> Composition:
-    """The twin that the verdict names with the interference that was heard, before the others.
+    """The twins, first the one that the verdict names with the interference added.
 
-    ``effects`` are the verdict's, interference among them; where it names none, the likeliest twin has it. The plain
-    twin stays among the others.
+    ``effects`` are the verdict's, interference among them; where it names none, the likeliest twin gets it. The plain
+    twin stays in the order.
     """
     if not sources:
         return whole
@@ -85,21 +86,20 @@ def with_interference(whole: Composition, effects: Sequence[str], sources: Seque
     for s in sources:
         rig = CATALOGUE[s.effect].on(rig, **s.parameters)
     values = (*c.fit.values, *(dict(s.parameters) for s in sources))
-    spread = tuple(
+    deviations = tuple(
         {name: s.std if v and name.startswith("amplitude") else 0.0 for name, v in s.parameters.items()}
         for s in sources
     )
-    heard = Candidate(
-        together, replace(c.fit, effects=together, values=values, rig=rig), c.occam, (*c.standard_deviations, *spread)
-    )
+    fit = replace(c.fit, effects=together, values=values, rig=rig)
+    with_all = Candidate(together, fit, c.occam, (*c.standard_deviations, *deviations))
     others = [r for r in whole.order if r is not best or not c.effects]
-    return Composition((replace(best, candidate=heard), *others))
+    return Composition((replace(best, candidate=with_all), *others))
 
 
 def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], name: str) -> Shrinkage | None:
-    """How far the scatter near the sources shrinks to the quiet one once they are counted in.
+    """Closure of the scatter near the sources to the scatter far from them, once their share is taken off.
 
-    ``sweep`` is one that was not used to find them; None where it comes near none of them.
+    ``sweep`` was not used to find them; None where it comes near none of them.
     """
     sweep = usable(sweep)
     _, of_i, of_y = block_scatter(sweep, rig)
@@ -112,7 +112,7 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
         if source.heard_hz:
             near = quiet & heard_in(sweep, source.frequency_hz)
             _, *rest = block_scatter(without_hum(sweep, source.frequency_hz), rig)
-            without = rest[source.signal == "y"]  # a loud one leaks far, too
+            without = rest[source.signal == "y"]  # a loud source also leaks far
         if not near.any() or not far.any():
             continue
         floor = np.exp(np.log(np.maximum(without[far], 1e-300)).mean(axis=0))
@@ -130,6 +130,6 @@ def scatter_shrinkage(sweep: Sweep, rig: Rig, sources: Sequence[Interference], n
     resampled = [
         closure_of(float(b), float(a)) for b, a in zip(before[drawn].mean(1), after[drawn].mean(1), strict=True)
     ]
-    told = interval_95([c for c in resampled if c is not None], len(resampled))
+    interval = interval_95([c for c in resampled if c is not None], len(resampled))
     J_b, J_a = float(before.mean()), float(after.mean())
-    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), told, name, J_OF_NOISE)
+    return Shrinkage(J_b, J_a, closure_of(J_b, J_a), interval, name, J_OF_NOISE)

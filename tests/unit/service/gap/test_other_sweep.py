@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.explain_parts import told_by_the_other
+from service.gap.explain_parts import shown_by_other_sweep
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, Values, parts
@@ -46,7 +46,7 @@ def test_a_saturation_that_no_band_of_either_sweep_shows_is_told_by_the_louder_o
     assert not e.order[0].candidate.effects, "on the quiet sweep it is not worth its price"
     o, z = on_sweep(e, e.null.candidate, other)
     assert significance(z, o) < SIGNIFICANT, "nor does any band of the loud one show it"
-    assert told_by_the_other(e, other)
+    assert shown_by_other_sweep(e, other)
 
 
 @pytest.mark.parametrize(
@@ -57,4 +57,4 @@ def test_a_saturation_that_no_band_of_either_sweep_shows_is_told_by_the_louder_o
     ],
 )
 def test_nothing_is_told(effects: dict[str, Values], alternative: tuple[str, Values]) -> None:
-    assert not told_by_the_other(*seen_with(effects, alternative))
+    assert not shown_by_other_sweep(*seen_with(effects, alternative))

@@ -15,7 +15,7 @@ from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
 from service.gap.which.rivals import left_together
-from service.gap.with_interference import heard_too, once_a_turn, with_interference
+from service.gap.with_interference import once_a_turn, with_interference, with_sources
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from tests.support.synthetic import experiment, known_datasheet, true_rig
@@ -39,7 +39,7 @@ def left(near: bool) -> Explained:
 
 
 def test_what_nothing_explains_near_a_hum_that_could_not_be_taken_off_is_laid_to_it() -> None:
-    told = heard_too(UNKNOWN, [LOUD], [left(near=True)])
+    told = with_sources(UNKNOWN, [LOUD], [left(near=True)])
     assert (told.kind, told.effects, told.reasons) == ("effect", ("mains_interference",), ())
     assert told.unexplained is None
     assert not told.bent
@@ -55,17 +55,17 @@ def test_what_nothing_explains_near_a_hum_that_could_not_be_taken_off_is_laid_to
     ids=["far from it", "heard by its phase", "of another rig"],
 )
 def test_what_a_hum_cannot_do_stays_unexplained(verdict: Verdict, source: Interference, near: bool) -> None:
-    told = heard_too(verdict, [source], [left(near)])
+    told = with_sources(verdict, [source], [left(near)])
     assert (told.kind, told.effects, told.unexplained) == ("none_of_these", (), "plant")
     assert told.reasons == (*verdict.reasons, "mains interference at 50 Hz is heard beside it")
 
 
 def test_a_hum_is_named_beside_an_effect_and_alone_where_there_is_none() -> None:
     aliased = replace(LOUD, aliases=("runout",))
-    beside = heard_too(Verdict("effect", ("sensor_lag",), (), 0.8, ()), [aliased])
+    beside = with_sources(Verdict("effect", ("sensor_lag",), (), 0.8, ()), [aliased])
     assert (beside.kind, beside.effects) == ("effects", ("sensor_lag", "mains_interference"))
     assert beside.indistinguishable == (("mains_interference", "runout"),)
-    alone = heard_too(Verdict("no_gap", (), (), 0.8, ()), [LOUD])
+    alone = with_sources(Verdict("no_gap", (), (), 0.8, ()), [LOUD])
     assert (alone.kind, alone.effects, alone.probability) == ("effect", ("mains_interference",), 0.8)
 
 
