@@ -1,4 +1,4 @@
-"""An option as it would be measured: its campaign, rehearsed, and what a diagnosis would get of that."""
+"""An option as it would be measured: its rehearsed campaign, and the observation that a diagnosis would get."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FINEST, COARSEST = 1e-4, 0.3
-"""Accuracies that are asked for to reach an amplitude."""
+"""Range of the accuracies that are asked of the planner to reach an amplitude."""
 MOSTLY = 0.5
-"""Share of a campaign's points that have been measured already from which it is no other experiment."""
+"""Share of a campaign's points that have been measured already, above which it is not a new experiment."""
 
 
 @dataclass(frozen=True)
 class Grounds:
-    """What there is: the sweeps measured, the noise that they show, and what the rig allows."""
+    """What is known for planning: the sweeps measured so far, their noise, and the limits of the rig."""
 
     sweeps: tuple[Observation, ...]
     noise: SensorNoise
     logged: bool
-    """whether the coil current was"""
+    """whether the coil current was logged"""
     limits: Limits
 
     @staticmethod
     def of(data: Observed, datasheet: Datasheet) -> Grounds:
-        """Of an experiment that is diagnosed; both of its sweeps have been measured."""
+        """From the experiment of a diagnosis, both of its sweeps."""
         noise = SensorNoise.of(data.main, data.nuisance.rig)
         return Grounds((data.o, data.unseen), noise, data.main.I is not None, limits_of(datasheet))
 
 
 def limits_of(datasheet: Datasheet) -> Limits:
-    """What a datasheet allows; no controller is at hand whose own limits may be tighter."""
+    """The limits of a datasheet; those of a controller may be tighter, but none is connected."""
     d = datasheet
     return Limits.of(
         d, d.sample_rate_hz, np.inf, MOST_SAMPLES, d.current_limit_a, d.displacement_limit_m, d.current_limit_a
@@ -59,15 +59,15 @@ def limits_of(datasheet: Datasheet) -> Limits:
 
 @dataclass(frozen=True)
 class Case:
-    """What an option's campaign would be on a twin."""
+    """An option's campaign on a twin."""
 
     option: Option
-    """as it is submitted"""
+    """as it is submitted, with the accuracy that leads to the wanted amplitude"""
     points: Mapping[str, Sequence[Point]]
     """by sweep"""
     rig_seconds: float
     main: Observation
-    """what a diagnosis would fit"""
+    """the sweep that a diagnosis would fit"""
 
 
 def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
@@ -76,15 +76,15 @@ def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
     Parameters
     ----------
     twin
-        Any reasonable one, as `service.gap.measured.observation.observe` takes it.
+        Any reasonable twin, for `service.gap.measured.observation.observe`.
 
     Raises
     ------
     AmbError
         The rig cannot be brought to that condition, or not be measured there.
     """
-    there = option.rig(rig)
-    option, campaign = _at_amplitude(option, there, grounds)
+    at_condition = option.rig(rig)
+    option, campaign = _at_amplitude(option, at_condition, grounds)
     excited = _excited(campaign)
     if not excited or np.mean([measured_already(option, p, grounds.sweeps) for p in excited]) > MOSTLY:
         return None
@@ -92,12 +92,15 @@ def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
         reached = _ratio(excited, option.amplitude > 1, grounds)
         if max(reached, 1 / reached) < ANOTHER_AMPLITUDE or (reached > 1) != (option.amplitude > 1):
             return None
-    sweep = predicted(excited, there, grounds)
+    sweep = predicted(excited, at_condition, grounds)
     return Case(option, campaign.points, campaign.rig_seconds, observe(thinned(sweep), twin))
 
 
 def _at_amplitude(option: Option, rig: Rig, grounds: Grounds) -> tuple[Option, Rehearsal]:
-    """The option with the accuracy for which the planner takes the wanted amplitude, and its campaign."""
+    """The option with the accuracy for which the planner chooses the wanted amplitude, and its campaign.
+
+    The accuracy is scaled from a first rehearsal, as amplitudes are inversely proportional to it.
+    """
     if (times := option.amplitude) is not None:
         if times > 1:
             option = replace(option, profile={**option.profile, **LOUD})
@@ -113,7 +116,7 @@ def _excited(campaign: Rehearsal) -> list[Point]:
 
 
 def _ratio(points: Sequence[Point], largest: bool, grounds: Grounds) -> float:
-    """Amplitude over that of the loudest sweep so far, or of the faintest, in the median of the points."""
+    """Median over the points of the amplitude over that of the loudest sweep so far, or of the faintest."""
     ratios = [1.0]
     for p in points:
         of = [amplitude_there(o, p.request.axis, p.frequency_hz) for o in grounds.sweeps]
@@ -123,29 +126,29 @@ def _ratio(points: Sequence[Point], largest: bool, grounds: Grounds) -> float:
 
 
 def amplitude_there(o: Observation, axis: int, frequency_hz: float) -> float | None:
-    """Amplitude of a sweep's excitation of an axis, A: log-log between its lines, held beyond them; None for none."""
+    """Amplitude of a sweep's excitation of an axis at a frequency, A, interpolated log-log; None without excitation."""
     points = np.flatnonzero(o.axis == axis)
     if not len(points):
         return None
     points = points[np.argsort(o.points_hz[points], kind="stable")]
-    own = np.maximum(np.abs(o.R[points, o.fundamental, axis]), 1e-300)
-    return float(np.exp(np.interp(np.log(frequency_hz), np.log(o.points_hz[points]), np.log(own))))
+    amplitude = np.maximum(np.abs(o.R[points, o.fundamental, axis]), 1e-300)
+    return float(np.exp(np.interp(np.log(frequency_hz), np.log(o.points_hz[points]), np.log(amplitude))))
 
 
 def measured_already(option: Option, point: Point, sweeps: Sequence[Observation]) -> bool:
-    """Whether a sweep has been at a point's condition: speed, set-point, band and amplitude."""
+    """Whether a sweep was measured at a point's condition: speed, set-point, band and amplitude."""
     f, axis = point.frequency_hz, point.request.axis
     for o in sweeps:
         fastest = max(abs(option.speed_rad_s), abs(o.speed_rad_s))
-        alike = not option.offset and abs(option.speed_rad_s - o.speed_rad_s) <= ANOTHER_SPEED * fastest
-        there = amplitude_there(o, axis, f) if o.frequency_hz[0] <= f <= o.frequency_hz[-1] else None
-        if alike and there and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / there < ANOTHER_AMPLITUDE:
+        same_speed = not option.offset and abs(option.speed_rad_s - o.speed_rad_s) <= ANOTHER_SPEED * fastest
+        so_far = amplitude_there(o, axis, f) if o.frequency_hz[0] <= f <= o.frequency_hz[-1] else None
+        if same_speed and so_far and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / so_far < ANOTHER_AMPLITUDE:
             return True
     return False
 
 
 def predicted(points: Sequence[Point], rig: Rig, grounds: Grounds) -> Sweep:
-    """The sweep that points of a campaign would give: the rig's whole answer, all harmonics, and the sensors' noise."""
+    """The sweep that points of a campaign would give: the rig's response, all harmonics, with sensor noise added."""
     ordered = sorted(points, key=lambda p: (p.frequency_hz, p.request.axis))
     frequency, line = time_points(np.array([p.frequency_hz for p in ordered]))
     axis, n = np.array([p.request.axis for p in ordered]), rig.n_axes
@@ -156,9 +159,10 @@ def predicted(points: Sequence[Point], rig: Rig, grounds: Grounds) -> Sweep:
     responder = Responder(rig, frequency, line, HARMONICS, np.linspace(0, 1, len(line)))
     U, answer = respond_to_excitation(responder, R)
     signals = [np.repeat(x[:, None], blocks, axis=1) for x in (R, U, answer.I, answer.Y)]
-    draws = np.random.default_rng(0)  # a proposal asked for again is the same
+    draws = np.random.default_rng(0)  # so that proposals are reproducible
 
     def white(power: Real) -> Complex:
+        """Noise of the blocks, (P, B, n), from its variance for one second at each frequency, (F, n)."""
         shape = (len(line), blocks, n)
         sd = np.sqrt(0.5 * power[line] / (samples / grounds.limits.sample_rate_hz)[:, None])[:, None]
         return np.asarray(sd * (draws.standard_normal(shape) + 1j * draws.standard_normal(shape)))

@@ -1,4 +1,4 @@
-"""What a commissioning engineer can measure without opening the machine, as profiles that the service takes."""
+"""Experiments that can be run without opening the machine, as profiles that the service accepts."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ SHORT: Mapping[str, float] = {
     "peak_points": 3,
     "rig_seconds": 300.0,
 }
-"""Of every option: some minutes of four axes, a second sweep that no fit sees, and nothing that no diagnosis uses."""
+"""Settings of every option: some minutes for four axes, with a second sweep as unseen data, and no other sweeps."""
 LINES, FEW_LINES = 24, 12
-"""Main lines of a sweep, and of a slow one, where each takes its periods."""
+"""Main lines of a sweep, and of a slow one, whose lines take long."""
 LOUD: Mapping[str, float] = {"displacement_share": 0.35, "current_share": 0.5, "nonlinearity": 10.0}
-"""How far an option that asks for more amplitude may go: shares of the range, and magnets that are not quite linear."""
+"""Settings of an option that asks for more amplitude: shares of the range, and some nonlinearity of the magnets."""
 NEW_LINE_RATIO = 1.05
 """Ratio of the first new line to the last one measured."""
 NARROWEST = 1.5
-"""Ratio of a band's ends from which it is worth a sweep."""
+"""Least ratio of a band's ends."""
 LOWEST_HZ, HIGHEST_HZ, OF_NYQUIST = 1.0, 3000.0, 0.7
-"""Ends of what is asked for, and the share of half the sample rate up to which a sampled loop tells much."""
+"""Lowest and highest line of any option, and the highest as a share of the Nyquist frequency."""
 TAKEN_HZ = (10_000.0, 20_000.0)
-"""Highest first and last line of a sweep that the service takes."""
+"""Highest first and last line of a sweep that the service accepts."""
 SPEED = 2 * np.pi * 50
-"""To which the rotor is brought, rad/s."""
+"""Speed to which the rotor is brought, rad/s."""
 OFFSET = 0.1
 """Share of the air gap by which set-points are moved."""
 
@@ -49,28 +49,28 @@ class Option:
     name: str
     description: str
     profile: Mapping[str, float]
-    """figures of the plan, as they are submitted: of `service.campaign.aims.Profile`"""
+    """fields of `service.campaign.aims.Profile`, as they are submitted"""
     speed_rad_s: float = 0.0
     offset: float = 0.0
     """share of the air gap by which set-points are moved"""
     amplitude: float | None = None
     """wanted ratio to the largest amplitude measured so far, or to the smallest where it is below 1"""
     by_hand: tuple[str, ...] = ()
-    """what no controller does"""
+    """steps that no controller does, in words"""
 
     def plan(self) -> Profile:
-        """The profile that the service makes of it."""
+        """The profile that the service makes from the fields."""
         whole = {k: int(v) if k.endswith("points") else v for k, v in self.profile.items()}
         return Profile(**whole)  # type: ignore[arg-type]
 
     def rig(self, rig: Rig) -> Rig:
-        """A rig brought to the conditions of the option."""
+        """A rig at the conditions of the option."""
         magnets = replace(rig.magnets, offset_m=rig.magnets.offset_m + self.offset * rig.magnets.gap_m)
         return replace(rig, speed_rad_s=self.speed_rad_s, magnets=magnets)
 
 
 def options(seen: Sequence[Observation], rig: Rig, limits: Limits) -> list[Option]:
-    """What could be run, empty bands left out; ``seen`` are the sweeps that there are."""
+    """The options for a rig, without those of empty bands; ``seen`` are the sweeps measured so far."""
     low, high = min(float(o.frequency_hz[0]) for o in seen), max(float(o.frequency_hz[-1]) for o in seen)
     highest = min(HIGHEST_HZ, OF_NYQUIST * limits.sample_rate_hz / 2, limits.max_frequency_hz)
     top = min(high, limits.max_frequency_hz, TAKEN_HZ[1])

@@ -1,7 +1,7 @@
-"""The service's own campaign rehearsed on a twin: which tones it will play, how large, and how long that takes.
+"""The service's own campaign rehearsed on a twin: which tones it will play, of which amplitudes, and how long it takes.
 
-The planner that moves a real rotor asks its questions, and the twin's linear model answers: with the noise of the rig's
-sensors, and with the transient of each start, so that settling is waited for as it would be.
+The planner that moves a real rotor requests its tones, and the twin's linear model answers, with the noise of the rig's
+sensors and with the transient of each start, so that the planner waits for settling as on the rig.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ Complex = NDArray[np.complex128]
 
 HARMONICS = (0, 1, 2, 3)
 RAMP_PERIODS, SHORTEST_RAMP_S, LONGEST_RAMP_S = 2, 0.02, 0.25
-"""Of the ramps at either end of a tone."""
+"""Duration of the ramp at either end of a tone, in periods and within these limits."""
 SLOW_S = 1e-3
 """Time constant from which a pole's transient may outlast a ramp."""
 GONE = 1e-6
-"""Size of a pole of the sampled loop, per sample, that is nothing but a delay."""
+"""Magnitude up to which a pole of the sampled loop is that of a delay, and has no transient."""
 MOST_SAMPLES = 2_000_000
-"""Samples of a tone that a controller is taken to hold."""
+"""Samples of a tone that a controller is assumed to hold."""
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What a campaign would play."""
+    """The points of a campaign."""
 
     points: Mapping[str, list[Point]]
-    """by sweep, as a campaign's; their signals are those of the linear model at the fundamental"""
+    """by sweep, as a campaign has them; their signals are those of the linear model, at the fundamental only"""
     rig_seconds: float
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """What a rig gives for a tone: `service.campaign.recorder.Answer`."""
+    """Answer to a requested tone, as `service.campaign.recorder.Answer`."""
 
     R: Complex
     U: Complex
@@ -65,12 +65,12 @@ class _Answer:
     records: None = None
 
 
-class _OnPaper:
-    """A rig that answers tones from its linear model."""
+class _LinearRig:
+    """A rig that answers requested tones by its linear model."""
 
     def __init__(self, rig: Rig, rate: float, noise: NoiseSpectra) -> None:
         self._rig, self._rate, self._noise = rig, rate, noise
-        self._draws = np.random.default_rng(0)  # a proposal asked for again is the same
+        self._draws = np.random.default_rng(0)  # so that proposals are reproducible
         self._known: dict[float, Complex] = {}
         z = np.linalg.eigvals(Loop(rig, 1).closed_loop())
         poles = np.log(z[np.abs(z) > GONE].astype(complex)) * rate
@@ -94,22 +94,23 @@ class _OnPaper:
         return _Answer(R, U, I, Y, request.seconds(self._rate) + 2 * ramp_s)
 
     def _transient(self, f: float, request: Request, ramp_s: float) -> Complex:
-        """What the start leaves of the loop's poles in each block, per ampere, (3, B, n).
+        """Mean of the loop's transients in each block after the start of a tone, per ampere, (3, B, n).
 
-        A pole p answers as r / (s - p), with r = -Re p G(Im p), near enough where it is slow; a ramp of a raised cosine
-        wakes it by (k^2 / 2) (1 + exp(a T)) / (k^2 + a^2), a = p - j w and k = pi / T, of what a step would.
+        A slow pole p responds nearly as r / (s - p) with r = -Re p G(Im p). A raised-cosine ramp of T seconds excites
+        it by (k^2 / 2) (1 + exp(a T)) / (k^2 + a^2) of what a step does, with a = p - j w and k = pi / T.
         """
         if not ramp_s:
             return np.zeros((3, request.blocks, self._rig.n_axes), dtype=complex)
         seconds = request.samples / self._rate
         begins = (request.settle_samples + np.arange(request.blocks) * request.samples) / self._rate
         a, k = self._poles - 2j * np.pi * f, np.pi / ramp_s
-        woken = 0.5 * k**2 * (1 + np.exp(a * ramp_s)) / (k**2 + a**2)
-        left = np.exp(np.outer(begins, a)) * np.expm1(a * seconds) / (a * seconds)
-        own = self._at_poles[..., request.axis] * (-self._poles.real / a * woken)[:, None]
-        return np.asarray(np.einsum("bp,spi->sbi", left, own))
+        excited = 0.5 * k**2 * (1 + np.exp(a * ramp_s)) / (k**2 + a**2)
+        decayed = np.exp(np.outer(begins, a)) * np.expm1(a * seconds) / (a * seconds)
+        at_start = self._at_poles[..., request.axis] * (-self._poles.real / a * excited)[:, None]
+        return np.asarray(np.einsum("bp,spi->sbi", decayed, at_start))
 
     def _white(self, shape: tuple[int, ...]) -> Complex:
+        """Complex white noise of unit variance."""
         parts = self._draws.standard_normal((2, *shape)) / np.sqrt(2)
         return np.asarray(parts[0] + 1j * parts[1])
 
@@ -121,7 +122,7 @@ def _per_ampere(rig: Rig, frequency_hz: Real) -> Complex:
 
 
 def rehearsed(rig: Rig, limits: Limits, profile: Profile, noise: SensorNoise, main_only: bool = False) -> Rehearsal:
-    """The campaign of a profile on a rig as it is; ``main_only`` up to the end of its main sweep.
+    """The campaign of a profile on a rig; with ``main_only`` it stops after the main sweep.
 
     Raises
     ------
@@ -132,7 +133,7 @@ def rehearsed(rig: Rig, limits: Limits, profile: Profile, noise: SensorNoise, ma
     """
     rate = limits.sample_rate_hz
     spectra = noise.spectra(rig, rate / 2)
-    recorder = Recorder(_OnPaper(rig, rate, spectra), [], lambda _: None, rate, HARMONICS)
+    recorder = Recorder(_LinearRig(rig, rate, spectra), [], lambda _: None, rate, HARMONICS)
     done: dict[str, list[Point]] = {}
     phases = Phases(recorder, limits, profile, Meter(None), done)
     phases.knowledge = Knowledge(spectra, rig.n_axes)

@@ -1,4 +1,4 @@
-"""Noise of the rig's sensors by frequency, from the scatter of an experiment's blocks, and what a loop makes of it."""
+"""Noise of the rig's sensors by frequency, from the scatter of an experiment's blocks, and its spectra in a loop."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 BLOCK_S = 0.1
-"""Length of a block, s, where the file does not tell it; a period where that is longer."""
+"""Assumed length of a block, s, or one period where that is longer, where the file has none."""
 SMALLEST = 1e-60
-"""Variance for one second in place of none, A^2 s or m^2 s: its logarithm is needed."""
+"""Substitute for a variance of zero, A^2 s or m^2 s, as its logarithm is taken."""
 LOWEST_HZ, RESOLUTION_HZ = 0.5, 4.0
-"""Of a loop's spectra, as a campaign has them: its noise may rise narrowly, which costs amplitude there."""
+"""Grid of a loop's spectra, as in a campaign: narrow peaks of the noise determine the amplitude there."""
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Variance E|e|^2 of a complex amplitude that is measured for one second; it falls as the inverse of the time.
+    """Variance E|e|^2 of a complex amplitude measured for one second; it is inversely proportional to that time.
 
-    No share of a signal is in it, neither of a twin's own error nor of a harmonic: those follow the amplitude.
+    It has no part in proportion to a signal, such as a twin's own error.
     """
 
     frequency_hz: Real
@@ -40,7 +40,7 @@ class SensorNoise:
 
     @staticmethod
     def of(sweep: Sweep, rig: Rig) -> SensorNoise:
-        """Of a sweep; ``rig`` is any reasonable twin, to take the feedback out of the scatter."""
+        """The noise of a sweep; ``rig`` is any reasonable twin, to take the feedback out of the scatter."""
         f, blocks = sweep.harmonics.index(1), sweep.Y.shape[1]
         block_s = np.maximum(BLOCK_S, 1 / sweep.frequency_hz)
         if sweep.block_samples is not None:
@@ -54,7 +54,7 @@ class SensorNoise:
         return SensorNoise(frequency, by_line(of_i), by_line(of_y))
 
     def at(self, frequency_hz: Real) -> tuple[Real, Real]:
-        """Of i and y at frequencies (F',), (F', n) each: log-log between, held beyond the ends."""
+        """Variances of i and y at frequencies (F',), (F', n) each: interpolated log-log, constant beyond the ends."""
         x, at = np.log(self.frequency_hz), np.log(frequency_hz)
         i, y = (
             np.exp(np.stack([np.interp(at, x, np.log(column)) for column in v.T], axis=-1))

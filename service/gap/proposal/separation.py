@@ -1,7 +1,7 @@
-"""How far apart two explanations predict an experiment's outcome: T-optimal design (Atkinson and Fedorov 1975).
+"""Distance of two explanations' predictions of an experiment: T-optimal design (Atkinson and Fedorov 1975).
 
-The experiment is diagnosed on its own, as it will be: the values that the datasheet leaves open, and the parameters of
-the rival's own effects, may move to follow what the other explanation brings about.
+The experiment is taken to be diagnosed by itself, as it will be: the rival's nuisance values and the parameters of its
+effects are refitted to what the other explanation predicts.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 INSIDE = 1e-9
-"""Tolerances that a value at its end has still to move."""
+"""Least range, in tolerances, of a nuisance value at its bound."""
 STEP = 1e-3
-"""Of an effect's parameter, relative, for its derivative."""
+"""Relative step of an effect's parameter for its derivative."""
 
 
 def separations(nuisance: Nuisance, a: Candidate, b: Candidate, o: Observation, option: Option) -> tuple[float, float]:
-    """Distances in standard deviations of an option's outcome: what b leaves where a is true, and a where b is.
+    """Distances in standard deviations of an option's outcome: of b's best fit if a is true, and of a's if b is.
 
-    They differ where one has more ways to follow the other. What another law of the true effect may leave as well is
-    uncertain like noise: `service.gap.weighing.verdict.alike` leaves two together that differ by no more.
+    They differ, as one may have more parameters to follow the other. The error of the true effect's law counts as
+    noise, as `service.gap.weighing.alike.alike` does not distinguish two explanations that differ by no more.
     """
     one, other = (Predicted(nuisance, c, o, option) for c in (a, b))
-    return _told(one, other), _told(other, one)
+    return _distance(one, other), _distance(other, one)
 
 
-def _told(truth: Predicted, rival: Predicted) -> float:
-    """What a rival leaves of the truth, in units of noise and of the error of the true effect's own law together."""
+def _distance(truth: Predicted, rival: Predicted) -> float:
+    """Residuals of the rival's best fit to the truth, in units of noise and of the law's error together."""
     shared = set(truth.candidate.effects) & set(rival.candidate.effects)
     plain = Predicted(truth.nuisance, _with_only(shared, truth), truth.o, truth.option)
-    of_law = LAW_ERROR * left_over(truth, plain)
-    return left_over(truth, rival) / float(np.hypot(1.0, of_law))
+    law_error = LAW_ERROR * left_over(truth, plain)
+    return left_over(truth, rival) / float(np.hypot(1.0, law_error))
 
 
 def _with_only(effects: Collection[str], p: Predicted) -> Candidate:
-    """The twin of an explanation with some of its effects alone."""
+    """The twin of an explanation with some of its effects only."""
     kept = [k for k, name in enumerate(p.candidate.effects) if name in effects]
     names = tuple(p.candidate.effects[k] for k in kept)
     values = tuple(p.values[k] for k in kept)
@@ -64,7 +64,7 @@ def _with_only(effects: Collection[str], p: Predicted) -> Candidate:
 
 
 class Predicted:
-    """What an explanation predicts of an option's outcome, [u, i, y] of all harmonics, (P, H, 3 n)."""
+    """An explanation's prediction of an option's outcome, [u, i, y] of all harmonics, (P, H, 3 n)."""
 
     def __init__(self, nuisance: Nuisance, c: Candidate, o: Observation, option: Option) -> None:
         self.nuisance, self.candidate, self.o, self.option = nuisance, c, o, option
@@ -76,7 +76,7 @@ class Predicted:
         return np.concatenate([control(rig, self.o), answer(rig, self.o)], axis=2)
 
     def at(self, theta: Real, values: Sequence[Mapping[str, float]]) -> Complex:
-        """The same with other values of the datasheet and of the effects."""
+        """The prediction with other nuisance values and parameters of effects."""
         rig = self.nuisance.at(theta)
         for name, own in zip(self.candidate.effects, values, strict=True):
             rig = CATALOGUE[name].on(rig, **own)
@@ -84,9 +84,10 @@ class Predicted:
 
 
 def left_over(truth: Predicted, rival: Predicted) -> float:
-    """Norm of what a rival leaves of the truth, in units of its noise, once it has followed it.
+    """Norm of the weighted residuals of a rival's best fit to the truth: bounded linear least squares.
 
-    It starts from the true values of the datasheet: to follow them by derivatives takes the fundamental only.
+    It is linearised at the nuisance values of the truth, as the derivatives with respect to them are of the fundamental
+    only. Priors are those of a fit.
     """
     from scipy.optimize import lsq_linear  # takes a while, and only what is left together needs it
 
@@ -94,7 +95,7 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
     here = rival.at(theta, rival.values)
     w = weights(o)
     if truth.option.offset and 0 in o.harmonics:
-        w[:, o.harmonics.index(0)] = 0.0  # a set-point moved by hand is not known so well that means could be judged
+        w[:, o.harmonics.index(0)] = 0.0  # a set-point moved by hand is not known well enough to judge means
     z = truth.now - rival.now - (here - rival.at(rival.candidate.fit.theta, rival.values))
     z = centred(z, w, o) * w
     effects, widths = _effect_columns(rival, theta, here, w)
@@ -105,22 +106,22 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
     rows = J.reshape(-1, J.shape[-1])
     rows = np.concatenate([rows.real, rows.imag])
     target = np.concatenate([z.real.ravel(), z.imag.ravel()])
-    known = np.diag(np.concatenate([np.ones(k), 12 / np.maximum(widths, 1e-12) ** 2]))  # of a uniform one, its variance
-    root = np.linalg.cholesky(known + rows.T @ rows)
-    taken = np.linalg.solve(root, rows.T @ target)
-    # No fit takes the datasheet's values farther than this; an effect's parameters have ends of their own.
+    prior = np.diag(np.concatenate([np.ones(k), 12 / np.maximum(widths, 1e-12) ** 2]))  # uniform ones by their variance
+    root = np.linalg.cholesky(prior + rows.T @ rows)
+    explained = np.linalg.solve(root, rows.T @ target)
+    # Nuisance values have the bounds of a fit.
     free = np.full(len(widths), np.inf)
     low = np.concatenate([np.minimum(-TOLERANCE_BOUND - theta, -INSIDE), -free])
     high = np.concatenate([np.maximum(TOLERANCE_BOUND - theta, INSIDE), free])
-    moved = lsq_linear(root.T, taken, (low, high), method="bvls").x
-    left = float(target @ target) - float(taken @ taken) + float(np.sum((root.T @ moved - taken) ** 2))
+    moved = lsq_linear(root.T, explained, (low, high), method="bvls").x
+    left = float(target @ target) - float(explained @ explained) + float(np.sum((root.T @ moved - explained) ** 2))
     return float(np.sqrt(max(left, 0.0)))
 
 
 def _effect_columns(c: Predicted, theta: Real, here: Complex, w: Real) -> tuple[Complex, Real]:
-    """Weighted derivatives to the parameters of an explanation's effects, (P, H, 3 n, e), and widths of their ranges.
+    """Weighted derivatives with respect to effect parameters, (P, H, 3 n, e), and the widths of their ranges, (e,).
 
-    Each in units of itself where it ranges over decades, else of its range.
+    Per relative change with a log scale, else per width of the range.
     """
     columns, widths = [], []
     for k, name in enumerate(c.candidate.effects):
@@ -130,7 +131,7 @@ def _effect_columns(c: Predicted, theta: Real, here: Complex, w: Real) -> tuple[
             try:
                 there = c.at(theta, changed)
             except AmbError:
-                continue  # no such rig: it cannot follow there
+                continue  # an impossible rig: this parameter stays
             columns.append(centred(there - here, w, c.o) * w / step)
             widths.append(width)
     if not columns:
@@ -139,7 +140,7 @@ def _effect_columns(c: Predicted, theta: Real, here: Complex, w: Real) -> tuple[
 
 
 def _moved(p: Parameter, value: float) -> tuple[float, float, float]:
-    """A parameter a little off, by how much, and the width of its range in the same unit."""
+    """A parameter moved by a step, the step, and the width of its range in the same unit."""
     if p.scale == "log" and value > 0 and p.low > 0:
         inward = -1 if value * (1 + STEP) > p.high else 1
         return value * (1 + inward * STEP), inward * STEP, float(np.log(p.high / p.low))
