@@ -1,1 +1,1 @@
-"""The blind trial: what is withheld, sealed, measured and scored. The diagnosis imports none of it."""
+"""The blind trial: effects are withheld, sealed, measured, diagnosed and scored. The diagnosis imports none of it."""

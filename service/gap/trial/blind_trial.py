@@ -34,13 +34,13 @@ FORMAT = "amb-gap-trial"
 
 
 Measure = Callable[[Case], Experiment]
-"""Runs the experiment on the case's rig. It knows the truth; the diagnosis does not see it."""
+"""Runs the experiment on the case's rig. Unlike the diagnosis, it knows the truth."""
 Diagnose = Callable[[Experiment, Datasheet], Mapping[str, Any]]
-"""Gives the document gap.json."""
+"""Returns the document gap.json."""
 Publish = Callable[[str, Mapping[str, Any]], None]
-"""(name, document): what becomes known, in the order in which it becomes known."""
+"""Publishes a document under a name; called in the order in which documents become known."""
 Reopen = Callable[[], Mapping[str, Any]]
-"""The sealed document as it lies where it was published, after the diagnosis."""
+"""Returns the sealed document as it was published, read again after the diagnosis."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Trial:
     seconds: float
 
     def document(self) -> dict[str, Any]:
-        """As it is kept in trial.json."""
+        """The entry of the case in trial.json."""
         return {
             "commitment": self.commitment,
             "sealed": dict(self.sealed),
@@ -103,13 +103,13 @@ def run_case(case: Case, measure: Measure, diagnose: Diagnose, publish: Publish,
 
 
 def plant_sweeps(experiment: Experiment) -> list[Sweep]:
-    """Excited sweeps of the plant: the main one and the one at another amplitude, points that were measured."""
+    """Sweeps of the plant, the main one and the one at another amplitude, with their excited points."""
     wanted = [s for s in experiment.sweeps if s.kind != "noise" and s.comment in ("main", "validation")]
     return [s.select((s.amplitude_a > 0) & (np.abs(s.R).max(axis=(1, 2, 3)) > 0)) for s in wanted]
 
 
 def detectability_of(case: Case, experiment: Experiment) -> dict[str, Any]:
-    """How plainly the case's secret shows in its experiment: in all, and each effect of a mixture beside the others."""
+    """Detectability of what is withheld in a case's experiment; "each": of each effect, the others being known."""
     if case.kind == "clean":
         return {"detectability": 0.0, "each": {}}
     sweeps = plant_sweeps(experiment)
@@ -137,7 +137,7 @@ def detectability_of(case: Case, experiment: Experiment) -> dict[str, Any]:
 
 
 def _shortened(rig: Rig, experiment: Experiment, replay_s: float) -> Rig:
-    """The rig with its drift in the time that a replay takes, which is less than the campaign took."""
+    """The rig with its drift sped up to the time that a replay takes, which is less than the campaign took."""
     took = float(experiment.attributes.get("rig_seconds", "nan"))
     if rig.drift is None or not np.isfinite(took):
         return rig
@@ -146,7 +146,7 @@ def _shortened(rig: Rig, experiment: Experiment, replay_s: float) -> Rig:
 
 @dataclass(frozen=True)
 class Published:
-    """What became known of a case before its seal was opened."""
+    """What was published of a case before its seal was opened."""
 
     commitment: str
     report_sha256: str
@@ -161,8 +161,8 @@ def checked(document: Mapping[str, Any], published: Published | None = None) -> 
     document
         As `Trial.document` gave it.
     published
-        What is known from elsewhere. Without it the case is held against what it says of itself: that finds a truth
-        or a report that was changed alone, and no case that was forged as a whole.
+        As published elsewhere. Without it the case is checked against its own entries, which finds a truth or a report
+        that was changed alone, but no case that was forged as a whole.
 
     Raises
     ------

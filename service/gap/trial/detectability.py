@@ -1,9 +1,9 @@
-"""How plainly a withheld effect shows in an experiment: the yardstick of every score of a blind trial.
+"""Detectability: how plainly a withheld effect shows in an experiment, beside which every score of a trial is stated.
 
 The experiment's tones are replayed on the rig with and without what is withheld, both without noise. The change is
-measured in standard deviations of the experiment's noise, and what wrong datasheet values within their tolerances
-could do is taken off: the least of |W (change - J theta)|^2 + |theta / sigma|^2. Its root is about the number of
-standard deviations by which the effect stands out for someone who knows what to look for.
+whitened by the experiment's noise, and what errors of the datasheet within its tolerances could imitate is taken off:
+the minimum over theta of |W (change - J theta)|^2 + |theta / sigma|^2. Its root is about the number of standard
+deviations by which the effect stands out for a test that knows it.
 """
 
 from __future__ import annotations
@@ -30,20 +30,24 @@ from sim.twin import linear_model
 Complex = NDArray[np.complex128]
 
 BLOCKS = 2
+"""Blocks of a replayed tone."""
 SETTLE_S, LONGEST_SETTLE_S = 0.3, 1.5
+"""Time that a tone waits, least and most."""
 RUNG_OUT = 4.0
-"""Time constants of a mode that a tone near it waits for, at its fundamental or at a harmonic."""
+"""Time constants of a mode that a tone near it waits, by its fundamental or by a harmonic."""
 NEAR_MODE = 0.1
-"""Of a mode's frequency: as near a tone that ramps up in `RAMP_S` leaves the mode ringing."""
+"""Relative distance from a mode within which a tone that ramps up in `RAMP_S` leaves it ringing."""
 RAMP_S = 0.1
 BLOCK_S = 0.05
 STEP = 1e-3
-"""Of a datasheet value, in its standard deviations, for derivatives."""
+"""Step of a nuisance value for derivatives, in its standard deviations."""
 ROUNDS = 20
+"""Most evaluations of a least-squares fit of the nuisance values."""
 REPLAYS, CLOSER = 10, 0.8
-"""Most replays of the nearest rig within the tolerances, and the share of the change to get below for one more."""
+"""Most replays of the nearest rig within the tolerances, and the factor by which the cost must fall for a further
+one."""
 PLAIN = 1e9
-"""Of what decides whether the rig levitates at all."""
+"""Largest detectability, as of what decides whether the rig levitates."""
 MEDIAN = 0.87
 """Median of a variance of some six blocks over its expectation."""
 
@@ -59,7 +63,7 @@ class Replayed:
 
 
 def quiet(rig: Rig, steps: bool = False) -> Rig:
-    """The rig without measurement noise; ``steps`` keeps its sensors' resolution, which noise else smooths over."""
+    """The rig without measurement noise; ``steps`` keeps the resolution of its sensors."""
     n = rig.noise
     kept = Noise(0.0, 0.0, n.displacement_step_m, n.current_step_a) if steps else Noise()
     return replace(rig, noise=kept)
@@ -125,7 +129,7 @@ Move = Callable[[Rig, float], Rig]
 
 
 def uncertain_values(rig: Rig, tolerance: Tolerance) -> list[tuple[Move, float]]:
-    """What the datasheet may be wrong in, each with its one-sigma error."""
+    """Values that the datasheet may have wrong, each with its one-sigma error."""
 
     def axis_value(part: str, name: str, axis: int) -> Move:
         def move(r: Rig, x: float) -> Rig:
@@ -203,7 +207,7 @@ def _signals(R: Complex, U: Complex, I: Complex, Y: Complex, C: Complex) -> Comp
 
 
 def _model(rig: Rig, sweep: Sweep, lines: Array, at: NDArray[np.int64]) -> Complex:
-    """What the small-signal rig answers to the sweep's tones, (P, 3 n)."""
+    """Small-signal response of a rig to the sweep's tones, as `_signals`, (P, 3 n)."""
     m = linear_model(rig, lines)
     U = m.u_per_r
     C = m.controller[:, None, None]
@@ -215,7 +219,7 @@ def _model(rig: Rig, sweep: Sweep, lines: Array, at: NDArray[np.int64]) -> Compl
 def _whitening(blocks: Complex, size: Array, at: NDArray[np.int64], n_lines: int) -> Complex:
     """(P, 3n, 3n): root of the inverse covariance of the mean over blocks, pooled over inputs and neighbouring lines.
 
-    Of signals of ``size`` (P, 3n) no twin is trusted beyond `MODEL_FLOOR`.
+    A share of `MODEL_FLOOR` of the signals' ``size`` (P, 3n) counts as noise.
     """
     noise = blocks - blocks.mean(axis=1, keepdims=True)
     n_blocks, n = blocks.shape[1:]
@@ -236,7 +240,7 @@ def detectability(
     sweeps: Sequence[tuple[Sweep, Replayed]],
     replayed: Callable[[Rig], Sequence[Replayed]],
 ) -> float:
-    """Standard deviations by which what is withheld stands out of noise and the datasheet's tolerances.
+    """Standard deviations by which what is withheld stands out from noise and the datasheet's tolerances.
 
     Parameters
     ----------
@@ -271,17 +275,17 @@ def detectability(
         first = whitened([_fundamental(s, C, *both) for (s, *both), C in zip(pairs, laws, strict=True)])
         return first, sum(_harmonics(*pair) for pair in pairs)
 
-    # The linear model says where to look for a rig within the tolerances that does the same; how near it comes is
-    # seen in a replay, whose magnets are not linear.
+    # Gauss-Newton: the linear model gives the rig within the tolerances that imitates the change best, and a replay
+    # with nonlinear magnets shows how close it comes.
     theta, least = np.zeros(len(parts)), np.inf
     for k in range(REPLAYS):
         try:
             first, others = change(theta)
-        except LevitationError:  # the rig within the tolerances that would be nearest cannot be the one measured
+        except LevitationError:  # such a rig cannot have been measured
             if k:
                 break
             raise
-        with np.errstate(over="ignore", invalid="ignore"):  # nor may it levitate for long
+        with np.errstate(over="ignore", invalid="ignore"):  # it may lose levitation during the replay
             cost = float(first @ first + theta @ theta) + others
         if not cost < CLOSER * least:
             break
@@ -291,7 +295,7 @@ def detectability(
 
 
 def _nearest(change: Array, model: Callable[[Array], Array], theta: Array) -> Array:
-    """Deviations from the datasheet that take off most of a change seen at ``theta``, at their own price."""
+    """Deviations from the datasheet that minimise a change seen at ``theta`` plus their own penalty."""
     nominal, n = model(theta), len(theta)
 
     def left(x: Array) -> Array:
@@ -301,7 +305,7 @@ def _nearest(change: Array, model: Callable[[Array], Array], theta: Array) -> Ar
         here = left(x)
         return np.array([(left(x + STEP * e) - here) / STEP for e in np.eye(n)]).T
 
-    # near a resonance the model is anything but linear within the tolerances
+    # iterated, as near a resonance the model is nonlinear within the tolerances
     return np.asarray(least_squares(left, theta, slope, ftol=1e-3, max_nfev=ROUNDS).x)
 
 

@@ -1,4 +1,4 @@
-"""What was diagnosed of a rig that was served with something withheld: its seal opened, its verdict scored."""
+"""Opening of the seal of a rig that was served with something withheld, and the score of its diagnosis."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def opened_document(
     report
         gap.json.
     experiment
-        What was diagnosed: it tells how plainly the truth shows, and whether not to find it is right. Without it, and
-        without the truth's own word, the truth is held to show plainly.
+        What was diagnosed: its detectability decides whether "no gap" is right. Without it, and without a detectability
+        in the truth, the truth counts as detectable.
 
-    A report that does not say what it was made from, as other programs' may not, is scored, and its "notes" say that
-    nothing could be checked but the rig's name.
+    A report without digests of its inputs, as of other programs, is scored, and "notes" say that only the rig's name
+    could be checked.
 
     Raises
     ------
@@ -62,10 +62,10 @@ def opened_document(
 def _must_be_of(
     truth: Mapping[str, Any], commitment: str, report: Mapping[str, Any], experiment: Experiment | None
 ) -> list[str]:
-    """Refuse a report, or an experiment, of anything but the case that was served; what could not be checked.
+    """Refuse a report or an experiment of another case; return notes on what could not be checked.
 
-    Every drawn rig has the same name. A datasheet tells one of them from the other, a device's name tells cases apart
-    that were withheld in one given rig.
+    Every drawn rig has the same name. The digest of its datasheet distinguishes one from the other; the device's name
+    distinguishes cases that were withheld in the same given rig.
     """
     of = report["of"] if isinstance(report.get("of"), Mapping) else {}
     measured_by = "" if experiment is None else experiment.attributes.get("controller", "")
@@ -91,6 +91,7 @@ def _must_be_of(
 
 
 def _shows(truth: Mapping[str, Any], experiment: Experiment) -> dict[str, Any]:
+    """Detectability of an opened truth in the experiment."""
     case, sweeps = redrawn(truth), plant_sweeps(experiment)
     if not sweeps or any(s.kind != "stepped-sine" for s in sweeps) or experiment.axes != case.plain.axes:
         raise AmbError(

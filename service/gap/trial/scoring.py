@@ -1,6 +1,6 @@
-"""Scores of a blind trial: verdicts against opened truths, always beside how plainly the truth showed.
+"""Scores of a blind trial: verdicts against opened truths, by detectability.
 
-Nothing here knows how a diagnosis decides: it reads gap.json documents and the truths that were sealed.
+They are computed from gap.json documents and sealed truths alone, and do not depend on how a diagnosis decides.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ DETECTABLE = 10.0
 CLASS_SIZE = 3
 """Largest alias class that still counts as an answer."""
 DETECTABILITY_BANDS = (0.0, 3.0, 10.0, 30.0, 100.0, math.inf)
-"""Bands of detectability."""
+"""Edges of the bands of detectability by which scores are stated."""
 CALIBRATION_BINS = 10
 WORTH_CLOSING = 0.2
-"""Closure of the true effect from which a ratio to it means something."""
+"""Least closure of the true effect for a ratio to it to be meaningful."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One case: its truth and what the diagnosis made of it."""
+    """One case: its truth and the report of the diagnosis."""
 
     case: int
     kind: str
@@ -42,7 +42,7 @@ class Outcome:
     """gap.json."""
     seconds: float
     each: Mapping[str, float] = field(default_factory=dict)
-    """Detectability of every effect of a mixture beside the others; where it is not known, that of all together."""
+    """Detectability of each effect of a mixture, the others being known; where it is missing, that of all together."""
 
     @property
     def verdict(self) -> Mapping[str, Any]:
@@ -56,12 +56,12 @@ class Outcome:
 
     @property
     def probability(self) -> float:
-        """Of the verdict, as it states it."""
+        """Probability that the verdict states."""
         return float(self.verdict["probability"])
 
     @property
     def detectable(self) -> bool:
-        """Whether the truth stands out enough to be asked for."""
+        """Whether the truth stands out enough to be expected of a diagnosis."""
         return self.detectability > DETECTABLE
 
     def answers(self, effect: str, of: Sequence[str] | None = None) -> bool:
@@ -74,7 +74,7 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """Whether the verdict is right: kind and effects, by class. Not to find the undetectable is right too."""
+        """Whether the verdict is right: kind and effects, by class. "No gap" is right if the truth is undetectable."""
         kind = self.verdict["kind"]
         if self.kind == "clean":
             return bool(kind == "no_gap")
@@ -87,7 +87,7 @@ class Outcome:
 
     @property
     def visible(self) -> tuple[str, ...]:
-        """True effects that stand out enough to be asked for, each beside the others."""
+        """True effects that are detectable, each with the others known."""
         return tuple(e for e in self.effects if self.each.get(e, self.detectability) > DETECTABLE)
 
     def candidate(self, effects: Iterable[str]) -> Mapping[str, Any] | None:
@@ -100,9 +100,9 @@ class Outcome:
 
     @property
     def closure_share(self) -> float | None:
-        """Closure of the verdict's explanation over that of the true effects refitted; None where it says nothing.
+        """Closure of the verdict's explanation over that of the true effects refitted; None where it is meaningless.
 
-        0 where effects that could be seen were not named: nothing was closed.
+        0 where detectable effects were not named.
         """
         if not self.effects:
             return None
@@ -111,20 +111,20 @@ class Outcome:
         truth, reached = self.candidate(self.effects), self.report["shrinkage"]["closure"]
         ideal = None if truth is None else truth.get("closure")
         if ideal is None or reached is None:
-            # Not among the listed ones, or the fitted data do not show it. Refitted to what shows it, it would close
-            # all at most: the least that the share can be.
+            # The true effects are not among the reported candidates, or have no closure there. They would close all at
+            # most, so that this is the least that the share can be.
             return None if reached is None else float(reached)
         return float(reached) / ideal if ideal > WORTH_CLOSING else None
 
 
 def outcome_of(truth: Mapping[str, Any], report: Mapping[str, Any], seconds: float = math.nan) -> Outcome:
-    """What a diagnosis made of an opened truth.
+    """The outcome of a diagnosis, from an opened truth.
 
     Parameters
     ----------
     truth
-        As `sim.withheld.case.Case.truth` has it, with how plainly it shows: "detectability", and "each" of a mixture.
-        Where that is not known, it is held to show plainly.
+        As of `sim.withheld.case.Case.truth`, with "detectability", and "each" of a mixture. Where these are missing, it
+        counts as detectable.
     report
         gap.json.
     seconds
@@ -159,7 +159,7 @@ def described(effects: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def told(o: Outcome) -> str:
-    """One case in one line: what was withheld, how plainly it shows, what was found, and whether that is right."""
+    """One case in one line: what was withheld, its detectability, what was found, and whether that is right."""
     found = in_words(" and ".join(o.named) or str(o.verdict["kind"]))
     shows = f", detectability {o.detectability:.0f}" if math.isfinite(o.detectability) else ""
     mark = "right" if o.right else "wrong"
@@ -261,7 +261,7 @@ def _closure(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def stated_and_came_true(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """How sure verdicts of one kind were in the mean, and how many of them were right."""
+    """Mean stated probability of verdicts of one kind, and the share of them that were right."""
     return {
         "cases": len(outcomes),
         "stated": float(np.mean([o.probability for o in outcomes])),
@@ -293,7 +293,7 @@ def calibration(forecasts: Sequence[tuple[float, bool]]) -> dict[str, Any]:
 
 
 def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
-    """Errors of the strengths of true effects that were named, and how often their 95 % intervals hold the truth."""
+    """Errors of the strengths of true effects that were named, and the coverage of their 95 % intervals."""
     from sim.effects import CATALOGUE
 
     errors, covered, within = [], [], []
@@ -324,7 +324,7 @@ def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def _by_detectability(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Every score of cases with an effect of the catalogue, by how plainly it shows."""
+    """Every score of cases with an effect of the catalogue, by detectability."""
     rows = []
     for low, high in itertools.pairwise(DETECTABILITY_BANDS):
         everything = [o for o in outcomes if o.kind != "clean" and low <= o.detectability < high]
