@@ -35,10 +35,10 @@ SUFFIXES = {
     "kg m2": "_kgm2",
     "N s/m": "_ns_per_m",
 }
-"""What a parameter's name ends with when it has that unit."""
+"""Suffix of a parameter's name, by its unit."""
 MARGIN = 5.0
-"""A rig may have an effect this much beyond a range that goes with its size: a fit may have moved that size as far, as
-a stiffness by four of its tolerances."""
+"""Factor by which a rig's parameter may exceed a range that scales with a size of the rig, as a fit may have changed
+that size by so much: a stiffness by four of its tolerances."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,19 @@ class Parameter:
     strength: bool = True
     """False for a parameter that shapes the effect without making it vanish (a resonance's frequency)."""
     optional: bool = False
-    """True where the law is a plainer one with it at ``null``: a fit leaves it there unless the data tell otherwise."""
+    """True where the law is simpler with it at ``null``: it is reported there unless the data contradict."""
     dormant: bool = False
-    """True where a fit that begins with it at ``null`` does not move it: few rigs need it."""
+    """True where it is needed by few rigs: a fit that starts with it at ``null`` holds it there."""
     wakes: tuple[float, ...] = ()
-    """Of a dormant one, where fits begin that move it, once the effect as it is leaves too much; none where it is known
-    otherwise when to."""
+    """Of a dormant one, starts of the fits in which it is free, once the effect without it leaves too much; empty where
+    something else decides on that."""
     goes_with: Size | None = None
-    """What the range is as large as; None where it is the same on every rig. Stated for the reference rig."""
+    """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for
+    the
+    reference rig."""
 
     def of(self, rig: Rig) -> Parameter:
-        """The parameter with the range that it has on a rig."""
+        """The parameter with its range scaled to a rig."""
         if self.goes_with is None:
             return self
         by = self.goes_with.ratio(rig)
@@ -81,14 +83,14 @@ class Parameter:
         return replace(self, low=low, high=high, typical=typical, null=null, wakes=wakes, goes_with=own)
 
     def allows(self, value: float) -> bool:
-        """Whether a rig may have it: in its range, or no more than `MARGIN` beyond one that goes with a size."""
+        """Whether a rig may have a value: in its range, or up to `MARGIN` times a range that scales with a size."""
         beyond = 1.0 if self.goes_with is None else MARGIN
         lowest = self.low * beyond if self.low < 0 else self.low / beyond
         return min(lowest, self.null) <= value <= max(self.high * beyond, self.null)
 
     @property
     def words(self) -> str:
-        """The name as a person says it, without its unit."""
+        """The name in words, without its unit."""
         return in_words(self.name.removesuffix(SUFFIXES.get(self.unit, "")))
 
 
@@ -112,9 +114,11 @@ class Effect:
     nonlinear: bool = False
     """True when the response is not proportional to the excitation."""
     restated: Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]] = lambda values, like: values
-    """(values, like) -> the same effect as ``values``, its redundant parameters chosen as those of ``like`` are."""
+    """(values, like) -> the same effect as ``values``, with redundant parameters (as the sign of a mode shape, the time
+    over which a drift is stated) chosen as in ``like``, so that both can be compared."""
     likened: Mapping[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = field(default_factory=dict)
-    """By id of an alias: its values -> those with which this effect comes nearest to it; none where nothing does."""
+    """By id of an alias: the alias's values -> those with which this effect is most like it; empty where it cannot
+    be."""
 
     def on(self, rig: Rig, **values: float) -> Rig:
         """Rig with this effect; parameters not given keep their typical value.
@@ -136,7 +140,7 @@ class Effect:
         return self.apply(rig, {name: values.get(name, p.typical) for name, p in known.items()})
 
     def of(self, rig: Rig) -> Effect:
-        """The effect with the ranges that its parameters have on a rig."""
+        """The effect with the ranges of its parameters scaled to a rig."""
         return replace(self, parameters=tuple(p.of(rig) for p in self.parameters))
 
     def null(self) -> dict[str, float]:

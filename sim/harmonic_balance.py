@@ -1,9 +1,9 @@
-"""Harmonic balance: what a rig answers to a known periodic control signal, harmonics 0 to 3.
+"""Harmonic balance: steady-state response of a rig to a known periodic control signal, harmonics 0 to 3.
 
-The linear part is exact per harmonic (`sim.twin.linear_model`); the nonlinear part (the magnets' law,
-saturation, hysteresis, contact, the supply's voltage limit) is evaluated in time over one period and fed back
-as forces, the alternating frequency/time method (Cameron and Griffin, J. Appl. Mech. 56, 1989). The rig is
-weakly nonlinear, so a few rounds converge.
+The linear part is exact per harmonic (`sim.twin.linear_model`); the nonlinear part (the magnets' law, saturation,
+hysteresis, contact, the supply's voltage limit) is evaluated in time over one period and fed back as forces, the
+alternating frequency/time method (Cameron and Griffin, J. Appl. Mech. 56, 1989). The rig is weakly nonlinear, so a few
+iterations converge.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sim.rig import Array, Rig
 from sim.twin import LinearModel, linear_model
 
 RESPONSE = (0, 1, 2, 3)
-"""Harmonics with which the force answers, whether or not they were logged: the mean and the second one of an
-off-centre rotor bend its fundamental, too."""
+"""Harmonics of the force that are computed, logged or not: through the nonlinearity, the mean and the second harmonic
+of an off-centre rotor change its fundamental, too."""
 STATIC_HZ = 1e-2
 """Frequency at which the static response (harmonic 0) is evaluated: far below every pole of an AMB rig."""
 
@@ -41,15 +41,15 @@ def _times(matrices: Complex, x: Complex) -> Complex:
 
 
 class Responder:
-    """A rig made ready to answer at given frequencies; the excitation may then differ from call to call.
+    """Responses of a rig at given frequencies; the excitation may differ from call to call.
 
     Parameters
     ----------
     rig : Rig
     frequency_hz : (F,) distinct excited frequencies
     line : (P,) index of each point's frequency
-    harmonics : those of the signals, ascending, 1 among them. Of `RESPONSE`, those that are not among them are what
-        the rig's own controller lets happen: the force has them all the same, and the rotor moves with it
+    harmonics : those of the signals, ascending, 1 among them. The force also has the others of `RESPONSE`; there the
+        response is that of the rig's own closed loop
     progress : (P,) share of the campaign at which each point was measured, for rigs that drift
     """
 
@@ -68,13 +68,13 @@ class Responder:
         self.progress = progress
         grid = np.concatenate([np.maximum(h * frequency_hz, STATIC_HZ) for h in self.harmonics])
         self._omega = 2 * np.pi * grid
-        # The rig itself does not know of an offset of its log: the logged control signal is put right first.
-        ran = replace(rig, logging_offset_samples=0.0) if rig.logging_offset_samples else rig
-        self._model: LinearModel = linear_model(ran, grid)
+        # A logging offset does not act in the rig: the logged control signal is corrected first.
+        in_loop = replace(rig, logging_offset_samples=0.0) if rig.logging_offset_samples else rig
+        self._model: LinearModel = linear_model(in_loop, grid)
         self._point: OperatingPoint = self._model.point
         late = np.exp(-1j * self._omega * rig.controller.sample_time_s * rig.logging_offset_samples)
         self._log_phase: Complex = late.reshape(len(self.harmonics), -1)[:, line].T[..., None]  # (P, H, 1)
-        self._strongly = bool(
+        self._strongly_nonlinear = bool(
             np.any(rig.magnets.hysteresis_rad > 0)
             or rig.contact
             or np.any(np.isfinite(rig.magnets.saturation_current_a))
@@ -99,42 +99,42 @@ class Responder:
         Parameters
         ----------
         seen
-            (P, H, n) measured sensor signal. The magnets alone make an unstable plant, so for a given U a strong
-            nonlinear force feeds on itself; evaluated where the rotor was seen to be, it does not.
+            (P, H, n) measured sensor signal. The plant is unstable, so for a given U the iteration of a strongly
+            nonlinear force may diverge; evaluated at the measured displacement, it does not.
         seen_current
             (P, H, n) measured coil current: as `current`.
         """
-        current, effective = self._current(self._effective(U), self._whole(seen_current))
-        return Answer(current[:, self._known], self._displacement(effective, rounds, self._whole(seen)))
+        current, effective = self._current(self._control_in_loop(U), self._padded(seen_current))
+        return Answer(current[:, self._known], self._displacement(effective, rounds, self._padded(seen)))
 
     def displacement(
         self, U: Complex, rounds: int | None = None, seen: Complex | None = None, seen_current: Complex | None = None
     ) -> Complex:
-        """Sensor signal of `answer` alone, (P, H, n), which takes half the time."""
-        effective = self._effective(U)
+        """Sensor signal of `answer` alone, (P, H, n), in half the time."""
+        effective = self._control_in_loop(U)
         if self._slews:
-            effective = self._current(effective, self._whole(seen_current))[1]
-        return self._displacement(effective, rounds, self._whole(seen))
+            effective = self._current(effective, self._padded(seen_current))[1]
+        return self._displacement(effective, rounds, self._padded(seen))
 
     def current(self, U: Complex, seen: Complex | None = None) -> Complex:
         """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone.
 
-        An amplifier beyond its slew limit may answer in two ways: the one nearer to ``seen`` (P, H, n) where that is
-        given, else the one that a rising amplitude leads to.
+        An amplifier beyond its slew limit may have two steady states: the one nearer to ``seen`` (P, H, n) is returned
+        where that is given, else the one that a rising amplitude leads to.
         """
-        return self._current(self._effective(U), self._whole(seen))[0][:, self._known]
+        return self._current(self._control_in_loop(U), self._padded(seen))[0][:, self._known]
 
-    def _effective(self, U: Complex) -> Complex:
-        """Control signal that ran, all harmonics, of the logged one, (P, H, n): 0 where none was logged."""
-        return self._whole(U) * self._log_phase
-
-    @overload
-    def _whole(self, X: Complex) -> Complex: ...
+    def _control_in_loop(self, U: Complex) -> Complex:
+        """Control signal in the loop, all harmonics, from the logged one, (P, H, n): 0 where none was logged."""
+        return self._padded(U) * self._log_phase
 
     @overload
-    def _whole(self, X: Complex | None) -> Complex | None: ...
+    def _padded(self, X: Complex) -> Complex: ...
 
-    def _whole(self, X: Complex | None) -> Complex | None:
+    @overload
+    def _padded(self, X: Complex | None) -> Complex | None: ...
+
+    def _padded(self, X: Complex | None) -> Complex | None:
         """A signal with 0 in the harmonics that were not logged."""
         if X is None or not self._unknown:
             return X
@@ -142,10 +142,10 @@ class Responder:
         whole[:, self._known] = X
         return whole
 
-    def _fed_back(self, sensed: Complex) -> tuple[Complex, Complex, Complex]:
-        """Displacements at bearings and sensors, and control signal, per force, of harmonics that were not logged.
+    def _closed_loop_responses(self, sensed: Complex) -> tuple[Complex, Complex, Complex]:
+        """Displacements at bearings and sensors, and control signal, per force, at harmonics that were not logged.
 
-        With the controller closed, (P, H, n, n) each: logged signals hold by themselves what it does.
+        In closed loop, (P, H, n, n) each. At logged harmonics the control signal is given, and the loop is open.
         """
         m, k = self._model, self._unknown
         H, n = len(self.harmonics), sensed.shape[-1]
@@ -158,35 +158,37 @@ class Responder:
         return np.asarray(x), np.asarray(y), np.asarray(u)
 
     def _displacement(self, U: Complex, rounds: int | None, seen: Complex | None) -> Complex:
-        """Sensor signal, (P, H, n), for the control signal that a linear amplifier would need."""
+        """Sensor signal, (P, H, n), for the control signal U of linear amplifiers."""
         m = self._model
         x_linear, Y_linear = self._at_points(m.bearing_per_u, U), self._at_points(m.y_per_u, U)
         bearing, sensed = self._of_points(m.bearing_per_force), self._of_points(m.y_per_force)
-        drawn, fed = self._drawn(self._at_points(m.flux_per_u, U)), None
+        currents, fed = self._effective_currents(self._at_points(m.flux_per_u, U)), None
         if self._unknown:
             fed = np.zeros_like(sensed)
-            bearing[:, self._unknown], sensed[:, self._unknown], fed[:, self._unknown] = self._fed_back(sensed)
+            bearing[:, self._unknown], sensed[:, self._unknown], fed[:, self._unknown] = self._closed_loop_responses(
+                sensed
+            )
 
         def force_at(x: Complex, Y: Complex) -> Complex:
-            return self._beyond_linear(drawn, x if seen is None else x + self._from_sensors(seen - Y))
+            return self._beyond_linear(currents, x if seen is None else x + self._from_sensors(seen - Y))
 
         force = force_at(x_linear, Y_linear)
-        for _ in range((rounds or (3 if seen is not None else 6 if self._strongly else 3)) - 1):
+        for _ in range((rounds or (3 if seen is not None else 6 if self._strongly_nonlinear else 3)) - 1):
             if fed is not None:
-                drawn = self._drawn(self._at_points(m.flux_per_u, U + _times(fed, force)))
+                currents = self._effective_currents(self._at_points(m.flux_per_u, U + _times(fed, force)))
             force = force_at(x_linear + _times(bearing, force), Y_linear + _times(sensed, force))
         return self._static_real(Y_linear + _times(sensed, force))[:, self._known]
 
     def _from_sensors(self, Y: Complex) -> Complex:
-        """Displacement at the bearings, (P, H, n), of a rigid rotor that the sensors see at Y.
+        """Displacement at the bearings, (P, H, n), of a rigid rotor with sensor signals Y.
 
-        It corrects a displacement that the model has but for the force in question, so flexibility may be left out;
-        the mean is left to the model, as no sensor knows its own zero, and so is what was not logged.
+        It only corrects the model's displacement by the difference to the measured one, so flexibility is neglected.
+        The mean is left to the model, as a sensor's zero is not known, and so are harmonics that were not logged.
         """
         own, to_bearings = self._sensed
         at_sensor = Y * own
         at_sensor[:, [0, *self._unknown]] = 0.0
-        # as one product: numpy would make one of every point's, six times as slow
+        # one product for all points is six times as fast as one of each
         return np.asarray((at_sensor.reshape(-1, len(to_bearings)) @ to_bearings).reshape(at_sensor.shape))
 
     @cached_property
@@ -197,28 +199,29 @@ class Responder:
 
     @staticmethod
     def _static_real(X: Complex) -> Complex:
+        """The amplitudes with a real harmonic 0, which comes first."""
         X = X.copy()
         X[:, 0] = X[:, 0].real
         return X
 
-    def _drawn(self, flux: Complex) -> tuple[Array, Array]:
-        """Current that makes flux over a period, and what of it is magnetically effective, (P, T, n) each."""
+    def _effective_currents(self, flux: Complex) -> tuple[Array, Array]:
+        """Flux-making current over a period, and its magnetically effective part, (P, T, n) each."""
         m = self.rig.magnets
         banded = np.any(m.hysteresis_rad > 0) and (m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a)
-        n_time = 64 if banded else 32 if self._strongly else 16
+        n_time = 64 if banded else 32 if self._strongly_nonlinear else 16
         i_t = period_samples(flux, self.harmonics, n_time) + self._point.current_a
         return i_t, magnetic_force.effective(m, i_t)
 
-    def _beyond_linear(self, drawn: tuple[Array, Array], x: Complex) -> Complex:
-        """Bearing force beyond the linear one, on the rotor, (P, H, n), of what `_drawn` gives at a displacement."""
-        i_t, effective = drawn
+    def _beyond_linear(self, currents: tuple[Array, Array], x: Complex) -> Complex:
+        """Bearing force on the rotor beyond the linear one, (P, H, n), of `_effective_currents` at displacements x."""
+        i_t, effective = currents
         passed = None if self.progress is None else self.progress[:, None, None]
         x_t = period_samples(x, self.harmonics, i_t.shape[1])
         excess = magnetic_force.beyond_linear(self.rig, self._point, i_t, effective, x_t, passed)
         return amplitudes(excess, self.harmonics)
 
     def _current(self, U: Complex, seen: Complex | None = None) -> tuple[Complex, Complex]:
-        """Sampled coil current, and the control signal that a linear amplifier would need for it."""
+        """Sampled coil current, and the control signal from which linear amplifiers would make it."""
         m = self._model
         linear = self._static_real(self._at_points(m.i_per_u, U))
         if not self._slews:
@@ -246,17 +249,17 @@ class Responder:
 
 
 def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> tuple[Complex, Answer]:
-    """Closed loop: logged control signal and answer to excitation amplitudes R (P, H, n), u = r - C y.
+    """Closed loop: logged control signal and response to excitation amplitudes R (P, H, n), u = r - C y.
 
-    Newton-like: the linear loop maps what the nonlinear answer lacks back on u.
+    A quasi-Newton iteration: the residual of u = r - C y is mapped to a correction of u by the linear loop.
     """
     m, H, known = responder._model, len(responder.harmonics), responder._known
     controller = m.controller.reshape(H, -1)[:, responder.line].T[:, known, None]  # (P, H, 1)
     sensitivity, late = responder._of_points(m.sensitivity)[:, known], responder._log_phase[:, known]
     U = _times(sensitivity, R)
     for _ in range(rounds):
-        lacking = R - controller * responder.displacement(U / late) - U
-        U = U + _times(sensitivity, lacking)
+        residual = R - controller * responder.displacement(U / late) - U
+        U = U + _times(sensitivity, residual)
         if 0 in responder.harmonics and (mean := responder.harmonics.index(0)) in known:
             U[:, known.index(mean)] = U[:, known.index(mean)].real  # a static signal has no phase
     logged = U / late
@@ -264,7 +267,7 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
 
 
 def bearings_per_sensors(rig: Rig, omega_rad_s: Array) -> tuple[Complex, Array]:
-    """Displacement per signal of each sensor, (F, n), and displacements at sensors -> at bearings of a rigid rotor."""
+    """Displacement per signal of each sensor, (F, n), and the map from sensors to bearings of a rigid rotor, (n, n)."""
     rotor = rig.rotor
     (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
     plane = np.array([[1.0, a], [1.0, -b]]) @ np.linalg.inv([[1.0, sa], [1.0, -sb]])

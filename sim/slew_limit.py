@@ -1,4 +1,4 @@
-"""What a supply's voltage limit changes of the coil currents in a periodic steady state, harmonic by harmonic."""
+"""Change of the coil currents by the supply's voltage limit (a slew limit) in a periodic steady state, by harmonic."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from sim.alternating import Complex, amplitudes, period_samples, whole_periods, 
 from sim.rig import Amplifiers, Array, Rig
 
 SLEW_STEPS = 256
-"""Fewest time steps of a period in which a second-order amplifier is followed."""
+"""Fewest time steps per period of a second-order amplifier."""
 HELD_STEPS, HELD_STEPS_OF_LAG = 8, 16
-"""Steps of a sample in which a first-order one is, whose slope jumps with the held signal; with a lag before it."""
+"""Time steps per sample of a first-order amplifier, whose slope jumps with the held signal; with a lag before it."""
 NOISE_DEVIATIONS = 4.0
-"""Root mean squares of a noise's slopes within which it reaches a limit, but for 6 in 100 000 of the time."""
+"""Standard deviations of noise in the slope within which it reaches a limit, but for 6e-5 of the time."""
 HELD_PERIODS, HELD_SETTLING, HELD_SAMPLES = 6, 200, 300
-"""Fewest periods, and samples, until such an amplifier is steady to some 1e-5, and that are analysed then."""
+"""Fewest periods, and fewest samples, until such an amplifier is steady to some 1e-5; fewest samples analysed then."""
 
 
 def second_order(
@@ -30,11 +30,12 @@ def second_order(
     omega : (P, H) of each harmonic, rad/s
     harmonics : 1 among them
     asked : (P, H, n) slope of the current that the linear amplifier would have, A/s
-    wanted : (P, H, n) change that was seen; of the two ways in which an amplifier beyond its limit may answer, the one
-        nearer to it, else the one that a rising amplitude leads to
+    wanted : (P, H, n) measured change; of the two steady states of an amplifier beyond its limit, the one nearer to it
+        is returned, without it the one that a rising amplitude leads to
     """
-    # i' = v + dv, dv = clip(v) - v, inside the amplifier's own loop; i = A u + N dv with
-    # N = (s + 2 zeta w) / (s^2 + 2 zeta w s + w^2), of what of zeta the loop does not see.
+    # i' = v + dv with dv = clip(v) - v inside the amplifier's own loop, so that i = A u + N dv with
+    # N = (s + 2 zeta w) / (s^2 + 2 zeta w s + w^2). In the numerator zeta is the share that does not act on the limited
+    # slope.
     assert amp.damping_ratio is not None
     s, w = 1j * omega[..., None], amp.natural_frequency_rad_s
     damping = 2 * amp.damping_ratio * w
@@ -44,23 +45,23 @@ def second_order(
     slewing = np.flatnonzero(np.any(np.abs(asked).sum(axis=1) > reached, axis=1))
     if len(slewing):
         fundamental = omega[slewing, harmonics.index(1)]
-        dv[slewing] = _taken(amp, fundamental, harmonics, asked[slewing], False)
+        dv[slewing] = _slope_change(amp, fundamental, harmonics, asked[slewing], False)
         if wanted is not None:
-            opposed = _taken(amp, fundamental, harmonics, asked[slewing], True)
+            opposed = _slope_change(amp, fundamental, harmonics, asked[slewing], True)
             change, seen = per_slew[slewing], wanted[slewing]
             misses = [np.abs(seen - change * taken).sum(axis=1, keepdims=True) for taken in (opposed, dv[slewing])]
             dv[slewing] = np.where(misses[0] < misses[1], opposed, dv[slewing])
     return np.asarray(per_slew * dv)
 
 
-def _taken(amp: Amplifiers, omega: Array, harmonics: tuple[int, ...], asked: Complex, opposed: bool) -> Complex:
-    """What the limit takes off the slope of the current, (P, H, n), in the steady state.
+def _slope_change(amp: Amplifiers, omega: Array, harmonics: tuple[int, ...], asked: Complex, opposed: bool) -> Complex:
+    """Change of the current's slope by the limit, (P, H, n), in the steady state; ``opposed`` selects which of two.
 
-    Stepped through time, as it has more harmonics than are asked for and a loop that winds up.
+    It is simulated in time, as it has more harmonics than asked for, and the amplifier's loop winds up.
     """
     assert amp.damping_ratio is not None
     w, limit = amp.natural_frequency_rad_s, amp.slew_limit_a_per_s
-    finest = (4 if opposed else 1) * SLEW_STEPS  # it is at its limit all the time, and when it turns counts
+    finest = (4 if opposed else 1) * SLEW_STEPS  # always at its limit, so that the time of each reversal matters
     steps = int(np.clip(8 * w.max() / omega.min(), finest, 8 * SLEW_STEPS))
     damping = 2 * amp.damping_ratio * w
     over = np.ascontiguousarray(period_samples(asked, harmonics, steps))
@@ -75,16 +76,17 @@ def _slope_noise(amp: Amplifiers) -> Array:
 
 
 def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) -> tuple[Complex, Complex]:
-    """Change of the current of first-order amplifiers, at the samples and as it flows, (P, H, n) each.
+    """Change of the current of first-order amplifiers, as sampled and in continuous time, (P, H, n) each.
 
-    Their slope jumps with u as it is held, by more than its sine asks for, and the samples fold the jumps back. So each
-    point is stepped through its own samples, whose phases depend on how many of them a period has. What u has beyond
-    the harmonics is not known: at 700 Hz it moves the current by 0.06 % where the limit halves it, and by 0.8 % where
-    a quarter is left.
+    Their slope jumps with each step of the held u, by more than the slope of its sine, and sampling aliases the jumps.
+    So each point is simulated through its own samples, whose phases depend on their number per period. Neglected are:
 
-    Far beyond its limit an amplifier passes on less of any second signal, and a mode that the loop no longer damps
-    swings beside the tone: at 700 Hz, 2.2 A and a delay of 30 us one at 911 Hz with its image at 489 Hz, twice the tone
-    less it. The current of the tone alone is then a tenth less than this says; the blocks of such a point scatter.
+    - what u has beyond the harmonics: at 700 Hz it changes the current by 0.06 % where the limit halves it, and by
+      0.8 % where a quarter is left;
+    - oscillations beside the tone. Far beyond its limit an amplifier passes on less of any second signal, and a mode
+      may lose its damping: at 700 Hz, 2.2 A and a delay of 30 us one oscillates at 911 Hz, with an image at 489 Hz,
+      twice the tone less it. The current of the tone is then a tenth less than computed; the blocks of such a point
+      scatter.
 
     Parameters
     ----------
@@ -94,9 +96,9 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
     """
     amp, period = rig.amplifiers, rig.controller.sample_time_s
     w, asked = amp.natural_frequency_rad_s, amp.gain * (amp.crosstalk @ U[..., None])[..., 0]
-    # straight after a sample acts, without a lag: the largest slope there is
-    at_once = replace(amp, lag_s=0.0)
-    reached = amplifier.sampled(at_once, omega.ravel(), period, np.zeros_like(amp.delay_s)) / amp.gain
+    # the largest slope is that straight after a sample has changed, without a lag
+    without_lag = replace(amp, lag_s=0.0)
+    reached = amplifier.sampled(without_lag, omega.ravel(), period, np.zeros_like(amp.delay_s)) / amp.gain
     steepest = w * np.abs(asked * (1 - reached.reshape(asked.shape))).sum(axis=1)
     noise = _slope_noise(amp)
     limit = np.where(steepest > amp.slew_limit_a_per_s - NOISE_DEVIATIONS * noise, amp.slew_limit_a_per_s, np.inf)

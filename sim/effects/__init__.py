@@ -26,7 +26,7 @@ CATALOGUE: dict[str, Effect] = _discover()
 
 
 def aliases(one: str, other: str) -> bool:
-    """Whether the catalogue knows that one effect may look like another.
+    """Whether two effects are known to look alike.
 
     >>> aliases("sensor_lag", "eddy_currents"), aliases("sensor_lag", "runout")
     (True, False)

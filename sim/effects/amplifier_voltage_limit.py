@@ -14,7 +14,7 @@ from sim.sizes import BIAS
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["slew_inverse_s_per_a"] < 1e-12:
         return rig
-    with np.errstate(divide="ignore"):  # of an axis that has no limit
+    with np.errstate(divide="ignore"):  # an axis without a limit
         slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, 1 / (p["slew_inverse_s_per_a"] * shares(rig, p)))
     limited = replace(
         rig.amplifiers,

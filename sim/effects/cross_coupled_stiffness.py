@@ -14,7 +14,7 @@ from sim.sizes import STIFFNESS
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     end, between = p["end_imbalance"], p["between"]
     of_ends = np.array([1 + end, 1 - end])
-    # between the bearings one of the same stiffness in all: y there is the mean of the ends', so weighted
+    # a seal between the bearings has the same total stiffness; the displacement there is the weighted mean of both ends
     shape = (1 - between) * np.diag(of_ends) + between * np.outer(of_ends, of_ends) / 2
     return replace(
         rig,

@@ -26,7 +26,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     added = p["time_constant_s"] * shares(rig, p)
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + np.sqrt(added)
     corner = min(p["corner_rad_s"], ALL_IRON**2 / float(added.max()))
-    if np.any(rig.magnets.eddy_time_constant_s):  # more of the iron that is known
+    if np.any(rig.magnets.eddy_time_constant_s):  # eddy currents in the iron that the rig has: same corner
         corner = rig.magnets.eddy_corner_rad_s
     magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner)
     return replace(rig, magnets=magnets)

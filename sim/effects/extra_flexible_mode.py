@@ -15,7 +15,7 @@ HIGHEST_DAMPING = 0.1
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     at_bearings = (p["bearing_A_per_sqrt_kg"], p["bearing_B_per_sqrt_kg"])
     if at_bearings == (0.0, 0.0):
-        return rig  # not driven, not seen by the magnets
+        return rig  # the magnets do not excite it
     at_sensors = (p["sensor_A_per_sqrt_kg"], p["sensor_B_per_sqrt_kg"])
     mode = FlexibleMode(2 * math.pi * p["frequency_hz"], p["damping_ratio"], at_bearings, at_sensors)
     modes = tuple((*plane, mode) for plane in rig.rotor.modes)
@@ -23,7 +23,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
-    """The same mode, its shape with the other sign where that is nearer: a mode shape has none of its own."""
+    """The same mode, with the sign of its shape, which is arbitrary, chosen as in ``like``."""
     shape = [name for name in values if name.endswith("_per_sqrt_kg")]
     if sum(values[name] * like[name] for name in shape) >= 0:
         return values
@@ -31,7 +31,7 @@ def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping
 
 
 def _like_a_support(values: Mapping[str, float]) -> Mapping[str, float]:
-    """The mode that acts as a resonant support: a housing of mass m moves bearings and sensors alike, by 1/sqrt(m)."""
+    """The mode that imitates a resonant support: a housing of mass m moves bearings and sensors alike, by 1/sqrt(m)."""
     shape = math.sqrt(values["inverse_mass_per_kg"])
     return {
         "frequency_hz": values["frequency_hz"],

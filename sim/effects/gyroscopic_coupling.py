@@ -31,7 +31,7 @@ def _slope(mode: int) -> Parameter:
         strength=False,
         optional=True,
         dormant=True,
-        wakes=(0.3, -0.3),  # the other sign of a slope is another valley
+        wakes=(0.3, -0.3),  # a slope of the other sign is another local minimum
         goes_with=SLOPE,
     )
 

@@ -14,7 +14,7 @@ from sim.sizes import BIAS
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     m, angle = rig.magnets, p["loss_angle_rad"] * rig.magnets.hysteresis_reference_a / 0.5
     magnets = replace(m, hysteresis_rad=m.hysteresis_rad + angle * shares(rig, p))
-    if not np.any(m.hysteresis_rad):  # or else more of the plays that are known
+    if not np.any(m.hysteresis_rad):  # else more of the plays that the rig has
         magnets = replace(
             magnets,
             hysteresis_narrowest_a=p["narrowest_a"],

@@ -16,11 +16,11 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["saturation_inverse_per_a"] > 1e-12:
         # Cubic terms i^3/(3 is^2) of saturations in series add.
         inverse = np.hypot(1 / magnets.saturation_current_a, p["saturation_inverse_per_a"] * of_axes)
-        with np.errstate(divide="ignore"):  # of an axis that has none
+        with np.errstate(divide="ignore"):  # an axis without saturation
             magnets = replace(magnets, saturation_current_a=1 / inverse)
     if p["flux_share"] > 0:
         n = magnets.flux_power if np.any(magnets.flux_share) else p["flux_power"]
-        # (B/Bs)^n of both, as far as it is small
+        # the terms (B/Bs)^n of both add where they are small
         share = (magnets.flux_share**n + (p["flux_share"] * of_axes) ** n) ** (1 / n)
         magnets = replace(magnets, flux_share=share, flux_power=n)
     return replace(rig, magnets=magnets)

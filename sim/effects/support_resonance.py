@@ -21,7 +21,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 
 def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
-    """The support whose residue is the mean of a mode's, which a support has of one kind in every channel."""
+    """The support that is most like a mode: its residue, the same in every channel, is the mean of the mode's."""
     at_bearings, at_sensors = (
         0.5 * (values[f"{place}_A_per_sqrt_kg"] + values[f"{place}_B_per_sqrt_kg"]) for place in ("bearing", "sensor")
     )

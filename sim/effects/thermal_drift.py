@@ -13,7 +13,7 @@ from sim.rig import Drift, Rig
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     of_axes, duration = shares(rig, p), p["duration_s"]
     ki, ks = p["ki_change"] * of_axes, p["ks_change"] * of_axes
-    if (known := rig.drift) is not None:  # goes as it goes, and further
+    if (known := rig.drift) is not None:  # more of the drift that the rig has, with its course in time
         whole = known.progress(np.array(duration / known.duration_s))
         return replace(
             rig, drift=replace(known, ki_change=known.ki_change + ki / whole, ks_change=known.ks_change + ks / whole)
@@ -22,7 +22,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
-    """The same drift, stated over another time: what has changed when that time has passed."""
+    """The same drift, with its changes stated after the time ``duration_s`` of ``like``."""
     change = np.array([values["ki_change"]]), np.array([values["ks_change"]])
     again = Drift(*change, values["duration_s"], values["curvature"]).over(like["duration_s"])
     return {
