@@ -26,7 +26,7 @@ from service.experiment import file
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError
 from service.gap.trial.blind_trial import Diagnose, Published, checked, fingerprint, run_case, summary
-from service.gap.trial.scoring import told
+from service.gap.trial.scoring import case_in_words
 from service.pool import workers
 from sim.datasheet import Datasheet
 from sim.errors import AmbError, reason
@@ -214,7 +214,7 @@ def run_blind_trial(
         for number, document in _finished(cases, seed, out_dir, jobs, engine):
             done[number] = document
             if progress is not None:
-                progress(len(done), cases, told(checked(document)))
+                progress(len(done), cases, case_in_words(checked(document)))
     except (KeyboardInterrupt, CancelledError):  # the second one is a campaign's word for the first
         kept = sum((_folder(number, out_dir) / KEPT).exists() for number in range(cases))
         raise StoppedError(

@@ -31,8 +31,8 @@ from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
 from service.gap.which.beyond_tolerance import OFF_TOLERANCES
 from service.gap.which.explained import Explained
-from service.gap.which.rivals import left_together
-from service.gap.with_interference import once_a_turn, scatter_shrinkage, with_interference
+from service.gap.which.rivals import pair_to_separate
+from service.gap.with_interference import runout_notes, scatter_shrinkage, with_interference
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.wording import in_words
@@ -104,10 +104,10 @@ def _diagnosis(
         whole = with_limit(whole, nu, lost)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
-    pair = left_together(whole.order, verdict) if propose else None
+    pair = pair_to_separate(whole.order, verdict) if propose else None
     proposal = Proposal(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
     shrunk = _shrinkages(whole, data, found, verdict, sources)
-    where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.bent)
+    where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.nonlinear)
     twins = {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
     diagnosis = Diagnosis(
         rig=rig,
@@ -128,7 +128,7 @@ def _diagnosis(
         discrepancy=discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
         datasheet_off=tuple(nu.clearly_off(chosen.fit.theta)),
     )
-    notes = (*data.notes, *found.notes, *once_a_turn(data.sources), *not_weighed(fitter.lost, found.parts))
+    notes = (*data.notes, *found.notes, *runout_notes(data.sources), *not_weighed(fitter.lost, found.parts))
     return replace(diagnosis, notes=(*notes, *_notes(diagnosis, data, found), *_undecided(diagnosis, pair)))
 
 

@@ -78,15 +78,15 @@ def ends_reached(document: Mapping[str, Any]) -> list[str]:
     """
     named = document["verdict"]["effects"]
     listed_effects = ((c.get("effects") or c["effect"].split("+"), c["parameters"]) for c in document["candidates"])
-    told = []
+    sentences = []
     for name, e in next((found for effects, found in listed_effects if effects == named), {}).items():
         effect, _, parameter = name.rpartition(".")
         effect = effect or named[0]
         p = next(p for p in CATALOGUE[effect].parameters if p.name == parameter)
         if e.get("at_bound") and p.strength and e["value"] != p.null:
             where = f"{p.words} of {in_words(effect)} is at the {e['at_bound']} end of its range"
-            told.append(f"{where}, where the fit had to stop: not measured")
-    return told
+            sentences.append(f"{where}, where the fit had to stop: not measured")
+    return sentences
 
 
 def _closed(c: Closed) -> dict[str, Any]:
@@ -202,8 +202,8 @@ def sentence(d: Diagnosis) -> str:
     if not v.settled:
         return f"Nothing can be said of the gap: {v.reasons[0]}."
     if v.another_rig:
-        told = v.reasons[0].removeprefix(f"{v.unexplained}: ")
-        return f"Nothing can be said of effects: the rig differs from its twin by {gap}, and {told} ({sure})."
+        cause = v.reasons[0].removeprefix(f"{v.unexplained}: ")
+        return f"Nothing can be said of effects: the rig differs from its twin by {gap}, and {cause} ({sure})."
     if v.outdated:
         closes = "" if s.closure is None else f"; that closes {100 * s.closure:z.0f} % of the gap on unseen data"
         return f"The twin is out of date: the rig differs from it by {gap}, and {v.reasons[0]} ({sure}){closes}."
@@ -214,7 +214,7 @@ def sentence(d: Diagnosis) -> str:
             f"explains{why}, {sure}."
         )
     words = " and ".join(map(in_words, v.effects))
-    rivals, unlikely = (", ".join(map(in_words, told)) for told in alike(d))
+    rivals, unlikely = (", ".join(map(in_words, names)) for names in alike(d))
     unsure = f", not told apart from {rivals}" if rivals else ""
     if d.within_the_datasheet:
         return (

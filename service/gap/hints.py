@@ -39,7 +39,7 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
     sweeps
         The fitted one and the unseen one.
     """
-    told = []
+    notes = []
     named = dict(zip(chosen.effects, chosen.fit.values, strict=True))
     rotor = chosen.fit.rig.rotor
     stated = datasheet.rotor.whole_polar_inertia_kgm2
@@ -47,7 +47,7 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
     if "gyroscopic_coupling" in named and stated and rotor.discs == datasheet.rotor.discs:
         share = rotor.whole_polar_inertia_kgm2 / stated
         fastest = max((s.speed_rad_s for s in sweeps), key=abs)
-        told.append(
+        notes.append(
             f"the rotor shows {share:.2g} times the gyroscopic moment of the datasheet's polar inertia at the stated "
             f"speed: a rotor of that datasheet would turn at {share * fastest:.3g} rad/s, not {fastest:.4g} rad/s; "
             "check the sweeps' speed_rad_s (is it in rpm or Hz?)"
@@ -57,18 +57,18 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
         modes_hz = [m.natural_frequency_rad_s / (2 * np.pi) for plane in datasheet.rotor.modes for m in plane]
         near = [f for f in modes_hz if abs(at_hz / f - 1) < OF_THAT_MODE]
         if near:
-            told.append(
+            notes.append(
                 f"the {in_words(name)} lies at {at_hz:.4g} Hz, where the datasheet has a mode of the rotor "
                 f"({near[0]:.4g} Hz): check that mode's frequency, damping and shape, and that its values at A and B "
                 "have the signs of one direction"
             )
     gain = named.get("controller_mismatch", {}).get("gain_change", 0.0)
     if abs(gain) > SCALED:
-        told.append(
+        notes.append(
             f"a displacement that is logged {1 / (1 + gain):.3g} times as large as the controller sees it would look "
             "the same, the plant's stiffnesses making up for the rest: check the scale of the log"
         )
-    return told
+    return notes
 
 
 def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str, str]) -> list[str]:
@@ -76,18 +76,18 @@ def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str,
 
     ``names`` are those of the fitted sweep and of the unseen one.
     """
-    told: dict[tuple[str, float, int], None] = {}
+    points: dict[tuple[str, float, int], None] = {}
     for e in parts:
         sweeps = ((e.ground.observations[0], e.plain[0]), on_sweep(e, e.null.candidate, unseen))
         for name, (o, z) in zip(names, sweeps, strict=True):
             k = _worst(z)
             if k is not None:
-                told[name, float(o.points_hz[k]), int(o.axis[k])] = None
+                points[name, float(o.points_hz[k]), int(o.axis[k])] = None
     axes = parts[0].ground.nuisance.rig.axes
     return [
         f"nearly all of what the twin leaves of {name} lies in one point, {hz:.4g} Hz with {axes[axis]} excited: "
         "measure it again"
-        for name, hz, axis in told
+        for name, hz, axis in points
     ]
 
 

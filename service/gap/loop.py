@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.nuisance import Nuisance
-from service.gap.fitting.predict import NOTHING_SEEN, at_speed_of
+from service.gap.fitting.predict import TINY_SIGNAL, at_speed_of
 from service.gap.measured.observation import Observation
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -160,7 +160,7 @@ class Force:
         """|S|, |T| and the dynamic stiffness in closed loop, N/m, of every axis by itself, (F, n) each."""
         force = _own(linear_model(self.rig, frequency_hz).i_per_u) * self.rig.magnets.ki
         own = _own(S)
-        stiffness = np.abs(force) / np.maximum(np.abs(_own(y_per_r)), NOTHING_SEEN)
+        stiffness = np.abs(force) / np.maximum(np.abs(_own(y_per_r)), TINY_SIGNAL)
         return dict(zip(QUANTITIES, (np.abs(own), np.abs(1 - own), stiffness), strict=True))
 
 
@@ -196,7 +196,7 @@ def _noise(
                 for per in (u_per, y_per)
             )
             of_u[row, a] = scatter_u / abs(o.R[point, f, a])
-            of_y[row, a] = scatter_y / max(abs(o.Y[point, f, a]), NOTHING_SEEN)
+            of_y[row, a] = scatter_y / max(abs(o.Y[point, f, a]), TINY_SIGNAL)
     # the magnitude of a complex mean has half of its variance
     root = np.sqrt(0.5)
     return dict(zip(QUANTITIES, (root * of_u, root * of_u, root * of_y * measured["dynamic_stiffness"]), strict=True))

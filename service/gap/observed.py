@@ -20,7 +20,7 @@ from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic
 from service.gap.measured.observation import GapError, Observation, usable
 from service.gap.measured.pair import Pair
-from service.gap.measured.settling import TOLD_DRIFTING_SHARE
+from service.gap.measured.settling import NOTED_DRIFTING_SHARE
 from service.gap.measured.sweeps import halves, notes_on, other_rate, span_s, sweeps_for
 from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
@@ -62,7 +62,7 @@ class Observed:
         return None if self.span is None else self.span[1] - self.span[0]
 
     @property
-    def aloud(self) -> bool:
+    def detected_by_size(self) -> bool:
         """Whether some interference was detected by the size of its scatter, not by its phase."""
         return not all(s.heard_hz for s in self.sources)
 
@@ -112,7 +112,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     notes += undated
     hums = [hums_hz(sources, sweep.speed_rad_s) for sweep in (pair.main, pair.other)]
     o, unseen = pair.observations(nu.rig, hums, span)
-    if o.unsettled > TOLD_DRIFTING_SHARE:
+    if o.unsettled > NOTED_DRIFTING_SHARE:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
     if not pair.lines_only and (same := same_condition(o, unseen)):
         notes.append(same)

@@ -146,14 +146,14 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -
     no_hysteresis = lag_missing(e) if explained else None
     if reason := _nonlinear_cause(e, verdict, plain, unseen):
         reasons = (reason,) if no_hysteresis is None else (reason, no_hysteresis)
-        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, bent=True)
+        verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, nonlinear=True)
     # Amplifiers without an explanation bias their nuisance values, too, but that says nothing of the rotor.
     check_datasheet = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
     if check_datasheet and (away := far_off(e.ground, e.chosen.fit)):
         if not verdict.effects:  # then by the plain twin, whose values no effect biases
             away = far_off(e.ground, e.null.candidate.fit) or away
         return astray(verdict, away, e.relative_gap)
-    if verdict.bent:
+    if verdict.nonlinear:
         return verdict
     doubt = _unexplained_line(e, plain) if verdict.kind == "no_gap" else no_hysteresis or _wrong_speed(e, verdict)
     if doubt:
@@ -217,8 +217,8 @@ def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:
     if not alike:
         return verdict
     if verdict.kind == "none_of_these":
-        told = (f"with two axes, {a.words} would look like it" for a in alike)
-        return replace(verdict, reasons=(*verdict.reasons, *told))
+        also = (f"with two axes, {a.words} would look like it" for a in alike)
+        return replace(verdict, reasons=(*verdict.reasons, *also))
     of_plant = [name for name in verdict.effects if CATALOGUE[name].path == "plant"]
     if len(of_plant) != 1:
         return verdict

@@ -62,7 +62,7 @@ class PartsInTurn:
         """
         ground, before = self._ground(part), self.before.get(part.path)
         plain = plain_twin(self.fitter, ground, before)
-        test_log = part.path == "plant" and not self.data.aloud
+        test_log = part.path == "plant" and not self.data.detected_by_size
         if test_log:
             self.fault = log_fault(self.fitter, self.explained, ground, plain, self.observations)
         result = explain(self.fitter, ground, plain, 1 if self.fault else LARGEST_MIXTURE, before)

@@ -49,7 +49,7 @@ def with_sources(verdict: Verdict, sources: Sequence[Interference], found: Seque
     return Verdict("effect" if len(names) == 1 else "effects", names, classes, PROBABILITY_NAMED_ALONE, ())
 
 
-def once_a_turn(sources: Sequence[Interference]) -> list[str]:
+def runout_notes(sources: Sequence[Interference]) -> list[str]:
     """Notes on runout: at one speed an unbalance has the same signal."""
     return [
         f"the runout heard at {s.frequency_hz:.4g} Hz may as well be an unbalance, which pushes the rotor once a turn: "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above
 from service.gap.fitting.candidates import Candidate
-from service.gap.fitting.predict import NOTHING_SEEN, at_speed_of, measured_signal, weight, whole_displacement
+from service.gap.fitting.predict import TINY_SIGNAL, at_speed_of, measured_signal, weight, whole_displacement
 from service.gap.measured.observation import HARMONIC_ERROR, MODEL_FLOOR, Observation
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.which.curved_laws import POWERS, PROBE, SENSOR, CurvedLaw
@@ -59,7 +59,7 @@ def curvatures_in_words(law: CurvedLaw, axes: Sequence[str], value: Real, std: R
         n, chi_square = int(np.isfinite(sd).sum()), float(np.sum((c / sd) ** 2))
         if n and float(normal_above(chi2_tail(chi_square, n))) > SIGNIFICANT:
             k = int(np.argmax(np.abs(c / sd)))
-            sentences.append(law.told(axes[k], power, float(c[k]), float(sd[k])))
+            sentences.append(law.curvature_in_words(axes[k], power, float(c[k]), float(sd[k])))
     return f"{law.introduced} {' and '.join(sentences)}" if sentences else None
 
 
@@ -98,7 +98,7 @@ def systematic(sweeps: Sequence[Seen], twin: Candidate, law: CurvedLaw) -> Real:
     """
     _, size = _matched(sweeps, law, twin.fit.rig)
     of_magnets, moved = np.zeros_like(size), np.zeros_like(size)
-    largest_harmonic = np.full_like(size, NOTHING_SEEN)  # per unit curvature
+    largest_harmonic = np.full_like(size, TINY_SIGNAL)  # per unit curvature
     largest = np.max([np.abs(measured_signal(o, law.signal)[:, o.fundamental]).max(axis=0) for o, _ in sweeps], axis=0)
     for o, _ in sweeps:
         rig = at_speed_of(twin.fit.rig, o)

@@ -20,7 +20,7 @@ from sim.twin import current_per_control, linear_model
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-NOTHING_TOLD, NOTHING_SEEN = 1e-100, 1e-30
+TINY_WEIGHT, TINY_SIGNAL = 1e-100, 1e-30
 """Substitutes for a weight (1/m or 1/A) and a signal (m or A) of zero in a denominator: far below any other, and their
 squares are finite."""
 

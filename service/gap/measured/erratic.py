@@ -68,15 +68,15 @@ def erratic_in_words(sweep: Sweep, of: NDArray[np.bool_], axes: Sequence[str], n
 
     ``of`` marks the erratic points, (P,).
     """
-    told = []
+    sentences = []
     for hz in np.unique(sweep.frequency_hz[of]):
         there = sorted(set(sweep.axis[of & (sweep.frequency_hz == hz)].tolist()))
         words = (
             f"at {hz:.4g} Hz in {name} the currents of {', '.join(axes[a] for a in there)} do not repeat from block to "
             "block, as of amplifiers that lose their loop where their voltage ends"
         )
-        told.append((words, len(there) >= FEWEST_AXES))
-    return told
+        sentences.append((words, len(there) >= FEWEST_AXES))
+    return sentences
 
 
 def steepest(sweep: Sweep) -> float:

@@ -19,7 +19,7 @@ FALSE_DRIFT_PROBABILITY = 0.01
 """Probability that a settled point counts as drifting."""
 ENOUGH_BLOCKS = 3
 """Fewest blocks from which the scatter about a trend can be estimated."""
-TOLD_DRIFTING_SHARE = 0.3
+NOTED_DRIFTING_SHARE = 0.3
 """Share of drifting points from which a note says so. On 72 campaigns of three programs that let their rigs settle it
 was at most 0.15: `FALSE_DRIFT_PROBABILITY`, and points near sharp modes."""
 HALF_A_TURN = 2.5

@@ -9,7 +9,7 @@ from typing import Any
 from service.experiment.data import Experiment
 from service.gap.origin import datasheet_digest, experiment_digest
 from service.gap.trial.blind_trial import detectability_of, plant_sweeps
-from service.gap.trial.scoring import Outcome, outcome_of, parameters, told
+from service.gap.trial.scoring import Outcome, case_in_words, outcome_of, parameters
 from sim.errors import AmbError
 from sim.withheld.case import redrawn
 from sim.withheld.given import given_in
@@ -105,7 +105,7 @@ def _document(truth: Mapping[str, Any], o: Outcome, notes: list[str]) -> dict[st
     return {
         "format": FORMAT,
         "version": 1,
-        "sentence": told(o),
+        "sentence": case_in_words(o),
         "right": o.right,
         "truth": dict(truth),
         "detectability": o.detectability if math.isfinite(o.detectability) else None,

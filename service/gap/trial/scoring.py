@@ -154,11 +154,11 @@ def described(effects: Mapping[str, Mapping[str, float]]) -> str:
     >>> described({"loop_delay": {"delay_s": 3.5e-05}})
     'loop delay (delay_s 3.5e-05)'
     """
-    told = {name: ", ".join(f"{k} {v:.3g}" for k, v in values.items()) for name, values in effects.items()}
-    return " and ".join(f"{in_words(name)} ({values})" for name, values in told.items()) or "nothing"
+    listed = {name: ", ".join(f"{k} {v:.3g}" for k, v in values.items()) for name, values in effects.items()}
+    return " and ".join(f"{in_words(name)} ({values})" for name, values in listed.items()) or "nothing"
 
 
-def told(o: Outcome) -> str:
+def case_in_words(o: Outcome) -> str:
     """One case in one line: what was withheld, its detectability, what was found, and whether that is right."""
     found = in_words(" and ".join(o.named) or str(o.verdict["kind"]))
     shows = f", detectability {o.detectability:.0f}" if math.isfinite(o.detectability) else ""
@@ -250,8 +250,8 @@ def _unlisted(unlisted: Sequence[Outcome], known: Sequence[Outcome]) -> dict[str
 
 def _closure(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     shares = [s for o in outcomes if o.detectable and (s := o.closure_share) is not None]
-    told = [o.report["shrinkage"]["closure"] for o in outcomes if o.detectable and o.named and o.right]
-    reached = [float(closure) for closure in told if closure is not None]
+    closures = [o.report["shrinkage"]["closure"] for o in outcomes if o.detectable and o.named and o.right]
+    reached = [float(closure) for closure in closures if closure is not None]
     return {
         "of_true_effect_median": _median(shares),
         "of_true_effect_tenth": float(np.quantile(shares, 0.1)) if shares else None,
@@ -303,11 +303,11 @@ def parameters(right: Sequence[Outcome]) -> dict[str, Any]:
             continue
         for name, values in o.parameters.items():
             effect, prefix = CATALOGUE[name], "" if len(o.effects) == 1 else f"{name}."
-            told = {p.name: found["parameters"].get(f"{prefix}{p.name}") for p in effect.parameters}
+            found_values = {p.name: found["parameters"].get(f"{prefix}{p.name}") for p in effect.parameters}
             true = {p.name: values.get(p.name, p.null) for p in effect.parameters}
-            true = dict(effect.restated(true, true | {k: float(t["value"]) for k, t in told.items() if t}))
+            true = dict(effect.restated(true, true | {k: float(t["value"]) for k, t in found_values.items() if t}))
             for p in effect.parameters:
-                here = told[p.name]
+                here = found_values[p.name]
                 if not here or not p.strength or true[p.name] == p.null:
                     continue
                 error = abs(float(here["value"]) - true[p.name])
@@ -330,7 +330,7 @@ def _by_detectability(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
         everything = [o for o in outcomes if o.kind != "clean" and low <= o.detectability < high]
         here = [o for o in everything if o.kind != "unlisted"]
         shares = [share for o in here if (share := o.closure_share) is not None]
-        told = calibration([(o.probability, o.right) for o in everything])
+        forecasts = calibration([(o.probability, o.right) for o in everything])
         rows.append(
             {
                 "from": low,
@@ -342,8 +342,8 @@ def _by_detectability(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
                 "unlisted": _share(o.verdict["kind"] == "none_of_these" for o in everything if o.kind == "unlisted"),
                 "no_gap": _share(o.verdict["kind"] == "no_gap" for o in here),
                 "closure_of_true_effect_median": _median(shares),
-                "brier": told["brier"],
-                "ece": told["ece"],
+                "brier": forecasts["brier"],
+                "ece": forecasts["ece"],
                 "parameters": parameters([o for o in here if o.right]),
             }
         )

@@ -55,7 +55,7 @@ def astray(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
 
     ``relative_gap`` is that of the plain twin, over the part's output.
     """
-    if relative_gap >= STRANGE and not verdict.bent:
+    if relative_gap >= STRANGE and not verdict.nonlinear:
         reason = f"the datasheet seems to be of another rig; {away}: check it"
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), another_rig=True)
     if not verdict.effects:

@@ -54,7 +54,7 @@ class Verdict:
     """the part of the loop that no known effect explains"""
     another_rig: bool = False
     """whether the datasheet seems to be of another rig, so that its gap is meaningless"""
-    bent: bool = False
+    nonlinear: bool = False
     """whether what no effect explains is proven to be nonlinear"""
     also_alike: tuple[str, ...] = ()
     """further effects or causes that the data cannot distinguish from the effects, beyond the classes"""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.distributions import normal_above
-from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
+from service.gap.fitting.predict import TINY_SIGNAL, TINY_WEIGHT, measured_signal, weight
 from service.gap.measured.condition import conditions_of, lines_of
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import LINE_BY_CHANCE, SIGNIFICANT, alone_hz, overall, significance
@@ -91,9 +91,9 @@ def relative_error(z: Complex, o: Observation, signal: str) -> tuple[Complex, Re
     ``z`` are weighted residuals, (P, H, n).
     """
     f, points = o.fundamental, np.arange(len(o.axis))
-    w = np.maximum(weight(o, signal)[:, f], NOTHING_TOLD)
+    w = np.maximum(weight(o, signal)[:, f], TINY_WEIGHT)
     size = measured_signal(o, signal)[points, f, o.axis][:, None]
-    size = np.where(size == 0, NOTHING_SEEN, size)  # the log may be too coarse to show any displacement
+    size = np.where(size == 0, TINY_SIGNAL, size)  # the log may be too coarse to show any displacement
     return z[:, f] / w / size, 2 / (w * np.abs(size)) ** 2
 
 

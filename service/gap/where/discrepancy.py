@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, weight
+from service.gap.fitting.predict import TINY_SIGNAL, TINY_WEIGHT, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT, worst
 from service.gap.where.dependence import relative_error
@@ -54,8 +54,8 @@ def discrepancy(found: Sequence[Explained], path: str, other: Observation) -> di
             for k, h in enumerate(o.harmonics):
                 significance = worst([z[points, k, b]], looked_at=len(axes) * len(o.harmonics))
                 if h > 1 and significance > SIGNIFICANT:
-                    excited = np.maximum(size[points, o.fundamental, b], NOTHING_SEEN)
-                    relative = z[points, k, b] / np.maximum(w[:, k], NOTHING_TOLD) / excited
+                    excited = np.maximum(size[points, o.fundamental, b], TINY_SIGNAL)
+                    relative = z[points, k, b] / np.maximum(w[:, k], TINY_WEIGHT) / excited
                     channel = {"output": axes[b], "harmonic": h, "significance": significance} | _complex(relative)
                     harmonics.append(excitation | channel)
     return {"path": path, "signal": signal, "fundamental": fundamental, "harmonics": harmonics}

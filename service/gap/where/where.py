@@ -69,7 +69,7 @@ def locate(
     effects: Sequence[str] = (),
     sources: Sequence[Interference] = (),
     unexplained: str | None = None,
-    bent: bool = False,
+    nonlinear: bool = False,
 ) -> Where:
     """Where the plain twin fails, from the explanations of every part, the plant last, and from interference.
 
@@ -82,7 +82,7 @@ def locate(
         else that of the most significant gap.
     unexplained
         The part that no effect explains, by the verdict.
-    bent
+    nonlinear
         Whether what no effect explains is nonlinear, by the verdict.
     """
     paths, harmonics = [], []
@@ -99,10 +99,10 @@ def locate(
     named = CATALOGUE[effects[0]].path if effects else unexplained or most_significant
     blamed = next((e for e in found if e.part.path == named), found[-1])
     distorted = any(s > SIGNIFICANT for _, _, s in harmonics)
-    bent = bent or any(CATALOGUE[name].nonlinear for name in effects)
-    depends = dependence(blamed, other, distorted or bent)
+    nonlinear = nonlinear or any(CATALOGUE[name].nonlinear for name in effects)
+    depends = dependence(blamed, other, distorted or nonlinear)
     if "thermal_drift" in effects:  # the sweeps also differ in time
-        depends = Dependence(distorted or bent or None)
+        depends = Dependence(distorted or nonlinear or None)
     o, f = found[-1].ground.observations[0], found[-1].ground.observations[0].fundamental
     for source in sources:
         amplitude = max(source.parameters[name] for name in source.parameters if name.startswith("amplitude"))

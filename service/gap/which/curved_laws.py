@@ -35,7 +35,7 @@ class CurvedLaw(ABC):
     signal: str
     """output of the part"""
     introduced: str
-    """what is curved, in words, followed by `told`"""
+    """what is curved, in words, followed by `curvature_in_words`"""
     cause: str
     """possible cause, in words, as a rival of an effect"""
     powers: tuple[tuple[int, ...], ...]
@@ -46,7 +46,7 @@ class CurvedLaw(ABC):
         """Change of the signals' amplitudes at a harmonic per curvature of each axis, (P, n signals, n axes)."""
 
     @abstractmethod
-    def told(self, axis: str, power: int, value: float, deviation: float) -> str:
+    def curvature_in_words(self, axis: str, power: int, value: float, deviation: float) -> str:
         """A curvature and its standard deviation in words."""
 
 
@@ -65,7 +65,7 @@ class CurvedSignal(CurvedLaw):
         x = measured_signal(o, self.signal)[:, o.fundamental]
         return np.asarray(_power(x, power, harmonic)[:, :, None] * np.eye(x.shape[1]))
 
-    def told(self, axis: str, power: int, value: float, deviation: float) -> str:
+    def curvature_in_words(self, axis: str, power: int, value: float, deviation: float) -> str:
         """As "in xA y = x + c x^3 with c = .."."""
         size = f"{value:.2g} per {self.unit}{'' if power == 2 else '^2'} (standard deviation {deviation:.1g})"
         return f"in {axis} {self.signal} = x + c x^{power} with c = {size}"
@@ -86,7 +86,7 @@ class CurvedForce(CurvedLaw):
         through = linear_model(rig, harmonic * o.frequency_hz).y_per_force[o.line]
         return np.asarray(-through * _power(_at_bearings(rig, o), power, harmonic)[:, None, :])
 
-    def told(self, axis: str, power: int, value: float, deviation: float) -> str:
+    def curvature_in_words(self, axis: str, power: int, value: float, deviation: float) -> str:
         """As "in xA -k x^3 with k = .."."""
         return f"in {axis} -k x^{power} with k = {value:.2g} N/m^{power} (standard deviation {deviation:.1g})"
 

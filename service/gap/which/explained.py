@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.part import Ground, Part
-from service.gap.fitting.predict import NOTHING_SEEN, NOTHING_TOLD, measured_signal, weight
+from service.gap.fitting.predict import TINY_SIGNAL, TINY_WEIGHT, measured_signal, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.significance import significance
@@ -60,7 +60,7 @@ class Explained:
         for z, o in zip(self.plain, self.ground.observations, strict=True):
             w, f = weight(o, self.part.signal), o.fundamental
             size = float(np.linalg.norm(measured_signal(o, self.part.signal)[:, f]))
-            shares.append(np.linalg.norm(z[:, f] / np.maximum(w[:, f], NOTHING_TOLD)) / max(size, NOTHING_SEEN))
+            shares.append(np.linalg.norm(z[:, f] / np.maximum(w[:, f], TINY_WEIGHT)) / max(size, TINY_SIGNAL))
         return float(max(shares))
 
     @property

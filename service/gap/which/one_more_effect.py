@@ -11,9 +11,9 @@ from service.gap.fitting.candidates import Candidate, Task
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, PROBE, Stage
-from service.gap.fitting.starts.left import Left
 from service.gap.fitting.starts.of_effect import starts
 from service.gap.fitting.starts.slews import largest_rate
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import Observation
 from sim.effects import CATALOGUE
@@ -61,7 +61,7 @@ def _starts(
     """Starts of an effect beside those of ``first``; of a nonlinear one from the sweep that excites it most."""
     sweeps = range(len(ground.observations))
     k = max(sweeps, key=lambda k: _excitation(name, ground.observations[k])) if CATALOGUE[name].nonlinear else 0
-    unexplained = Left(first.fit.rig, left[k], ground.observations[k], ground)
+    unexplained = SweepResiduals(first.fit.rig, left[k], ground.observations[k], ground)
     return tuple((*first.fit.values, s) for s in starts(CATALOGUE[name], unexplained))
 
 

@@ -17,7 +17,7 @@ NEARLY = 5.0
 """Log evidence behind the chosen explanation up to which another one is a rival: as much as an effect costs."""
 
 
-def left_together(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate, Candidate] | None:
+def pair_to_separate(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candidate, Candidate] | None:
     """The chosen explanation and the rival it is to be separated from; None where there is none.
 
     An explanation that adds effects to the chosen one is no rival.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.jacobian import stacked
 from service.gap.fitting.predict import weight, whole_displacement
-from service.gap.fitting.starts.left import Left
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from sim import imbalance
 from sim.effect import Effect
 
@@ -20,13 +20,13 @@ SLIGHT = 1e-3
 """Relative drift of the trial responses: small enough for them to be proportional to it."""
 
 
-def starts(effect: Effect, base: dict[str, float], left: Left) -> list[dict[str, float]]:
+def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals) -> list[dict[str, float]]:
     """The drifts of ki and ks, and their imbalances, that explain most beyond what the nuisance values can.
 
     The response to a small drift is linear in the drift of each axis. An imbalance is a mixture of its corner cases, in
     which only one bearing of one plane drifts, so the responses to these, of ki and ks each, give all others.
     """
-    rig, o, basis = left.rig, left.o, left.datasheet_basis()
+    rig, o, basis = residuals.rig, residuals.o, residuals.datasheet_basis()
     f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
     known_by = {p.name: p for p in effect.parameters}
     if rig.drift is not None:  # a further drift is stated over the time of the one that is there
@@ -42,7 +42,7 @@ def starts(effect: Effect, base: dict[str, float], left: Left) -> list[dict[str,
         return stacked(change[..., None])[:, 0]
 
     columns = np.stack([response(factor, c) for factor in ("ki_change", "ks_change") for c in corners], axis=-1)
-    wanted = stacked(left.z[:, f, :, None])[:, 0]
+    wanted = stacked(residuals.z[:, f, :, None])[:, 0]
     known = basis.T @ columns
     power = columns.T @ columns - known.T @ known
     along = columns.T @ wanted - known.T @ (basis.T @ wanted)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.jacobian import residue_columns, stacked
 from service.gap.fitting.predict import weight
-from service.gap.fitting.starts.left import Left
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from sim.effect import Effect
 
 Real = NDArray[np.float64]
@@ -23,14 +23,14 @@ GRID_APART = 8
 """Least distance of a second resonance from the first, in steps of the grid (lines, and one frequency between each)."""
 
 
-def starts(effect: Effect, base: dict[str, float], left: Left) -> list[dict[str, float]]:
+def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals) -> list[dict[str, float]]:
     """The best resonances, then one at the largest residuals, then the typical one."""
-    others = (left.peaks_hz(1)[0], base["frequency_hz"])
-    found = (*resonances(effect, left), *({"frequency_hz": f} for f in dict.fromkeys(others)))
+    others = (residuals.peaks_hz(1)[0], base["frequency_hz"])
+    found = (*resonances(effect, residuals), *({"frequency_hz": f} for f in dict.fromkeys(others)))
     return [{**base, **f} for f in found]
 
 
-def resonances(effect: Effect, left: Left, count: int = 2) -> list[dict[str, float]]:
+def resonances(effect: Effect, residuals: SweepResiduals, count: int = 2) -> list[dict[str, float]]:
     """Resonances that explain most beyond what the nuisance values can, best first: frequency, damping and shape.
 
     A score test: a resonance of small modal participation has a response that is linear in its residues, so these
@@ -39,13 +39,13 @@ def resonances(effect: Effect, left: Left, count: int = 2) -> list[dict[str, flo
     one.
     """
     shaped = effect.id == "extra_flexible_mode"
-    if left.rig.support is not None and not shaped:
+    if residuals.rig.support is not None and not shaped:
         return []
-    o, basis = left.o, left.datasheet_basis()
+    o, basis = residuals.o, residuals.datasheet_basis()
     f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
-    columns = residue_columns(left.rig, o) * w[..., None, None]
+    columns = residue_columns(residuals.rig, o) * w[..., None, None]
     columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
-    wanted, s = stacked(left.z[:, f, :, None]), 2j * np.pi * o.points_hz
+    wanted, s = stacked(residuals.z[:, f, :, None]), 2j * np.pi * o.points_hz
     wanted -= basis @ (basis.T @ wanted)
 
     def score(own_hz: float, damping_ratio: float) -> tuple[float, Real]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.gap.fitting.predict import current, linear_answer, weight
-from service.gap.fitting.starts.left import Left
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.measured.observation import Observation
 from sim.effect import Effect
 from sim.rig import Rig
@@ -17,13 +17,13 @@ DAMPING_SHARES = (0.0, 0.5, 1.0)
 """Shares of a current loop's damping that act on the limited slope, of the kinds of loops that are tried."""
 
 
-def starts(effect: Effect, _base: dict[str, float], left: Left) -> list[dict[str, float]]:
+def starts(effect: Effect, _base: dict[str, float], residuals: SweepResiduals) -> list[dict[str, float]]:
     """For each kind of current loop the slew limit with the least residuals, best first.
 
     Near the limit a loop that winds up makes the current jump to a lag of half a period, so the minimum of the cost is
     narrow and needs a fine grid. Where the current was not logged, y does not show limits so finely, and a few do.
     """
-    rig, o = left.rig, left.o
+    rig, o = residuals.rig, residuals.o
     rate, limits = largest_rate(o, rig), {p.name: p for p in effect.parameters}["slew_inverse_s_per_a"]
 
     def values(share: float, seen: float) -> dict[str, float]:
@@ -38,7 +38,7 @@ def starts(effect: Effect, _base: dict[str, float], left: Left) -> list[dict[str
     def remainder(parameters: dict[str, float]) -> float:
         """Chi-square that is left with such a limit."""
         change = (current(effect.on(rig, **parameters), o) - without) * w
-        return float(np.sum(np.abs(left.z - change) ** 2))
+        return float(np.sum(np.abs(residuals.z - change) ** 2))
 
     best = [min(((remainder(v := values(s, seen)), v) for s in SLEWS), key=lambda one: one[0]) for seen in kinds]
     return [v for _, v in sorted(best, key=lambda one: one[0])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.gap.fitting.predict import weight, whole_displacement
-from service.gap.fitting.starts.left import Left
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from sim.effect import Effect
 
 CLEARANCES = (0.3, 0.45, 0.6, 0.75, 0.9)
@@ -14,13 +14,13 @@ SOFT = 0.02
 """Stiffness of the trial stop over the magnets': small enough for the response to be proportional to it."""
 
 
-def starts(effect: Effect, base: dict[str, float], left: Left, count: int = 2) -> list[dict[str, float]]:
+def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals, count: int = 2) -> list[dict[str, float]]:
     """The best clearances and sides, each with its best stiffness.
 
     For the measured motion the force of a stop is proportional to its stiffness, so the response of one soft stop gives
     the best stiffness of a clearance by linear regression.
     """
-    rig, o = left.rig, left.o
+    rig, o = residuals.rig, residuals.o
     if rig.contact is not None:
         return [base]
     swing = np.abs(o.Y[:, o.fundamental]).max(axis=0)
@@ -38,7 +38,7 @@ def starts(effect: Effect, base: dict[str, float], left: Left, count: int = 2) -
             values = {**base, **clearances, "side": 0.9 * side, "stiffness_n_per_m": max(soft, limits.low)}
             change = (whole_displacement(effect.on(rig, **values), o) - without) * w
             power = float(np.vdot(change, change).real)
-            along = float(np.vdot(change, left.z).real)
+            along = float(np.vdot(change, residuals.z).real)
             if along <= 0 or power <= 0:
                 continue
             stiffness = values["stiffness_n_per_m"] * along / power

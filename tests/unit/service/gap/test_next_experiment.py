@@ -20,7 +20,7 @@ from service.gap.proposal.options import Option, options
 from service.gap.proposal.sensor_noise import SensorNoise
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
-from service.gap.which.rivals import left_together
+from service.gap.which.rivals import pair_to_separate
 from service.jobs.campaigns import profile_of
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
@@ -46,7 +46,7 @@ def test_an_exact_alias_is_constructed_and_only_speed_tells_it_apart() -> None:
     """At rest nothing but the log could; what adds an amplifier's limit to the chosen effect is no rival of it."""
     damping = dict(zip(DAMPED.candidate.effects, DAMPED.candidate.fit.values, strict=True))
     more = explanation(-1.0, **damping, amplifier_voltage_limit={"slew_inverse_s_per_a": 1e-6, "slope_seen": 0.0})
-    pair = left_together([DAMPED, more], ALIASES)
+    pair = pair_to_separate([DAMPED, more], ALIASES)
     assert pair is not None
     assert pair[1].effects == ("internal_damping",)
     proposal = Proposal(NU, pair, SEEN, "rig 1", FITTER).document()
@@ -63,12 +63,12 @@ def test_what_contains_the_chosen_explanation_is_no_rival_and_what_does_not_is()
     rival = explanation(-3.0, sensor_lag={"time_constant_s": 2e-5})
     far = replace(rival, log_evidence=-30.0)
     verdict = Verdict("effect", ("loop_delay",), (), 0.9, ())
-    assert left_together([chosen, more], verdict) is None
-    pair = left_together([chosen, more, rival], verdict)
+    assert pair_to_separate([chosen, more], verdict) is None
+    pair = pair_to_separate([chosen, more, rival], verdict)
     assert pair is not None
     assert pair[1].effects == ("sensor_lag",)
-    assert left_together([chosen, more, far], verdict) is None
-    assert left_together([chosen, rival], Verdict("none_of_these", (), (), 0.9, ())) is None
+    assert pair_to_separate([chosen, more, far], verdict) is None
+    assert pair_to_separate([chosen, rival], Verdict("none_of_these", (), (), 0.9, ())) is None
 
 
 def test_what_nothing_affordable_separates_gets_no_proposal() -> None:

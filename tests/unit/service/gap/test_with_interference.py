@@ -14,8 +14,8 @@ from service.gap.interference import Interference, at_speed, hums_hz
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
-from service.gap.which.rivals import left_together
-from service.gap.with_interference import once_a_turn, with_interference, with_sources
+from service.gap.which.rivals import pair_to_separate
+from service.gap.with_interference import runout_notes, with_interference, with_sources
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from tests.support.synthetic import experiment, known_datasheet, true_rig
@@ -26,7 +26,7 @@ from tests.unit.service.gap.where.test_dependence import plant
 HUM_HZ = 50.0
 LOUD = Interference("mains_interference", HUM_HZ, {"amplitude_m": 2e-7}, 2e-8, 0.0, 9.0, 20.0, "y")
 BY_PHASE = replace(LOUD, heard_hz=(HUM_HZ,))
-UNKNOWN = Verdict("none_of_these", (), (), 0.9, ("plant: leaves 80 % of the gap",), unexplained="plant", bent=True)
+UNKNOWN = Verdict("none_of_these", (), (), 0.9, ("plant: leaves 80 % of the gap",), unexplained="plant", nonlinear=True)
 
 
 def left(near: bool) -> Explained:
@@ -42,7 +42,7 @@ def test_what_nothing_explains_near_a_hum_that_could_not_be_taken_off_is_laid_to
     told = with_sources(UNKNOWN, [LOUD], [left(near=True)])
     assert (told.kind, told.effects, told.reasons) == ("effect", ("mains_interference",), ())
     assert told.unexplained is None
-    assert not told.bent
+    assert not told.nonlinear
 
 
 @pytest.mark.parametrize(
@@ -99,10 +99,10 @@ def test_an_explanation_beside_a_hum_is_listed_once_and_has_none_without_it_for_
     both = ("sensor_lag", "mains_interference")
     order = with_interference(Composition((LAG, ROTOR, PLAIN)), both, [LOUD]).order
     assert [r.candidate.effects for r in order] == [both, ("rotor_inertia",), ()]
-    pair = left_together(order, Verdict("effects", both, (), 0.9, ()))
+    pair = pair_to_separate(order, Verdict("effects", both, (), 0.9, ()))
     assert pair is not None
     assert pair[1].effects == ("rotor_inertia",)
-    assert left_together((order[0], order[2]), Verdict("effects", both, (), 0.9, ())) is None
+    assert pair_to_separate((order[0], order[2]), Verdict("effects", both, (), 0.9, ())) is None
 
 
 def test_the_twin_that_the_verdict_names_is_listed_also_where_another_is_likelier() -> None:
@@ -115,8 +115,8 @@ def test_the_twin_that_the_verdict_names_is_listed_also_where_another_is_likelie
 
 def test_runout_is_told_with_what_else_goes_once_a_turn_and_a_hum_is_not() -> None:
     turning = replace(BY_PHASE, effect="runout", frequency_hz=60.0, parameters={"amplitude_m": 2e-7})
-    assert once_a_turn([BY_PHASE]) == []
-    (note,) = once_a_turn([BY_PHASE, turning])
+    assert runout_notes([BY_PHASE]) == []
+    (note,) = runout_notes([BY_PHASE, turning])
     assert "60 Hz" in note
     assert "unbalance" in note
 

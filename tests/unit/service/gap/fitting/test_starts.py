@@ -9,8 +9,8 @@ from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.predict import current, residual, weight
-from service.gap.fitting.starts.left import Left
 from service.gap.fitting.starts.of_effect import SEARCHES, starts
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.measured.observation import observe
 from service.gap.which.search import explain, plain_twin
 from sim.effects import CATALOGUE
@@ -30,7 +30,7 @@ def test_a_mode_between_two_lines_begins_near_its_frequency_and_shape() -> None:
     assert np.abs(o.frequency_hz / 145.0 - 1).min() > 0.02
     ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
     left = residual(nu.rig, o)[..., 2 * nu.rig.n_axes :]
-    first, *_ = starts(CATALOGUE["extra_flexible_mode"], Left(nu.rig, left, o, ground))
+    first, *_ = starts(CATALOGUE["extra_flexible_mode"], SweepResiduals(nu.rig, left, o, ground))
     assert abs(first["frequency_hz"] / 145.0 - 1) < 0.01
     found, true = (np.array([v[f"{k}_per_sqrt_kg"] for k in shape]) for v in (first, values))
     assert abs(found @ true) > 0.8 * np.linalg.norm(found) * np.linalg.norm(true)
@@ -66,7 +66,7 @@ def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -
     o = replace(o, I=current(limited, o))
     left = (o.I - current(nu.rig, o)) * weight(o, "i")
     ground = Ground(nu, parts(nu, (o,))[1], (o,), np.zeros(len(nu)))
-    begun = starts(CATALOGUE["amplifier_voltage_limit"], Left(nu.rig, left, o, ground))
+    begun = starts(CATALOGUE["amplifier_voltage_limit"], SweepResiduals(nu.rig, left, o, ground))
     assert min(abs(1 / s["slew_inverse_s_per_a"] / limit_a_per_s - 1) for s in begun) < 0.02
 
 
@@ -86,7 +86,7 @@ def test_a_voltage_limit_begins_near_that_of_a_current_loop_that_has_wound_up() 
     assert (np.abs(lag) > 2.5).all(), "wound up"
     ground = Ground(nu, parts(nu, (o,))[1], (o,), np.zeros(len(nu)))
     left = (o.I - current(nu.rig, o)) * weight(o, "i")
-    first, *_ = starts(CATALOGUE["amplifier_voltage_limit"], Left(nu.rig, left, o, ground))
+    first, *_ = starts(CATALOGUE["amplifier_voltage_limit"], SweepResiduals(nu.rig, left, o, ground))
     assert 1 / first["slew_inverse_s_per_a"] == pytest.approx(2650.0, rel=0.02)
     assert first["slope_seen"] == 1.0
 
@@ -100,7 +100,7 @@ def test_without_the_current_a_voltage_limit_begins_at_what_the_amplifiers_make_
     assert o.I is not None
     steepest = float((np.abs(o.I[:, o.fundamental]).max(axis=1) * 2 * np.pi * o.points_hz).max())
     ground = Ground(nu, parts(nu, (blind,))[1], (blind,), np.zeros(len(nu)))
-    begun = starts(CATALOGUE["amplifier_voltage_limit"], Left(nu.rig, np.zeros_like(o.Y), blind, ground))
+    begun = starts(CATALOGUE["amplifier_voltage_limit"], SweepResiduals(nu.rig, np.zeros_like(o.Y), blind, ground))
     assert all(0.5 * steepest < 1 / s["slew_inverse_s_per_a"] < steepest for s in begun)
 
 
@@ -113,7 +113,7 @@ def test_a_drift_begins_at_its_strength_and_at_the_magnets_that_drift(end: float
     o = observe(sweep(with_effects(true_rig(truth), {"thermal_drift": one}), lines(), 0.15, 1, during=(0, 1)), nu.rig)
     ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
     null, (left,) = plain_twin(Fitter(), ground)
-    (begun,) = starts(CATALOGUE["thermal_drift"], Left(null.fit.rig, left, o, ground))
+    (begun,) = starts(CATALOGUE["thermal_drift"], SweepResiduals(null.fit.rig, left, o, ground))
     assert (begun["end_imbalance"], begun["plane_imbalance"]) == pytest.approx((end, plane), abs=0.26)
     assert (begun["ki_change"], begun["ks_change"]) == pytest.approx((-0.02, -0.03), rel=0.3)
 

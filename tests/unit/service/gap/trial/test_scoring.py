@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.cli.gap import _told
-from service.gap.trial.scoring import Outcome, calibration, score, told
+from service.gap.trial.scoring import Outcome, calibration, case_in_words, score
 
 
 def outcome(
@@ -267,8 +267,8 @@ def test_closure_counts_where_the_true_effect_is_not_among_the_listed_ones() -> 
 
 
 def test_a_case_is_told_in_words() -> None:
-    assert told(outcome(*SINGLE, said="none_of_these")).endswith(" -> none of these (1.00): wrong")
-    assert "-> loop delay (" in told(outcome(*SINGLE, said="effect", named=("loop_delay",)))
+    assert case_in_words(outcome(*SINGLE, said="none_of_these")).endswith(" -> none of these (1.00): wrong")
+    assert "-> loop delay (" in case_in_words(outcome(*SINGLE, said="effect", named=("loop_delay",)))
 
 
 def test_what_a_trial_is_judged_by_is_printed() -> None:

@@ -27,7 +27,7 @@ def test_a_small_gap_that_nothing_explains_stays_one_of_this_rig() -> None:
 
 
 def test_what_bends_is_told_before_the_values_that_it_draws_away() -> None:
-    bent = Verdict("none_of_these", (), (), 0.95, ("the displacement is curved",), bent=True)
+    bent = Verdict("none_of_these", (), (), 0.95, ("the displacement is curved",), nonlinear=True)
     verdict = astray(bent, AWAY, relative_gap=0.1)
     assert not verdict.another_rig
     assert verdict.reasons[0] == bent.reasons[0]

@@ -18,7 +18,7 @@ Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class SweepResiduals:
     """A sweep with the residuals of a fitted rig in one part's signal."""
 
     rig: Rig
