@@ -166,46 +166,27 @@ def observe(
     span_s
         ... unless this gives the times, s, of progress 0 and 1, and the sweep those of its points.
     hums_hz
-        Frequencies of interference, the loudest first. The loudest is taken off the blocks where they are long enough;
-        what hums leave in the means is added to the standard deviations.
+        Frequencies of interference, the loudest first. The loudest is taken off the blocks where their length is
+        known and they are enough; what hums leave in the means is added to the standard deviations.
     together
         All lines of the multisine that the sweep is part of.
     """
     sweep = usable(sweep)
     frequency, line = time_points(sweep.frequency_hz)
-    U, Y, blocks = sweep.U, sweep.Y, sweep.Y.shape[1]
     with_hum, by = sweep, None
-    if hums_hz and sweep.block_samples is not None and blocks > PATTERNS:
+    if hums_hz and sweep.block_samples is not None and sweep.Y.shape[1] > PATTERNS:
         by = beside_hum(sweep, hums_hz[0])
         sweep = without_hum(sweep, hums_hz[0])
-        U, Y = sweep.U, sweep.Y
     hum_leaks = None
     if hums_hz and with_hum.block_samples is not None:
         hum_leaks = slow_leaks(with_hum, with_hum.U, hums_hz), slow_leaks(with_hum, with_hum.Y, hums_hz)
     sds = tuple(np.sqrt(v) for v in mean_scatter(sweep, rig, by))
-    sd_u, sd_i, sd_y = _with_hum(sds, with_hum, rig, hums_hz) if hums_hz else sds
-    f = sweep.harmonics.index(1)
-    mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
-    mean_i = None if sweep.I is None else sweep.I.mean(axis=1)
-    sd_u = _with_floor(sd_u, mean_u, sweep.harmonics, CONTROLLER_FLOOR)
-    sd_y = _with_floor(sd_y, mean_y, sweep.harmonics)
-    sd_i = sd_i if mean_i is None else _with_floor(sd_i, mean_i, sweep.harmonics)
-    drift_y, drift_u = _drift(Y[:, :, f], sd_y[:, f], blocks), _trend(U[:, :, f])
-    sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
-    sd_u = np.hypot(sd_u, _drift_leakage(sweep, drift_u)[:, None, None])
-    if sweep.I is not None:  # at the excited frequency an amplifier answers to a slow change as to a steady tone
-        elsewhere = np.arange(len(sweep.harmonics)) != f
-        drift_i = _trend(sweep.I[:, :, f])
-        sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _drift_leakage(sweep, drift_i)[:, None, None])
-    rings = ringing(rig, sweep)
-    sd_y[:, f][rings[:, f]] *= np.sqrt(blocks)
-    rings[:, f] = False
-    sd_y[rings] = np.inf
+    sds = _with_hum(sds, with_hum, rig, hums_hz) if hums_hz else sds
+    sds = _with_drift(_with_model_error(sds, sweep), sweep)
+    sds = _with_ringing(sds, sweep, rig)
     if 0 in sweep.harmonics:
-        k = sweep.harmonics.index(0)
-        sd_u, sd_i, sd_y = _with_transient_leakage((sd_u, sd_i, sd_y), sweep, rig, k)
-        means = (mean_u, mean_u if mean_i is None else mean_i, mean_y)
-        sd_y[:, k] = np.hypot(sd_y[:, k], wander(rig, means, sd_y[:, k], k, f, sweep))
+        sds = _with_remanence(_with_transient_leakage(sds, sweep, rig), sweep, rig)
+    sd_u, sd_i, sd_y = sds
     unsettled, change = drifting(sweep, hum_leaks)
     return Observation(
         frequency_hz=frequency,
@@ -213,9 +194,9 @@ def observe(
         axis=sweep.axis,
         harmonics=sweep.harmonics,
         R=sweep.R.mean(axis=1),
-        U=mean_u,
-        I=mean_i,
-        Y=mean_y,
+        U=sweep.U.mean(axis=1),
+        I=None if sweep.I is None else sweep.I.mean(axis=1),
+        Y=sweep.Y.mean(axis=1),
         sd_u=sd_u,
         sd_i=sd_i,
         sd_y=sd_y,
@@ -225,6 +206,50 @@ def observe(
         speed_rad_s=sweep.speed_rad_s,
         together=together,
     )
+
+
+def _with_model_error(sds: tuple[Real, ...], sweep: Sweep) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with the errors of their models."""
+    sd_u, sd_i, sd_y = sds
+    sd_u = _with_floor(sd_u, sweep.U.mean(axis=1), sweep.harmonics, CONTROLLER_FLOOR)
+    sd_y = _with_floor(sd_y, sweep.Y.mean(axis=1), sweep.harmonics)
+    if sweep.I is not None:
+        sd_i = _with_floor(sd_i, sweep.I.mean(axis=1), sweep.harmonics)
+    return sd_u, sd_i, sd_y
+
+
+def _with_drift(sds: tuple[Real, ...], sweep: Sweep) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with what a drift along the blocks leaves in them."""
+    sd_u, sd_i, sd_y = sds
+    f, blocks = sweep.harmonics.index(1), sweep.Y.shape[1]
+    drift_y, drift_u = _drift(sweep.Y[:, :, f], sd_y[:, f], blocks), _trend(sweep.U[:, :, f])
+    sd_y = np.hypot(sd_y, UNSETTLED_SHARE * drift_y[:, None, None])
+    sd_u = np.hypot(sd_u, _drift_leakage(sweep, drift_u)[:, None, None])
+    if sweep.I is not None:  # at the excited frequency an amplifier answers to a slow change as to a steady tone
+        sd_i, elsewhere = sd_i.copy(), np.arange(len(sweep.harmonics)) != f
+        drift_i = _trend(sweep.I[:, :, f])
+        sd_i[:, elsewhere] = np.hypot(sd_i[:, elsewhere], _drift_leakage(sweep, drift_i)[:, None, None])
+    return sd_u, sd_i, sd_y
+
+
+def _with_ringing(sds: tuple[Real, ...], sweep: Sweep, rig: Rig) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y; near a flexible mode that of y is of one block, and infinite at harmonics."""
+    sd_u, sd_i, sd_y = sds
+    f, rings, sd_y = sweep.harmonics.index(1), ringing(rig, sweep), sd_y.copy()
+    sd_y[:, f][rings[:, f]] *= np.sqrt(sweep.Y.shape[1])
+    rings[:, f] = False
+    sd_y[rings] = np.inf
+    return sd_u, sd_i, sd_y
+
+
+def _with_remanence(sds: tuple[Real, ...], sweep: Sweep, rig: Rig) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with the `wander` of the mean displacement."""
+    sd_u, sd_i, sd_y = sds
+    k, f, sd_y = sweep.harmonics.index(0), sweep.harmonics.index(1), sd_y.copy()
+    mean_u, mean_y = sweep.U.mean(axis=1), sweep.Y.mean(axis=1)
+    means = (mean_u, mean_u if sweep.I is None else sweep.I.mean(axis=1), mean_y)
+    sd_y[:, k] = np.hypot(sd_y[:, k], wander(rig, means, sd_y[:, k], k, f, sweep))
+    return sd_u, sd_i, sd_y
 
 
 def _with_floor(sd: Real, mean: Complex, harmonics: tuple[int, ...], floor: float = MODEL_FLOOR) -> Real:
@@ -264,9 +289,10 @@ def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[f
     return of_u, of_i, of_y
 
 
-def _with_transient_leakage(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, at_rest: int) -> tuple[Real, ...]:
-    """Standard deviations of u, i and y with what slow transients leak; ``at_rest`` is the index of harmonic 0."""
+def _with_transient_leakage(sds: tuple[Real, ...], sweep: Sweep, rig: Rig) -> tuple[Real, ...]:
+    """Standard deviations of u, i and y with what slow transients leak into their harmonics, known from harmonic 0."""
     of_u, of_i, of_y = (sd.copy() for sd in sds)
+    at_rest = sweep.harmonics.index(0)
     frequency, line = time_points(sweep.frequency_hz)
     U, Y = sweep.U[:, :, at_rest], sweep.Y[:, :, at_rest]
     for k, h in enumerate(sweep.harmonics):
