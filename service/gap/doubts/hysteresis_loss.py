@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.evidence import prior_precision
 from service.gap.fitting.fit import Problem
+from service.gap.measured.observation import Observation
 from service.gap.which.explained import Explained
 from sim.effects import CATALOGUE
+from sim.rig import Rig
 from sim.twin import linear_model
 
 Real = NDArray[np.float64]
@@ -63,12 +65,7 @@ def lag_share(e: Explained) -> tuple[float, float]:
     ):
         f = o.fundamental
         change = (problem.model.predict(c.fit.rig, o, False) - problem.model.predict(without, o, False))[:, f]
-        model = linear_model(without, o.frequency_hz)
-        G = model.y_per_i[o.line]
-        current = (model.i_per_u[o.line] @ o.U[:, f, :, None])[..., 0]
-        force = np.linalg.solve(G, change[..., None])[..., 0]
-        gain = np.divide(force, current, out=np.zeros_like(force), where=current != 0)  # describing function
-        of_parts = [(G @ (part * current)[..., None])[..., 0] * weight[:, f] for part in (gain.real, 1j * gain.imag)]
+        of_parts = [part * weight[:, f] for part in _by_gain_and_lag(change, without, o)]
         J = np.concatenate([columns[..., beside], np.stack(of_parts, axis=-1)], axis=-1)
         rows = _real(J.reshape(-1, J.shape[-1]))
         curvature += rows.T @ rows
@@ -78,5 +75,20 @@ def lag_share(e: Explained) -> tuple[float, float]:
     return float(1 + (covariance @ gradient)[-1]), float(np.sqrt(covariance[-1, -1] * widened))
 
 
+def _by_gain_and_lag(change: Complex, rig: Rig, o: Observation) -> tuple[Complex, Complex]:
+    """A change of y, (P, n), split into those by the real and by the imaginary part of its describing function.
+
+    That is the force that makes the change over the coil current.
+    """
+    model = linear_model(rig, o.frequency_hz)
+    G = model.y_per_i[o.line]
+    current = (model.i_per_u[o.line] @ o.U[:, o.fundamental, :, None])[..., 0]
+    force = np.linalg.solve(G, change[..., None])[..., 0]
+    gain = np.divide(force, current, out=np.zeros_like(force), where=current != 0)
+    by_gain, by_lag = ((G @ (part * current)[..., None])[..., 0] for part in (gain.real, 1j * gain.imag))
+    return by_gain, by_lag
+
+
 def _real(z: Complex) -> Real:
+    """Real parts, then imaginary ones."""
     return np.concatenate([z.real, z.imag])
