@@ -1,1 +1,1 @@
-"""What to measure next: options, the service's own campaign rehearsed on a twin, and what its outcome would tell."""
+"""What to measure next: options, campaigns rehearsed on a twin, and how well their data would separate rivals."""
