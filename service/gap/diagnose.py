@@ -21,7 +21,7 @@ from service.gap.lost_loop import LIMIT, LostLoop, with_limit
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
-from service.gap.outdated import fewer, outdated
+from service.gap.outdated import outdated, twins_without_effects
 from service.gap.overall_verdict import overall_verdict
 from service.gap.progress import Progress, ProgressCallback
 from service.gap.proposal.case import Grounds
@@ -70,7 +70,7 @@ def _or_outdated(
 ) -> Diagnosis:
     """The diagnosis, or that the twin is out of date, from diagnoses of the twin without some of its effects."""
     without = {}
-    for names, sheet in fewer(datasheet):
+    for names, sheet in twins_without_effects(datasheet):
         progress.without(names, PERCENT_FITTED)
         fitter.lost.clear()  # what is lost is reported of one twin only
         with suppress(AmbError):  # without them it may be a rig that cannot be fitted

@@ -18,7 +18,7 @@ from sim.effects import CATALOGUE
 from sim.wording import in_words
 
 
-def fewer(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
+def twins_without_effects(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
     """(effects left out, the twin without them), for each effect of the twin and for all of them."""
     names = tuple(dict.fromkeys(name for name, _ in datasheet.effects))
     for without in dict.fromkeys((*((name,) for name in names), names)):

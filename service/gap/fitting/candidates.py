@@ -17,7 +17,7 @@ from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground, Values
 from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, Stage
-from service.gap.fitting.unknowns import BY_SPEED, Unknowns, asleep, slow_to_compute
+from service.gap.fitting.unknowns import BY_SPEED, Unknowns, dormant_at_null, slow_to_compute
 from service.pool import Workers, workers
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
@@ -98,7 +98,7 @@ def _fit_beside(task: Task, frozen: Candidate) -> Candidate:
 
 def _fit_all(task: Task) -> Candidate:
     """Fit all effects of an explanation: rough stages sort its starts, the last stage goes on from the best ones."""
-    dormant = frozenset.intersection(*(asleep(task.effects, values) for values in task.starts))
+    dormant = frozenset.intersection(*(dormant_at_null(task.effects, values) for values in task.starts))
     if len({o.speed_rad_s for o in task.ground.observations}) > 1:
         dormant -= BY_SPEED
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)

@@ -17,7 +17,7 @@ from service.gap.fitting.objective import Objective, State
 from service.gap.fitting.part import Ground
 from service.gap.fitting.part_model import PartModel
 from service.gap.fitting.stage import EXACT, Stage
-from service.gap.fitting.unknowns import TOLERANCE_BOUND, Unknowns, asleep
+from service.gap.fitting.unknowns import TOLERANCE_BOUND, Unknowns, dormant_at_null
 from sim.effect import Effect
 from sim.effects import CATALOGUE
 
@@ -49,7 +49,7 @@ class Problem:
     @classmethod
     def of(cls, ground: Ground, fit: Fit) -> Problem:
         """The problem that a fit has solved; only dormant parameters are held at their null."""
-        return cls(ground, [CATALOGUE[name] for name in fit.effects], asleep(fit.effects, fit.values))
+        return cls(ground, [CATALOGUE[name] for name in fit.effects], dormant_at_null(fit.effects, fit.values))
 
     def run(self, x: Real, stage: Stage) -> Fit:
         """One Levenberg-Marquardt pass from ``x``, (a + e,).

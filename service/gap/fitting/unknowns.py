@@ -49,7 +49,7 @@ class Unknowns:
         self.ground, self.effects = ground, tuple(effect.of(rig) for effect in effects)
         self.active = ground.part.active
         other = ground.inherited
-        self._held = {*held, *(() if other is None else asleep(*zip(*other.effects, strict=True)))}
+        self._held = {*held, *(() if other is None else dormant_at_null(*zip(*other.effects, strict=True)))}
         inherited = () if other is None else tuple(CATALOGUE[name].of(rig) for name, _ in other.effects)
         self._all_effects = (*self.effects, *inherited)
         self.parameters = [(k, p) for k, e in enumerate(self._all_effects) for p in e.parameters]
@@ -171,10 +171,12 @@ class Unknowns:
         return self.penalty(x) - float(own @ own) + self.ground.nuisance.price(own)
 
 
-def asleep(effects: Sequence[str] = (), values: Sequence[Mapping[str, float]] = ()) -> frozenset[tuple[str, str]]:
+def dormant_at_null(
+    effects: Sequence[str] = (), values: Sequence[Mapping[str, float]] = ()
+) -> frozenset[tuple[str, str]]:
     """Dormant (effect, parameter) that are at their null, so that a fit holds them there.
 
-    >>> asleep(["sensor_lag"], [{"end_imbalance": 0.5}])
+    >>> dormant_at_null(["sensor_lag"], [{"end_imbalance": 0.5}])
     frozenset({('sensor_lag', 'plane_imbalance')})
     """
     return frozenset(

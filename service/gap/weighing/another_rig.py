@@ -50,7 +50,7 @@ def far_off(ground: Ground, fit: Fit) -> str | None:
     return f"its values would be off, or apart where they are alike in a rig, by many tolerances ({values})"
 
 
-def astray(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
+def with_datasheet_off(verdict: Verdict, away: str, relative_gap: float) -> Verdict:
     """The verdict on a part whose datasheet would be off beyond chance; ``away`` says by what (`far_off`).
 
     ``relative_gap`` is that of the plain twin, over the part's output.

@@ -17,9 +17,9 @@ from service.gap.weighing.another_rig import at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import MIXTURE_SHARE
-from service.gap.which.one_more_effect import beside, residuals, rough_beside
+from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
 from service.gap.which.optional_parameters import with_all_parameters
-from service.gap.which.refits import LOST_COST, best_of_each, contained, cost, refitted, to_the_end
+from service.gap.which.refits import LOST_COST, best_of_each, better_without_one_effect, cost, exact_tasks, refitted
 from sim.effects import CATALOGUE, aliases
 
 Real = NDArray[np.float64]
@@ -67,7 +67,7 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
     base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
-    leaves = leaves_something(ground, base)
+    leaves = leaves_more_than_law_error(ground, base)
     promising = ground.part.effects if leaves else _explaining_more(base, order)
     # Of single effects any may show a prospect: one that needs implausible nuisance values alone may not need them
     # beside another.
@@ -86,13 +86,13 @@ def with_one_more(
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
-        if leaves_something(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
+        if leaves_more_than_law_error(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
             everything += refitted_in_turn(fitter, ground, null, best, everything)
             everything += with_aliases(fitter, ground, best, everything)
-    return best_of_each(null, [*everything, *contained(fitter, ground, null, *everything)])
+    return best_of_each(null, [*everything, *better_without_one_effect(fitter, ground, null, *everything)])
 
 
-def leaves_something(ground: Ground, best: Ranked) -> bool:
+def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
     """Whether an explanation leaves more than another program's law of the same effects would."""
     # Such a law leaves a small share of a large gap, without implausible nuisance values.
     if max(best.apart) < MIXTURE_SHARE and not _strained(best) and not _at_bound(best):
@@ -136,7 +136,7 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
     tried, rough, left = set(), rough_beside(best, ground), residuals(ground, best)
     for name in extension.beside:
         tried.add(frozenset((*best.effects, name)))
-        task = beside(name, best, null, left, ground, best.fit.theta, rough)
+        task = task_beside(name, best, null, left, ground, best.fit.theta, rough)
         yield task
         if (with_more_parameters := with_all_parameters(task)) is not None:
             yield with_more_parameters
@@ -146,7 +146,7 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
     for a, b in combinations(singles, 2):
         if frozenset((*a.effects, *b.effects)) in tried:
             continue
-        yield beside(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta, rough_beside(a, ground))
+        yield task_beside(b.effects[0], a, null, residuals(ground, a), ground, a.fit.theta, rough_beside(a, ground))
 
 
 def refitted_in_turn(
@@ -160,12 +160,12 @@ def refitted_in_turn(
     # the last effect was fitted from its own starts
     others = [(name, fewer.get(frozenset(best.effects) - {name})) for name in best.effects[:-1]]
     probed = fitter.run(
-        beside(name, rest, null, residuals(ground, rest), ground, best.fit.theta, rough_beside(rest, ground))
+        task_beside(name, rest, null, residuals(ground, rest), ground, best.fit.theta, rough_beside(rest, ground))
         for name, rest in others
         if rest is not None
     )
     better = [c for c in probed if cost(c) < cost(best) + LOST_COST]
-    return fitter.run(to_the_end(ground, sorted(better, key=cost)[:1]))
+    return fitter.run(exact_tasks(ground, sorted(better, key=cost)[:1]))
 
 
 def with_aliases(fitter: Fitter, ground: Ground, best: Candidate, found: Sequence[Candidate]) -> list[Candidate]:
@@ -184,7 +184,7 @@ def with_aliases(fitter: Fitter, ground: Ground, best: Candidate, found: Sequenc
         for values in [(*best.fit.values[:k], singles[alias], *best.fit.values[k + 1 :])]
         if frozenset(effects) not in as_good
     )
-    return fitter.run(to_the_end(ground, sorted(probed, key=cost)[:1]))
+    return fitter.run(exact_tasks(ground, sorted(probed, key=cost)[:1]))
 
 
 def without_superfluous(everything: Sequence[Ranked]) -> list[Ranked]:

@@ -32,7 +32,7 @@ def residuals(ground: Ground, candidate: Candidate) -> tuple[Complex, ...]:
     return tuple(Problem.of(ground, candidate.fit).residuals(candidate.fit))
 
 
-def beside(
+def task_beside(
     name: str,
     first: Candidate,
     null: Candidate,

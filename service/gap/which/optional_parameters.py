@@ -14,7 +14,7 @@ from itertools import product
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
-from service.gap.fitting.unknowns import asleep
+from service.gap.fitting.unknowns import dormant_at_null
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
@@ -42,7 +42,7 @@ def with_all_parameters(task: Task) -> Task | None:
 
 def _tasks(ground: Ground, c: Candidate) -> Iterator[Task]:
     """Fits of one effect's dormant parameters: from the strength of its basic law, and from a visible one."""
-    sleeping = asleep(c.effects, c.fit.values)
+    sleeping = dormant_at_null(c.effects, c.fit.values)
     for k, name in enumerate(c.effects):
         parameters = CATALOGUE[name].of(ground.nuisance.rig).parameters
         visible = {p.name: p.null + VISIBLE * (p.typical - p.null) for p in parameters if p.strength}

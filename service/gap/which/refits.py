@@ -36,8 +36,8 @@ def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     probed = [*(c for c in probed if c not in lost), *again]
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - LOG_EVIDENCE_IN_REACH][:REFINED]
-    near += [r.candidate for r in order if r.candidate not in near and same_twin(r.candidate, near[0])][:ALIASES]
-    refitted = [*fitter.run(to_the_end(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
+    near += [r.candidate for r in order if r.candidate not in near and differ_by_alias(r.candidate, near[0])][:ALIASES]
+    refitted = [*fitter.run(exact_tasks(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
     from_aliases = {frozenset(c.effects): c for c in fitter.run(_from_aliases(ground, refitted[: len(near)], refitted))}
     best = []
     for c in refitted:
@@ -55,7 +55,7 @@ def refitted_from_best(fitter: Fitter, ground: Ground, found: Sequence[Candidate
     for _ in range(CONTINUATIONS):
         if best is None or not best.fit.out_of_steps:
             break
-        (again,) = fitter.run(to_the_end(ground, [best])) or [best]
+        (again,) = fitter.run(exact_tasks(ground, [best])) or [best]
         if cost(again) > cost(best) - LOST_COST:
             break
         found, best = [again if c is best else c for c in found], again
@@ -84,7 +84,7 @@ def _from_aliases(ground: Ground, solved: Sequence[Candidate], known: Sequence[C
                     yield Task(ground, effects, starts, c.fit.theta, (EXACT,))
 
 
-def contained(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
+def better_without_one_effect(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
     """Explanations by one effect less than the best fit, where a fit from its solution is better than the one known.
 
     If a fit has missed its minimum, any further effect seems to explain the difference.
@@ -110,12 +110,12 @@ def best_of_each(null: Candidate, found: Sequence[Candidate]) -> list[Candidate]
     return [c for c in best.values() if c.effects]
 
 
-def to_the_end(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:
+def exact_tasks(ground: Ground, candidates: Iterable[Candidate]) -> Iterable[Task]:
     """Tasks to fit candidates exactly from their present solutions."""
     return (Task(ground, c.effects, (c.fit.values,), c.fit.theta, (EXACT,)) for c in candidates)
 
 
-def same_twin(a: Candidate, b: Candidate) -> bool:
+def differ_by_alias(a: Candidate, b: Candidate) -> bool:
     """Whether two explanations differ in one effect only, by an alias."""
     one, other = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
     return len(one) == len(other) == 1 and aliases(*one, *other)

@@ -18,11 +18,24 @@ from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVER
 from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
-from service.gap.which.mixtures import extended, leaves_something, with_aliases, with_one_more, without_superfluous
-from service.gap.which.one_more_effect import GOOD_START, beside, residuals, rough_beside, rough_stages
+from service.gap.which.mixtures import (
+    extended,
+    leaves_more_than_law_error,
+    with_aliases,
+    with_one_more,
+    without_superfluous,
+)
+from service.gap.which.one_more_effect import GOOD_START, residuals, rough_beside, rough_stages, task_beside
 from service.gap.which.optional_parameters import with_optional_parameters
 from service.gap.which.plainest_law import plainer_law, weighed_plainly
-from service.gap.which.refits import best_of_each, contained, cost, refitted, refitted_from_best, same_twin
+from service.gap.which.refits import (
+    best_of_each,
+    better_without_one_effect,
+    cost,
+    differ_by_alias,
+    refitted,
+    refitted_from_best,
+)
 from service.gap.which.uneven_effects import with_uneven_effects
 from sim.effects import CATALOGUE
 
@@ -111,7 +124,9 @@ class _Search:
         others = [name for name in self.ground.part.effects if name not in done]
         probed = _cheapest_of_each([*self.fitter.run(self._first_fits(others, before)), *continued])
         found = refitted(self.fitter, self.ground, self.null, probed)
-        if better_null := contained(self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)):
+        if better_null := better_without_one_effect(
+            self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)
+        ):
             self.null, self.plain = better_null[0], residuals(self.ground, better_null[0])
             found = refitted(self.fitter, self.ground, self.null, found)
         self.found = refitted_from_best(self.fitter, self.ground, found)
@@ -134,7 +149,7 @@ class _Search:
             else:
                 from_plain = near and (slow_to_compute(name) or name in GOOD_START)
                 theta = self.null.fit.theta if from_plain else self.ground.theta
-                yield beside(name, self.null, self.null, self.plain, self.ground, theta, rough)
+                yield task_beside(name, self.null, self.null, self.plain, self.ground, theta, rough)
 
     def curved(self) -> bool:
         """Whether a curved characteristic explains most of the gap and more than any effect: no mixtures then.
@@ -154,9 +169,9 @@ class _Search:
         Effects that differ from axis to axis, and laws with their dormant parameters.
         """
         best = self.order[0].candidate
-        needed = leaves_something(self.ground, self.order[0]) or leaves_much(self.null, self.order)
+        needed = leaves_more_than_law_error(self.ground, self.order[0]) or leaves_much(self.null, self.order)
         # an alias of the best explanation is always compared with it by all of its law
-        wider = [c for c in of if needed or same_twin(c, best)]
+        wider = [c for c in of if needed or differ_by_alias(c, best)]
         more = [
             *(with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else ()),
             *with_optional_parameters(self.fitter, self.ground, wider),

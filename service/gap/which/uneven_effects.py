@@ -23,7 +23,7 @@ from service.gap.fitting.jacobian import stacked
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import centred
 from service.gap.fitting.stage import EXACT
-from service.gap.fitting.unknowns import TOLERANCE_BOUND, asleep
+from service.gap.fitting.unknowns import TOLERANCE_BOUND, dormant_at_null
 from service.gap.weighing.ranking import noise_levels
 from service.gap.which.refits import cost
 from sim import imbalance
@@ -72,7 +72,7 @@ def with_uneven_effects(fitter: Fitter, ground: Ground, null: Candidate, found: 
 
 def _may_be_uneven(c: Candidate) -> list[str]:
     """Effects of an explanation that have dormant imbalances."""
-    may = {name for name, p in asleep(c.effects, c.fit.values) if p in imbalance.NAMES}
+    may = {name for name, p in dormant_at_null(c.effects, c.fit.values) if p in imbalance.NAMES}
     return [name for name in c.effects if name in may]
 
 

@@ -8,7 +8,7 @@ from service.gap.apply import applied
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
 from service.gap.measured.observation import GapError
-from service.gap.outdated import fewer
+from service.gap.outdated import twins_without_effects
 from service.report.gap import gap_page
 from sim.datasheet import Datasheet
 from sim.twin import with_effects
@@ -28,13 +28,13 @@ def twin(sheet: Datasheet, *effects: dict[str, dict[str, float]]) -> Datasheet:
 
 def test_the_twin_is_tried_without_each_of_its_effects_and_without_all() -> None:
     sheet = known_datasheet()[0]
-    tried = dict(fewer(twin(sheet, DELAY, HOUSING)))
+    tried = dict(twins_without_effects(twin(sheet, DELAY, HOUSING)))
     assert {names: [name for name, _ in one.effects] for names, one in tried.items()} == {
         ("loop_delay",): ["support_resonance"],
         ("support_resonance",): ["loop_delay"],
         ("loop_delay", "support_resonance"): [],
     }
-    assert dict(fewer(twin(sheet, DELAY))) == {("loop_delay",): sheet}
+    assert dict(twins_without_effects(twin(sheet, DELAY))) == {("loop_delay",): sheet}
 
 
 @pytest.mark.parametrize(
