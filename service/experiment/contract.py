@@ -37,8 +37,13 @@ def number(where: str, name: str, value: Any) -> float:
     except (TypeError, ValueError):
         result = float("nan")
     if not np.isfinite(result):
-        raise ExperimentFileError(f"{where}: attribute {name} must be one finite number, not {value!r}")
+        raise ExperimentFileError(f"{where}: attribute {name} must be one finite number, not {_shown(value)}")
     return result
+
+
+def _shown(value: Any) -> str:
+    """A value as an error shows it."""
+    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 def format_and_version(where: str, format_: Any, version: Any) -> None:
@@ -124,7 +129,7 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     d = _Datasets(where, datasets, n_axes)
     frequency, axis, amplitude = _points(d, rate, kind)
     flags = _flags(d, len(frequency))
-    block_samples = d.integers("block_samples", len(frequency)) if "block_samples" in datasets else None
+    block_samples = _block_samples(d, frequency, rate) if "block_samples" in datasets else None
     time_s = d.vector("time_s", len(frequency)) if "time_s" in datasets else None
     speeds = d.vector("point_speed_rad_s", len(frequency)) if "point_speed_rad_s" in datasets else None
     kurtosis = d.vector("kurtosis", n_axes) if "kurtosis" in datasets else None
@@ -182,6 +187,19 @@ def _points(d: _Datasets, rate: float, kind: str) -> tuple[NDArray[np.float64], 
     if np.any(amplitude < 0):
         raise d.fail("amplitude_a", f"holds {amplitude.min():g} A; an amplitude must not be negative")
     return frequency, axis, amplitude
+
+
+def _block_samples(d: _Datasets, frequency: NDArray[np.float64], rate: float) -> NDArray[np.int64]:
+    samples = d.integers("block_samples", len(frequency))
+    short = (samples < 1) | (np.round(frequency * samples / rate) < np.sign(frequency))
+    if short.any():
+        point = int(np.argmax(short))
+        raise d.fail(
+            "block_samples",
+            f"holds {samples[point]} at point {point}, which is no period of {frequency[point]:g} Hz; a block has "
+            "whole periods: check its unit and sample_rate_hz",
+        )
+    return samples
 
 
 def _phases(d: _Datasets, R: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -53,7 +53,12 @@ def read(path: Path | str) -> Experiment:
         if path.with_suffix(".journal").exists():
             remedy = "an interrupted campaign lies beside it: resume that"
         raise ExperimentFileError(f"{path} does not exist; {remedy}") from error
-    except (OSError, RuntimeError, KeyError, EOFError, matlab.DamagedError) as error:
+    except MemoryError as error:
+        raise ExperimentFileError(
+            f"{path} states to hold more than this machine's memory ({reason(error)}): it may be damaged; copy it "
+            "again from where it was made, or log fewer samples"
+        ) from error
+    except (OSError, RuntimeError, KeyError, EOFError, UnicodeDecodeError, matlab.DamagedError) as error:
         why = reason(error)
         raise ExperimentFileError(
             f"{path} cannot be read, it may be truncated or damaged ({why}); copy it again from where it was made"

@@ -32,7 +32,7 @@ def made_sweep(n_points=3, blocks=4, n_axes=4, kind="stepped-sine", comment="mai
         Y=signal(),
         comment=comment,
         flags=("",) * (n_points - 1) + ("not settled",),
-        block_samples=np.full(n_points, 500),
+        block_samples=np.full(n_points, 2000),
         time_s=np.arange(n_points, dtype=float),
         point_speed_rad_s=np.linspace(0.0, 3.0, n_points),
     )

@@ -129,6 +129,28 @@ def test_a_damaged_file_never_ends_in_another_error(tmp_path, experiment, seed):
     assert str(path) in told if found is None else found.main.Y.shape == experiment.main.Y.shape
 
 
+def test_a_name_in_the_file_that_is_damaged(tmp_path):
+    path = tmp_path / "e.h5"
+    with h5py.File(path, "w") as file:  # of the oldest format, which has no check sums of its names
+        file.attrs.update(format="amb-experiment", version=1, rig="r", axes='["xA", "xB", "yA", "yB"]')
+        group = file.create_group("sweeps/0")
+        for name in ("axis", "frequency_hz", "harmonics"):
+            group[name] = [1.0]
+    data = path.read_bytes()
+    assert data.count(b"frequency_hz") == 1
+    path.write_bytes(data.replace(b"frequency_hz", b"\xabrequency_hz"))  # is not where its order would have it
+    assert "copy it again" in refused(path)
+
+
+def test_a_dataset_that_states_to_be_larger_than_any_memory(tmp_path):
+    path = tmp_path / "e.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs.update(format="amb-experiment", version=1, rig="r", axes='["xA", "xB", "yA", "yB"]')
+        group = file.create_group("sweeps/0")
+        group.create_dataset("frequency_hz", shape=(10**13,), dtype="f8", chunks=(10**6,))
+    assert "memory" in refused(path)
+
+
 def test_a_file_that_does_not_exist(tmp_path):
     assert "does not exist" in refused(tmp_path / "nothing.h5")
 
@@ -185,6 +207,10 @@ def test_a_wrong_attribute_of_the_file(write_hdf5, demodulated, root, said):
 )
 def test_a_wrong_attribute_of_a_sweep(write_hdf5, demodulated, attributes, said):
     assert said in refused(write_hdf5(demodulated, attributes))
+
+
+def test_a_number_is_shown_as_one(write_hdf5, demodulated):
+    assert "one finite number, not nan" in refused(write_hdf5(demodulated, {"speed_rad_s": np.float64("nan")}))
 
 
 @pytest.mark.parametrize("name", ["frequency_hz", "axis", "amplitude_a", "harmonics", "R", "U", "Y"])
@@ -268,6 +294,10 @@ def test_another_number_of_axes(write_hdf5, demodulated, recorded):
         ("harmonics", [0, 1, 2], "/R has shape"),
         ("flags", ["", "x"], "flags has 2 values"),
         ("frequency_hz", [b"a", b"b", b"c"], "must hold numbers"),
+        ("block_samples", [1000, 0, 1000], "no period of 15 Hz"),
+        ("block_samples", [1000, 1000, -5], "no period of 20 Hz"),
+        ("block_samples", [0.1, 0.1, 0.1], "whole numbers"),
+        ("block_samples", [1, 1, 1], "check its unit"),
     ],
 )
 def test_a_value_out_of_range(write_hdf5, demodulated, name, value, said):
