@@ -15,14 +15,33 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sim.datasheet import AXES, ISO_14839_3_DB, Datasheet, Mode, Tolerance
 from sim.errors import DatasheetError, EffectError
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+FARTHEST = 1e12
+"""Largest figure of any rig in SI units, and one over the smallest that is not nought: beyond, squares of figures and
+their differences are lost in the arithmetic."""
+
+
+def _not_huge(value: float) -> float:
+    if abs(value) > FARTHEST:
+        raise ValueError(f"no rig has a figure beyond {FARTHEST:g}; check it and its unit")
+    return value
+
+
+def _not_tiny(value: float) -> float:
+    if value < 1 / FARTHEST:
+        raise ValueError(f"no rig has a figure below {1 / FARTHEST:g} there; check it and its unit")
+    return value
+
+
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True), AfterValidator(_not_huge)]
+Positive = Annotated[
+    float, Field(gt=0, allow_inf_nan=False, strict=True), AfterValidator(_not_huge), AfterValidator(_not_tiny)
+]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True), AfterValidator(_not_huge)]
 PerAxis = Positive | list[Positive]
 # Beyond these only a unit can be wrong; what an experiment keeps to hangs on them.
 Gap = Annotated[Positive, Field(le=0.01)]

@@ -110,6 +110,19 @@ def test_a_negative_a_non_finite_or_a_mistyped_value_is_named(key, value):
     assert key in refusal(with_line(key, value))
 
 
+@pytest.mark.parametrize("key", [*NUMBERS, "numerator", "shape_at_sensors"])
+def test_a_value_whose_square_no_arithmetic_holds_is_named(key):
+    value = "1e200" if key in NUMBERS else "[1e200, 1.0]"
+    assert "no rig has" in (told := refusal(with_line(key, value))) or "less than 1" in told
+    assert key in told
+
+
+@pytest.mark.parametrize("key", [k for k in NUMBERS if k not in ("damping_ratio", "computing_delay_s")])
+def test_a_value_so_small_that_its_inverse_is_no_rigs_is_named(key):
+    assert key in (told := refusal(with_line(key, "1e-200")))
+    assert "no rig has a figure below" in told or "less than a thousandth" in told
+
+
 @pytest.mark.parametrize("key", ["bearing_from_cog_m", "sensor_from_cog_m"])
 @pytest.mark.parametrize("value", ["0.4", "[0.4]", "[0.4, 0.4, 0.4]", "[0.4, -0.4]", "[0.4, nan]", '[0.4, "x"]'])
 def test_a_distance_is_a_pair_of_positive_numbers(key, value):
