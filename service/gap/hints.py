@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.measured.observation import Observation
+from service.gap.weighing.another_rig import RESONANCES
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 from sim.rig import Rig
@@ -16,7 +17,6 @@ from sim.wording import in_words
 
 Complex = NDArray[np.complex128]
 
-RESONANCES = ("extra_flexible_mode", "support_resonance")
 OF_THAT_MODE = 0.01
 """Relative distance of a named resonance from a mode of the datasheet up to which a note asks to check that mode."""
 SCALED = 0.005

@@ -18,7 +18,7 @@ from service.gap.interference import Interference
 from service.gap.lost_loop import LostLoop, named_limit
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
-from service.gap.weighing.another_rig import far_off, with_datasheet_off
+from service.gap.weighing.another_rig import far_off, free_body, with_datasheet_off
 from service.gap.weighing.significance import alone_hz, overall, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
 from service.gap.which.explained import Explained
@@ -153,6 +153,8 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -
         if not verdict.effects:  # then by the plain twin, whose values no effect biases
             away = far_off(e.ground, e.null.candidate.fit) or away
         return with_datasheet_off(verdict, away, e.relative_gap)
+    if explained and verdict.effects and (body := free_body(e.ground, e.chosen.fit)):
+        return with_datasheet_off(verdict, body, e.relative_gap)
     if verdict.nonlinear:
         return verdict
     doubt = _unexplained_line(e, plain) if verdict.kind == "no_gap" else no_hysteresis or _wrong_speed(e, verdict)

@@ -16,6 +16,9 @@ from sim.wording import in_words
 
 IMPLAUSIBLE = 5.0
 """Deviate of the nuisance values' penalty, as a chi-square, from which they are off beyond chance."""
+RESONANCES = ("extra_flexible_mode", "support_resonance")
+BELOW = 1.001
+"""Share of the lowest line's frequency up to which a resonance lies below every line."""
 HOPELESS = 0.35
 """Share of the nuisance values at their bounds from which no further effects are searched for, if every explanation has
 it. The smallest of all explanations' shares was at most 0.03 on rigs with two gross effects, and 0.4 to 0.65 with
@@ -48,6 +51,26 @@ def far_off(ground: Ground, fit: Fit) -> str | None:
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
     values = ", ".join(f"{in_words(names[j])} by {away[j]:+z.1f}" for j in worst)
     return f"its values would be off, or apart where they are alike in a rig, by many tolerances ({values})"
+
+
+def free_body(ground: Ground, fit: Fit) -> str | None:
+    """What a resonance that explains a part is, in words, where it is another body of the rotor and no resonance.
+
+    Far below every line a resonance answers as a free body does beside the rotor, and a fit that takes it to the
+    lowest frequency that it may have wants such a body: what is off is the mass or the inertia, by more than the
+    effect of that name may be.
+    """
+    lowest_hz = min(float(o.frequency_hz.min()) for o in ground.observations)
+    for name, values in zip(fit.effects, fit.values, strict=True):
+        hz = values.get("frequency_hz")
+        if name in RESONANCES and hz is not None and fit.ends.get((name, "frequency_hz")) == "low":
+            if hz > BELOW * lowest_hz:
+                continue
+            return (
+                f"what explains it best, a {in_words(name)} at {hz:.3g} Hz or less and so below every line, is a rotor "
+                "of another mass_kg or transverse_inertia_kgm2"
+            )
+    return None
 
 
 def with_datasheet_off(verdict: Verdict, away: str, relative_gap: float) -> Verdict:

@@ -1,9 +1,16 @@
 """A datasheet that is far off is another rig's only where it leaves as much as another rig's does."""
 
+import numpy as np
 import pytest
 
-from service.gap.weighing.another_rig import with_datasheet_off
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import observe
+from service.gap.weighing.another_rig import free_body, with_datasheet_off
 from service.gap.weighing.verdict import Verdict
+from sim.effects import CATALOGUE
+from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
 AWAY = "its values would be off by many tolerances (mass by +4.0)"
 UNKNOWN = Verdict("none_of_these", (), (), 0.97, ("the best explanation leaves 73 % of the gap",))
@@ -39,3 +46,29 @@ def test_a_small_gap_is_explained_by_no_effect_that_needs_another_datasheet() ->
     assert (verdict.kind, verdict.effects, verdict.another_rig) == ("none_of_these", (), False)
     assert "eddy currents" in verdict.reasons[0]
     assert AWAY in verdict.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "hz", "end", "another_body"),
+    [
+        ("support_resonance", 5.0, "low", True),
+        ("extra_flexible_mode", 10.0, "low", True),  # of which the lowest line is the end
+        ("support_resonance", 6.0, None, False),  # the fit has found it, below the lines as it is
+        ("support_resonance", 1500.0, "high", False),
+        ("extra_flexible_mode", 12.0, "low", False),  # within the lines
+    ],
+)
+def test_a_resonance_that_a_fit_wants_below_every_line_is_another_rotor(
+    effect: str, hz: float, end: str | None, another_body: bool
+) -> None:
+    sheet = known_datasheet()[0]
+    rig, law = true_rig(sheet), CATALOGUE[effect]
+    o = observe(sweep(rig, lines(12), 0.15, seed=1), rig)
+    nu = nuisance(sheet)
+    plant = next(p for p in parts(nu, (o,)) if p.path == "plant")
+    values = {p.name: p.typical for p in law.parameters} | {"frequency_hz": hz}
+    ends = {} if end is None else {(effect, "frequency_hz"): end}
+    fit = Fit((effect,), np.zeros(1), (values,), rig, (), 0.0, np.arange(1), np.eye(1), "", ends=ends)
+    told = free_body(Ground(nu, plant, (o,), np.zeros(len(nu.names)), ()), fit)
+    assert (told is not None) == another_body
+    assert not another_body or "mass_kg or transverse_inertia_kgm2" in (told or "")
