@@ -21,7 +21,15 @@ from service.gap.measured.erratic import Erratic
 from service.gap.measured.observation import GapError, Observation, usable
 from service.gap.measured.pair import Pair
 from service.gap.measured.settling import NOTED_DRIFTING_SHARE
-from service.gap.measured.sweeps import halves, notes_on, other_rate, span_s, sweeps_for
+from service.gap.measured.sweeps import (
+    halves,
+    notes_on,
+    other_rate,
+    silent_axes,
+    span_s,
+    sweeps_for,
+    without_copies,
+)
 from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
 
@@ -81,13 +89,15 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     AmbError
         A channel is dead.
     """
-    (main_name, main), *others = _sweeps(experiment, datasheet)
+    ((main_name, main), *others), copied = _sweeps(experiment, datasheet)
     notes = [
         *incomplete(experiment),
         *changed_speed(experiment),
         *odd_rotor(datasheet),
         *stated_amplitudes(experiment),
+        *copied,
         *notes_on(main, bool(others), datasheet),
+        *silent_axes([(main_name, main), *others], experiment.axes),
     ]
     if rate_note := other_rate(main, datasheet):
         notes.append(rate_note)
@@ -132,21 +142,24 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     )
 
 
-def _sweeps(experiment: Experiment, datasheet: Datasheet) -> list[tuple[str, Sweep]]:
-    """The excited sweeps with their names, the one to fit first.
+def _sweeps(experiment: Experiment, datasheet: Datasheet) -> tuple[list[tuple[str, Sweep]], list[str]]:
+    """The excited sweeps with their names, the one to fit first, and what is said of those that are copies.
 
     Raises `GapError` or `AmbError` where they are not of this datasheet's rig, or too few or dead to be fitted.
     """
     if experiment.axes != datasheet.axes:
+        remedy = "give the datasheet of the rig that was measured, with the same axes"
+        if sorted(experiment.axes) == sorted(datasheet.axes):
+            remedy = "write the experiment with its channels, and what axis indexes, in the datasheet's order"
         raise GapError(
-            f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; "
-            "give the datasheet of the rig that was measured, with the same axes"
+            f"the experiment has axes {list(experiment.axes)}, the datasheet {list(datasheet.axes)}; {remedy}"
         )
     must_be_in_si(experiment, datasheet)
-    (main_name, main), *others = sweeps_for(experiment)
+    sweeps, notes = without_copies(sweeps_for(experiment))
+    main_name, main = sweeps[0]
     require_live_channels(main, tuple(experiment.axes), main_name)
     _require_lines(main_name, usable(main).frequency_hz)
-    return [(main_name, main), *others]
+    return sweeps, notes
 
 
 def _require_lines(name: str, frequency_hz: NDArray[np.float64], of_which: str = "usable") -> None:

@@ -36,6 +36,44 @@ def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
     return [(f"sweeps/{k}", s) for k, s in excited]
 
 
+def without_copies(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tuple[str, Sweep]], list[str]]:
+    """The sweeps without points that are copies of earlier ones, value for value, and what is said of these.
+
+    A copy has the noise of what it was copied from: as data that no fit has seen, or as one point more, it confirms
+    whatever was fitted.
+    """
+    seen: set[bytes] = set()
+    left, notes = [], []
+    for name, sweep in sweeps:
+        values = (sweep.frequency_hz, sweep.axis, sweep.U, sweep.Y)
+        own = [b"".join(v[k].tobytes() for v in values) for k in range(sweep.n_points)]
+        new = np.array([point not in seen and own.index(point) == k for k, point in enumerate(own)])
+        seen |= set(own)
+        if new.any():
+            left.append((name, sweep if new.all() else sweep.select(new)))
+        if lost := int(np.count_nonzero(~new)):
+            which = "all points" if lost == len(new) else f"{lost} of {len(new)} points"
+            notes.append(
+                f"{which} of {name} are copies of earlier ones, value for value, and are left out; measure them again, "
+                "for a copy tells nothing new"
+            )
+    return left, notes
+
+
+def silent_axes(sweeps: Sequence[tuple[str, Sweep]], axes: Sequence[str]) -> list[str]:
+    """Axes that sweeps never excite, a sentence each: what acts there shows only where it answers to the others."""
+    told = []
+    for name, sweep in sweeps:
+        excited = set(sweep.axis[sweep.amplitude_a > 0].tolist())
+        silent = [axis for k, axis in enumerate(axes) if k not in excited]
+        if silent and excited:
+            told.append(
+                f"{name} does not excite {', '.join(silent)}: of what acts there it tells hardly anything, so that an "
+                "effect there may stay unseen; excite every axis"
+            )
+    return told
+
+
 def best_check(main: Sweep, others: Sequence[tuple[str, Sweep]], rig: Rig) -> tuple[tuple[str, Sweep], list[str]]:
     """The sweep to check on, the first at another amplitude or speed if there is one, and the names of the others."""
     chosen = others[0]

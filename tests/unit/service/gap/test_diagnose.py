@@ -153,8 +153,10 @@ def test_without_the_current_it_says_what_is_lost() -> None:
 def test_axes_that_do_not_match_are_refused() -> None:
     datasheet, truth = known_datasheet()
     measured = replace(experiment(true_rig(truth)), axes=("xA", "xB"))
-    with pytest.raises(GapError, match="axes"):
+    with pytest.raises(GapError, match="give the datasheet of the rig"):
         diagnose(measured, datasheet)
+    with pytest.raises(GapError, match="in the datasheet's order"):
+        diagnose(replace(measured, axes=("xA", "yA", "xB", "yB")), datasheet)
 
 
 @pytest.mark.no_cover

@@ -6,7 +6,16 @@ import numpy as np
 
 from service.campaign.points import SWEEPS
 from service.gap.measured.observation import observe
-from service.gap.measured.sweeps import best_check, halves, notes_on, other_rate, sweeps_for
+from service.gap.measured.sweeps import (
+    best_check,
+    halves,
+    notes_on,
+    other_rate,
+    silent_axes,
+    sweeps_for,
+    without_copies,
+)
+from service.gap.observed import observed
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 RIG = true_rig(known_datasheet()[1])
@@ -57,3 +66,30 @@ def test_blocks_that_are_copies_of_their_mean_are_told() -> None:
     datasheet = known_datasheet()[0]
     (told,) = set(notes_on(copied, True, datasheet)) - set(notes_on(MAIN, True, datasheet))
     assert "noise is not known" in told
+
+
+def test_a_copy_of_a_sweep_is_no_data_that_no_fit_has_seen() -> None:
+    copied = replace(MEASURED, sweeps=(MAIN, replace(MAIN, comment="validation")))
+    data = observed(copied, known_datasheet()[0])
+    assert data.lines_only
+    assert any("all points of sweeps/1 are copies" in note for note in data.notes)
+    assert any("one sweep only" in note for note in data.notes)
+
+
+def test_points_that_are_copies_are_left_out_and_those_that_were_measured_again_are_not() -> None:
+    twice = MAIN.select(np.concatenate([np.arange(MAIN.n_points), np.arange(6)]))
+    again = replace(MAIN, Y=MAIN.Y * (1 + 1e-6))
+    ((name, one), (_, other)), (told,) = without_copies([("sweeps/0", twice), ("sweeps/1", again)])
+    assert (name, one.n_points, other.n_points) == ("sweeps/0", MAIN.n_points, MAIN.n_points)
+    assert told.startswith(f"6 of {twice.n_points} points of sweeps/0 are copies")
+    assert without_copies([("sweeps/0", MAIN), ("sweeps/1", LOUDER)])[1] == []
+
+
+def test_axes_that_are_never_excited_are_told() -> None:
+    axes = MEASURED.axes
+    assert silent_axes([("sweeps/0", MAIN), ("sweeps/1", LOUDER)], axes) == []
+    (told,) = silent_axes([("sweeps/0", MAIN), ("sweeps/1", LOUDER.select(LOUDER.axis < 2))], axes)
+    assert told.startswith("sweeps/1 does not excite yA, yB")
+    first = replace(MEASURED, sweeps=tuple(s.select(s.axis == 0) for s in MEASURED.sweeps))
+    notes = observed(first, known_datasheet()[0]).notes
+    assert sum("does not excite xB, yA, yB" in note for note in notes) == 2
