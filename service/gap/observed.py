@@ -16,6 +16,7 @@ from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
+from service.gap.measured.cabling import require_cabling
 from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic
 from service.gap.measured.observation import GapError, Observation, usable
@@ -105,6 +106,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
     nu = nuisance(datasheet)
+    for name, sweep in ((main_name, main), *others):
+        require_cabling(usable(sweep), nu.rig, experiment.axes, name)
     pair, unused = Pair.of(main_name, main, others, nu.rig)
     notes += unused
     if (resting := resting_current(pair.main, nu.rig)) is not None:

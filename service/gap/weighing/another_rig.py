@@ -67,7 +67,7 @@ def free_body(ground: Ground, fit: Fit) -> str | None:
             if hz > BELOW * lowest_hz:
                 continue
             return (
-                f"what explains it best, a {in_words(name)} at {hz:.3g} Hz or less and so below every line, is a rotor "
+                f"what explains it best, {in_words(name)} at {hz:.3g} Hz or less and so below every line, is a rotor "
                 "of another mass_kg or transverse_inertia_kgm2"
             )
     return None

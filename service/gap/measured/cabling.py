@@ -1,0 +1,190 @@
+"""Do the channels of a log belong to the axes that they are written for: by the controller's law, and the amplifiers'.
+
+u = r - C y is arithmetic, and i = A u is known to a few per cent. Where they fail with the channels as they are written
+and hold with others, with another sign, or with conjugates, nothing that could be fitted is of the rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.experiment.data import Sweep
+from service.gap.measured.observation import GapError
+from sim.harmonic_balance import time_points
+from sim.rig import Rig
+from sim.twin import LinearModel, linear_model
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+BROKEN, HOLDS = 0.2, 0.02
+"""Share of a signal's power that a law leaves from which it does not hold, and up to which it does. A log that is a
+sample off leaves 0.12 on rigs of two other programs, channels that are swapped or conjugate 0.3 and more; put in order
+they leave less than 1e-6, and an amplifier's law 1e-4."""
+UNIT = 30.0
+"""Factor from which a signal is not off, but in another unit, or is not there."""
+ALIKE = (0.5, 2.0)
+"""Ratio of two factors within which they are one."""
+PRESENT = 0.01
+"""Share of the power of u that r, or what the controller makes of y, must have to be told by it."""
+FEWEST = 8
+"""Points that laws are held against."""
+
+
+def require_cabling(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> None:
+    """Refuse a sweep whose channels are swapped, have another sign, are in another unit, or are conjugates.
+
+    Parameters
+    ----------
+    sweep
+        Excited points.
+    rig
+        The twin: its controller and its amplifiers count.
+
+    Raises
+    ------
+    GapError
+        Says which channels, and by which law.
+    """
+    if sweep.n_points < FEWEST:
+        return
+    frequency, line = time_points(sweep.frequency_hz)
+    told = next(_wrong(_Log(sweep, linear_model(rig, frequency), line, axes)), None)
+    if told is not None:
+        raise GapError(f"{name}: {told}")
+
+
+class _Log:
+    """Fundamentals (P, n) of a sweep, and what the laws make of them."""
+
+    def __init__(self, sweep: Sweep, model: LinearModel, line: NDArray[np.int64], axes: Sequence[str]) -> None:
+        f = sweep.harmonic(1)
+        self.axes = axes
+        self.r, self.u, self.y = (x[:, :, f].mean(axis=1) for x in (sweep.R, sweep.U, sweep.Y))
+        self.i = None if sweep.I is None else sweep.I[:, :, f].mean(axis=1)
+        self.late = model.log_phase[line, None]
+        self.controller = -model.controller[line, None]
+        self.amplifiers = np.diagonal(model.i_per_u, axis1=1, axis2=2)[line]
+
+    def by_controller(self, k: int, of_r: int, of_y: int, conjugate: str = "") -> tuple[Real, float]:
+        """Factors of r and of what the controller makes of y that make u of axis ``k``, and the share that is left."""
+        u = self.late[:, 0] * (self.u[:, k].conj() if "u" in conjugate else self.u[:, k])
+        y = self.y[:, of_y].conj() if "y" in conjugate else self.y[:, of_y]
+        return _made_of(u, np.stack([self.r[:, of_r], self.controller[:, 0] * y], axis=1))
+
+    def by_amplifier(self, k: int, of_u: int, conjugate: bool = False) -> tuple[float, float]:
+        """The same of what the amplifier of axis ``k`` makes of u, for i."""
+        assert self.i is not None
+        i = self.i[:, k].conj() if conjugate else self.i[:, k]
+        factors, left = _made_of(i, (self.amplifiers[:, k] * self.u[:, of_u])[:, None])
+        return float(factors[0]), left
+
+
+def _made_of(x: Complex, columns: Complex) -> tuple[Real, float]:
+    """Real factors, (c,), with which columns, (P, c), come nearest to x, (P,), and the share of its power left."""
+    power = float(np.sum(np.abs(x) ** 2))
+    sizes = np.linalg.norm(columns, axis=0)
+    if not power or not np.isfinite(power) or not np.isfinite(sizes).all():
+        return np.ones(columns.shape[1]), 0.0
+    scaled = columns / np.where(sizes, sizes, 1.0)
+    real = np.concatenate([scaled.real, scaled.imag])
+    factors = np.linalg.lstsq(real, np.concatenate([x.real, x.imag]), rcond=None)[0]
+    left = float(np.sum(np.abs(x - scaled @ factors) ** 2)) / power
+    return factors / np.where(sizes, sizes, 1.0), left
+
+
+def _wrong(log: _Log) -> Iterator[str]:
+    """What is wrong with the channels, a sentence each, the likeliest first."""
+    each = range(len(log.axes))
+    if conjugates := _conjugates(log):
+        yield conjugates
+    for k in each:
+        factors, left = log.by_controller(k, k, k)
+        if left > BROKEN:
+            yield from _others(log, k)
+        elif left < HOLDS:
+            yield from _odd(log, k, factors)
+    if log.i is None:
+        return
+    for k in each:
+        factor, left = log.by_amplifier(k, k)
+        axis = log.axes[k]
+        if left > BROKEN:
+            best, b = min((log.by_amplifier(k, b)[1], b) for b in each)
+            if best < HOLDS:
+                yield (
+                    f"i of {axis} follows u of {log.axes[b]}, and not its own: channels of i or of u are swapped or "
+                    "doubled, in the log or at the amplifiers; put them in order"
+                )
+        elif left < HOLDS and factor < 0:
+            yield f"i of {axis} is the negative of what the amplifier makes of u: turn its sign in the log"
+        elif left < HOLDS and max(factor, 1 / factor) > UNIT:
+            yield (
+                f"i of {axis} is {factor:.2g} times what the amplifier makes of u: is one of them in mA? Both hold A, "
+                "and the datasheet's amplifier.gain is in A/A"
+            )
+
+
+def _conjugates(log: _Log) -> str | None:
+    """That the controller's law holds on no axis, and on all of them with conjugates; in words."""
+    each = range(len(log.axes))
+    if any(log.by_controller(k, k, k)[1] < BROKEN for k in each):
+        return None
+    for which, words in (("uy", "U and Y are"), ("y", "Y is"), ("u", "U is")):
+        if all(log.by_controller(k, k, k, which)[1] < HOLDS for k in each):
+            return (
+                f"{words} the conjugate of what the datasheet's controller makes: are the amplitudes of exp(-j h w t), "
+                "and not of exp(+j h w t), or are controller.numerator and denominator written lowest power of z first?"
+            )
+    return None
+
+
+def _others(log: _Log, k: int) -> Iterator[str]:
+    """Which other channels make the controller's law hold for u of axis ``k``, in words."""
+    each = range(len(log.axes))
+    left, of_r, of_y = min((log.by_controller(k, a, b)[1], a, b) for a, b in product(each, each))
+    if left > HOLDS:
+        return
+    axis = log.axes[k]
+    others = [f"{name} of {log.axes[j]}" for name, j in (("y", of_y), ("r", of_r)) if j != k]
+    which = "u, or of y and r," if len(others) > 1 else f"{others[0][0]} or of u"
+    yield (
+        f"u of {axis} follows {' and '.join(others)} by the datasheet's controller, and not its own: channels of "
+        f"{which} are swapped or doubled, in the log or at the controller; put them in order"
+    )
+
+
+def _odd(log: _Log, k: int, factors: Real) -> Iterator[str]:
+    """What sign or unit is wrong where the controller's law holds but for the ``factors`` of its terms, in words."""
+    axis, power = log.axes[k], float(np.sum(np.abs(log.u[:, k]) ** 2))
+    of_r, of_y = (float(f) for f in factors)
+    sizes = [float(np.sum(np.abs(x) ** 2)) for x in (log.r[:, k], log.controller[:, 0] * log.y[:, k])]
+    # what is too small to be told by u is left alone, unless it would be too large
+    told = [size * max(f**2, 1.0) > PRESENT * power for size, f in zip(sizes, (of_r, of_y), strict=True)]
+    if all(told) and ALIKE[0] < of_y / of_r < ALIKE[1]:
+        if of_r < 0:
+            yield f"u of {axis} is the negative of C(z) (-y) + r: turn its sign in the log"
+        elif max(of_r, 1 / of_r) > UNIT:
+            yield f"u of {axis} is {of_r:.2g} times C(z) (-y) + r: is one of them in mA? u and r hold A"
+        return
+    if told[1] and of_y < -1 / UNIT:
+        yield (
+            f"u of {axis} is C(z) (+y) + r, and not C(z) (-y) + r: turn the sign of y in the log, or of "
+            "controller.numerator in the datasheet"
+        )
+    elif told[1] and not 1 / UNIT < of_y < UNIT:
+        yield (
+            f"u of {axis} has {of_y:.2g} times what the datasheet's controller makes of y: check the units of y, u and "
+            "controller.numerator, m, A and A/m, and that u is logged behind the controller"
+        )
+    if told[0] and of_r < -1 / UNIT:
+        yield f"u of {axis} is C(z) (-y) - r, and not C(z) (-y) + r: turn the sign of r in the log"
+    elif told[0] and not 1 / UNIT < of_r < UNIT:
+        yield (
+            f"u of {axis} has {of_r:.2g} times the excitation r in it: check the unit of r, A, and that u is logged "
+            "behind the point where r is added"
+        )

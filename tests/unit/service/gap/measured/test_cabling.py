@@ -1,0 +1,111 @@
+"""Channels that are not those of their axes are told by the laws of controller and amplifiers, before any fit."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Complex, Sweep
+from service.gap.measured.cabling import require_cabling
+from service.gap.measured.observation import GapError
+from service.gap.observed import observed
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, true_rig
+
+DATASHEET, TRUTH = known_datasheet(seed=3)
+RIG = true_rig(DATASHEET)
+MEASURED = experiment(true_rig(TRUTH))
+MAIN = MEASURED.main
+SWAPPED = [1, 0, 2, 3]
+
+
+def refused(sweep: Sweep) -> str:
+    with pytest.raises(GapError) as caught:
+        require_cabling(sweep, RIG, MEASURED.axes, "sweeps/0")
+    message = str(caught.value)
+    assert message.startswith("sweeps/0: ")
+    assert "\n" not in message
+    return message
+
+
+def times(x: Complex | None, factor: float, axis: int | slice = slice(None)) -> Complex:
+    assert x is not None
+    out = x.copy()
+    out[..., axis] *= factor
+    return out
+
+
+def current() -> Complex:
+    assert MAIN.I is not None
+    return MAIN.I
+
+
+WRONG: dict[str, tuple[Callable[[], Sweep], tuple[str, ...]]] = {
+    "two sensors": (lambda: replace(MAIN, Y=MAIN.Y[..., SWAPPED]), ("u of xA follows y of xB", "y or of u")),
+    "two controls": (lambda: replace(MAIN, U=MAIN.U[..., SWAPPED]), ("u of xA follows y of xB and r of xB",)),
+    "two currents": (lambda: replace(MAIN, I=current()[..., SWAPPED]), ("i of xA follows u of xB",)),
+    "a sensor's sign": (lambda: replace(MAIN, Y=times(MAIN.Y, -1, 1)), ("u of xB is C(z) (+y) + r", "numerator")),
+    "a control's sign": (lambda: replace(MAIN, U=times(MAIN.U, -1, 2)), ("u of yA is the negative", "sign")),
+    "a current's sign": (lambda: replace(MAIN, I=times(MAIN.I, -1, 3)), ("i of yB is the negative", "sign")),
+    "the excitation's sign": (
+        lambda: replace(MAIN, U=times(MAIN.U, -1), Y=times(MAIN.Y, -1)),
+        ("C(z) (-y) - r", "sign of r"),
+    ),
+    "one sensor in mm": (lambda: replace(MAIN, Y=times(MAIN.Y, 1e3, 0)), ("u of xA has 0.001 times", "units of y")),
+    "u in mA": (lambda: replace(MAIN, U=times(MAIN.U, 1e3)), ("u of xA is 1e+03 times", "mA")),
+    "r in mA": (lambda: replace(MAIN, R=times(MAIN.R, 1e3)), ("u of xA has 0.001 times the excitation", "unit of r")),
+    "one current in mA": (lambda: replace(MAIN, I=times(MAIN.I, 1e3, 1)), ("i of xB is 1e+03 times", "mA")),
+    "u ahead of r": (lambda: replace(MAIN, U=MAIN.U - MAIN.R), ("times the excitation r in it", "where r is added")),
+    "conjugates": (
+        lambda: replace(MAIN, U=MAIN.U.conj(), I=current().conj(), Y=MAIN.Y.conj()),
+        ("U and Y are the conjugate", "exp(-j h w t)", "lowest power"),
+    ),
+    "conjugate displacements": (lambda: replace(MAIN, Y=MAIN.Y.conj()), ("Y is the conjugate",)),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_log_is_refused_that_has_swapped_or_turned(what: str) -> None:
+    sweep, said = WRONG[what]
+    told = refused(sweep())
+    assert all(words in told for words in said), told
+
+
+def test_a_diagnosis_looks_at_the_cabling_of_every_sweep() -> None:
+    main, other = MEASURED.sweeps
+    turned = replace(other, Y=-other.Y)
+    with pytest.raises(GapError, match=r"sweeps/1: u of xA is C\(z\) \(\+y\)"):
+        observed(replace(MEASURED, sweeps=(main, turned)), DATASHEET)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_datasheet_with_the_controllers_sign_or_order_the_other_way_is_refused(sign: float) -> None:
+    law = RIG.controller
+    other = replace(law, numerator=-law.numerator)
+    if sign > 0:
+        other = replace(law, numerator=law.numerator[::-1], denominator=law.denominator[::-1])
+    with pytest.raises(GapError, match=r"numerator"):
+        require_cabling(MAIN, replace(RIG, controller=other), MEASURED.axes, "sweeps/0")
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"logging_offset": {"samples": 2}},
+        {"controller_mismatch": {"gain_change": 0.2}},
+        {"loop_delay": {"delay_s": 1e-4}},
+        {"amplifier_bandwidth": {"frequency_change": -0.4}},
+        {"channel_crosstalk": {"share_ab": 0.05, "share_ba": -0.05}},
+    ],
+)
+def test_what_a_rig_may_have_is_no_fault_of_the_cabling(effects: dict[str, dict[str, float]]) -> None:
+    measured = experiment(with_effects(true_rig(TRUTH), effects))
+    for sweep in measured.sweeps:
+        require_cabling(sweep, RIG, measured.axes, "sweeps/0")
+
+
+def test_a_gain_that_is_a_few_times_another_and_a_channel_of_noise_are_left_to_the_diagnosis() -> None:
+    noise = np.random.default_rng(0).normal(size=(*MAIN.Y.shape, 2)) @ [1e-6, 1e-6j]
+    for sweep in (replace(MAIN, Y=3 * MAIN.Y), replace(MAIN, Y=noise), replace(MAIN, I=2 * current())):
+        require_cabling(sweep, RIG, MEASURED.axes, "sweeps/0")
