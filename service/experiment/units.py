@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,10 @@ FAR = 30.0
 SPAN = (0.1, 20.0)
 """Distance of the bearings from the centre of gravity over the radius of gyration: 1.7 for a uniform rotor between
 bearings at its ends, 0.5 for a disc between close ones, 10 for a small disc on a long shaft."""
+
+
+LOOSE, TIGHT = 1.0, 1e-6
+"""Relative tolerance from which a value may be anything, and below which no maker of a rig knows it."""
 
 
 def must_be_in_si(experiment: Experiment, datasheet: Datasheet) -> None:
@@ -60,6 +65,28 @@ def odd_rotor(datasheet: Datasheet) -> list[str]:
         f"{datasheet.transverse_inertia_kgm2:.4g} make a radius of gyration of {gyration_m:.3g} m, which does not go "
         f"with bearings {span_m:.3g} m from the centre of gravity: is one of them in g, t, mm or kg mm²?"
     ]
+
+
+def odd_tolerances(datasheet: Datasheet) -> list[str]:
+    """Stated tolerances that let a value be anything, or nothing else than stated; a sentence for each kind."""
+    if not datasheet.tolerance_stated:
+        return []
+    relative = asdict(datasheet.tolerance)
+    relative["sensor_position_m"] /= min(datasheet.sensor_from_cog_m)
+    loose = [name for name, sigma in relative.items() if sigma > LOOSE]
+    tight = [name for name, sigma in relative.items() if sigma < TIGHT]
+    told = []
+    if loose:
+        told.append(
+            f"the datasheet's tolerance of {', '.join(loose)} lets values be anything, and what is wrong with them is "
+            "no gap then: a tolerance is a fraction, 0.2 for 20 %, and sensor_position_m in m"
+        )
+    if tight:
+        told.append(
+            f"the datasheet's tolerance of {', '.join(tight)} takes values for certain that nobody knows so well: what "
+            "they are off by is laid to effects then, or to another rig; state what they may be off by"
+        )
+    return told
 
 
 def odd_stiffness(found_over_datasheet: Mapping[str, NDArray[np.float64]]) -> list[str]:

@@ -13,7 +13,7 @@ from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
-from service.experiment.units import must_be_in_si, odd_rotor
+from service.experiment.units import must_be_in_si, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
 from service.gap.measured.cabling import require_cabling
@@ -95,6 +95,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         *incomplete(experiment),
         *changed_speed(experiment),
         *odd_rotor(datasheet),
+        *odd_tolerances(datasheet),
         *stated_amplitudes(experiment),
         *copied,
         *notes_on(main, bool(others), datasheet),

@@ -7,7 +7,8 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.experiment.errors import ExperimentFileError
-from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
+from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness, odd_tolerances
+from sim.datasheet import Tolerance
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
@@ -55,3 +56,20 @@ def test_stiffness_off_by_a_thousand_is_a_unit_and_twice_is_none():
     assert "current_stiffness_n_per_a" in ki
     (both,) = odd_stiffness({"ki": 1e3 * usual, "ks": 1e3 * usual})
     assert "mass_kg" in both
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("current_stiffness", 20.0, "current_stiffness lets values be anything"),  # per cent
+        ("sensor_position_m", 1.0, "sensor_position_m in m"),  # mm
+        ("mass", 1e-9, "mass takes values for certain"),
+    ],
+)
+def test_a_tolerance_that_says_all_or_nothing_is_told(field, value, said):
+    stated = replace(SHEET, tolerance_stated=True, tolerance=Tolerance())
+    assert odd_tolerances(stated) == []
+    off = replace(stated, tolerance=replace(Tolerance(), **{field: value}))
+    (told,) = odd_tolerances(off)
+    assert said in told
+    assert odd_tolerances(replace(off, tolerance_stated=False)) == []
