@@ -37,6 +37,9 @@ from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.wording import in_words
 
+FARTHEST = 5
+"""Values of a datasheet that are named as off where something else may have drawn them all there."""
+
 
 def diagnose(
     experiment: Experiment, datasheet: Datasheet, jobs: int = 1, progress: ProgressCallback | None = None
@@ -168,10 +171,22 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
     elif not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
     if far := nu.far_off(d.chosen.fit.theta):
-        drawn = " (what nothing explains may have drawn it there)" if verdict.kind == "none_of_these" else ""
-        yield f"the datasheet is off beyond its tolerances: {', '.join(far)}{drawn}"
+        yield f"the datasheet is off beyond its tolerances: {values_off(far, verdict.kind == 'none_of_these')}"
     if d.within_the_datasheet and (off := nu.far_off(d.null.fit.theta, OFF_TOLERANCES)):
         yield f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"
+
+
+def values_off(far: Sequence[str], unexplained: bool) -> str:
+    """Which values are off, the farthest first; a few of them where what is ``unexplained`` may have drawn them there.
+
+    >>> values_off(["mass -2 %"], unexplained=True)
+    'mass -2 % (what nothing explains may have drawn it there)'
+    """
+    if not unexplained:
+        return ", ".join(far)
+    more = f" and {len(far) - FARTHEST} more" if len(far) > FARTHEST else ""
+    drawn = "them" if len(far) > 1 else "it"
+    return f"{', '.join(far[:FARTHEST])}{more} (what nothing explains may have drawn {drawn} there)"
 
 
 def _undecided(d: Diagnosis, pair: tuple[Candidate, Candidate] | None) -> Iterator[str]:

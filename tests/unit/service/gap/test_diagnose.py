@@ -8,7 +8,7 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.gap.apply import applied
-from service.gap.diagnose import diagnose
+from service.gap.diagnose import FARTHEST, diagnose, values_off
 from service.gap.document import gap_document
 from service.gap.fitting import candidates
 from service.gap.fitting.candidates import Candidate, Task, fit_task
@@ -213,3 +213,11 @@ def test_the_datasheet_of_another_rig_is_said_to_be_one(gain: float) -> None:
     assert "of another rig" in " ".join(said["reasons"])
     assert said["sentence"].startswith("Nothing can be said of effects")
     assert "check it" in said["sentence"]
+
+
+def test_of_many_values_that_what_nothing_explains_draws_away_a_few_are_named() -> None:
+    far = [f"mode{k} damping x -90 %" for k in range(30)]
+    told = values_off(far, unexplained=True)
+    assert told.count("damping") == FARTHEST
+    assert f"and {30 - FARTHEST} more (what nothing explains may have drawn them there)" in told
+    assert values_off(far, unexplained=False).count("damping") == 30
