@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -22,6 +23,8 @@ ELSEWHERE = ("amplifier", "preliminary")
 SAME_RATE = 0.01
 """Relative difference of two sample rates below which they are the same."""
 
+MOST = 0.5
+"""Share of points from which it is most of them."""
 COPY_SHARE = 1e-9
 """Largest difference of blocks, relative to the signal, at which they are copies of one another (rounding)."""
 
@@ -129,10 +132,10 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
         notes.append(
             "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
         )
-    if np.abs(main.Y - main.Y.mean(axis=1, keepdims=True)).max() < COPY_SHARE * np.abs(main.Y).max():
+    if _copied_blocks(main):
         notes.append(
-            "the blocks of each point are alike: their noise is not known, and what is left of a gap may be noise that "
-            "all of them share; log the blocks that were measured, not copies of their mean"
+            "blocks of a point are copies of one another: their noise is not known, and what is left of a gap may be "
+            "noise that all of them share; log the blocks that were measured, not copies of them or of their mean"
         )
     if main.I is None:
         notes.append("the coil current was not logged: amplifier and plant cannot be told apart, alias classes grow")
@@ -147,6 +150,14 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
     if not datasheet.tolerance_stated:
         notes.append("the datasheet states no tolerances: this product's defaults are assumed")
     return notes
+
+
+def _copied_blocks(sweep: Sweep) -> bool:
+    """Whether two blocks of most points are alike, all of their signals."""
+    alike_within = COPY_SHARE * np.abs(sweep.Y).max()
+    pairs = combinations(range(sweep.Y.shape[1]), 2)
+    apart = (np.abs(sweep.Y[:, a] - sweep.Y[:, b]).max(axis=(1, 2)) for a, b in pairs)
+    return any(np.mean(x < alike_within) > MOST for x in apart)
 
 
 def other_rate(sweep: Sweep, datasheet: Datasheet) -> str | None:

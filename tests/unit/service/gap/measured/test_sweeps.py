@@ -61,11 +61,13 @@ def test_a_log_at_another_rate_than_the_datasheets_controller_is_told() -> None:
     assert "sample_time_s" in told
 
 
-def test_blocks_that_are_copies_of_their_mean_are_told() -> None:
-    copied = replace(MAIN, Y=np.broadcast_to(MAIN.Y.mean(axis=1, keepdims=True), MAIN.Y.shape))
+def test_blocks_that_are_copies_of_their_mean_or_of_each_other_are_told() -> None:
     datasheet = known_datasheet()[0]
-    (told,) = set(notes_on(copied, True, datasheet)) - set(notes_on(MAIN, True, datasheet))
-    assert "noise is not known" in told
+    mean = np.broadcast_to(MAIN.Y.mean(axis=1, keepdims=True), MAIN.Y.shape)
+    for blocks in (mean, np.concatenate([MAIN.Y[:, :3], MAIN.Y[:, :3]], axis=1)):
+        copied = replace(MAIN, Y=blocks)
+        (told,) = set(notes_on(copied, True, datasheet)) - set(notes_on(MAIN, True, datasheet))
+        assert "noise is not known" in told
 
 
 def test_a_copy_of_a_sweep_is_no_data_that_no_fit_has_seen() -> None:
