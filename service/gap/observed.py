@@ -16,7 +16,7 @@ from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
-from service.gap.measured.cabling import require_cabling
+from service.gap.measured.cabling import other_law, require_cabling
 from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic
 from service.gap.measured.observation import GapError, Observation, usable
@@ -109,6 +109,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     nu = nuisance(datasheet)
     for name, sweep in ((main_name, main), *others):
         require_cabling(usable(sweep), nu.rig, experiment.axes, name)
+        notes += other_law(usable(sweep), nu.rig, experiment.axes, name)
     pair, unused = Pair.of(main_name, main, others, nu.rig)
     notes += unused
     if (resting := resting_current(pair.main, nu.rig)) is not None:

@@ -52,10 +52,28 @@ def require_cabling(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> N
     """
     if sweep.n_points < FEWEST:
         return
-    frequency, line = time_points(sweep.frequency_hz)
-    told = next(_wrong(_Log(sweep, linear_model(rig, frequency), line, axes)), None)
+    told = next(_wrong(_log(sweep, rig, axes)), None)
     if told is not None:
         raise GapError(f"{name}: {told}")
+
+
+def other_law(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[str]:
+    """That u of no axis is near what the datasheet's controller makes, in a sentence: it has another law, or lines."""
+    if sweep.n_points < FEWEST:
+        return []
+    log = _log(sweep, rig, axes)
+    left = [log.by_controller(k, k, k)[1] for k in range(len(axes))]
+    if min(left) < BROKEN:
+        return []
+    return [
+        f"{name}: u of no axis is near what the datasheet's controller makes of r and y ({100 * min(left):.0f} % of "
+        "its power is left): check frequency_hz, and the datasheet's sample_time_s, numerator and denominator"
+    ]
+
+
+def _log(sweep: Sweep, rig: Rig, axes: Sequence[str]) -> _Log:
+    frequency, line = time_points(sweep.frequency_hz)
+    return _Log(sweep, linear_model(rig, frequency), line, axes)
 
 
 class _Log:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Complex, Sweep
-from service.gap.measured.cabling import require_cabling
+from service.gap.measured.cabling import other_law, require_cabling
 from service.gap.measured.observation import GapError
 from service.gap.observed import observed
 from sim.twin import with_effects
@@ -109,3 +109,14 @@ def test_a_gain_that_is_a_few_times_another_and_a_channel_of_noise_are_left_to_t
     noise = np.random.default_rng(0).normal(size=(*MAIN.Y.shape, 2)) @ [1e-6, 1e-6j]
     for sweep in (replace(MAIN, Y=3 * MAIN.Y), replace(MAIN, Y=noise), replace(MAIN, I=2 * current())):
         require_cabling(sweep, RIG, MEASURED.axes, "sweeps/0")
+
+
+def test_a_law_that_no_axis_shows_is_asked_about_with_the_lines_that_may_be_wrong_instead() -> None:
+    assert other_law(MAIN, RIG, MEASURED.axes, "sweeps/0") == []
+    in_khz = replace(MAIN, frequency_hz=1e-3 * MAIN.frequency_hz)
+    require_cabling(in_khz, RIG, MEASURED.axes, "sweeps/0")
+    (told,) = other_law(in_khz, RIG, MEASURED.axes, "sweeps/0")
+    assert told.startswith("sweeps/0: u of no axis is near")
+    assert "check frequency_hz" in told
+    one_wrong = replace(MAIN, Y=np.where(np.arange(4) == 0, MAIN.Y[..., ::-1], MAIN.Y))
+    assert other_law(one_wrong, RIG, MEASURED.axes, "sweeps/0") == []
