@@ -6,12 +6,12 @@ unit-normal prior; the root of the correlation matrix turns it into deviations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.datasheet import Datasheet
+from sim.datasheet import Datasheet, Tolerance
 from sim.rig import FlexibleMode, Rig
 from sim.twin import rig_from_datasheet
 
@@ -29,6 +29,9 @@ MAGNETS_CORRELATION = 0.5
 """Correlation of the magnets' errors: one design, one air gap and one bias stand behind them. The reference rig's
 magnets had half of the force of their design, all four."""
 
+LARGEST = 2.0
+"""Relative tolerance, one sigma, beyond which a value is as good as unknown: of a factor e^2, and four of them are the
+most that a fit goes."""
 FAR_OFF = 2.5
 """Tolerances from which a value of the datasheet is reported as off."""
 BEYOND_DOUBT = 3.5
@@ -145,7 +148,7 @@ class Nuisance:
 
 def nuisance(datasheet: Datasheet) -> Nuisance:
     """The nuisance parameters of a datasheet."""
-    rig, t, n = rig_from_datasheet(datasheet), datasheet.tolerance, datasheet.n_axes
+    rig, t, n = rig_from_datasheet(datasheet), _bounded(datasheet), datasheet.n_axes
     per_axis = [
         ("ki", t.current_stiffness),
         ("ks", t.position_stiffness),
@@ -170,6 +173,13 @@ def nuisance(datasheet: Datasheet) -> Nuisance:
     return Nuisance(
         rig, np.array(sigma, dtype=float), root, tuple(names), datasheet.tolerance_stated, len(datasheet.modes)
     )
+
+
+def _bounded(datasheet: Datasheet) -> Tolerance:
+    """The datasheet's tolerances, none so large that values a few of them away are beyond arithmetic."""
+    largest = dict.fromkeys((f.name for f in fields(Tolerance)), LARGEST)
+    largest["sensor_position_m"] = min(datasheet.sensor_from_cog_m)
+    return Tolerance(**{name: min(getattr(datasheet.tolerance, name), most) for name, most in largest.items()})
 
 
 def _correlation(k: int, n: int, modes: int) -> Real:

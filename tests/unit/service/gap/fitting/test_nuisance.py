@@ -1,12 +1,15 @@
 """What a datasheet leaves uncertain: errors with one cause cost less together than apart, and are told as they are."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from service.gap.diagnose import diagnose
-from service.gap.fitting.nuisance import Nuisance, nuisance
+from service.gap.fitting.nuisance import LARGEST, Nuisance, nuisance
+from service.gap.fitting.unknowns import TOLERANCE_BOUND
+from sim.datasheet import Tolerance
+from sim.twin import linear_model
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import sheet_of_one_plane
 
@@ -98,3 +101,13 @@ def test_a_shaft_stiffer_in_one_plane_than_in_the_other_is_not_what_one_datashee
     d = diagnose(experiment(replace(rig, rotor=replace(rig.rotor, modes=modes))), DATASHEET)
     assert d.verdict.kind == "none_of_these"
     assert any("mode1 frequency x by -2.0" in reason for reason in d.verdict.reasons)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_tolerance_that_says_anything_lets_values_go_no_farther_than_arithmetic_does(sign: float) -> None:
+    anything = Tolerance(**{f.name: 1e3 for f in fields(Tolerance)})
+    loose = nuisance(replace(DATASHEET, tolerance=anything))
+    assert loose.sigma.max() <= max(LARGEST, *DATASHEET.sensor_from_cog_m)
+    rig = loose.at(np.full(len(loose), sign * TOLERANCE_BOUND))
+    assert np.isfinite(linear_model(rig, np.geomspace(10.0, 1000.0, 20)).y_per_u).all()
+    np.testing.assert_array_equal(nuisance(DATASHEET).sigma, NU.sigma)
