@@ -16,7 +16,7 @@ from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference
-from service.gap.measured.cabling import other_law, require_cabling
+from service.gap.measured.cabling import other_law, wrong_channels
 from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic
 from service.gap.measured.observation import GapError, Observation, usable
@@ -64,6 +64,8 @@ class Observed:
     """what the data or the datasheet lack"""
     erratic: Erratic | None = None
     """lines where the currents of several axes do not repeat from block to block"""
+    wrong_channels: str | None = None
+    """which channels of the log are swapped, have another sign or unit, or are conjugates, in words"""
 
     @property
     def duration_s(self) -> float | None:
@@ -107,8 +109,9 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
     nu = nuisance(datasheet)
+    wrong = None
     for name, sweep in ((main_name, main), *others):
-        require_cabling(usable(sweep), nu.rig, experiment.axes, name)
+        wrong = wrong or wrong_channels(usable(sweep), nu.rig, experiment.axes, name)
         notes += other_law(usable(sweep), nu.rig, experiment.axes, name)
     pair, unused = Pair.of(main_name, main, others, nu.rig)
     notes += unused
@@ -144,6 +147,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         span=span,
         notes=tuple(notes),
         erratic=erratic,
+        wrong_channels=wrong,
     )
 
 

@@ -39,6 +39,10 @@ class PartsInTurn:
     """by path, results on fewer sweeps"""
     explained: list[Explained] = field(default_factory=list)
     fault: str | None = None
+    """what is wrong with the log, in words"""
+
+    def __post_init__(self) -> None:
+        self.fault = self.data.wrong_channels
 
     def explain_all(
         self, progress: Progress, percent: tuple[float, float], known: Mapping[str, Explained] | None = None
@@ -63,7 +67,7 @@ class PartsInTurn:
         ground, before = self._ground(part), self.before.get(part.path)
         plain = plain_twin(self.fitter, ground, before)
         test_log = part.path == "plant" and not self.data.detected_by_size
-        if test_log:
+        if test_log and not self.fault:
             self.fault = log_fault(self.fitter, self.explained, ground, plain, self.observations)
         result = explain(self.fitter, ground, plain, 1 if self.fault else LARGEST_MIXTURE, before)
         if test_log and not self.fault:

@@ -58,16 +58,6 @@ def test_a_datasheet_with(case, good, tmp_path):
     assert "rig.toml" in line
 
 
-def test_a_log_whose_sensors_have_the_other_sign_is_refused_before_anything_is_fitted(good, tmp_path):
-    measured = file.read(good / "experiment.h5")
-    turned = replace(measured, sweeps=tuple(replace(s, Y=-s.Y) for s in measured.sweeps))
-    file.write(tmp_path / "experiment.h5", turned)
-    line = refusal("gap", "diagnose", tmp_path / "experiment.h5", "--rig", good / "rig.toml", "--out", tmp_path / "out")
-    assert "sweeps/0: u of xA is C(z) (+y) + r" in line
-    assert "sign of y" in line
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_datasheet_that_is_not_there(good, tmp_path):
     line = refusal("identify", good / "experiment.h5", "--rig", tmp_path / "none.toml", "--out", tmp_path)
     assert "none.toml" in line

@@ -1,7 +1,8 @@
 """Do the channels of a log belong to the axes that they are written for: by the controller's law, and the amplifiers'.
 
 u = r - C y is arithmetic, and i = A u is known to a few per cent. Where they fail with the channels as they are written
-and hold with others, with another sign, or with conjugates, nothing that could be fitted is of the rig.
+and hold with others, with another sign, or with conjugates, no effect is the cause, and nothing that is fitted is of
+the rig.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
-from service.gap.measured.observation import GapError
 from sim.harmonic_balance import time_points
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model
@@ -31,12 +31,14 @@ ALIKE = (0.5, 2.0)
 """Ratio of two factors within which they are one."""
 PRESENT = 0.01
 """Share of the power of u that r, or what the controller makes of y, must have to be told by it."""
+SAMPLES_OFF = range(-3, 4)
+"""Samples that a logged u may be late."""
 FEWEST = 8
 """Points that laws are held against."""
 
 
-def require_cabling(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> None:
-    """Refuse a sweep whose channels are swapped, have another sign, are in another unit, or are conjugates.
+def wrong_channels(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> str | None:
+    """Which channels of a sweep are swapped, have another sign or unit, or are conjugates, and by which law; or None.
 
     Parameters
     ----------
@@ -44,25 +46,22 @@ def require_cabling(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> N
         Excited points.
     rig
         The twin: its controller and its amplifiers count.
-
-    Raises
-    ------
-    GapError
-        Says which channels, and by which law.
     """
     if sweep.n_points < FEWEST:
-        return
-    told = next(_wrong(_log(sweep, rig, axes)), None)
-    if told is not None:
-        raise GapError(f"{name}: {told}")
+        return None
+    wrong = next(_wrong(_log(sweep, rig, axes)), None)
+    return None if wrong is None else f"{name}: {wrong}"
 
 
 def other_law(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[str]:
-    """That u of no axis is near what the datasheet's controller makes, in a sentence: it has another law, or lines."""
+    """That u of no axis is near what the datasheet's controller makes, in a sentence: it has another law, or lines.
+
+    A log that is whole samples off is near it.
+    """
     if sweep.n_points < FEWEST:
         return []
-    log = _log(sweep, rig, axes)
-    left = [log.by_controller(k, k, k)[1] for k in range(len(axes))]
+    log, each = _log(sweep, rig, axes), range(len(axes))
+    left = [min(log.by_controller(k, k, k, samples_late=s)[1] for s in SAMPLES_OFF) for k in each]
     if min(left) < BROKEN:
         return []
     return [
@@ -73,24 +72,33 @@ def other_law(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[st
 
 def _log(sweep: Sweep, rig: Rig, axes: Sequence[str]) -> _Log:
     frequency, line = time_points(sweep.frequency_hz)
-    return _Log(sweep, linear_model(rig, frequency), line, axes)
+    return _Log(sweep, linear_model(rig, frequency), line, axes, rig.controller.sample_time_s)
 
 
 class _Log:
     """Fundamentals (P, n) of a sweep, and what the laws make of them."""
 
-    def __init__(self, sweep: Sweep, model: LinearModel, line: NDArray[np.int64], axes: Sequence[str]) -> None:
+    def __init__(
+        self, sweep: Sweep, model: LinearModel, line: NDArray[np.int64], axes: Sequence[str], sample_time_s: float
+    ) -> None:
         f = sweep.harmonic(1)
         self.axes = axes
         self.r, self.u, self.y = (x[:, :, f].mean(axis=1) for x in (sweep.R, sweep.U, sweep.Y))
         self.i = None if sweep.I is None else sweep.I[:, :, f].mean(axis=1)
-        self.late = model.log_phase[line, None]
+        self.late = model.log_phase[line]
+        self.one_sample_late = np.exp(-2j * np.pi * sweep.frequency_hz * sample_time_s)
         self.controller = -model.controller[line, None]
         self.amplifiers = np.diagonal(model.i_per_u, axis1=1, axis2=2)[line]
 
-    def by_controller(self, k: int, of_r: int, of_y: int, conjugate: str = "") -> tuple[Real, float]:
-        """Factors of r and of what the controller makes of y that make u of axis ``k``, and the share that is left."""
-        u = self.late[:, 0] * (self.u[:, k].conj() if "u" in conjugate else self.u[:, k])
+    def by_controller(
+        self, k: int, of_r: int, of_y: int, conjugate: str = "", samples_late: int = 0
+    ) -> tuple[Real, float]:
+        """Factors of r and of what the controller makes of y that make u of axis ``k``, and the share that is left.
+
+        ``conjugate`` has the signals that are taken as conjugates; u is taken ``samples_late`` later than logged.
+        """
+        late = self.late * self.one_sample_late**samples_late
+        u = late * (self.u[:, k].conj() if "u" in conjugate else self.u[:, k])
         y = self.y[:, of_y].conj() if "y" in conjugate else self.y[:, of_y]
         return _made_of(u, np.stack([self.r[:, of_r], self.controller[:, 0] * y], axis=1))
 
