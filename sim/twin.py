@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,8 +36,17 @@ from sim.rig import (
 Complex = NDArray[np.complex128]
 
 
+def non_rotating(datasheet: Datasheet) -> Datasheet:
+    """The datasheet as its twin is: without gyroscopic moment, whatever polar inertia it states.
+
+    A twin that names gyroscopic coupling turns, with the polar inertia that is stated beside it.
+    """
+    turns = any(name == "gyroscopic_coupling" for name, _ in datasheet.effects)
+    return datasheet if turns else replace(datasheet, polar_inertia_kgm2=None)
+
+
 def rig_from_datasheet(datasheet: Datasheet) -> Rig:
-    """The rig that a datasheet describes: non-rotating, without noise, with the effects that it names.
+    """The rig that a datasheet describes: at standstill, without noise, with the effects that it names.
 
     Raises
     ------

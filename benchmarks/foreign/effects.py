@@ -263,9 +263,8 @@ def mains_interference(t: Truth, rng: Rng, level: float) -> Change:
 
 def gyroscopic_coupling(t: Truth, rng: Rng, level: float) -> Change:
     if rng.random() < 0.5:
-        ratio = 1 + size(level, 0.15, 4.0)
-        t.polar *= ratio
-        return {"kind": "polar inertia", "ratio": ratio}
+        t.gyroscopic = t.polar * size(level, 0.03, 5.0)
+        return {"kind": "polar inertia", "polar_inertia_kgm2": t.gyroscopic}
     # a disc where the modes have a slope: it couples all that tilts there
     slope = np.zeros(7)
     slope[1], slope[2:4] = 1.0, rng.choice([-1.0, 1.0], 2) * rng.uniform(0.1, 1.0, 2)

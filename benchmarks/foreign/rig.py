@@ -134,7 +134,9 @@ class Truth:
     """Share of that in each axis."""
     log: dict = field(default_factory=dict)
     polar: float = 1.9
-    """kg m^2, all of it where the rotor is rigid"""
+    """kg m^2, as the datasheet has it"""
+    gyroscopic: float = 0.0
+    """kg m^2 that acts, all of it where the rotor is rigid: the twin of a datasheet does not turn"""
     spin: float = 0.0
     """rad/s"""
 
@@ -172,7 +174,7 @@ class Truth:
                     tb[plane, seen, first + end] = ts[plane, seen, first + end] = -1.0
         nq = 2 + len(self.modes) + ((2 if self.housing["each"] else 1) if self.housing else 0)
         gyro = np.zeros((7, 7))
-        gyro[1, 1] = self.polar
+        gyro[1, 1] = self.gyroscopic
         seal_at = np.stack([tb[0, 0], tb[0, 1], (tb[0, 0] + tb[0, 1]) / 2])
         return {"nq": nq, "tb": tb, "ts": ts, "minv": minv, "w": w, "zeta": zeta, "gyro": gyro, "seal_at": seal_at}
 

@@ -14,7 +14,7 @@ from sim.datasheet import Datasheet
 from sim.effects import effect
 from sim.errors import EffectError, LevitationError
 from sim.stepping import Simulation
-from sim.twin import rig_from_datasheet
+from sim.twin import non_rotating, rig_from_datasheet
 from sim.wording import in_words
 
 NO_GAP = "no_gap"
@@ -90,7 +90,9 @@ def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
     if fitted is None:
         raise GapError(f"the report lists no parameters of {' + '.join(names)}")
     added = tuple((name, _values(name, f"{name}." if len(names) > 1 else "", fitted)) for name in names)
-    return replace(datasheet, effects=(*datasheet.effects, *added))
+    # a gyroscopic moment that is found is the whole one: that of the datasheet would come on top
+    still = non_rotating(datasheet) if "gyroscopic_coupling" in names else datasheet
+    return replace(still, effects=(*datasheet.effects, *added))
 
 
 def of_another(datasheet: Datasheet, document: Mapping[str, Any]) -> bool:

@@ -166,9 +166,9 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
     nu, verdict = data.nuisance, d.verdict
     if verdict.also_alike:
         yield f"not told apart either: {', '.join(map(in_words, verdict.also_alike))}"
-    if verdict.effects:
-        yield from hints(d.chosen, nu.rig, (d.observation, d.held_out))
-    elif not data.o.together:
+    if verdict.kind != "none_of_these":
+        yield from hints(d.chosen, nu.rig, (d.observation, d.held_out), data.polar_inertia_kgm2)
+    if not verdict.effects and not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
     if far := nu.far_off(d.chosen.fit.theta):
         yield f"the datasheet is off beyond its tolerances: {values_off(far, verdict.kind == 'none_of_these')}"

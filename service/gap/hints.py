@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate
+from service.gap.fitting.predict import at_speed_of, displacement, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.another_rig import RESONANCES
+from service.gap.weighing.ranking import CLEAR_CHI_SQUARE
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 from sim.rig import Rig
@@ -19,6 +22,8 @@ Complex = NDArray[np.complex128]
 
 OF_THAT_MODE = 0.01
 """Relative distance of a named resonance from a mode of the datasheet up to which a note asks to check that mode."""
+AS_STATED = 0.2
+"""Relative difference of a gyroscopic moment from that of the datasheet up to which the speed needs no check."""
 SCALED = 0.005
 """Change of the controller's gain from which a note asks to check the scale of the log."""
 PLAIN = 300.0
@@ -27,7 +32,9 @@ SHARE_OF_ONE_POINT = 0.8
 """Share of a part's excess that one point must have to be noted."""
 
 
-def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> list[str]:
+def hints(
+    chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation], stated_kgm2: float | None = None
+) -> list[str]:
     """Causes other than effects of a rig that would look like the named effects, in words.
 
     Parameters
@@ -38,20 +45,11 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
         The plain twin, as its datasheet states it.
     sweeps
         The fitted one and the unseen one.
+    stated_kgm2
+        Polar inertia that the datasheet states, if any.
     """
-    notes = []
     named = dict(zip(chosen.effects, chosen.fit.values, strict=True))
-    rotor = chosen.fit.rig.rotor
-    stated = datasheet.rotor.whole_polar_inertia_kgm2
-    # the moment of a disc that modes tilt is no wrong speed
-    if "gyroscopic_coupling" in named and stated and rotor.discs == datasheet.rotor.discs:
-        share = rotor.whole_polar_inertia_kgm2 / stated
-        fastest = max((s.speed_rad_s for s in sweeps), key=abs)
-        notes.append(
-            f"the rotor shows {share:.2g} times the gyroscopic moment of the datasheet's polar inertia at the stated "
-            f"speed: a rotor of that datasheet would turn at {share * fastest:.3g} rad/s, not {fastest:.4g} rad/s; "
-            "check the sweeps' speed_rad_s (is it in rpm or Hz?)"
-        )
+    notes = _turning(chosen, datasheet, sweeps, stated_kgm2)
     for name in (name for name in RESONANCES if name in named):
         at_hz = named[name]["frequency_hz"]
         modes_hz = [m.natural_frequency_rad_s / (2 * np.pi) for plane in datasheet.rotor.modes for m in plane]
@@ -69,6 +67,40 @@ def hints(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation]) -> l
             "the same, the plant's stiffnesses making up for the rest: check the scale of the log"
         )
     return notes
+
+
+def _turning(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation], stated_kgm2: float | None) -> list[str]:
+    """How the gyroscopic moment that a turning rotor shows agrees with the polar inertia of its datasheet, in words."""
+    fastest, rotor = max((s.speed_rad_s for s in sweeps), key=abs), chosen.fit.rig.rotor
+    stated = stated_kgm2 or datasheet.rotor.whole_polar_inertia_kgm2
+    # the moment of a disc that modes tilt is not told by its inertia alone
+    if not (fastest and stated) or rotor.discs != datasheet.rotor.discs:
+        return []
+    share = rotor.whole_polar_inertia_kgm2 / stated
+    shown = (
+        f"the rotor shows {share:.2g} times the gyroscopic moment of the datasheet's polar inertia at the stated speed"
+    )
+    if "gyroscopic_coupling" not in chosen.effects:
+        would_show = replace(rotor, polar_inertia_kgm2=rotor.polar_inertia_kgm2 + stated)
+        turning = replace(chosen.fit.rig, rotor=would_show)
+        if share or not any(_tells_apart(chosen.fit.rig, turning, o) for o in sweeps):
+            return []
+        return [
+            f"the rotor shows nothing of the gyroscopic moment of the datasheet's polar inertia at the stated "
+            f"{fastest:.4g} rad/s: does it turn, and is speed_rad_s in rad/s?"
+        ]
+    if abs(share - 1) < AS_STATED:
+        return [f"{shown}: a twin turns once it names gyroscopic coupling"]
+    return [
+        f"{shown}: a rotor of that datasheet would turn at {share * fastest:.3g} rad/s, not {fastest:.4g} rad/s; "
+        "check the sweeps' speed_rad_s (is it in rpm or Hz, and positive from x to y?)"
+    ]
+
+
+def _tells_apart(one: Rig, other: Rig, o: Observation) -> bool:
+    """Whether a sweep tells two rigs apart by its displacements."""
+    change = displacement(at_speed_of(other, o), o) - displacement(at_speed_of(one, o), o)
+    return float(np.sum(np.abs(change * weight(o, "y")[:, o.fundamental]) ** 2)) > CLEAR_CHI_SQUARE
 
 
 def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str, str]) -> list[str]:

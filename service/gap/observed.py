@@ -33,6 +33,7 @@ from service.gap.measured.sweeps import (
 )
 from service.gap.modes import with_identified_modes
 from sim.datasheet import Datasheet
+from sim.twin import non_rotating
 
 FEWEST_LINES = 5
 """Fewest lines of the fitted sweep: with four, a rig with two axes and two modes has some thirty values of y, about as
@@ -64,6 +65,8 @@ class Observed:
     """what the data or the datasheet lack"""
     erratic: Erratic | None = None
     """lines where the currents of several axes do not repeat from block to block"""
+    polar_inertia_kgm2: float | None = None
+    """that the datasheet states; its twin does not turn"""
     wrong_channels: str | None = None
     """which channels of the log are swapped, have another sign or unit, or are conjugates, in words"""
 
@@ -108,7 +111,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     if not datasheet.modes:
         datasheet, note = with_identified_modes(experiment, datasheet)
         notes.append(note)
-    nu = nuisance(datasheet)
+    nu = nuisance(non_rotating(datasheet))
     wrong = None
     for name, sweep in ((main_name, main), *others):
         wrong = wrong or wrong_channels(usable(sweep), nu.rig, experiment.axes, name)
@@ -147,6 +150,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         span=span,
         notes=tuple(notes),
         erratic=erratic,
+        polar_inertia_kgm2=datasheet.polar_inertia_kgm2,
         wrong_channels=wrong,
     )
 

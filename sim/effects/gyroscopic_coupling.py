@@ -43,11 +43,11 @@ EFFECT = Effect(
         Parameter(
             "polar_inertia_kgm2",
             "kg m2",
-            -2.0,
+            -20.0,
             20.0,
             1.9,
             0.0,
-            description="beyond that of the datasheet",
+            description="beside what a twin with this effect states; negative where the rotor turns from y to x",
             goes_with=INERTIA,
         ),
         Parameter(

@@ -10,12 +10,12 @@ from sim.datasheet import Datasheet
 from sim.reference import reference_rig
 from sim.rig import Noise, Rig
 from sim.rig_file import parse, to_toml
-from sim.twin import rig_from_datasheet
+from sim.twin import non_rotating, rig_from_datasheet
 
 
 @dataclass(frozen=True)
 class Given:
-    """A rig that a case is asked to be of, exactly as its datasheet has it; without one a case draws its rig, too."""
+    """A rig that a case is asked to be of, exactly as its twin has it; without one a case draws its rig, too."""
 
     datasheet: Datasheet
     noise: bool = True
@@ -32,7 +32,7 @@ class Given:
             The datasheet names an effect that the rig cannot have.
         """
         return replace(
-            rig_from_datasheet(self.datasheet),
+            rig_from_datasheet(non_rotating(self.datasheet)),
             noise=reference_rig().noise if self.noise else Noise(),
             gravity_m_per_s2=self.gravity_m_per_s2,
             speed_rad_s=self.speed_rad_s,

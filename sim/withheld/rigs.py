@@ -30,8 +30,12 @@ AT_SPEED = 0.1
 
 
 def base_rig(g: Generator) -> Rig:
-    """The reference rig, or one of its kind: magnets, modes and amplifiers of its own, noise up to three times."""
+    """The reference rig, or one of its kind: magnets, modes and amplifiers of its own, noise up to three times.
+
+    Without gyroscopic moment at whichever speed: that is an effect.
+    """
     rig = reference_rig()
+    rig = replace(rig, rotor=replace(rig.rotor, polar_inertia_kgm2=0.0))
     loud = float(np.exp(g.uniform(0, math.log(3))))
     n = rig.noise
     rig = replace(
@@ -88,7 +92,7 @@ def datasheet_of(rig: Rig, g: Generator, tolerance: Tolerance = TOLERANCE) -> Da
         axes=rig.axes,
         mass_kg=off(r.mass_kg, t.mass)[0],
         transverse_inertia_kgm2=off(r.transverse_inertia_kgm2, t.transverse_inertia)[0],
-        polar_inertia_kgm2=r.polar_inertia_kgm2,
+        polar_inertia_kgm2=reference_rig().rotor.polar_inertia_kgm2,
         bearing_from_cog_m=r.bearing_from_cog_m,
         sensor_from_cog_m=(float(sensor[0]), float(sensor[1])),
         modes=tuple(modes),

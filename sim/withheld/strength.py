@@ -13,8 +13,6 @@ Generator = np.random.Generator
 
 WEAKEST, STRONGEST = 0.1, 1.6
 """Strengths as shares of the catalogue's typical, plainly visible ones."""
-MOST_OF_IT = 0.75
-"""Share of its datasheet's polar inertia by which a rotor may have less."""
 DISC = 0.4
 """Share of the gyroscopic moments that are of a disc where modes tilt it."""
 UNEVEN = 0.25
@@ -51,16 +49,8 @@ def strength(effect: Effect, rig: Rig, g: Generator) -> dict[str, float]:
         else:
             values[p.name] = _inside(p, p.typical * 2.0 ** float(g.uniform(-1, 1)))
     if effect.id == "gyroscopic_coupling":
-        values["polar_inertia_kgm2"] = _of_a_rotor(values["polar_inertia_kgm2"], rig)
-        if values["mode1_slope_per_m_sqrt_kg"]:  # a disc is there: less than none would be no disc
-            values["polar_inertia_kgm2"] = abs(values["polar_inertia_kgm2"])
+        values["polar_inertia_kgm2"] = abs(values["polar_inertia_kgm2"])  # a rotor that turns from x to y
     return values
-
-
-def _of_a_rotor(change_kgm2: float, rig: Rig) -> float:
-    """The change, of a rotor that keeps a good part of its polar inertia: none turns without a gyroscopic moment."""
-    stated = rig.rotor.polar_inertia_kgm2
-    return abs(change_kgm2) if change_kgm2 < -MOST_OF_IT * stated else change_kgm2
 
 
 def _uneven(effect: Effect, g: Generator) -> dict[str, float]:

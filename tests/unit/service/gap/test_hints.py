@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
+from service.gap.apply import applied
 from service.gap.diagnose import diagnose
 from service.gap.diagnosis import Diagnosis
-from service.gap.document import sentence
+from service.gap.document import gap_document, sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.hints import hints
@@ -55,23 +56,49 @@ def test_a_clean_rig_has_no_bad_point() -> None:
     assert not any("measure it again" in note for note in d.notes)
 
 
+def measured_turning(sheet: Datasheet, at_rad_s: float, stated_rad_s: float) -> Experiment:
+    measured = experiment(replace(rig_from_datasheet(sheet), speed_rad_s=at_rad_s))
+    return replace(measured, sweeps=tuple(replace(s, speed_rad_s=stated_rad_s) for s in measured.sweeps))
+
+
 def turning(sheet: Datasheet, at_rad_s: float, stated_rad_s: float) -> Diagnosis:
-    rig = replace(rig_from_datasheet(sheet), speed_rad_s=at_rad_s)
-    measured = experiment(rig)
-    sweeps = tuple(replace(s, speed_rad_s=stated_rad_s) for s in measured.sweeps)
-    return diagnose(replace(measured, sweeps=sweeps), sheet)
+    return diagnose(measured_turning(sheet, at_rad_s, stated_rad_s), sheet)
 
 
-def test_a_speed_in_rpm_is_asked_about_and_a_rotor_that_stands_has_no_effect() -> None:
+@pytest.mark.parametrize(
+    ("stated_rad_s", "said"),
+    [
+        (100.0, ("shows 1 times", "a twin turns once it names gyroscopic coupling")),
+        (100.0 * 30 / np.pi, ("shows 0.1 times", "100 rad/s")),
+        (100.0 / (2 * np.pi), ("shows 6.3 times", "100 rad/s")),
+        (-100.0, ("shows -1 times", "positive from x to y")),
+    ],
+)
+def test_a_rotor_that_turns_has_the_moment_that_its_twin_lacks_and_a_wrong_speed_is_asked_about(
+    stated_rad_s: float, said: tuple[str, ...]
+) -> None:
+    d = turning(replace(TRUTH, polar_inertia_kgm2=1.9), 100.0, stated_rad_s)
+    assert d.verdict.effects == ("gyroscopic_coupling",)
+    assert d.chosen.fit.values[0]["polar_inertia_kgm2"] == pytest.approx(1.9 * 100.0 / stated_rad_s, rel=0.03)
+    (note,) = (note for note in d.notes if "gyroscopic moment" in note)
+    assert all(words in note for words in said), note
+
+
+def test_a_rotor_that_stands_has_no_effect_and_is_asked_whether_it_turns() -> None:
+    standing = turning(replace(TRUTH, polar_inertia_kgm2=1.9), 0.0, 300.0)
+    assert standing.verdict.kind == "no_gap"
+    assert any("does it turn" in note for note in standing.notes)
+
+
+def test_a_twin_that_turns_has_no_gap() -> None:
+    """Of a twin with gyroscopic coupling the polar inertia that it states counts."""
     sheet = replace(TRUTH, polar_inertia_kgm2=1.9)
-    in_rpm = turning(sheet, 100.0, 100.0 * 30 / np.pi)
-    assert in_rpm.verdict.kind == "none_of_these"
-    assert "shows 0.1 times the gyroscopic moment" in in_rpm.verdict.reasons[0]
-    in_hz = turning(sheet, 100.0, 100.0 / (2 * np.pi))
-    assert any("shows 6.3 times the gyroscopic moment" in note and "100 rad/s" in note for note in in_hz.notes)
-    standing = turning(sheet, 0.0, 300.0)
-    assert standing.verdict.kind == "none_of_these"
-    assert "does it turn" in standing.verdict.reasons[0]
+    turns = replace(sheet, effects=(("gyroscopic_coupling", (("polar_inertia_kgm2", 0.0), ("mode_coupling", 0.0))),))
+    assert turning(turns, 100.0, 100.0).verdict.kind == "no_gap"
+    twin = applied(sheet, gap_document(turning(sheet, 100.0, 100.0)))
+    assert twin.polar_inertia_kgm2 is None
+    again = diagnose(measured_turning(sheet, 100.0, 100.0), twin)
+    assert again.verdict.kind == "no_gap"
 
 
 def test_a_log_that_is_scaled_is_asked_about_where_a_controller_s_gain_is_blamed() -> None:
