@@ -43,7 +43,7 @@ def test_a_first_order_amplifier_slews_as_its_held_signal_steps(late, lag_s, off
     asked, w, limit = 1.1 * np.cos(2 * np.pi * 700.0 * 1e-4 * np.arange(-1, 30)), 9244.0, 4000.0
     expected = stepped_held(asked, 1e-4, late, lag_s, w, limit, 1000)
     two, limits = asked[:, None] * np.ones(2), np.array([limit, np.inf])
-    found = held_slewing(two, 1e-4, np.full(2, late), lag_s, np.full(2, w), limits, 16)
+    found = held_slewing(two, 1e-4, np.full(2, late), lag_s, np.full(2, w), limits, 16, np.zeros(2))
     assert np.abs(expected).max() > 0.03
     np.testing.assert_allclose(found[::16, 0], expected, rtol=0, atol=off_a)
     assert np.all(found[:, 1] == 0.0)
