@@ -1,12 +1,11 @@
 """How strong what is withheld is: within an effect's range, at many strengths."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
+from sim.withheld.rigs import base_rig
 from sim.withheld.strength import strength
 
 
@@ -25,9 +24,10 @@ def test_every_effect_is_drawn_within_its_range_and_at_many_strengths(name: str)
     assert len(distinct) >= (3 if name == "logging_offset" else 180)  # the weakest of one range end meet there
 
 
-def test_a_rotor_keeps_a_good_part_of_its_polar_inertia() -> None:
-    rig, g = reference_rig(), np.random.default_rng(1)
-    rig = replace(rig, rotor=replace(rig.rotor, polar_inertia_kgm2=1.9))
-    changes = [strength(CATALOGUE["gyroscopic_coupling"], rig, g)["polar_inertia_kgm2"] for _ in range(300)]
-    assert min(changes) > -0.8 * 1.9
-    assert min(changes) < -0.5 * 1.9
+def test_a_rotor_turns_from_x_to_y_with_the_whole_of_its_polar_inertia() -> None:
+    g = np.random.default_rng(1)
+    plain = base_rig(g)
+    assert plain.rotor.whole_polar_inertia_kgm2 == 0.0
+    inertias = [strength(CATALOGUE["gyroscopic_coupling"], plain, g)["polar_inertia_kgm2"] for _ in range(300)]
+    assert min(inertias) > 0.1
+    assert max(inertias) > 1.9
