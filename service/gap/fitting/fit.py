@@ -75,7 +75,7 @@ class Problem:
             plant = self.model.signal == "y" and not self.model.nonlinear
             if plant and not stage.closed and iteration < RENEWED:
                 state = objective.fresh_state(state.x)
-            if objective.within_floor(state) or drop < stage.tolerance * max(1.0, state.cost):
+            if objective.within_floor(state) or drop < stage.negligible(state.cost, objective.noise):
                 status = "converged"
                 break
         return self._fit(objective, state, curvature, status)

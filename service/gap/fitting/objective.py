@@ -51,6 +51,8 @@ class Objective:
         self.model, self.unknowns, self.stage = model, model.unknowns, stage
         self.weights = [self._weight(o) for o in model.observations]
         """1 / sd of real and imaginary part, (P, H, n) per sweep"""
+        self.noise = float(sum(2 * np.count_nonzero(w) for w in self.weights))
+        """cost that noise alone is expected to have: the number of real values"""
 
     def _weight(self, o: Observation) -> Real:
         w = weight(o, self.model.signal)

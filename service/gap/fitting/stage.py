@@ -11,16 +11,25 @@ class Stage:
 
     ``closed`` compares closed-loop responses, which are smooth where the plant has sharp peaks; ``relative_floor`` is
     an error that is allowed beside the noise, relative to the largest signal of a point; ``tolerance`` is the relative
-    decrease of the cost from which the pass has converged.
+    decrease of the cost from which the pass has converged. With a ``smallest_drop``, a chi-square, it is relative to
+    what the cost is above noise, and no smaller than that: where most of the cost is noise, fits would else end along a
+    flat direction, several units above the optimum.
     """
 
     closed: bool
     relative_floor: float
     iterations: int
     tolerance: float
+    smallest_drop: float | None = None
+
+    def negligible(self, cost: float, noise: float) -> float:
+        """Decrease of the cost up to which a pass has converged; ``noise`` is what noise alone is expected to cost."""
+        if self.smallest_drop is None:
+            return self.tolerance * max(1.0, cost)
+        return max(self.tolerance * (cost - noise), self.smallest_drop)
 
 
 COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3)
-MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3)
+MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3, smallest_drop=0.5)
 PROBE = Stage(closed=False, relative_floor=0.0, iterations=4, tolerance=5e-3)
-EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4)
+EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4, smallest_drop=0.5)
