@@ -63,6 +63,8 @@ _SMALL = (
     "it acts by amplitude, and the model's {what} is linear: {figures} are means over the amplitudes that were measured"
 )
 NOT_IN_MODEL = {
+    "controller.apart": "the model has one controller for all axes: margins and the predicted loop are those of its "
+    "mean",
     "rotor.discs": "its disc couples tilts and modes with one another, and a model of several speeds couples each with "
     "its own copy in the other plane alone",
     "amplifiers.slew_limit_a_per_s": _SMALL.format(what="amplifier", figures="amplifiers and delay"),

@@ -150,8 +150,8 @@ class Responder:
         m, k = self._model, self._unknown
         H, n = len(self.harmonics), sensed.shape[-1]
         omega = self._omega.reshape(H, -1)[:, self.line].T[:, k]
-        C = m.controller.reshape(H, -1)[:, self.line].T[:, k]
-        C = np.where(omega * self.rig.controller.sample_time_s < np.pi, C, 0.0)[..., None, None]
+        C = self._of_points(m.controllers)[:, k]
+        C = np.where((omega * self.rig.controller.sample_time_s < np.pi)[..., None], C, 0.0)[..., None]
         y = np.linalg.solve(np.eye(n) + C * self._of_points(m.y_per_u)[:, k], sensed[:, k])
         u = -C * y
         x = self._of_points(m.bearing_per_force)[:, k] + self._of_points(m.bearing_per_u)[:, k] @ u
@@ -253,8 +253,8 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
 
     A quasi-Newton iteration: the residual of u = r - C y is mapped to a correction of u by the linear loop.
     """
-    m, H, known = responder._model, len(responder.harmonics), responder._known
-    controller = m.controller.reshape(H, -1)[:, responder.line].T[:, known, None]  # (P, H, 1)
+    m, known = responder._model, responder._known
+    controller = responder._of_points(m.controllers)[:, known]  # (P, H, n)
     sensitivity, late = responder._of_points(m.sensitivity)[:, known], responder._log_phase[:, known]
     U = _times(sensitivity, R)
     for _ in range(rounds):

@@ -17,10 +17,14 @@ def of_end(what: str, dormant: bool = False) -> Parameter:
     return _shape(NAMES[0], f"1: only {what} at A, -1: only {what} at B", dormant)
 
 
+def of_plane(what: str, dormant: bool = False) -> Parameter:
+    """The shape of an effect on ``what`` there is one of in each plane, 0 where it is in both alike."""
+    return _shape(NAMES[1], f"1: only {what} in x, -1: only {what} in y; not used on one plane", dormant)
+
+
 def parameters(what: str, dormant: bool = False) -> tuple[Parameter, Parameter]:
     """The two shapes of an effect on ``what`` there is one of in each axis, 0 where it is on all alike."""
-    in_plane = f"1: only {what} in x, -1: only {what} in y; not used on one plane"
-    return of_end(what, dormant), _shape(NAMES[1], in_plane, dormant)
+    return of_end(what, dormant), of_plane(what, dormant)
 
 
 def _shape(name: str, words: str, dormant: bool) -> Parameter:

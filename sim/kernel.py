@@ -158,11 +158,11 @@ def _driven(rate_input, late, state, first_u, s, out):  # type: ignore[no-untype
 @_compiled
 def _control(b, a, state, axis, error):  # type: ignore[no-untyped-def]
     """One sample of the controller of one axis, direct form II transposed."""
-    out = b[0] * error + state[axis, 0]
+    out = b[axis, 0] * error + state[axis, 0]
     last = state.shape[1] - 1
     for k in range(last):
-        state[axis, k] = b[k + 1] * error - a[k + 1] * out + state[axis, k + 1]
-    state[axis, last] = b[last + 1] * error - a[last + 1] * out
+        state[axis, k] = b[axis, k + 1] * error - a[axis, k + 1] * out + state[axis, k + 1]
+    state[axis, last] = b[axis, last + 1] * error - a[axis, last + 1] * out
     return out
 
 

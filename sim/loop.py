@@ -39,7 +39,7 @@ class Loop:
         self.rig, self.n_axes, self.substeps = rig, rig.n_axes, substeps
         self._point = actuator.operating_point(rig)
         self._ss = state_space(rig, self._point)
-        self._b, self._a = control_law.transposed_form(rig.controller)
+        self._b, self._a = control_law.transposed_forms(rig.controller, rig.n_axes)
         self._play_strength, self._play_weights, self._play_widths = actuator.plays(rig.magnets)
         self._law = self._law_rows()
         self._rotation = force_rotation(rig)
@@ -119,7 +119,7 @@ class Loop:
         self._state[p.n_z : p.n_z + p.history * n] = np.tile(u, p.history)
         self._now = np.zeros(p.first.shape[2])
         self._now[p.z_at - p.n_seen : p.z_at] = self._seen @ z
-        self._c = np.stack([self._resting_controller(value) for value in u])
+        self._c = np.stack([self._resting_controller(a, value) for a, value in zip(self._a, u, strict=True)])
         depth = int(np.ceil(np.max(self._lag_steps))) + 4
         self._y_past = np.zeros((n, depth))
         self._plays = np.zeros((n, len(self._play_widths)))
@@ -156,24 +156,25 @@ class Loop:
     def _lag_steps(self) -> Array:
         return np.asarray(self.rig.sensors.delay_s * self.substeps / self._period_s)
 
-    def _resting_controller(self, u: float) -> Array:
-        """Controller state that puts out ``u`` at zero input, from its pole at z = 1; zero without one."""
-        order = len(self._a) - 1
-        if u == 0 or abs(np.sum(self._a)) > 1e-9:
+    @staticmethod
+    def _resting_controller(a: Array, u: float) -> Array:
+        """State of a controller of denominator ``a`` that puts out ``u`` at zero input; zero if no pole is at z = 1."""
+        order = len(a) - 1
+        if u == 0 or abs(np.sum(a)) > 1e-9:
             return np.zeros(order)
-        return np.array([-u * np.sum(self._a[k + 1 :]) for k in range(order)])
+        return np.array([-u * np.sum(a[k + 1 :]) for k in range(order)])
 
     def closed_loop(self) -> Array:
         """One sample of the linear closed loop as a matrix on [z, controller states, past u]."""
         ss, p, n = self._ss, self._p, self.n_axes
-        order, n_z = len(self._a) - 1, p.n_z
+        order, n_z = self._a.shape[1] - 1, p.n_z
         n_c, n_u = n * order, p.history * n
         eye = np.eye(n_z + n_c + n_u)
         z, c, past = eye[:n_z], eye[n_z : n_z + n_c].reshape(n, order, -1), eye[n_z + n_c :]
         y = ss.sensor @ z
-        u = c[:, 0] - self._b[0] * y
+        u = c[:, 0] - self._b[:, :1] * y
         shifted = np.concatenate([c[:, 1:], np.zeros_like(c[:, :1])], axis=1)
-        c = shifted - self._b[1:, None] * y[:, None] - self._a[1:, None] * u[:, None]
+        c = shifted - self._b[:, 1:, None] * y[:, None] - self._a[:, 1:, None] * u[:, None]
         past = np.vstack([u, past[:-n]])
         z = p.first[0, : n_z + n_u, p.z_at : p.z_at + n_z].T @ np.vstack([z, past])
         return np.vstack([z, c.reshape(n_c, -1), past])

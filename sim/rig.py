@@ -206,12 +206,14 @@ class Sensors:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """Discrete controller from -y to u, the same in every axis, highest power of z first."""
+    """Discrete controller from -y to u, the same in every axis but for ``apart``, highest power of z first."""
 
     numerator: Array
     denominator: Array
     sample_time_s: float
     computing_delay_s: float = 0.0
+    apart: tuple[tuple[Array, Array], ...] = ()
+    """(numerator, denominator) of each axis where they differ, of which the law above is the mean; () where not."""
 
 
 @dataclass(frozen=True)

@@ -119,8 +119,8 @@ class LinearModel:
     """Continuous y per coil current, m/A."""
     baseband: Complex
     """Component of the coil current at the excited frequency (not its samples) per u, A/A."""
-    controller: Complex
-    """C from -y to u, (F,)."""
+    controllers: Complex
+    """C from -y to u of each axis, (F, n)."""
     flux_per_u: Complex
     """Component at the excited frequency of the current that makes flux, after eddy currents, per u, A/A."""
     bearing_per_u: Complex
@@ -131,6 +131,11 @@ class LinearModel:
     """Sensor signal per force at the bearings, the magnets' stiffness closed, m/N."""
     log_phase: Complex
     """exp(-j w T n) of a log whose u is n samples early, in ``i_per_u`` and ``y_per_u``, (F,)."""
+
+    @property
+    def controller(self) -> Complex:
+        """C from -y to u where all axes have the same, else the mean of theirs, (F,)."""
+        return np.asarray(self.controllers.mean(axis=1))
 
     @cached_property
     def i_per_u(self) -> Complex:
@@ -148,13 +153,13 @@ class LinearModel:
     def sensitivity(self) -> Complex:
         """(I + C G)^-1, G from the u and y that are logged; u per r where the log is right."""
         n = self.y_per_u.shape[-1]
-        return np.asarray(np.linalg.inv(np.eye(n) + self.controller[:, None, None] * self.y_per_u))
+        return np.asarray(np.linalg.inv(np.eye(n) + self.controllers[:, :, None] * self.y_per_u))
 
     @property
     def u_per_r(self) -> Complex:
         """Logged u per r of the loop that runs, whatever the log: its size is the sensitivity of that loop."""
         n = self.y_per_u.shape[-1]
-        loop = self.log_phase[:, None, None] * np.eye(n) + self.controller[:, None, None] * self.y_per_u
+        loop = self.log_phase[:, None, None] * np.eye(n) + self.controllers[:, :, None] * self.y_per_u
         return np.asarray(np.linalg.inv(loop))
 
 
@@ -222,7 +227,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
         y_per_u=_mixed(y_per_u, cross) * logged_early,
         plant=y_per_magnet * per_current[0, :, None, :],
         baseband=base,
-        controller=control_law.response(rig.controller, omega),
+        controllers=control_law.responses(rig.controller, omega, n),
         flux_per_u=eddy[0, :, :, None] * base,
         bearing_per_u=_mixed(_mixed(bearing_per_force, rotation) * per_control[0, :, None, :], cross),
         bearing_per_force=bearing_per_force,

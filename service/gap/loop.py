@@ -101,7 +101,7 @@ def loop_figures(
     gaps: dict[str, Any] = {"frequency_hz": frequency.tolist()}
     for name, rig in twins.items():
         model = linear_model(at_speed_of(rig, o), frequency)
-        C = model.controller[:, None, None]
+        C = model.controllers[:, :, None]
         distance = chordal_distance(C * model.y_per_u, C * G)
         gaps[name] = distance.tolist()
         gaps[f"largest_{name}"] = float(distance.max())
@@ -186,8 +186,9 @@ def _noise(
     f, n = o.fundamental, o.U.shape[2]
     of_u, of_y = np.zeros((len(lines), n)), np.zeros((len(lines), n))
     model = linear_model(at_speed_of(rig, o), o.frequency_hz[lines])
-    S, C = model.sensitivity, model.controller[:, None, None]
-    u_per, y_per = (S, C * S), (model.y_per_u @ S, np.linalg.inv(np.eye(n) + model.y_per_u * C))
+    S, C = model.sensitivity, model.controllers
+    u_per = (S, S * C[:, None, :])
+    y_per = (model.y_per_u @ S, np.linalg.inv(np.eye(n) + model.y_per_u * C[:, None, :]))
     for row, k in enumerate(lines):
         for point in np.flatnonzero((o.line == k) & usable):
             a, e = o.axis[point], (o.sd_u[point, f], o.sd_y[point, f])

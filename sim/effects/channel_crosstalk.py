@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import of_plane
 from sim.rig import Rig
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     plane = np.array([[0.0, p["share_ab"]], [p["share_ba"], 0.0]])
-    share = np.kron(np.eye(rig.n_planes), plane)
+    more = p["plane_imbalance"]
+    of_planes = np.diag([1 + more, 1 - more]) if rig.n_planes == 2 else np.eye(1)
+    share = np.kron(of_planes, plane)
     return replace(rig, amplifiers=replace(rig.amplifiers, crosstalk=rig.amplifiers.crosstalk + share))
 
 
@@ -19,11 +22,16 @@ EFFECT = Effect(
     id="channel_crosstalk",
     path="amplifier",
     parameters=(
-        Parameter("share_ab", "1", -0.2, 0.2, 0.03, 0.0, description="share of u_B in amplifier A"),
-        Parameter("share_ba", "1", -0.2, 0.2, 0.03, 0.0, description="share of u_A in amplifier B"),
+        Parameter(
+            "share_ab", "1", -0.2, 0.2, 0.03, 0.0, description="share of u_B in amplifier A, mean of both planes"
+        ),
+        Parameter(
+            "share_ba", "1", -0.2, 0.2, 0.03, 0.0, description="share of u_A in amplifier B, mean of both planes"
+        ),
+        of_plane("the crosstalk", dormant=True),
     ),
     apply=_apply,
-    law="i_A = A (u_A + c_AB u_B), i_B = A (u_B + c_BA u_A), in each plane",
+    law="i_A = A (u_A + c_AB u_B), i_B = A (u_B + c_BA u_A), in each plane; shares c (1 + p) in x and c (1 - p) in y",
     signature="off-diagonal of i/u within a plane, in phase with the diagonal",
     aliases=(),
     separated_by="logged i; without it the off-diagonals of y/u, which sensor position and mode shapes change too",

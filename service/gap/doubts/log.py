@@ -103,10 +103,10 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
 
     Harmonic 0 stays as logged.
     """
-    law, Y, sd_y = ground.nuisance.rig.controller, o.Y.copy(), o.sd_y.copy()
+    rig, Y, sd_y = ground.nuisance.rig, o.Y.copy(), o.sd_y.copy()
     for k, h in enumerate(o.harmonics):
         if h:
-            C = control_law.response(law, 2 * np.pi * h * o.points_hz)[:, None]
+            C = control_law.responses(rig.controller, 2 * np.pi * h * o.points_hz, rig.n_axes)
             Y[:, k] = (o.R[:, k] - o.U[:, k]) / C
             sd_y[:, k] = np.hypot(sd_y[:, k], o.sd_u[:, k] / np.abs(C))
     return replace(o, Y=Y, sd_y=sd_y)

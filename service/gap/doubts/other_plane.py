@@ -91,7 +91,7 @@ def signatures(rig: Rig, o: Observation) -> dict[str, Complex]:
     it. What a rotation takes off the gain of its own plane is an error of ki and ks.
     """
     model = linear_model(rig, o.frequency_hz)
-    ki, ks, C = np.diag(model.point.ki), np.diag(model.point.ks), model.controller[:, None, None]
+    ki, ks, C = np.diag(model.point.ki), np.diag(model.point.ks), model.controllers[:, :, None]
     there = ki @ model.flux_per_u + ks @ model.bearing_per_u  # magnets' force per u
     controlled = C * model.sensitivity @ model.y_per_force  # -u per force in the other plane, its loop closed
     moved = model.bearing_per_force - model.bearing_per_u @ controlled  # its bearings' displacement per force

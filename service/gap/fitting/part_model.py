@@ -82,7 +82,7 @@ class PartModel:
         U = o.U.copy()
         U[:, o.fundamental] = self._closed_control(o, model)
         J = displacement_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[:, :, active]
-        C = (model.controller / model.log_phase)[:, None, None]
+        C = (model.controllers / model.log_phase[:, None])[:, None, :]
         return np.asarray(np.linalg.inv(np.eye(n) + model.y_per_u * C)[o.line] @ J)
 
     def effect_columns(
@@ -111,6 +111,6 @@ class PartModel:
         out before the loop is closed and is not part of it: with it the loop could be nearly unstable.
         """
         f = o.fundamental
-        C, late = model.controller[o.line, None], model.log_phase[o.line, None]
+        C, late = model.controllers[o.line], model.log_phase[o.line, None]
         excitation = late * o.U[:, f] + C * o.Y[:, f]
         return np.asarray((model.u_per_r[o.line] @ excitation[..., None])[..., 0])

@@ -82,8 +82,8 @@ def control(rig: Rig, o: Observation) -> Complex:
             continue
         omega = 2 * np.pi * h * o.points_hz
         early = np.exp(1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)
-        C = control_law.response(rig.controller, omega)
-        out[:, k] = (o.R[:, k] - C[:, None] * o.Y[:, k]) * early[:, None]
+        C = control_law.responses(rig.controller, omega, rig.n_axes)
+        out[:, k] = (o.R[:, k] - C * o.Y[:, k]) * early[:, None]
     return out
 
 

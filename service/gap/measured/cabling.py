@@ -87,7 +87,7 @@ class _Log:
         self.i = None if sweep.I is None else sweep.I[:, :, f].mean(axis=1)
         self.late = model.log_phase[line]
         self.one_sample_late = np.exp(-2j * np.pi * sweep.frequency_hz * sample_time_s)
-        self.controller = -model.controller[line, None]
+        self.controllers = -model.controllers[line]
         self.amplifiers = np.diagonal(model.i_per_u, axis1=1, axis2=2)[line]
 
     def by_controller(
@@ -100,7 +100,7 @@ class _Log:
         late = self.late * self.one_sample_late**samples_late
         u = late * (self.u[:, k].conj() if "u" in conjugate else self.u[:, k])
         y = self.y[:, of_y].conj() if "y" in conjugate else self.y[:, of_y]
-        return _made_of(u, np.stack([self.r[:, of_r], self.controller[:, 0] * y], axis=1))
+        return _made_of(u, np.stack([self.r[:, of_r], self.controllers[:, of_y] * y], axis=1))
 
     def by_amplifier(self, k: int, of_u: int, conjugate: bool = False) -> tuple[float, float]:
         """The same of what the amplifier of axis ``k`` makes of u, for i."""
@@ -188,7 +188,7 @@ def _odd(log: _Log, k: int, factors: Real) -> Iterator[str]:
     """What sign or unit is wrong where the controller's law holds but for the ``factors`` of its terms, in words."""
     axis, power = log.axes[k], float(np.sum(np.abs(log.u[:, k]) ** 2))
     of_r, of_y = (float(f) for f in factors)
-    sizes = [float(np.sum(np.abs(x) ** 2)) for x in (log.r[:, k], log.controller[:, 0] * log.y[:, k])]
+    sizes = [float(np.sum(np.abs(x) ** 2)) for x in (log.r[:, k], log.controllers[:, k] * log.y[:, k])]
     # what is too small to be told by u is left alone, unless it would be too large
     told = [size * max(f**2, 1.0) > PRESENT * power for size, f in zip(sizes, (of_r, of_y), strict=True)]
     if all(told) and ALIKE[0] < of_y / of_r < ALIKE[1]:

@@ -282,7 +282,7 @@ def _with_hum(sds: tuple[Real, ...], sweep: Sweep, rig: Rig, hums_hz: Sequence[f
             """Rms amplitude of independent inputs x behind a response G, (P, n)."""
             return np.asarray(np.sqrt(np.einsum("pij,pj->pi", np.abs(G[line]) ** 2, x[:, k] ** 2)))
 
-        C = model.controller[:, None, None] * np.eye(rig.n_axes)
+        C = model.controllers[:, :, None] * np.eye(rig.n_axes)
         of_u[:, k] = np.sqrt(of_u[:, k] ** 2 + u[:, k] ** 2 + through(C, y) ** 2)
         of_i[:, k] = np.sqrt(of_i[:, k] ** 2 + i[:, k] ** 2 + through(model.i_per_u, u) ** 2)
         of_y[:, k] = np.sqrt(of_y[:, k] ** 2 + y[:, k] ** 2 + through(model.y_per_u, u) ** 2)
@@ -299,7 +299,7 @@ def _with_transient_leakage(sds: tuple[Real, ...], sweep: Sweep, rig: Rig) -> tu
         if h == 0:
             continue
         model = linear_model(rig, h * frequency)
-        C = -model.controller[line, None, None] * np.eye(rig.n_axes)
+        C = -model.controllers[line, :, None] * np.eye(rig.n_axes)
         of_u[:, k] = np.hypot(of_u[:, k], leaked(sweep, h, C, U - sweep.R[:, :, at_rest], Y))
         of_y[:, k] = np.hypot(of_y[:, k], leaked(sweep, h, model.y_per_u[line], Y, U))
         if sweep.I is not None:

@@ -88,7 +88,7 @@ def unexplained(sweep: Sweep, rig: Rig) -> tuple[Complex, Complex, Complex]:
     for k, h in enumerate(sweep.harmonics):
         model = linear_model(rig, np.maximum(h * frequency, 1e-2))
         R, U, Y = sweep.R[:, :, k], sweep.U[:, :, k], sweep.Y[:, :, k]
-        C = np.broadcast_to(-model.controller[:, None, None] * np.eye(rig.n_axes), model.y_per_u.shape)
+        C = np.broadcast_to(-model.controllers[:, :, None] * np.eye(rig.n_axes), model.y_per_u.shape)
 
         def residual(output: Complex, cause: Complex, G: Complex, h: int = h) -> Complex:
             if h == 1:

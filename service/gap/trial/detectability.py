@@ -210,7 +210,7 @@ def _model(rig: Rig, sweep: Sweep, lines: Array, at: NDArray[np.int64]) -> Compl
     """Small-signal response of a rig to the sweep's tones, as `_signals`, (P, 3 n)."""
     m = linear_model(rig, lines)
     U = m.u_per_r
-    C = m.controller[:, None, None]
+    C = m.controllers[:, :, None]
     Y = m.y_per_u @ U
     response = np.concatenate([U - np.eye(rig.n_axes) + C * Y, m.i_per_u @ U, Y], axis=1)
     return np.asarray(response[at, :, sweep.axis] * sweep.amplitude_a[:, None])

@@ -9,6 +9,7 @@ from sim import actuator, control_law
 from sim.effects import CATALOGUE, effect
 from sim.effects.controller_mismatch import derivative_corner_rad_s
 from sim.errors import EffectError
+from sim.measured import measured_responses
 from sim.reference import pid_with_biquad, reference_rig
 from sim.rig import ControlLaw, Rig
 from sim.twin import linear_model
@@ -45,6 +46,38 @@ def test_controller_lag_is_a_share_of_a_sample():
     lagged = control_law.response(alone("controller_mismatch", lag_samples=0.2).controller, omega)
     ratio = lagged / control_law.response(RIG.controller, omega)
     assert np.angle(ratio[0]) == pytest.approx(-0.2 * omega[0] * 1e-4, rel=1e-3)
+
+
+def test_controller_filters_are_tuned_to_another_frequency_and_damping():
+    omega = 2 * np.pi * np.array([2.0, 200.0, 700.0, 780.0, 2000.0])
+    tuned = {"filter_frequency_change": 0.04, "zero_damping_change": 0.5, "pole_damping_change": -0.2}
+    changed = control_law.response(alone("controller_mismatch", **tuned).controller, omega)
+    b, a = pid_with_biquad(notch_hz=1.04 * 750.0, notch_damping=(1.5 * 0.2, 0.8 * 0.7))
+    np.testing.assert_allclose(changed, control_law.response(ControlLaw(b, a, 1e-4), omega), rtol=1e-6)
+
+
+def test_a_controller_without_filters_has_none_to_tune():
+    law = ControlLaw(np.array([3.0, -2.0]), np.array([1.0, -0.5]), 1e-4)
+    tuned = alone("controller_mismatch", replace(RIG, controller=law), filter_frequency_change=0.04).controller
+    omega = np.array([50.0, 5000.0])
+    np.testing.assert_allclose(control_law.response(tuned, omega), control_law.response(law, omega), rtol=1e-12)
+
+
+def test_a_controller_of_one_axis_alone_runs_as_its_linear_model_says():
+    one = {"gain_change": 0.01, "derivative_change": 0.01, "lag_samples": 0.01, "filter_frequency_change": 0.01}
+    rig = alone("controller_mismatch", **one, end_imbalance=-1.0, plane_imbalance=1.0)
+    hz = np.array([47.0, 489.0])
+    changed = np.abs(linear_model(rig, hz).controllers / linear_model(RIG, hz).controllers - 1)
+    assert np.all(changed[:, 1] > 0.02)
+    np.testing.assert_allclose(changed[:, [0, 2, 3]], 0.0, atol=1e-8)
+    found, model = measured_responses(rig, hz), linear_model(rig, hz)
+    np.testing.assert_allclose(found.u_per_r, model.u_per_r, atol=1e-3 * np.abs(model.u_per_r).max())
+
+
+def test_crosstalk_of_one_plane_alone_leaves_the_other_without():
+    crosstalk = alone("channel_crosstalk", share_ab=0.02, share_ba=0.01, plane_imbalance=-1.0).amplifiers.crosstalk
+    np.testing.assert_array_equal(crosstalk[:2, :2], np.eye(2))
+    np.testing.assert_allclose(crosstalk[2:, 2:], [[1.0, 0.04], [0.02, 1.0]])
 
 
 def test_amplifiers_change_in_frequency_and_damping():
