@@ -169,8 +169,13 @@ class Responder:
                 sensed
             )
 
+        means = self._means(seen)
+
         def force_at(x: Complex, Y: Complex) -> Complex:
-            return self._beyond_linear(currents, x if seen is None else x + self._from_sensors(seen - Y))
+            at = x if seen is None else x + self._from_sensors(seen - Y)
+            if means is not None:
+                at[:, 0] = means
+            return self._beyond_linear(currents, at)
 
         force = force_at(x_linear, Y_linear)
         for _ in range((rounds or (3 if seen is not None else 6 if self._strongly_nonlinear else 3)) - 1):
@@ -178,6 +183,19 @@ class Responder:
                 currents = self._effective_currents(self._at_points(m.flux_per_u, U + _times(fed, force)))
             force = force_at(x_linear + _times(bearing, force), Y_linear + _times(sensed, force))
         return self._static_real(Y_linear + _times(sensed, force))[:, self._known]
+
+    def _means(self, seen: Complex | None) -> Complex | None:
+        """Mean displacement at the bearings, (P, n), from rest, where stops need it as it was measured; or None.
+
+        A stop stiffer than the magnets that is on one side pushes the rotor off; from the mean of the control signal
+        that holds against it, the model would find the rotor on its other side, where it does not touch. Rest is the
+        median over the points, as a sensor's zero is not known.
+        """
+        if seen is None or self.rig.contact is None or 0 not in self._known:
+            return None
+        own, to_bearings = self._sensed
+        mean = seen[:, 0].real
+        return np.asarray(((mean - np.median(mean, axis=0)) * own[:, 0]) @ to_bearings)
 
     def _from_sensors(self, Y: Complex) -> Complex:
         """Displacement at the bearings, (P, H, n), of a rigid rotor with sensor signals Y.

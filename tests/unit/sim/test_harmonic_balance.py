@@ -99,6 +99,19 @@ def test_what_was_not_logged_of_the_harmonics_happens_all_the_same(name, logged)
     assert np.all(missed(answer) < 0.05 * missed(unbent))
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_wall_stiffer_than_the_magnets_is_touched_where_the_measured_rotor_touches_it(side):
+    """The mean current that holds against it would draw a free rotor away from it."""
+    clearances = {f"clearance_{axis}_m": 15e-6 for axis in ("xA", "xB", "yA", "yB")}
+    rig = effect("touchdown_contact").on(QUIET, stiffness_n_per_m=2e7, side=side, **clearances)
+    u, y = in_time(rig)
+    frequency_hz, line = time_points(FREQUENCY_HZ)
+    found = Responder(rig, frequency_hz, line).answer(u, seen=y).Y
+    unbent = (linear_model(rig, frequency_hz).y_per_u[0] @ u[0, 1])[None]
+    assert np.abs(unbent - y[0, 1]).max() > 0.1 * np.abs(y[0, 1]).max(), "it touches"
+    assert np.abs(found[0, 1:] - y[0, 1:]).max() < 0.2 * np.abs(unbent - y[0, 1]).max()
+
+
 def test_a_drifting_rig_answers_as_of_the_time_of_each_point():
     drifting = effect("thermal_drift").on(QUIET, ki_change=-0.2, ks_change=0.0)
     end = replace(QUIET, magnets=replace(QUIET.magnets, ki=0.8 * QUIET.magnets.ki, ks=QUIET.magnets.ks))
