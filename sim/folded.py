@@ -252,14 +252,15 @@ def _modes(rig: Rig) -> tuple[Mode, ...]:
 
 
 def _of_support(support: Support | None) -> list[Mode]:
-    """Modes that act as housing and pedestals: rotor less housing is what magnets and sensors see."""
+    """Modes that act as housing and pedestals, of the planes in the mean: magnets and sensors see rotor less housing."""
     if support is None:
         return []
     share, hz = support.pedestals, support.natural_frequency_rad_s / (2 * math.pi)
+    at_a, at_b = (float(np.mean(support.shares[end::2])) if support.shares else 1.0 for end in (0, 1))
     parts = (
-        (1 - share, (1.0, 1.0), hz),
-        (share, (1.0, 0.0), hz),
-        (share, (0.0, 1.0), hz * support.frequency_ratio),
+        ((1 - share) * (at_a + at_b) / 2, (1.0, 1.0), hz),
+        (share * at_a, (1.0, 0.0), hz),
+        (share * at_b, (0.0, 1.0), hz * support.frequency_ratio),
     )
     out = []
     for part, ends, own in parts:

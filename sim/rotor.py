@@ -60,8 +60,8 @@ def mechanics(rig: Rig) -> Mechanics:
     sizes = [2 + len(m) for m in rotor.modes]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     n_rotor = int(starts[-1])
-    housings = _housings(rig.support) if rig.support else []
-    n_q = n_rotor + rig.n_planes * len(housings)
+    housings = [h for plane in range(rig.n_planes) for h in _housings(rig.support, plane)] if rig.support else []
+    n_q = n_rotor + len(housings)
     mass, damping, stiffness = np.zeros((n_q, n_q)), np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
     bearing_map, sensor_map = np.zeros((n, n_q)), np.zeros((n, n_q))
     for plane, modes in enumerate(rotor.modes):
@@ -75,10 +75,9 @@ def mechanics(rig: Rig) -> Mechanics:
         bearing_map[rows, columns], sensor_map[rows, columns] = plane_maps(rig, plane)
     if rig.n_planes == 2 and speed:
         _turning(rig, starts, damping, stiffness)
-    for plane in range(rig.n_planes):
-        for k, (ends, of_housing) in enumerate(housings, start=n_rotor + plane * len(housings)):
-            mass[k, k], damping[k, k], stiffness[k, k] = of_housing
-            bearing_map[2 * plane + ends, k] = sensor_map[2 * plane + ends, k] = -1.0
+    for k, (axes, of_housing) in enumerate(housings, start=n_rotor):
+        mass[k, k], damping[k, k], stiffness[k, k] = of_housing
+        bearing_map[axes, k] = sensor_map[axes, k] = -1.0
     if sealed(rig):
         stiffness += bearing_map.T @ seal_stiffness(rig) @ bearing_map
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
@@ -99,10 +98,16 @@ def _cross_stiffness(rig: Rig) -> Array:
     return rig.seal_cross_stiffness_n_per_m + rig.seal_cross_stiffness_by_speed_ns_per_m * rig.speed_rad_s
 
 
-def _housings(support: Support) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:
-    """Housings of a plane: the bearings that each carries, 0 and 1 for A and B, and its mass, damping and stiffness."""
+def _housings(support: Support, plane: int) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:
+    """Housings of a plane: the axes whose bearings each carries, and its mass, damping and stiffness."""
     share, w, ratio = support.pedestals, support.natural_frequency_rad_s, support.frequency_ratio
-    shared_out = (([0, 1], 1 - share, w), ([0], share, w), ([1], share, w * ratio))
+    a, b = 2 * plane, 2 * plane + 1
+    of_a, of_b = support.of_axis(a), support.of_axis(b)
+    shared_out = (
+        ([a, b], (1 - share) * (of_a + of_b) / 2, w),
+        ([a], share * of_a, w),
+        ([b], share * of_b, w * ratio),
+    )
     return [
         (np.array(ends), (m, 2 * support.damping_ratio * own * m, m * own**2))
         for ends, m, own in ((e, support.mass_kg / part, own) for e, part, own in shared_out if part > 0)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from sim.effect import Effect, Parameter
 from sim.errors import EffectError
+from sim.imbalance import NAMES, parameters, shares
 from sim.rig import Rig, Support
 from sim.sizes import MASS
 
@@ -16,7 +17,10 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if rig.support is not None:
         raise EffectError(f"rig {rig.name} already has a resonant support; change that one instead of adding another")
     w = 2 * math.pi * p["frequency_hz"]
-    support = Support(1 / p["inverse_mass_per_kg"], w, p["damping_ratio"], p["pedestals"], p["frequency_ratio"])
+    uneven = any(p[name] for name in NAMES)
+    own = tuple(shares(rig, p).tolist()) if uneven else ()
+    mass = 1 / p["inverse_mass_per_kg"]
+    support = Support(mass, w, p["damping_ratio"], p["pedestals"], p["frequency_ratio"], own)
     return replace(rig, support=support)
 
 
@@ -46,7 +50,7 @@ EFFECT = Effect(
             1 / 900,
             0.0,
             "log",
-            "of the part that moves, each plane",
+            "of the part that moves, mean of all",
             goes_with=MASS**-1,
         ),
         Parameter("frequency_hz", "Hz", 5.0, 1500.0, 430.0, 430.0, "log", "of the part on its spring", strength=False),
@@ -74,10 +78,11 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        *parameters("pedestals", dormant=True),
     ),
     apply=_apply,
     law="mh xh'' + dh xh' + kh xh = -sum f, of both bearings or of either; bearings and sensors see the rotor relative "
-    "to xh",
+    "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x, of a housing of both as (1 +- p)",
     signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
     aliases=("extra_flexible_mode",),
     likened={"extra_flexible_mode": _like_a_mode},

@@ -213,6 +213,19 @@ def test_what_is_no_pedestal_is_the_housing_of_both():
     np.testing.assert_allclose(a, 0.5 * (b + c), rtol=1e-9, atol=1e-18)
 
 
+@pytest.mark.parametrize(("pedestals", "moves"), [(1.0, [[4.0, 0.0], [0.0, 0.0]]), (0.0, [[2.0, 2.0], [2.0, 2.0]])])
+def test_a_pedestal_or_a_housing_of_one_plane_may_move_alone(pedestals, moves):
+    mass, hz, zeta, own = 900.0, 110.0, 0.03, {"end_imbalance": 1.0, "plane_imbalance": 1.0}
+    rig = effect("support_resonance").on(
+        RIG, inverse_mass_per_kg=1 / mass, frequency_hz=hz, damping_ratio=zeta, pedestals=pedestals, **own
+    )
+    (_, free), (_, held) = (rotor.receptances(rotor.mechanics(r), OMEGA) for r in (RIG, rig))
+    w = 2 * np.pi * hz
+    of_mean = 1 / mass / (w**2 - OMEGA**2 + 2j * zeta * w * OMEGA)
+    np.testing.assert_allclose((held - free)[:, 2:], 0.0, atol=1e-15)
+    np.testing.assert_allclose((held - free)[:, :2, :2], of_mean[:, None, None] * moves, rtol=1e-9, atol=1e-15)
+
+
 def test_a_heavy_support_is_none():
     heavy = effect("support_resonance").on(RIG, inverse_mass_per_kg=1e-6)
     _, still = rotor.receptances(rotor.mechanics(RIG), OMEGA)
