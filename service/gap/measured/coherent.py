@@ -98,14 +98,24 @@ def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
 
 
 def without_hum(sweep: Sweep, frequency_hz: float) -> Sweep:
-    """The sweep with one hum taken off its blocks, wherever its phase distinguishes it from the response."""
+    """The sweep with one hum taken off its blocks, wherever its phase distinguishes it from the response.
+
+    As it is where the length of its blocks, and so the phase, is not known.
+    """
+    if sweep.block_samples is None:
+        return sweep
     by = beside_hum(sweep, frequency_hz)
     U, Y = (_hum_removed(X, by) for X in (sweep.U, sweep.Y))
     return replace(sweep, U=U, I=None if sweep.I is None else _hum_removed(sweep.I, by), Y=Y)
 
 
 def heard_in(sweep: Sweep, frequency_hz: float) -> Mask:
-    """Harmonics of points that a hum leaks into and where its phase distinguishes it from the response, (P, H)."""
+    """Harmonics of points that a hum leaks into and where its phase distinguishes it from the response, (P, H).
+
+    None of them where the length of the blocks is not known.
+    """
+    if sweep.block_samples is None:
+        return np.zeros((sweep.n_points, len(sweep.harmonics)), dtype=bool)
     return _near(sweep, frequency_hz, LOBES)
 
 
@@ -211,6 +221,13 @@ def resolution_hz(sweep: Sweep) -> float:
 
 
 def _block_s(sweep: Sweep) -> Real:
-    """Length of each point's blocks, (P,), s."""
-    assert sweep.block_samples is not None
+    """Length of each point's blocks, (P,), s.
+
+    Raises
+    ------
+    ValueError
+        It is not known; then there is no phase to ask for.
+    """
+    if sweep.block_samples is None:
+        raise ValueError("the length of the sweep's blocks is not known")
     return np.asarray(sweep.block_samples / sweep.sample_rate_hz)

@@ -39,14 +39,14 @@ class Pair:
 
         ``others`` are (name, sweep); ``rig`` is the twin that is to be fitted.
         """
-        main = timed(main)
         if not others:
+            main = timed(main)
             together, line = Together.of(usable(main)), np.unique(main.frequency_hz, return_inverse=True)[1]
             name = f"every other line of {main_name}"
             even, odd = main.select(line % 2 == 0), main.select(line % 2 == 1)
             return cls(main_name, even, name, odd, True, (together, together)), ()
         (name, other), unused = best_check(main, others, rig)
-        other, notes = timed(other), []
+        main, other, notes = timed(main, other), timed(other, main), []
         if main.I is not None and other.I is None:  # a fit to one could not be held against the other
             main = replace(main, I=None)
             notes.append(

@@ -87,9 +87,12 @@ def best_check(main: Sweep, others: Sequence[tuple[str, Sweep]], rig: Rig) -> tu
     return chosen, [name for name, _ in others if name != chosen[0]]
 
 
-def timed(sweep: Sweep) -> Sweep:
-    """The sweep with the length of its blocks, inferred from its frequencies where the file lacks it and they allow."""
-    if sweep.block_samples is not None or (inferred := block_samples(sweep)) is None:
+def timed(sweep: Sweep, alike: Sweep | None = None) -> Sweep:
+    """The sweep with the length of its blocks, inferred from its frequencies where the file lacks it and they allow.
+
+    ``alike`` is another sweep of the same program, for lines that leave several lengths.
+    """
+    if sweep.block_samples is not None or (inferred := block_samples(sweep, alike)) is None:
         return sweep
     return replace(sweep, block_samples=inferred.astype(np.int64))
 

@@ -15,7 +15,7 @@ from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
 from service.gap.which.explained import Explained
 from service.gap.which.rivals import pair_to_separate
-from service.gap.with_interference import runout_notes, with_interference, with_sources
+from service.gap.with_interference import runout_notes, scatter_shrinkage, with_interference, with_sources
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from tests.support.synthetic import experiment, known_datasheet, true_rig
@@ -142,3 +142,10 @@ def test_runout_turns_with_the_rotor_and_the_mains_do_not() -> None:
     assert there[0].heard_hz == pytest.approx((35.0,))
     assert at_speed([runout, BY_PHASE], 0.0) == (BY_PHASE,)
     assert hums_hz([runout], 0.0) == ()
+
+
+def test_a_sweep_whose_blocks_are_not_known_tells_nothing_of_a_hum_that_was_heard_by_its_phase() -> None:
+    _, truth = known_datasheet(seed=9)
+    other = experiment(true_rig(truth)).sweeps[1]
+    assert other.block_samples is None
+    assert scatter_shrinkage(other, true_rig(truth), [BY_PHASE], "sweeps/1") is None
