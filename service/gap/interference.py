@@ -119,6 +119,31 @@ def _all_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]])
     return [replace(loudest, aliases=aliases), *beside]
 
 
+def told_apart(sources: Sequence[Interference], main: Sweep, other: Sweep, rig: Rig) -> tuple[Interference, ...]:
+    """The sources of the main sweep, those of a rotor that turns at a multiple of the mains named by the other sweep.
+
+    At another speed the mains stays where it is, and runout follows the rotor. Where both are heard there, or neither,
+    both stay open.
+    """
+    other = usable(other)
+    if other.block_samples is None or not other.in_sequence or other.speed_rad_s == main.speed_rad_s:
+        return tuple(sources)
+    return tuple(_named_at_another_speed(s, usable(main), other, rig) if s.aliases else s for s in sources)
+
+
+def _named_at_another_speed(source: Interference, main: Sweep, other: Sweep, rig: Rig) -> Interference:
+    turns_hz = once_a_turn_hz(main.speed_rad_s)
+    at_main = {"mains_interference": min(MAINS_HZ, key=lambda hz: abs(hz - turns_hz)), "runout": turns_hz}
+    wanted = {"mains_interference": (at_main["mains_interference"],)}
+    if other.speed_rad_s:
+        wanted["runout"] = (once_a_turn_hz(other.speed_rad_s),)
+    heard = _all_by_phase(other, rig, wanted)
+    if len(heard) != 1 or heard[0].aliases:
+        return source
+    name = heard[0].effect
+    return _by_phase(main, rig, name, (at_main[name],)) or source
+
+
 def _by_phase(
     sweep: Sweep, rig: Rig, effect: str, frequencies_hz: Sequence[float], by: Estimate | None = None
 ) -> Interference | None:

@@ -15,7 +15,7 @@ from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
-from service.gap.interference import Interference, hums_hz, interference
+from service.gap.interference import Interference, hums_hz, interference, told_apart
 from service.gap.measured.cabling import other_law, wrong_channels
 from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic
@@ -128,6 +128,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         fitted = [pair.main, pair.other] if pair.lines_only else [pair.main]
         _require_lines(main_name, np.concatenate([s.frequency_hz for s in fitted]), "repeating")
     sources = tuple(interference(pair.main, nu.rig)) if pair.main.in_sequence else ()
+    sources = told_apart(sources, pair.main, pair.other, nu.rig)
     span = span_s(pair.main, pair.other)
     nu, undated = _with_drift_over(nu, span)
     notes += undated

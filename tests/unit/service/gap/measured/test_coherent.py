@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.interference import interference
+from service.gap.interference import interference, told_apart
 from service.gap.measured.coherent import beside_hum, coherence, hum_power, left_in_mean, slow_leaks, without_hum
 from service.gap.measured.scatter import mean_scatter
 from service.gap.measured.settling import UNSETTLED, drifting
@@ -121,6 +121,34 @@ def test_a_rotor_that_turns_at_the_mains_frequency_leaves_both_open() -> None:
     loud, _ = played(1e-6, 50.0, seed=8)
     heard = interference(replace(loud, speed_rad_s=2 * np.pi * 50.0), reference_rig())
     assert [{s.effect, *s.aliases} for s in heard] == [{"mains_interference", "runout"}]
+
+
+@pytest.mark.parametrize(
+    ("hums_at", "speed_hz", "told"),
+    [
+        (37.0, 37.0, ("runout", 50.0, ())),
+        (50.0, 37.0, ("mains_interference", 50.0, ())),
+        (50.0, 0.0, ("mains_interference", 50.0, ())),
+        (50.0, 51.0, None),
+        (80.0, 37.0, None),
+    ],
+    ids=["moves with the rotor", "stays", "stays at standstill", "speeds alike", "is gone"],
+)
+def test_another_speed_tells_what_turns_from_what_stays(
+    hums_at: float, speed_hz: float, told: tuple[str, float, tuple[str, ...]] | None
+) -> None:
+    main, other = (played(1e-6, hz, seed)[0] for hz, seed in ((50.0, 8), (hums_at, 9)))
+    main, other = replace(main, speed_rad_s=2 * np.pi * 50.0), replace(other, speed_rad_s=2 * np.pi * speed_hz)
+    rig = reference_rig()
+    heard = tuple(interference(main, rig))
+    (s,) = named = told_apart(heard, main, other, rig)
+    assert heard[0].aliases
+    if told is None:
+        assert named == heard
+    else:
+        assert (s.effect, s.frequency_hz, s.aliases) == told
+        assert s.parameters["amplitude_m"] == pytest.approx(1e-6, rel=0.2)
+    assert told_apart(heard, main, replace(other, block_samples=None), rig) == heard
 
 
 def test_a_faint_hum_is_heard_beside_a_loud_one() -> None:
