@@ -252,7 +252,7 @@ def _modes(rig: Rig) -> tuple[Mode, ...]:
 
 
 def _of_support(support: Support | None) -> list[Mode]:
-    """Modes that act as housing and pedestals, of the planes in the mean: magnets and sensors see rotor less housing."""
+    """Modes that act as housing and pedestals, the mean of the planes: magnets and sensors see rotor less housing."""
     if support is None:
         return []
     share, hz = support.pedestals, support.natural_frequency_rad_s / (2 * math.pi)
