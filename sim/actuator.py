@@ -17,6 +17,8 @@ NARROW = 1e-6
 """Width of a band of plays, as a share of their half width, below which they are one."""
 _PLAYS, _WIDEST_PLAY_A = 32, 3.0
 """Plays that stand for those of every width, and the half width beyond which no current moves one."""
+_LARGEST_LAG_RAD = 0.38
+"""Largest lag that is told apart: that of a Rayleigh loop comes near atan(4 / (3 pi)) = 0.401 and no farther."""
 
 
 def saturated(m: Magnets, current_a: Array) -> Array:
@@ -148,7 +150,7 @@ def rayleigh_coefficient(m: Magnets) -> Array:
 
     The loss angle of that loop's fundamental is 4 alpha A / (3 pi (1 + alpha A)) (Rayleigh 1887).
     """
-    tangent = np.tan(m.hysteresis_rad)
+    tangent = np.tan(np.minimum(m.hysteresis_rad, _LARGEST_LAG_RAD))
     return np.asarray(tangent / ((4 / (3 * math.pi) - tangent) * m.hysteresis_reference_a))
 
 

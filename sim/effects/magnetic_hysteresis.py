@@ -31,7 +31,7 @@ EFFECT = Effect(
             "loss_angle_rad",
             "rad",
             1e-4,
-            0.15,
+            0.3,
             0.02,
             0.0,
             "log",

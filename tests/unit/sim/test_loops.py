@@ -91,3 +91,11 @@ def test_a_band_that_narrows_becomes_one_play():
 
 def test_plays_that_are_never_crossed_do_not_move():
     assert not lag(iron(0.5, 1.0), wave(0.3)).any()
+
+
+def test_more_lag_than_any_loop_has_is_the_densest_loop_and_not_one_that_gains():
+    """The lag of a Rayleigh loop comes near atan(4 / (3 pi)) (Phil. Mag. 23, 1887); ranges scale beyond it."""
+    angles = np.array([0.3, 0.37, 0.41, 0.9])
+    dense = actuator.rayleigh_coefficient(replace(IRON, hysteresis_rad=angles))
+    assert np.all(np.diff(dense) >= 0)
+    assert np.all(dense > 0)

@@ -91,3 +91,14 @@ def test_the_widths_of_its_plays_are_found_and_nothing_is_named_beside_it() -> N
     assert best.fit.values[0]["widest_inverse_per_a"] == pytest.approx(8.0, rel=0.05)
     assert best.fit.values[0]["loss_angle_rad"] == pytest.approx(8e-3, rel=0.05)
     assert best.fit.values[0]["narrowest_a"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_plays_that_are_narrow_and_dense_strain_no_datasheet_and_nothing_is_named_beside_them() -> None:
+    """A fifth of the current goes through plays up to 60 mA wide: a Rayleigh loop as dense would lag by 0.2 rad."""
+    datasheet, truth = known_datasheet(seed=36)
+    values = {"loss_angle_rad": 0.2, "widest_inverse_per_a": 17.0}
+    e = plant_of(experiment(with_effects(true_rig(truth), {"magnetic_hysteresis": values})), datasheet)
+    best = e.order[0].candidate
+    assert best.effects == ("magnetic_hysteresis",)
+    assert best.fit.values[0]["loss_angle_rad"] == pytest.approx(0.2, rel=0.1)
+    assert best.fit.values[0]["widest_inverse_per_a"] == pytest.approx(17.0, rel=0.1)
