@@ -103,10 +103,22 @@ def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
     return any(alone_hz(ground.part, z, o) is not None for z, o in sweeps)
 
 
-def _strained(r: Ranked) -> bool:
-    """Whether the penalty of the nuisance values is beyond chance: they compensate for the error of an explanation."""
+def _strained(r: Ranked, borne: float = 0.0) -> bool:
+    """Whether the penalty of the nuisance values is beyond chance and ``borne``: they make up for what is missing."""
     n = len(r.candidate.fit.active)
-    return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n))
+    return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n) + borne)
+
+
+def _borne(r: Ranked, gap: Real) -> float:
+    """Chi-square that nuisance values may bear of the error of a nonlinear effect's law, 0 for linear ones.
+
+    They take up less of it than is left in the data: a law that is off looks like no stiffness. ``gap`` as of
+    `_gap_of_groups`.
+    """
+    if not any(CATALOGUE[name].nonlinear for name in r.candidate.effects):
+        return 0.0
+    left = float(np.array(r.shares) @ gap)
+    return min(left, WHOLE_OF_ANOTHER_LAW * float(gap.sum()))
 
 
 def _at_bound(r: Ranked) -> bool:
@@ -207,9 +219,9 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     effects = mixture.candidate.effects
     alias = any(aliases(a, b) for a, b in combinations(effects, 2))
     left = np.array(mixture.apart)
-    # The others' nuisance values are implausible.
-    allowed = [r for r in smaller if not _strained(r) and (_at_bound(mixture) or not _at_bound(r))]
     gap = _gap_of_groups(order)
+    # The others' nuisance values are implausible.
+    allowed = [r for r in smaller if not _strained(r, _borne(r, gap)) and (_at_bound(mixture) or not _at_bound(r))]
     return all(
         np.any((np.array(r.apart) > _tolerated(r, alias, gap)) & (left < np.array(r.apart) / 3)) for r in allowed
     )
