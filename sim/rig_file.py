@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from sim.datasheet import AXES, ISO_14839_3_DB, Datasheet, Mode, Tolerance
 from sim.errors import DatasheetError, EffectError
 
-FARTHEST = 1e12
+FARTHEST = 1e16
 """Largest figure of any rig in SI units, and one over the smallest that is not nought: beyond, squares of figures and
 their differences are lost in the arithmetic."""
 
