@@ -102,6 +102,7 @@ def _diagnosis(
         modulated_stiffness([data.main, data.other], nu.rig),
         data.lines_only,
         lost,
+        None if data.tone is None else data.tone.in_words(nu.rig.axes),
     )
     if lost is not None and LIMIT in verdict.effects and not _fitted(found, LIMIT):
         whole = with_limit(whole, nu, lost)
@@ -166,6 +167,8 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
     nu, verdict = data.nuisance, d.verdict
     if verdict.also_alike:
         yield f"not told apart either: {', '.join(map(in_words, verdict.also_alike))}"
+    if data.tone is not None and verdict.effects:
+        yield data.tone.in_words(nu.rig.axes)
     if verdict.kind != "none_of_these":
         yield from hints(d.chosen, nu.rig, (d.observation, d.held_out), data.polar_inertia_kgm2)
     if not verdict.effects and not data.o.together:

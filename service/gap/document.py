@@ -29,7 +29,11 @@ def verdict_path(d: Diagnosis) -> str:
 def _blamed(d: Diagnosis) -> str:
     """All blocks of the loop that hold an effect of the verdict, in words."""
     paths = dict.fromkeys(CATALOGUE[effect].path for effect in d.verdict.effects)
-    return " and the ".join("signals" if path == "additive" else path for path in paths)
+    return " and the ".join(map(_path_in_words, paths))
+
+
+def _path_in_words(path: str) -> str:
+    return "signals" if path == "additive" else path
 
 
 def stated(c: Candidate) -> dict[str, dict[str, Any]]:
@@ -209,9 +213,10 @@ def sentence(d: Diagnosis) -> str:
         return f"The twin is out of date: the rig differs from it by {gap}, and {v.reasons[0]} ({sure}){closes}."
     if v.kind == "none_of_these":
         why = f" ({v.reasons[0]})" if v.reasons else ""
+        where = _path_in_words(verdict_path(d))
         return (
-            f"The rig differs from its twin by {gap}, and what is wrong in the {verdict_path(d)} no known effect "
-            f"explains{why}, {sure}."
+            f"The rig differs from its twin by {gap}, and what is wrong in the {where} no known effect explains{why}, "
+            f"{sure}."
         )
     words = " and ".join(map(in_words, v.effects))
     rivals, unlikely = (", ".join(map(in_words, names)) for names in alike(d))

@@ -32,6 +32,7 @@ from service.gap.measured.sweeps import (
     without_copies,
 )
 from service.gap.modes import with_identified_modes
+from service.gap.unlisted_tone import Tone, unlisted_tone
 from sim.datasheet import Datasheet
 from sim.twin import non_rotating
 
@@ -59,6 +60,8 @@ class Observed:
     unseen: Observation
     """of ``other``"""
     sources: tuple[Interference, ...]
+    tone: Tone | None
+    """interference of no effect of the catalogue"""
     span: tuple[float, float] | None
     """times of the first and of the last point, s; None where the file lacks them"""
     notes: tuple[str, ...]
@@ -129,10 +132,12 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         _require_lines(main_name, np.concatenate([s.frequency_hz for s in fitted]), "repeating")
     sources = tuple(interference(pair.main, nu.rig)) if pair.main.in_sequence else ()
     sources = told_apart(sources, pair.main, pair.other, nu.rig)
+    tone = unlisted_tone(sources, pair.main, pair.other, nu.rig)
     span = span_s(pair.main, pair.other)
     nu, undated = _with_drift_over(nu, span)
     notes += undated
-    hums = [hums_hz(sources, sweep.speed_rad_s) for sweep in (pair.main, pair.other)]
+    at_any_speed = () if tone is None else (tone.frequency_hz,)
+    hums = [(*hums_hz(sources, sweep.speed_rad_s), *at_any_speed) for sweep in (pair.main, pair.other)]
     o, unseen = pair.observations(nu.rig, hums, span)
     if o.unsettled > NOTED_DRIFTING_SHARE:
         notes.append(f"{100 * o.unsettled:.0f} % of the points had not settled: they drift from block to block")
@@ -148,6 +153,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         o=o,
         unseen=unseen,
         sources=sources,
+        tone=tone,
         span=span,
         notes=tuple(notes),
         erratic=erratic,

@@ -53,6 +53,7 @@ def overall_verdict(
     swings: str | None = None,
     lines_only: bool = False,
     lost: LostLoop | None = None,
+    tone: str | None = None,
 ) -> Verdict:
     """The verdict on all parts ``found``.
 
@@ -68,6 +69,8 @@ def overall_verdict(
         Whether the unseen points are other lines of the fitted sweep.
     lost
         Where amplifiers lose their loop.
+    tone
+        Interference that no effect of the catalogue is (`unlisted_tone`), in words.
     """
     tests = {e.part.path: held_out(e, unseen) for e in found}
     if lines_only:
@@ -84,6 +87,8 @@ def overall_verdict(
     elif lost and verdict.kind != "none_of_these" and not any(CATALOGUE[name].nonlinear for name in verdict.effects):
         reasons = (f"amplifier: {lost.words}",)
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, unexplained="amplifier")
+    if tone is not None and fault is None:
+        verdict = with_tone(verdict, tone)
     if (why := not_settled(o, gap)) and (verdict.kind != "no_gap" or drift_of(o) > TELLS_NOTHING):
         verdict = Verdict("none_of_these", (), (), UNDECIDED, (why,), settled=False)
     return verdict
@@ -212,6 +217,19 @@ def with_exact_aliases(effects: Sequence[str], classes: Sequence[tuple[str, ...]
         group = tuple(alias for n in group for alias in (n, STANDSTILL.get(n)) if alias is not None)
         out += [group] if len(group) > 1 else []
     return tuple(out)
+
+
+def with_tone(verdict: Verdict, tone: str) -> Verdict:
+    """The verdict with interference that no effect of the catalogue is, in words.
+
+    It is none of these where nothing else is wrong. Effects stand beside it: it has been taken off what they explain.
+    """
+    if verdict.effects:
+        return verdict
+    reasons = (*verdict.reasons, f"signals: {tone}")
+    if verdict.kind == "none_of_these":
+        return replace(verdict, reasons=reasons)
+    return Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, unexplained="additive")
 
 
 def with_across(verdict: Verdict, alike: Sequence[Across]) -> Verdict:
