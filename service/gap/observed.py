@@ -18,7 +18,7 @@ from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference, told_apart
 from service.gap.measured.cabling import other_law, wrong_channels
 from service.gap.measured.condition import same_condition
-from service.gap.measured.erratic import Erratic
+from service.gap.measured.erratic import Erratic, ringing_in_words
 from service.gap.measured.observation import GapError, Observation, usable
 from service.gap.measured.pair import Pair
 from service.gap.measured.settling import NOTED_DRIFTING_SHARE
@@ -125,6 +125,8 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         loaded = held_at(nu.rig, resting)
         notes.append(f"{load_in_words(loaded, nu.rig)}: the twin works there")
         pair, nu = pair.about_rest(), replace(nu, rig=loaded)
+    for name, sweep in ((pair.main_name, pair.main), (pair.name, pair.other)):
+        notes += ringing_in_words(usable(sweep), nu.rig.axes, name)
     pair, left_out, erratic = pair.without_erratic(nu.rig.axes)
     notes += left_out
     if left_out:

@@ -7,7 +7,7 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
-from service.gap.measured.erratic import erratic, erratic_in_words
+from service.gap.measured.erratic import erratic, erratic_in_words, ringing_in_words
 from service.gap.measured.observation import GapError
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -61,6 +61,42 @@ def ringing(s: Sweep, rig: Rig) -> Sweep:
 @pytest.mark.parametrize("noise", [1.0, 300.0])
 def test_what_rings_and_what_is_loud_is_not_erratic(noise: float) -> None:
     assert not erratic(ringing(sweep(RIG, HZ, 0.1, 1, noise), RIG)).any()
+
+
+def at_line(s: Sweep, line: int) -> np.ndarray:
+    """Points of a line, (P,)."""
+    return s.frequency_hz == np.unique(s.frequency_hz)[line]
+
+
+def test_a_loop_that_rings_is_told_and_no_amplifier_is_blamed_for_what_follows_its_control_signal() -> None:
+    """Currents of several times their mean that do not repeat, and follow u but for what changes within a block."""
+    s = sweep(RIG, HZ, 0.1, 1)
+    rng, U, I = np.random.default_rng(3), np.array(s.U), np.array(s.I)
+    there = at_line(s, 8)
+    more = (
+        8.0
+        * np.abs(I[there, :, 1:2]).max()
+        * (rng.standard_normal((4, 6, 1, 4)) + 1j * rng.standard_normal((4, 6, 1, 4)))
+    )
+    more -= more.mean(axis=1, keepdims=True)
+    U[there, :, 1:2] += more
+    I[there, :, 1:2] += 0.95 * more * (1 + 0.02 * rng.standard_normal(more.shape))
+    rings = replace(s, U=U, I=I)
+    assert not erratic(rings).any()
+    (told,) = ringing_in_words(rings, RIG.axes, "sweeps/0")
+    assert told.startswith(f"at {HZ[8]:.4g} Hz in sweeps/0 the currents of xA, xB, yA, yB change from block to block")
+    assert "hardly stable or not settled" in told
+    for other in (s, sweep(RIG, HZ, 0.1, 1, 300.0), replace(rings, I=None), oscillating(s, 7, {0, 2}, 3.0)):
+        assert ringing_in_words(other, RIG.axes, "sweeps/0") == []
+
+
+def test_a_small_current_beside_the_noise_of_all_lines_is_not_erratic() -> None:
+    """At an antiresonance the noise of a probe is a large share of the current, and no more than elsewhere."""
+    s = sweep(RIG, HZ, 0.1, 1)
+    I, small = np.array(s.I), at_line(s, 7)
+    I[small] *= 2e-3
+    I[small] += s.I[small] - s.I[small].mean(axis=1, keepdims=True)
+    assert not erratic(replace(s, I=I)).any()
 
 
 def test_without_currents_or_blocks_nothing_is_told() -> None:
