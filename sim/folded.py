@@ -62,6 +62,10 @@ IN_MODEL = {
 _SMALL = (
     "it acts by amplitude, and the model's {what} is linear: {figures} are means over the amplitudes that were measured"
 )
+_SEAL_DAMPS = (
+    "its damping acts at the bearings, and the model has that of modes alone: their damping ratios are with it, and "
+    "the margins without what it adds to the rigid body's"
+)
 NOT_IN_MODEL = {
     "controller.apart": "the model has one controller for all axes: margins and the predicted loop are those of its "
     "mean",
@@ -87,6 +91,8 @@ NOT_IN_MODEL = {
     "from a whirl is not in the margins",
     "seal_cross_stiffness_by_speed_ns_per_m": "it couples the planes, which are identified one by one: the damping "
     "that it takes from a whirl is not in the margins",
+    "seal_damping_ns_per_m": _SEAL_DAMPS,
+    "seal_damping_times_speed_n_per_m": _SEAL_DAMPS,
     "drift": "the model's magnets do not change with time: ki and ks are means over the experiment, and residuals grow "
     "with what they changed meanwhile",
     "contact": "the model's rotor is free: where it touches, ki, ks and damping ratios are wrong; keep displacements "

@@ -291,6 +291,10 @@ class Rig:
     """K of fx = -K y, fy = +K x, displacements at the bearings A and B, (2, 2); diagonal for seals that are there."""
     seal_cross_stiffness_by_speed_ns_per_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
     """What the speed adds to it, as the rotor carries the fluid round: K per rad/s, (2, 2)."""
+    seal_damping_ns_per_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    """C of direct damping fx = -C x', fy = -C y' of seals whose cross stiffness goes with the speed, (2, 2)."""
+    seal_damping_times_speed_n_per_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    """C W of those whose cross stiffness does not: damping that is stated by what it is at the rig's speed, (2, 2)."""
     disturbances: tuple[Disturbance, ...] = ()
     noise: Noise = field(default_factory=Noise)
     logging_offset_samples: float = 0.0

@@ -80,12 +80,13 @@ def mechanics(rig: Rig) -> Mechanics:
         bearing_map[axes, k] = sensor_map[axes, k] = -1.0
     if sealed(rig):
         stiffness += bearing_map.T @ seal_stiffness(rig) @ bearing_map
+        damping += bearing_map.T @ seal_damping(rig) @ bearing_map
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
 
 
 def sealed(rig: Rig) -> bool:
-    """Whether seals couple the planes of a rig, at its speed."""
-    return rig.n_planes == 2 and bool(np.any(_cross_stiffness(rig)))
+    """Whether seals act on a rig of two planes, at its speed."""
+    return rig.n_planes == 2 and bool(np.any(_cross_stiffness(rig)) or np.any(_direct_damping(rig)))
 
 
 def seal_stiffness(rig: Rig) -> Array:
@@ -93,9 +94,21 @@ def seal_stiffness(rig: Rig) -> Array:
     return np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), _cross_stiffness(rig))
 
 
+def seal_damping(rig: Rig) -> Array:
+    """Damping of seals at the bearings of two planes, (4, 4), on the right-hand side as their stiffness."""
+    return np.asarray(np.kron(np.eye(2), _direct_damping(rig)))
+
+
 def _cross_stiffness(rig: Rig) -> Array:
     """K of the seals at the rig's speed, N/m, (2, 2)."""
     return rig.seal_cross_stiffness_n_per_m + rig.seal_cross_stiffness_by_speed_ns_per_m * rig.speed_rad_s
+
+
+def _direct_damping(rig: Rig) -> Array:
+    """C of the seals at the rig's speed, N s/m, (2, 2); a rotor at rest carries no fluid round."""
+    if not rig.speed_rad_s:
+        return np.zeros((2, 2))
+    return rig.seal_damping_ns_per_m + rig.seal_damping_times_speed_n_per_m / abs(rig.speed_rad_s)
 
 
 def _housings(support: Support, plane: int) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:

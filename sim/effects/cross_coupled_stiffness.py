@@ -1,4 +1,8 @@
-"""Cross-coupled stiffness of a seal or an impeller, at the bearings or between them, nearer to one or alike."""
+"""Cross-coupled stiffness of a seal or an impeller, at the bearings or between them, nearer to one or alike.
+
+Most seals damp as well, in a ratio to their cross stiffness that is much alike: damping is stated by it, so that a
+damper alone is not taken for a seal. Their direct stiffness is small, and cannot be told from the magnets'.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,7 +16,7 @@ from sim.sizes import STIFFNESS
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    end, between = p["end_imbalance"], p["between"]
+    end, between, damps = p["end_imbalance"], p["between"], p["inverse_whirl_ratio"]
     of_ends = np.array([1 + end, 1 - end])
     # a seal between the bearings has the same total stiffness; the displacement there is the weighted mean of both ends
     shape = (1 - between) * np.diag(of_ends) + between * np.outer(of_ends, of_ends) / 2
@@ -21,6 +25,9 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         seal_cross_stiffness_n_per_m=rig.seal_cross_stiffness_n_per_m + p["stiffness_n_per_m"] * shape,
         seal_cross_stiffness_by_speed_ns_per_m=rig.seal_cross_stiffness_by_speed_ns_per_m
         + p["by_speed_ns_per_m"] * shape,
+        seal_damping_ns_per_m=rig.seal_damping_ns_per_m + damps * abs(p["by_speed_ns_per_m"]) * shape,
+        seal_damping_times_speed_n_per_m=rig.seal_damping_times_speed_n_per_m
+        + damps * abs(p["stiffness_n_per_m"]) * shape,
     )
 
 
@@ -51,6 +58,20 @@ EFFECT = Effect(
             optional=True,
             dormant=True,
         ),
+        Parameter(
+            "inverse_whirl_ratio",
+            "1",
+            0.0,
+            4.0,
+            0.0,
+            0.0,
+            description="of direct damping c in the same places: c |W| / (|k| + |k' W|); about 2 where fluid goes "
+            "round at half the speed of the rotor, which at rest shows none",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(1.0,),
+        ),
         of_end("the seal"),
         Parameter(
             "between",
@@ -65,8 +86,8 @@ EFFECT = Effect(
         ),
     ),
     apply=_apply,
-    law="f_x = -(k + k' W) (1 +- e) y, f_y = +(k + k' W) (1 +- e) x, + at A; between the bearings 2 (k + k' W) at "
-    "the mean of both displacements, weighted by 1 +- e",
+    law="f_x = -(1 +- e) ((k + k' W) y + c x'), f_y = (1 +- e) ((k + k' W) x - c y'), + at A; between the bearings "
+    "twice of it at the mean of both displacements, weighted by 1 +- e",
     signature="antisymmetric off-diagonal x-y of y/i at low frequency; takes damping from one whirl",
     aliases=("gyroscopic_coupling", "magnetic_cross_coupling"),
     separated_by="low frequency: gyroscopic coupling grows with frequency and speed; a rotation of the magnets stays "

@@ -230,10 +230,11 @@ def _mechanical_columns(
     """
     c, r = 6 * rig.n_axes, rig.rotor
     s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
-    per_displacement, force = magnets, motion.force
+    per_displacement, force = per_force @ magnets, motion.force
     if rotor.sealed(rig):  # a seal acts at the bearings too
-        seal = rotor.seal_stiffness(rig)
-        per_displacement, force = magnets - seal, force - (motion.q @ m.bearing_map.T) @ seal.T
+        seal = rotor.seal_stiffness(rig) + motion.s[:, None, None] * rotor.seal_damping(rig)
+        per_displacement = per_displacement - per_force @ seal
+        force = force - (seal @ (motion.q @ m.bearing_map.T)[..., None])[..., 0]
 
     def pushed(coordinate: int, generalised_force: Complex) -> Complex:
         """Sensor signals, (P, n), of a generalised force (P, 1) on one coordinate."""
@@ -263,7 +264,7 @@ def _mechanical_columns(
             columns[:, :, column + 1] = pushed(at, -2 * mode.damping_ratio * w * s * qk)
             for side in range(2):
                 axis = 2 * plane + side
-                extra = per_force @ per_displacement[:, axis] * qk
+                extra = per_displacement[:, :, axis] * qk
                 columns[:, :, column + 2 + side] = pushed(at, force[:, [axis]]) + extra
                 columns[:, axis, column + 4 + side] = motion.sensor[:, axis] * qk[:, 0]
             column += 6

@@ -30,6 +30,8 @@ at bearings and sensors can imitate any mass, inertia and sensor positions toget
 BY_SPEED = frozenset({("cross_coupled_stiffness", "by_speed_ns_per_m")})
 """Dormant (effect, parameter) that are fitted where sweeps are at several speeds: at one speed they are aliases of
 another parameter."""
+TURNING = frozenset({("cross_coupled_stiffness", "inverse_whirl_ratio")})
+"""Dormant (effect, parameter) that act on a rotor that turns alone."""
 OFF_CENTRE, ECCENTRIC = "off_centre_rotor", 0.45
 """An effect, and the bound of its offsets as a share of the smallest air gap: at the pole face the force law is
 singular, and magnets do not levitate a rotor much farther off than 0.3."""

@@ -14,7 +14,7 @@ from itertools import product
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
-from service.gap.fitting.unknowns import dormant_at_null
+from service.gap.fitting.unknowns import TURNING, dormant_at_null
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
@@ -56,5 +56,8 @@ def _tasks(ground: Ground, c: Candidate) -> Iterator[Task]:
 
 def _dormant_starts(name: str, ground: Ground) -> list[dict[str, float]]:
     """Starts of an effect's dormant parameters, at which they act."""
-    known = {p.name: p.wakes for p in CATALOGUE[name].of(ground.nuisance.rig).parameters if p.wakes}
+    at_rest = not any(o.speed_rad_s for o in ground.observations)
+    asleep = {parameter for effect, parameter in TURNING if effect == name and at_rest}
+    parameters = CATALOGUE[name].of(ground.nuisance.rig).parameters
+    known = {p.name: p.wakes for p in parameters if p.wakes and p.name not in asleep}
     return [dict(zip(known, values, strict=True)) for values in product(*known.values())] if known else []

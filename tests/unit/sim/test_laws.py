@@ -79,3 +79,17 @@ def test_factors_of_a_saturating_pole_are_slopes_of_its_force() -> None:
     ks = (actuator.force(m, zero, zero + dx) - actuator.force(m, zero, zero - dx)) / (2 * dx)
     np.testing.assert_allclose(point.ki, ki, rtol=1e-5)
     np.testing.assert_allclose(point.ks, ks, rtol=1e-5)
+
+
+def test_a_seal_that_damps_does_so_in_time_as_in_frequency() -> None:
+    seal, law = effect("cross_coupled_stiffness"), {"stiffness_n_per_m": 1e5, "end_imbalance": 1.0}
+    steady_y = []
+    for damps in (0.0, 4.0):
+        rig = seal.on(replace(QUIET, speed_rad_s=200.0), **law, inverse_whirl_ratio=damps)
+        hz, (u, _, y) = steady(rig, 0.02)
+        responder = Responder(rig, np.array([hz]), np.zeros(1, dtype=np.int64))
+        answer = responder.answer(u[None], rounds=30, seen=y[None]).Y[0]
+        np.testing.assert_allclose(answer[1], y[1], atol=2e-3 * np.abs(y[1]).max())
+        steady_y.append(y[1])
+    undamped, damped = steady_y
+    assert np.abs(damped - undamped).max() > 0.02 * np.abs(damped).max(), "the damping shows"

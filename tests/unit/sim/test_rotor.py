@@ -179,6 +179,27 @@ def test_a_seal_pushes_the_way_of_the_rotor():
     np.testing.assert_allclose(-at_a @ [1e-6, 1e-6, 0.0, 0.0], [0, 0, 0.2, 0.0], atol=1e-9)
 
 
+def test_a_seal_that_damps_takes_the_power_of_what_moves_in_it():
+    """Each way at its own bearing, f = -c v with c = k / (whirl ratio W); between the bearings, at the mean of both."""
+    seal, turning = effect("cross_coupled_stiffness"), replace(RIG, speed_rad_s=200.0)
+    law = {"stiffness_n_per_m": -3e4, "inverse_whirl_ratio": 2.0}
+    at_a = seal.on(turning, **law, end_imbalance=1.0)
+    np.testing.assert_allclose(-rotor.seal_damping(at_a) @ [1e-3, 1.0, 0.0, 0.0], [-0.6, 0.0, 0.0, 0.0], atol=1e-9)
+    added = rotor.mechanics(at_a).damping - rotor.mechanics(turning).damping
+    ends = rotor.mechanics(RIG).bearing_map[[0, 2]]
+    np.testing.assert_allclose(added, 600.0 * ends.T @ ends, atol=1e-9)
+    between = rotor.seal_damping(seal.on(turning, **law, between=1.0))
+    np.testing.assert_allclose(between @ [1.0, -1.0, 0.0, 0.0], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(rotor.seal_damping(seal.on(RIG, **law)), 0.0)
+
+
+def test_a_seal_that_carries_the_fluid_round_damps_alike_at_all_speeds():
+    law = {"stiffness_n_per_m": 0.0, "by_speed_ns_per_m": 150.0, "inverse_whirl_ratio": 2.0}
+    for speed in (100.0, 300.0):
+        rig = effect("cross_coupled_stiffness").on(replace(RIG, speed_rad_s=speed), **law)
+        np.testing.assert_allclose(rotor.seal_damping(rig), 300.0 * np.eye(4))
+
+
 def test_a_support_takes_the_reaction():
     """What the magnets give to the rotor they take from the housing: no net force on both together."""
     rig = effect("support_resonance").on(RIGID, inverse_mass_per_kg=1 / 900.0, frequency_hz=430.0)

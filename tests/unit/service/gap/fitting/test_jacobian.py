@@ -42,6 +42,8 @@ def test_it_is_that_of_a_shaft_that_turns_and_damps_and_of_a_rotor_that_weighs()
     nu = nuisance(datasheet)
     o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), nu.rig)
     _holds(nu, with_effects(nu.rig, {"internal_damping": {}}), replace(o, speed_rad_s=300.0))
+    seal = {"stiffness_n_per_m": 3e5, "inverse_whirl_ratio": 0.8, "between": 0.4, "end_imbalance": 0.5}
+    _holds(nu, with_effects(nu.rig, {"cross_coupled_stiffness": seal}), replace(o, speed_rad_s=300.0))
     _holds(nu, replace(nu.rig, gravity_m_per_s2=2.0), o)
     held = replace(with_effects(nu.rig, OF_ITS_OWN[1]), static_current_a=np.array([0.8, -0.5, 1.5, 0.0]))
     _holds(nu, held, o)

@@ -21,12 +21,15 @@ SPEED_RAD_S = 250.0
 OF_A_DISC = ("mode_coupling", "mode1_slope_per_m_sqrt_kg", "mode2_slope_per_m_sqrt_kg")
 
 
-def explained(effects: dict[str, dict[str, float]], polar_inertia_kgm2: float = 1.9) -> Explained:
-    """The plant of a turning rig that has these effects."""
+def explained(
+    effects: dict[str, dict[str, float]], polar_inertia_kgm2: float = 1.9, damper_ns_per_m: float = 0.0
+) -> Explained:
+    """The plant of a turning rig that has these effects, and perhaps dampers at its bearings."""
     datasheet, truth = known_datasheet(seed=15)
     sheet, true = (replace(d, polar_inertia_kgm2=polar_inertia_kgm2) for d in (datasheet, truth))
     nu = nuisance(sheet)
     rig = with_effects(replace(true_rig(true), speed_rad_s=SPEED_RAD_S), effects)
+    rig = replace(rig, seal_damping_ns_per_m=rig.seal_damping_ns_per_m + damper_ns_per_m * np.eye(2))
     o = observe(replace(sweep(rig, lines(14), 0.15, seed=1), speed_rad_s=SPEED_RAD_S), nu.rig)
     ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
     with Fitter(1) as fitter:
@@ -66,6 +69,23 @@ def test_a_disc_that_modes_tilt_is_found_beside_another_effect() -> None:
     assert set(best.effects) == {"gyroscopic_coupling", "sensor_position"}
     found = best.fit.values[best.effects.index("gyroscopic_coupling")]
     assert found[OF_A_DISC[2]] == pytest.approx(0.73, abs=0.2)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.75])
+def test_a_seal_is_named_with_its_damping_or_without_any(damping: float) -> None:
+    """By its stiffness alone it drove the datasheet's values to their bounds."""
+    seal = {"stiffness_n_per_m": 2e5, "end_imbalance": 1.0, "inverse_whirl_ratio": damping}
+    best = explained({"cross_coupled_stiffness": seal}).order[0].candidate
+    assert best.effects == ("cross_coupled_stiffness",)
+    found = best.fit.values[0]
+    assert found["inverse_whirl_ratio"] == pytest.approx(damping, rel=0.1)
+    assert found["stiffness_n_per_m"] == pytest.approx(2e5, rel=0.05)
+    assert found["end_imbalance"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_damper_alone_is_not_a_seal() -> None:
+    """With a damping that is free of the stiffness a seal without any stiffness was named for certain."""
+    assert explained({}, damper_ns_per_m=600.0).order[0].candidate.effects == ()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2])
