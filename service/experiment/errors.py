@@ -5,6 +5,7 @@
     AmbError (sim.errors)
     └── ExperimentError
         ├── ExperimentFileError   a file breaks the contract of experiment files; names file, dataset and remedy
+        │     └── ExperimentSizeError   it holds, or states to hold, more than there is memory
         ├── JournalError          the journal of an interrupted campaign does not belong to this rig and plan
         └── CampaignError         the campaign cannot go on; what was measured is kept
 """
@@ -26,3 +27,7 @@ class JournalError(ExperimentError):
 
 class CampaignError(ExperimentError):
     """The campaign cannot start or go on; what was measured so far is on disk."""
+
+
+class ExperimentSizeError(ExperimentFileError):
+    """An experiment file holds, or states to hold, more than the memory there is."""

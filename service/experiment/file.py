@@ -19,7 +19,7 @@ import numpy as np
 
 from service.experiment import contract, matlab
 from service.experiment.data import Experiment, Sweep
-from service.experiment.errors import ExperimentFileError
+from service.experiment.errors import ExperimentFileError, ExperimentSizeError
 from sim.errors import reason
 
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
@@ -54,7 +54,7 @@ def read(path: Path | str) -> Experiment:
             remedy = "an interrupted campaign lies beside it: resume that"
         raise ExperimentFileError(f"{path} does not exist; {remedy}") from error
     except MemoryError as error:
-        raise ExperimentFileError(
+        raise ExperimentSizeError(
             f"{path} states to hold more than this machine's memory ({reason(error)}): it may be damaged; copy it "
             "again from where it was made, or log fewer samples"
         ) from error

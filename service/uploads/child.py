@@ -93,7 +93,7 @@ def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
     cpu_seconds(0)
     # only now what reads: most hostile files are refused by their structure, in half the time
     from service.experiment import file
-    from service.experiment.errors import ExperimentFileError
+    from service.experiment.errors import ExperimentFileError, ExperimentSizeError
 
     if kind == "MATLAB 5":
         import scipy.io.matlab  # noqa: F401  the reader's own loading is no fault of the file
@@ -102,10 +102,10 @@ def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
     try:
         experiment = file.read(path)
         file.write(out, experiment)
+    except (ExperimentSizeError, MemoryError) as error:
+        raise UploadSizeError(f"reading it needs more than {limits.memory_bytes / MIB:,.0f} MiB of memory") from error
     except ExperimentFileError as error:
         raise UploadContentError(_line(str(error))) from error
-    except MemoryError as error:
-        raise UploadSizeError(f"reading it needs more than {limits.memory_bytes / MIB:,.0f} MiB of memory") from error
     except Exception as error:  # whatever a file provokes in a reader is the file's fault here
         raise UploadContentError(
             f"it cannot be read as an experiment ({type(error).__name__}: {_first_line(error)}); "
