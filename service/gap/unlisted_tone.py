@@ -62,7 +62,7 @@ class Tone:
         size = 1e6 * self.amplitude_m[k]
         return (
             f"a tone of {size:.2g} um in {axes[k]} at {self.frequency_hz:.4g} Hz is heard in the displacements, "
-            "whatever is excited, and is no multiple of the mains or of the speed: does a machine shake the base?"
+            "whatever is excited, at no multiple of the mains or of the speed: look for a machine that shakes the base"
         )
 
 
