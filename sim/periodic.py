@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numba
 import numpy as np
 import scipy.linalg
+import scipy.special
+from numpy.typing import NDArray
 
 from sim.rig import Array
+
+Mask = NDArray[np.bool_]
 
 MOST_PERIODS = 40
 """Most periods for a current loop to settle: one that winds up is slow."""
@@ -51,12 +53,20 @@ def _taken(slope: float, limit: float, noise: float) -> float:  # pragma: no cov
     return noise * (_beyond((-limit - slope) / noise) - _beyond((slope - limit) / noise))
 
 
+_FAR, _PER_UNIT = 4.5, 256.0
+_AT = np.arange(int(2 * _FAR * _PER_UNIT) + 2) / _PER_UNIT - _FAR
+_BEYOND: Array = np.exp(-0.5 * _AT**2) / np.sqrt(2 * np.pi) + 0.5 * _AT * scipy.special.erfc(-_AT / np.sqrt(2))
+"""E[max(x + n, 0)] at x = `_AT`: it is slow to compute, and is asked for at every step in time."""
+
+
 @_compiled
 def _beyond(x: float) -> float:  # pragma: no cover (compiled)
-    """E[max(x + n, 0)] for n ~ N(0, 1), to 1e-6."""
-    if abs(x) > 4.5:  # it is slow to compute
+    """E[max(x + n, 0)] for n ~ N(0, 1), to 1e-6: between two values of `_BEYOND` in a straight line."""
+    if abs(x) >= _FAR:
         return max(x, 0.0)
-    return math.exp(-0.5 * x * x) / math.sqrt(2 * math.pi) + 0.5 * x * math.erfc(-x / math.sqrt(2.0))
+    place = (x + _FAR) * _PER_UNIT
+    k = int(place)
+    return float(_BEYOND[k] + (place - k) * (_BEYOND[k + 1] - _BEYOND[k]))
 
 
 def slewing(
@@ -68,6 +78,7 @@ def slewing(
     limit: Array,
     opposed: bool,
     noise: Array | float = 0.0,
+    reached: Mask | None = None,
 ) -> Array:
     """What a slew limit takes off the slopes that are asked of a second-order amplifier, A/s, (P, T, n).
 
@@ -84,6 +95,7 @@ def slewing(
     opposed : whether the loop begins with a current opposed to the one without limit, instead of with that one. A loop
         that winds up may settle in two ways beyond its limit: it lags a little, or by half a period.
     noise : (n,) or one for all, root mean square of the slopes that noise asks for, A/s
+    reached : (P, n) where the limit acts, everywhere by default; elsewhere it takes off nothing
     """
     A = np.zeros((w.size, 3, 3))  # of i, v, and dv held
     A[:, 0, 1] = A[:, 0, 2] = 1.0
@@ -96,7 +108,8 @@ def slewing(
         begin[1] = -2 * asked[:, 0]
     swing = limit * (asked.shape[1] * dt / (2 * np.pi))[:, None]
     rms = np.broadcast_to(np.asarray(noise, dtype=float), w.shape).copy()
-    return np.asarray(_slewing(asked, over, limit, swing, begin[0], begin[1], rms))
+    acts = np.ones(swing.shape, dtype=bool) if reached is None else reached
+    return np.asarray(_slewing(asked, over, limit, acts, swing, begin[0], begin[1], rms))
 
 
 @_compiled
@@ -159,12 +172,14 @@ def held_slewing(
 
 @_compiled
 def _slewing(
-    asked: Array, over: Array, limit: Array, swing: Array, i0: Array, v0: Array, noise: Array
+    asked: Array, over: Array, limit: Array, reached: Mask, swing: Array, i0: Array, v0: Array, noise: Array
 ) -> Array:  # pragma: no cover (compiled)
     points, steps, axes = asked.shape
     taken = np.zeros_like(asked)
     for p in range(points):
         for a in range(axes):
+            if not reached[p, a]:
+                continue
             i, v, most, S = i0[p, a], v0[p, a], limit[a], over[p, a]
             for _ in range(MOST_PERIODS):
                 begun = i

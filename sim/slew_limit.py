@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim import amplifier, periodic
 from sim.alternating import Complex, amplitudes, period_samples, whole_periods, windowed_amplitudes
 from sim.rig import Amplifiers, Array, Rig
+
+Mask = NDArray[np.bool_]
 
 SLEW_STEPS = 256
 """Fewest time steps per period of a second-order amplifier."""
@@ -41,23 +44,30 @@ def second_order(
     damping = 2 * amp.damping_ratio * w
     per_slew = (s + damping * (1 - amp.slew_seen)) / (s**2 + damping * s + w**2)
     dv = np.zeros(asked.shape, dtype=complex)
-    reached = amp.slew_limit_a_per_s * (1 - NOISE_DEVIATIONS * amp.slope_noise_share)
-    slewing = np.flatnonzero(np.any(np.abs(asked).sum(axis=1) > reached, axis=1))
-    if len(slewing):
-        fundamental = omega[slewing, harmonics.index(1)]
-        dv[slewing] = _slope_change(amp, fundamental, harmonics, asked[slewing], False)
-        if wanted is not None:
-            opposed = _slope_change(amp, fundamental, harmonics, asked[slewing], True)
-            change, seen = per_slew[slewing], wanted[slewing]
-            misses = [np.abs(seen - change * taken).sum(axis=1, keepdims=True) for taken in (opposed, dv[slewing])]
-            dv[slewing] = np.where(misses[0] < misses[1], opposed, dv[slewing])
+    steepest, limit = np.abs(asked).sum(axis=1), amp.slew_limit_a_per_s
+    slewing = steepest > limit * (1 - NOISE_DEVIATIONS * amp.slope_noise_share)
+    points = np.flatnonzero(slewing.any(axis=1))
+    if len(points):
+        fundamental = omega[:, harmonics.index(1)]
+        dv[points] = _slope_change(amp, fundamental[points], harmonics, asked[points], slewing[points], False)
+    # below the limit, or where the loop does not see it, there is one state
+    beyond = (steepest > limit) & (amp.slew_seen > 0)
+    points = np.flatnonzero(beyond.any(axis=1))
+    if len(points) and wanted is not None:
+        opposed = _slope_change(amp, fundamental[points], harmonics, asked[points], beyond[points], True)
+        change, seen, near = per_slew[points], wanted[points], dv[points]
+        misses = [np.abs(seen - change * taken).sum(axis=1) for taken in (opposed, near)]
+        dv[points] = np.where((beyond[points] & (misses[0] < misses[1]))[:, None], opposed, near)
     return np.asarray(per_slew * dv)
 
 
-def _slope_change(amp: Amplifiers, omega: Array, harmonics: tuple[int, ...], asked: Complex, opposed: bool) -> Complex:
+def _slope_change(
+    amp: Amplifiers, omega: Array, harmonics: tuple[int, ...], asked: Complex, reached: Mask, opposed: bool
+) -> Complex:
     """Change of the current's slope by the limit, (P, H, n), in the steady state; ``opposed`` selects which of two.
 
-    It is simulated in time, as it has more harmonics than asked for, and the amplifier's loop winds up.
+    It is zero where the limit is not ``reached``, (P, n). It is simulated in time, as it has more harmonics than asked
+    for, and the amplifier's loop winds up.
     """
     assert amp.damping_ratio is not None
     w, limit = amp.natural_frequency_rad_s, amp.slew_limit_a_per_s
@@ -66,7 +76,7 @@ def _slope_change(amp: Amplifiers, omega: Array, harmonics: tuple[int, ...], ask
     damping = 2 * amp.damping_ratio * w
     over = np.ascontiguousarray(period_samples(asked, harmonics, steps))
     dt, noise = 2 * np.pi / omega / steps, _slope_noise(amp)
-    taken = periodic.slewing(over, dt, w, damping, float(amp.slew_seen), limit, opposed, noise)
+    taken = periodic.slewing(over, dt, w, damping, float(amp.slew_seen), limit, opposed, noise, reached)
     return amplitudes(taken, harmonics)
 
 

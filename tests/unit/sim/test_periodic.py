@@ -96,3 +96,20 @@ def test_a_loop_that_winds_up_settles_in_two_ways_and_both_are_found(opposed):
     begin = (0.0, 0.0) if opposed else (without.real, (without * s).real)
     assert i == pytest.approx(stepped(hz, u, w, zeta, limit, *begin, periods=25), abs=0.01)
     assert np.degrees(np.angle(i)) == pytest.approx(-144 if opposed else -30, abs=2)
+
+
+@pytest.mark.parametrize(("over", "seen"), [(0.97, 1.0), (0.97, 0.5), (1.2, 0.0)])
+@pytest.mark.parametrize("hz", [100.0, 425.0, 900.0])
+def test_below_its_limit_or_without_seeing_it_a_loop_settles_in_one_way(hz, over, seen):
+    """The other one is not searched for there."""
+    w, dt, asked = np.array([9244.0]), np.array([1 / hz / T]), over * 1000.0 * np.cos(PHASE)[None, :, None]
+    one, other = (slewing(asked, dt, w, 1.6 * w, seen, np.array([1000.0]), opposed) for opposed in (False, True))
+    np.testing.assert_allclose(other, one, rtol=0, atol=2.0)
+
+
+def test_an_axis_that_does_not_reach_its_limit_is_not_stepped():
+    asked = 1500.0 * np.cos(PHASE)[None, :, None] * np.ones(2)
+    two = (np.array([1 / 200.0 / T]), np.full(2, 9244.0), np.full(2, 1.6 * 9244.0), 0.5, np.full(2, 1000.0), False)
+    taken = slewing(asked, *two, reached=np.array([[True, False]]))
+    assert np.abs(taken[..., 0]).max() > 100.0
+    np.testing.assert_array_equal(taken[..., 1], 0.0)
