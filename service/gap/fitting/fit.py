@@ -35,6 +35,9 @@ TRIALS, TRIALS_WITH_REUSED = 7, 2
 """Dampings tried for a step with new derivatives, and with reused ones, which are renewed when none of them helps."""
 DAMPING, LEAST_DAMPING, LEAST_AFTER_FAILURE = 1e-3, 1e-9, 1e-6
 """Share of the Hessian's diagonal added to it: at first, at least, and at least once a step has failed."""
+IDLE = 1.0
+"""Chi-square that the longest step of a value must predict at least, for it to be moved: a law of higher order in a
+strength, as of saturation by flux, has no derivative at zero, and a step by its rounding errors would go anywhere."""
 
 
 class Problem:
@@ -88,8 +91,9 @@ class Problem:
         hessian = curvature + self.unknowns.prior
         scale = np.diag(np.maximum(np.diag(hessian), 1e-12))
         pull = gradient - self.unknowns.prior @ (state.x - self.unknowns.prior_mean)
+        idle = np.diag(hessian) * longest**2 < IDLE
         for _ in range(trials):
-            step = _within(hessian + damping * scale, pull, state.x <= low, state.x >= high)
+            step = _within(hessian + damping * scale, pull, ~idle, state.x <= low, state.x >= high)
             x = np.clip(state.x + np.clip(step, -longest, longest), low, high)
             found = objective.state(x, state.nonlinearity)
             if np.isfinite(found.cost) and found.cost < state.cost:
@@ -202,13 +206,13 @@ class _Derivatives:
         return self._objective.normal_equations(state, self._nuisance_rows, columns)
 
 
-def _within(hessian: Real, pull: Real, lowest: Mask, highest: Mask) -> Real:
+def _within(hessian: Real, pull: Real, movable: Mask, lowest: Mask, highest: Mask) -> Real:
     """Projected Newton step (Bertsekas, SIAM J. Control Optim. 20, 1982): values at a bound do not cross it.
 
     They are held there and the step of the others is solved for again. If the full step were clipped instead, the
     others would miss their optimum with that value at its bound, and the fit would converge slowly.
     """
-    free = np.ones(len(pull), dtype=bool)
+    free = movable.copy()
     while True:
         step = np.zeros(len(pull))
         step[free] = np.linalg.solve(hessian[np.ix_(free, free)], pull[free])
