@@ -262,16 +262,17 @@ def _of_support(support: Support | None) -> list[Mode]:
     if support is None:
         return []
     share, hz = support.pedestals, support.natural_frequency_rad_s / (2 * math.pi)
+    damping = support.damping_ratio
     at_a, at_b = (float(np.mean(support.shares[end::2])) if support.shares else 1.0 for end in (0, 1))
     parts = (
-        ((1 - share) * (at_a + at_b) / 2, (1.0, 1.0), hz),
-        (share * at_a, (1.0, 0.0), hz),
-        (share * at_b, (0.0, 1.0), hz * support.frequency_ratio),
+        ((1 - share) * (at_a + at_b) / 2, (1.0, 1.0), hz, damping),
+        (share * at_a, (1.0, 0.0), hz, damping),
+        (share * at_b, (0.0, 1.0), hz * support.frequency_ratio, damping * support.damping_quotient),
     )
     out = []
-    for part, ends, own in parts:
+    for part, ends, own, own_damping in parts:
         if part > 0:
             size = math.sqrt(part / support.mass_kg)
             shape = (size * ends[0], size * ends[1])
-            out.append(Mode(own, support.damping_ratio, shape, shape))
+            out.append(Mode(own, own_damping, shape, shape))
     return out

@@ -79,6 +79,8 @@ class Support:
     rest is in one housing that carries both."""
     frequency_ratio: float = 1.0
     """Natural frequency of the pedestal at B over that at A."""
+    damping_quotient: float = 1.0
+    """Damping ratio of the pedestal at B over that at A."""
     shares: tuple[float, ...] = ()
     """Inverse mass of each axis's pedestal over the mean, of the planes' housings in the mean of their axes, n; () for
     the same everywhere."""

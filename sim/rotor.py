@@ -114,16 +114,17 @@ def _direct_damping(rig: Rig) -> Array:
 def _housings(support: Support, plane: int) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:
     """Housings of a plane: the axes whose bearings each carries, and its mass, damping and stiffness."""
     share, w, ratio = support.pedestals, support.natural_frequency_rad_s, support.frequency_ratio
-    a, b = 2 * plane, 2 * plane + 1
+    a, b, zeta = 2 * plane, 2 * plane + 1, support.damping_ratio
     of_a, of_b = support.of_axis(a), support.of_axis(b)
-    shared_out = (
-        ([a, b], (1 - share) * (of_a + of_b) / 2, w),
-        ([a], share * of_a, w),
-        ([b], share * of_b, w * ratio),
+    housings = (
+        ([a, b], (1 - share) * (of_a + of_b) / 2, w, zeta),
+        ([a], share * of_a, w, zeta),
+        ([b], share * of_b, w * ratio, zeta * support.damping_quotient),
     )
     return [
-        (np.array(ends), (m, 2 * support.damping_ratio * own * m, m * own**2))
-        for ends, m, own in ((e, support.mass_kg / part, own) for e, part, own in shared_out if part > 0)
+        (np.array(ends), (mass := support.mass_kg / part, 2 * damping * own * mass, mass * own**2))
+        for ends, part, own, damping in housings
+        if part > 0
     ]
 
 

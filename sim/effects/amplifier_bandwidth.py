@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from sim.effect import Effect, Parameter
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
@@ -11,12 +13,14 @@ from sim.rig import Rig
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     amplifiers, of_axes = rig.amplifiers, shares(rig, p)
     damping, of_axes = amplifiers.damping_ratio, of_axes / of_axes.max()
+    # the s^2 term shrinks and the term in s stays
+    apart = 1 / np.sqrt(1 - p["first_order_share"] * of_axes) if damping is not None else 1.0
     return replace(
         rig,
         amplifiers=replace(
             amplifiers,
-            natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * (1 + p["frequency_change"] * of_axes),
-            damping_ratio=None if damping is None else damping * (1 + p["damping_change"] * of_axes),
+            natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * apart * (1 + p["frequency_change"] * of_axes),
+            damping_ratio=None if damping is None else damping * apart * (1 + p["damping_change"] * of_axes),
             lag_s=amplifiers.lag_s + p["lag_s"],
         ),
     )
@@ -40,11 +44,24 @@ EFFECT = Effect(
         Parameter(
             "lag_s", "s", 0.0, 2e-4, 2e-6, 0.0, description="time constant of a further first-order lag", optional=True
         ),
+        Parameter(
+            "first_order_share",
+            "1",
+            0.0,
+            0.998,
+            0.0,
+            0.0,
+            description="share of the s^2 term that is missing: at 1 the amplifiers are of first order, wa/(2 za)",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.9,),
+        ),
         *parameters("amplifiers"),
     ),
     apply=_apply,
-    law="A(s) = wa^2/(s^2 + 2 za wa s + wa^2) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T); "
-    "f a and d a where some change more, a in proportion to (1 +- e)(1 +- p), + at A, + in x, 1 at most",
+    law="A(s) = 1/((1 - q) s^2/wa^2 + 2 za s/wa + 1) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T); "
+    "f a, d a and q a where some change more, a in proportion to (1 +- e)(1 +- p), + at A, + in x, 1 at most",
     signature="i/u: gain falls and phase lags together towards high frequency, the same at any amplitude",
     aliases=("loop_delay", "eddy_currents", "amplifier_voltage_limit"),
     separated_by="logged i; gain of i/u (a delay leaves it flat); amplitude at one frequency (a voltage limit)",

@@ -1,4 +1,4 @@
-"""The controller that runs is not the one of the datasheet: other gain, derivative, lag or filters, or in some axes."""
+"""The controller that runs is not the datasheet's: other gain, integral, derivative, lag or filters, or some axes'."""
 
 import math
 from collections.abc import Mapping
@@ -15,14 +15,33 @@ OSCILLATES = 1e-6
 """Imaginary part of a pole or zero, over its size, from which it is one of a filter."""
 
 
-def derivative_corner_rad_s(law: ControlLaw) -> float:
-    """Frequency where C starts to lead by 45 degrees, that is, where its derivative part equals the proportional.
+def corners_rad_s(law: ControlLaw) -> tuple[float, float]:
+    """Where C lags by 45 degrees, and where it leads by 45 degrees.
 
-    A controller that never leads has no derivative part; a hundredth of its sample rate stands in.
+    There the integral and the derivative part are as large as the proportional. Of a PID they are nearly the sizes of
+    its two zeros, which are taken where they are real. A controller that never leads has no derivative part, one that
+    never lags no integral part; a hundredth and a ten-thousandth of its sample rate stand in.
     """
-    omega = 2 * math.pi * np.geomspace(1e-4, 0.4, 400) / law.sample_time_s
-    leads = np.flatnonzero(np.angle(control_law.response(law, omega)) >= math.pi / 4)
-    return float(omega[leads[0]]) if len(leads) else 2 * math.pi * 0.01 / law.sample_time_s
+    rate = 2 * math.pi / law.sample_time_s
+    omega = rate * np.geomspace(1e-7, 0.4, 1000)
+    phase = np.angle(control_law.response(law, omega))
+    lags, leads = np.flatnonzero(phase > -math.pi / 4), np.flatnonzero(phase >= math.pi / 4)
+    zeros = _real_zeros_rad_s(law)
+
+    def refined(corner: float) -> float:
+        """The zero within an octave of a corner, or the corner itself."""
+        near = [z for z in zeros if 0.5 < z / corner < 2.0]
+        return min(near, key=lambda z: abs(math.log(z / corner)), default=corner)
+
+    lag = refined(float(omega[lags[0]])) if len(lags) and lags[0] > 0 else rate * 1e-4
+    return lag, refined(float(omega[leads[0]])) if len(leads) else rate * 1e-2
+
+
+def _real_zeros_rad_s(law: ControlLaw) -> list[float]:
+    """The sizes of the stable real zeros of C, by Tustin's rule."""
+    roots = np.roots(law.numerator).astype(complex)
+    real = roots.real[np.abs(roots.imag) < OSCILLATES * np.abs(roots)]
+    return [float(2 * (1 - z) / (1 + z) / law.sample_time_s) for z in real if 0.0 < z < 1.0]
 
 
 def _tuned(polynomial: Array, frequency_change: float, damping_change: float) -> Array:
@@ -42,7 +61,17 @@ def _tuned(polynomial: Array, frequency_change: float, damping_change: float) ->
     return np.asarray(polynomial[0] * kept * np.poly(tuned).real)
 
 
-def _changed(law: ControlLaw, corner_rad_s: float, p: Mapping[str, float], share: float) -> tuple[Array, Array]:
+def _parts_changed(b: Array, a: Array, half: tuple[float, float], integral: float, derivative: float) -> list[Array]:
+    """C (1 + (i wi wd + d s^2) / ((s + wi)(s + wd))) by Tustin's rule; ``half`` holds wi T/2 and wd T/2.
+
+    Of a PID, with its zeros at wi and wd, this changes the integral and the derivative part alone.
+    """
+    poles = np.polymul(*(np.array([1.0 + h, h - 1.0]) for h in half))
+    more = integral * half[0] * half[1] * np.array([1.0, 2.0, 1.0]) + derivative * np.array([1.0, -2.0, 1.0])
+    return [np.polymul(b, poles + more) / poles[0], np.polymul(a, poles) / poles[0]]
+
+
+def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float], share: float) -> tuple[Array, Array]:
     """Numerator and denominator of a controller that changes by a share of the effect."""
     b, a = np.asarray(law.numerator, dtype=float), np.asarray(law.denominator, dtype=float)
     changes = {
@@ -51,12 +80,8 @@ def _changed(law: ControlLaw, corner_rad_s: float, p: Mapping[str, float], share
     if any(changes.values()):
         frequency_change, of_zeros, of_poles = changes.values()
         b, a = _tuned(b, frequency_change, of_zeros), _tuned(a, frequency_change, of_poles)
-    if p["derivative_change"]:
-        # C (1 + d s / (s + wc)) by Tustin's rule: of a PID, this changes the derivative part alone.
-        half = corner_rad_s * law.sample_time_s / 2
-        pole = np.array([1.0, -(1 - half) / (1 + half)])
-        high_pass = share * p["derivative_change"] / (1 + half) * np.array([1.0, -1.0])
-        b, a = np.polymul(b, pole + high_pass), np.polymul(a, pole)
+    if p["derivative_change"] or p["integral_change"]:
+        b, a = _parts_changed(b, a, half, share * p["integral_change"], share * p["derivative_change"])
     if p["lag_samples"]:
         # (1 - d) + d / z: dc gain one, a delay of d samples at low frequency
         late = share * p["lag_samples"]
@@ -66,11 +91,12 @@ def _changed(law: ControlLaw, corner_rad_s: float, p: Mapping[str, float], share
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     law, of_axes = rig.controller, shares(rig, p)
-    corner = derivative_corner_rad_s(law) if p["derivative_change"] else 0.0
-    b, a = _changed(law, corner, p, 1.0)
+    lag, lead = corners_rad_s(law)
+    half = (lag * law.sample_time_s / 2, lead * law.sample_time_s / 2)
+    b, a = _changed(law, half, p, 1.0)
     laws = law.apart or ((law.numerator, law.denominator),) * rig.n_axes
     apart = tuple(
-        _changed(replace(law, numerator=num, denominator=den), corner, p, share)
+        _changed(replace(law, numerator=num, denominator=den), half, p, share)
         for (num, den), share in zip(laws, of_axes.tolist(), strict=True)
     )
     even = not law.apart and np.all(of_axes == of_axes[0])
@@ -86,6 +112,19 @@ EFFECT = Effect(
         ),
         Parameter("derivative_change", "1", -0.5, 1.0, 0.05, 0.0, description="relative change of the derivative part"),
         Parameter("lag_samples", "samples", -0.5, 0.5, 0.05, 0.0, description="share of the sample before"),
+        Parameter(
+            "integral_change",
+            "1",
+            -1.0,
+            3.0,
+            0.0,
+            0.0,
+            description="relative change of the integral part",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.1,),
+        ),
         Parameter(
             "filter_frequency_change",
             "1",
@@ -118,7 +157,8 @@ EFFECT = Effect(
         *parameters("controllers", dormant=True),
     ),
     apply=_apply,
-    law="C'(z) = (1 + g) C(z) (1 + d s/(s + wc)) ((1 - l) + l/z), wc where C leads by 45 degrees; of the filters in C, "
+    law="C'(z) = (1 + g) C(z) (1 + (i wi wd + d s^2)/((s + wi)(s + wd))) ((1 - l) + l/z), C lags by 45 degrees at wi "
+    "and leads by 45 degrees at wd; of the filters in C, "
     "its complex poles and zeros, frequencies (1 + f) and damping ratios (1 + za), (1 + zb); where some axes change "
     "more, each change in proportion to (1 +- e)(1 +- p), + at A, + in x",
     signature="U - R + C Y is not nil and is proportional to C Y; i/u and y/i are as before",

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter
+from sim.imbalance import of_plane
 from sim.rig import FlexibleMode, Rig
 from sim.sizes import MASS
 
@@ -18,7 +19,12 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         return rig  # the magnets do not excite it
     at_sensors = (p["sensor_A_per_sqrt_kg"], p["sensor_B_per_sqrt_kg"])
     mode = FlexibleMode(2 * math.pi * p["frequency_hz"], p["damping_ratio"], at_bearings, at_sensors)
-    modes = tuple((*plane, mode) for plane in rig.rotor.modes)
+    more = p["plane_imbalance"]
+    shares = (1 + more, 1 - more) if rig.n_planes == 2 else (1.0,)
+    modes = tuple(
+        (*plane, replace(mode, shape_at_bearings=(share * at_bearings[0], share * at_bearings[1])))
+        for plane, share in zip(rig.rotor.modes, shares, strict=True)
+    )
     return replace(rig, rotor=replace(rig.rotor, modes=modes))
 
 
@@ -88,11 +94,13 @@ EFFECT = Effect(
             goes_with=MASS**-0.5,
             strength=False,
         ),
+        of_plane("the mode", dormant=True),
     ),
     apply=_apply,
     restated=_restated,
     likened={"support_resonance": _like_a_support},
-    law="+ phi_s phi_b^T/(s^2 + 2 z w s + w^2) in the receptance of each plane",
+    law="+ phi_s phi_b^T/(s^2 + 2 z w s + w^2) in the receptance of each plane, times 1 + p in x and "
+    "1 - p in y: a structure beside the rotor may swing in one direction",
     signature="one more peak of y/i with a residue of rank one, which may be negative where sensor and bearing differ",
     aliases=("support_resonance",),
     separated_by="signs of the residues (a support's are all of one kind); speed splits a rotor mode only",

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import chain, repeat
 
 from sim.effect import Effect, Parameter
 from sim.rig import Disc, FlexibleMode, Rig
@@ -9,11 +10,14 @@ from sim.sizes import INERTIA, SLOPE
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
-    def coupled(m: FlexibleMode) -> FlexibleMode:
-        return replace(m, gyroscopic=m.gyroscopic + p["mode_coupling"])
+    more = p["coupling_imbalance"] if min(map(len, rig.rotor.modes)) > 1 else 0.0
+
+    def coupled(modes: tuple[FlexibleMode, ...]) -> tuple[FlexibleMode, ...]:
+        own = (p["mode_coupling"] * share for share in chain((1 + more, 1 - more), repeat(1.0)))
+        return tuple(replace(m, gyroscopic=m.gyroscopic + g) for m, g in zip(modes, own, strict=False))
 
     rotor, slopes = rig.rotor, (p["mode1_slope_per_m_sqrt_kg"], p["mode2_slope_per_m_sqrt_kg"])
-    rotor = replace(rotor, modes=tuple(tuple(coupled(m) for m in plane) for plane in rotor.modes))
+    rotor = replace(rotor, modes=tuple(map(coupled, rotor.modes)))
     if any(slopes):
         return replace(rig, rotor=replace(rotor, discs=(*rotor.discs, Disc(p["polar_inertia_kgm2"], slopes))))
     return replace(rig, rotor=replace(rotor, polar_inertia_kgm2=rotor.polar_inertia_kgm2 + p["polar_inertia_kgm2"]))
@@ -57,11 +61,24 @@ EFFECT = Effect(
             0.5,
             0.0,
             0.0,
-            description="g of q'' + g W q' between the two planes' copies of each flexible mode",
+            description="g of q'' + g W q' between the two planes' copies of each flexible mode, mean of the first two",
             strength=False,
             optional=True,
             dormant=True,
             wakes=(0.01,),
+        ),
+        Parameter(
+            "coupling_imbalance",
+            "1",
+            -1.0,
+            1.0,
+            0.0,
+            0.0,
+            description="1: g only of the first mode, -1: only of the second; nothing on a rotor with one",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.3,),
         ),
         _slope(1),
         _slope(2),

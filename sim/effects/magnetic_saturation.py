@@ -52,7 +52,7 @@ EFFECT = Effect(
             optional=True,
         ),
         Parameter(
-            "flux_power", "1", 2.0, 8.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
+            "flux_power", "1", 2.0, 40.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
         ),
         *parameters("magnets", dormant=True),
     ),

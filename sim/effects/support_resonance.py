@@ -20,7 +20,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     uneven = any(p[name] for name in NAMES)
     own = tuple(shares(rig, p).tolist()) if uneven else ()
     mass = 1 / p["inverse_mass_per_kg"]
-    support = Support(mass, w, p["damping_ratio"], p["pedestals"], p["frequency_ratio"], own)
+    support = Support(mass, w, p["damping_ratio"], p["pedestals"], p["frequency_ratio"], p["damping_quotient"], own)
     return replace(rig, support=support)
 
 
@@ -77,6 +77,20 @@ EFFECT = Effect(
             "of the pedestal at B over that at A",
             strength=False,
             optional=True,
+        ),
+        Parameter(
+            "damping_quotient",
+            "1",
+            0.1,
+            10.0,
+            1.0,
+            1.0,
+            "log",
+            "damping ratio of the pedestal at B over that at A",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(1.3,),
         ),
         *parameters("pedestals", dormant=True),
     ),

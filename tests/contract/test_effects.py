@@ -183,7 +183,8 @@ def test_each_of_its_parameters_counts(one):
     In the linear model, in time, or in the balance of 1.2 A at 700 Hz: in time a rig has the noise that another states.
     """
     of_pedestals = {"pedestals": 0.5} if one.id == "support_resonance" else {}  # where there are any
-    beside = {"frequency_ratio": of_pedestals, "end_imbalance": of_pedestals}
+    beside = dict.fromkeys(("frequency_ratio", "damping_quotient", "end_imbalance"), of_pedestals)
+    beside["coupling_imbalance"] = {"mode_coupling": 0.02}
 
     tone = np.zeros((1, 4, 4), dtype=complex)
     tone[0, 1] = 1.2

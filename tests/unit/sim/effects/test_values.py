@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim import actuator, control_law
+from sim import actuator, amplifier, control_law
 from sim.effects import CATALOGUE, effect
-from sim.effects.controller_mismatch import derivative_corner_rad_s
+from sim.effects.controller_mismatch import corners_rad_s
 from sim.errors import EffectError
 from sim.measured import measured_responses
 from sim.reference import pid_with_biquad, reference_rig
@@ -27,18 +27,22 @@ def test_controller_gain_is_of_the_whole_controller():
     np.testing.assert_allclose(changed, 1.1 * control_law.response(RIG.controller, np.array([50.0, 5000.0])), rtol=1e-9)
 
 
-def test_controller_derivative_is_that_of_the_pid():
-    """Of the reference PID, Kd/Kp = 80/18e3 s: the corner is near 225 rad/s, and Kd alone grows, to a fifth."""
-    assert derivative_corner_rad_s(RIG.controller) == pytest.approx(18e3 / 80, rel=0.2)
-    omega = 2 * np.pi * np.array([2.0, 20.0, 60.0, 200.0, 800.0])
-    changed = control_law.response(alone("controller_mismatch", derivative_change=0.1).controller, omega)
-    exact = control_law.response(ControlLaw(*pid_with_biquad(derivative_as_per_m=88.0), 1e-4), omega)
+@pytest.mark.parametrize(
+    ("change", "tuned"),
+    [("derivative_change", {"derivative_as_per_m": 88.0}), ("integral_change", {"integral_a_per_ms": 1.1 * 36e3})],
+)
+def test_controller_parts_are_those_of_the_pid(change: str, tuned: dict[str, float]):
+    """Of the reference PID, Kd/Kp = 80/18e3 s and Ki/Kp = 2/s: its zeros are near 225 and 2 rad/s."""
+    assert corners_rad_s(RIG.controller) == pytest.approx((2.0, 18e3 / 80), rel=0.05)
+    omega = 2 * np.pi * np.array([0.1, 0.5, 2.0, 20.0, 60.0, 200.0, 800.0])
+    changed = control_law.response(alone("controller_mismatch", **{change: 0.1}).controller, omega)
+    exact = control_law.response(ControlLaw(*pid_with_biquad(**tuned), 1e-4), omega)
     before = control_law.response(RIG.controller, omega)
-    assert np.all(np.abs(changed - exact) < 0.2 * np.abs(exact - before) + 1e-4 * np.abs(before))
+    assert np.all(np.abs(changed - exact) < 0.03 * np.abs(exact - before) + 1e-4 * np.abs(before))
 
 
-def test_a_controller_that_never_leads_still_has_a_corner():
-    assert derivative_corner_rad_s(ControlLaw(np.array([5.0]), np.array([1.0]), 1e-4)) == pytest.approx(628.3, rel=1e-3)
+def test_a_controller_that_never_leads_or_lags_still_has_corners():
+    assert corners_rad_s(ControlLaw(np.array([5.0]), np.array([1.0]), 1e-4)) == pytest.approx((6.283, 628.3), rel=1e-3)
 
 
 def test_controller_lag_is_a_share_of_a_sample():
@@ -249,3 +253,12 @@ def test_eddy_currents_of_sheets_end_where_all_of_the_reluctance_is_iron():
     assert np.abs(law / sheets - 1).max() < 0.125
     beyond = alone("eddy_currents", time_constant_s=t / 4, corner_rad_s=3e5).magnets
     assert beyond.eddy_corner_rad_s == exact.eddy_corner_rad_s
+
+
+def test_amplifiers_that_lack_the_term_of_second_order_are_of_first_order():
+    """With q = 1 wa^2/(s^2 + 2 za wa s + wa^2) would be w/(s + w) with w = wa / (2 za)."""
+    slow, omega = alone("amplifier_bandwidth", first_order_share=0.998), 2 * np.pi * np.array([10.0, 200.0, 1000.0])
+    s, own = 1j * omega[:, None], RIG.amplifiers
+    assert own.damping_ratio is not None
+    w = own.natural_frequency_rad_s / (2 * own.damping_ratio)
+    np.testing.assert_allclose(amplifier.continuous(slow.amplifiers, omega), own.gain * w / (s + w), rtol=2e-3)
