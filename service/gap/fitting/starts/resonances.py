@@ -14,6 +14,8 @@ Real = NDArray[np.float64]
 
 GRID_DAMPING = 0.02
 """Damping ratio on the grid: wide enough for a resonance not to fall between two lines."""
+ABOVE = np.geomspace(1.04, 2.5, 12)
+"""Further frequencies on the grid, over the highest line's: the flank of a mode up there is in the band."""
 FINE_DAMPINGS = (0.001, 0.003, 0.006, 0.06)
 """Further damping ratios that are tried near the best frequencies, as a resonance between two lines may show at
 one..."""
@@ -59,9 +61,14 @@ def resonances(effect: Effect, residuals: SweepResiduals, count: int = 2) -> lis
 
     between = np.sqrt(o.frequency_hz[:-1] * o.frequency_hz[1:])
     grid = np.sort(np.concatenate([o.frequency_hz, between]))
-    order = np.argsort([-score(own, GRID_DAMPING)[0] for own in grid])
+    in_band, above = len(grid), o.frequency_hz[-1] * ABOVE
+    grid = np.concatenate([grid, above])
+    scores = np.array([score(own, GRID_DAMPING)[0] for own in grid])
+    order = np.argsort(-scores[:in_band])
     best = [int(order[0])]
     best += [int(k) for k in order if abs(int(k) - best[0]) > GRID_APART][: count - 1]
+    flank = in_band + int(np.argmax(scores[in_band:]))
+    best = [flank, *best] if scores[flank] > scores[best[0]] else best
     found = []
     for k in best:
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]

@@ -54,6 +54,22 @@ def test_a_faint_mode_that_shows_at_one_line_alone_is_found(beside: float, size:
     assert abs(best.fit.values[0]["frequency_hz"] / own - 1) < 0.002
 
 
+def test_a_mode_above_all_lines_begins_up_there() -> None:
+    """Only its flank is in the band: from the last line a fit ended at a mode that is none."""
+    datasheet, truth = known_datasheet(seed=13)
+    nu = nuisance(datasheet)
+    shapes = {f"{place}_{end}_per_sqrt_kg": 0.1 for place in ("bearing", "sensor") for end in "AB"}
+    mode = {"frequency_hz": 1450.0, "damping_ratio": 0.006, **shapes, "sensor_B_per_sqrt_kg": -0.08}
+    o = observe(sweep(with_effects(true_rig(truth), {"extra_flexible_mode": mode}), lines(), 0.3, 1), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        e = explain(fitter, ground)
+    best = e.order[0].candidate
+    assert best.effects == ("extra_flexible_mode",)
+    assert best.fit.cost < 1.2 * best.fit.n_residuals
+    assert best.fit.values[0]["frequency_hz"] == pytest.approx(1450.0, rel=0.05)
+
+
 def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -> None:
     """Such a current is a triangle, whose fundamental is 4/pi as steep; from a limit far off there it is not found."""
     datasheet, truth = known_datasheet(seed=13)
