@@ -16,6 +16,8 @@ LOG_EVIDENCE_PER_EFFECT = 5.0
 independent program that had no effect there, the largest lead by chance was 2.2, with a tail like exp(-x)."""
 CLEAR_CHI_SQUARE = 30.0
 """Excess chi-square of the plain twin in a group from which the share that is left of it is meaningful."""
+CHANCE = 3.0
+"""Standard deviations of a chi-square up to which nothing is left of a gap."""
 Groups = Sequence[tuple[float, int]]
 """(chi-square, number of residuals) each"""
 
@@ -52,6 +54,12 @@ def noise_levels(null: Candidate, candidates: Sequence[Candidate]) -> list[float
 def _levels(groups: Sequence[Groups]) -> list[float]:
     """The noise level of each group from those of all fits."""
     return [float(min(one[0][1], *(chi for chi, _ in one))) for one in zip(*groups, strict=True)]
+
+
+def beyond_chance(c: Candidate, levels: Sequence[float]) -> float:
+    """Chi-square that an explanation leaves in all groups beyond what noise of these ``levels`` would by chance."""
+    left = (chi - level - CHANCE * np.sqrt(2 * level) for (chi, _), level in zip(c.fit.groups, levels, strict=True))
+    return sum(max(float(excess), 0.0) for excess in left)
 
 
 def ranked(null: Candidate, candidates: Sequence[Candidate]) -> list[Ranked]:

@@ -13,8 +13,8 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import PROBE
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
-from service.gap.weighing.another_rig import at_bound, hopeless
-from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, noise_levels, ranked, renormalised
+from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
+from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import MIXTURE_SHARE
 from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
@@ -42,6 +42,16 @@ harmonics that held 0.005 of it, and that was explained as eddy currents."""
 HOPEFUL = 0.75
 """Factor by which one more effect must reduce the residuals of a group (fundamental or harmonics of a sweep) for a
 further one to be tried: a law outside the catalogue is approximated in many small steps."""
+MOST = 0.5
+"""Share of what the likeliest single effect leaves at which another one, that leaves no more, is extended instead."""
+OF_ONE_LAW = frozenset(
+    {"cross_coupled_stiffness", "gyroscopic_coupling", "magnetic_cross_coupling", "channel_crosstalk"}
+)
+"""Effects whose law is one matrix, the same in any program. They couple what else is apart, and so make gaps in which a
+second effect is a share less than that of another law's error; it is told where it explains what they leave to
+noise."""
+APART = 1.3
+"""Ratio of the frequencies of two resonances from which they are two."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +77,12 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
     base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
+    if size == 1 and singles:
+        # one that explains most of a large gap is no likelier than one that explains nothing, while its values make up
+        # for what the second explains
+        closest = min(singles, key=lambda r: r.unexplained)
+        if closest.unexplained < MOST * base.unexplained:
+            base = closest
     leaves = leaves_more_than_law_error(ground, base)
     promising = ground.part.effects if leaves else _explaining_more(base, order)
     # Of single effects any may show a prospect: one that needs implausible nuisance values alone may not need them
@@ -95,7 +111,8 @@ def with_one_more(
 def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
     """Whether an explanation leaves more than another program's law of the same effects would."""
     # Such a law leaves a small share of a large gap, without implausible nuisance values.
-    if max(best.apart) < MIXTURE_SHARE and not _strained(best) and not _at_bound(best):
+    little = max(best.apart) < MIXTURE_SHARE and not _strained(best) and not _at_bound(best)
+    if little and not _of_one_law(best):
         return False
     sweeps = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
     if any(significance(z, o) > REMAINS for z, o in sweeps):
@@ -217,14 +234,34 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     if mixture.log_evidence < max(r.log_evidence for r in smaller):
         return False
     effects = mixture.candidate.effects
-    alias = any(aliases(a, b) for a, b in combinations(effects, 2))
+    alias = any(aliases(a, b) for a, b in combinations(effects, 2)) and not _resonances_apart(mixture.candidate)
     left = np.array(mixture.apart)
     gap = _gap_of_groups(order)
     # The others' nuisance values are implausible.
     allowed = [r for r in smaller if not _strained(r, _borne(r, gap)) and (_at_bound(mixture) or not _at_bound(r))]
+    exact = not alias and _leaves_nothing(mixture)
     return all(
-        np.any((np.array(r.apart) > _tolerated(r, alias, gap)) & (left < np.array(r.apart) / 3)) for r in allowed
+        np.any((np.array(r.apart) > _tolerated(r, alias, gap)) & (left < np.array(r.apart) / 3))
+        or (exact and _of_one_law(r) and not _leaves_nothing(r))
+        for r in allowed
     )
+
+
+def _of_one_law(r: Ranked) -> bool:
+    """Whether every program has the same law of an explanation's effects: what they leave is something else."""
+    return bool(r.candidate.effects) and set(r.candidate.effects) <= OF_ONE_LAW
+
+
+def _leaves_nothing(r: Ranked) -> bool:
+    """Whether an explanation leaves no group of residuals more than noise would by chance."""
+    return not beyond_chance(r.candidate, [count for _, count in r.candidate.fit.groups])
+
+
+def _resonances_apart(c: Candidate) -> bool:
+    """Whether two resonances are so far apart that neither is an error of the other's law; aliases are no others."""
+    found = {name: v["frequency_hz"] for name, v in zip(c.effects, c.fit.values, strict=True) if name in RESONANCES}
+    others = [(a, b) for a, b in combinations(c.effects, 2) if aliases(a, b) and not {a, b} <= set(found)]
+    return len(found) > 1 and not others and max(found.values()) > APART * min(found.values())
 
 
 def _gap_of_groups(order: Sequence[Ranked]) -> Real:

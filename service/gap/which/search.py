@@ -97,7 +97,7 @@ def explain(
     if most > 1 and not search.curved():
         search.add_wider_laws(search.found)
         search.add_mixtures(most)
-    order = beyond_tolerance(fitter, ground, weighed_plainly(fitter, ground, search.order))
+    order = beyond_tolerance(fitter, ground, weighed_plainly(fitter, ground, search.order), most)
     # the simpler law's chi-square differs so little that evidence and shares are kept
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     return Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))
@@ -172,10 +172,15 @@ class _Search:
         needed = leaves_more_than_law_error(self.ground, self.order[0]) or leaves_much(self.null, self.order)
         # an alias of the best explanation is always compared with it by all of its law
         wider = [c for c in of if needed or differ_by_alias(c, best)]
-        more = [
-            *(with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else ()),
-            *with_optional_parameters(self.fitter, self.ground, wider),
-        ]
+        woken = with_optional_parameters(self.fitter, self.ground, wider)
+        uneven = with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else []
+        self._add([*uneven, *woken])
+        if needed and leaves_more_than_law_error(self.ground, self.order[0]):
+            # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
+            self._add(with_uneven_effects(self.fitter, self.ground, self.null, woken))
+
+    def _add(self, more: Sequence[Candidate]) -> None:
+        """Add explanations of effects that are known already, where they are better."""
         if more:
             self.found = refitted_from_best(self.fitter, self.ground, best_of_each(self.null, [*self.found, *more]))
             self.order = without_superfluous(ranked(self.null, self.found))

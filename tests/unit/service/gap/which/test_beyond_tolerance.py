@@ -7,19 +7,22 @@ import pytest
 
 from service.gap.diagnose import diagnose
 from service.gap.document import gap_document
-from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.candidates import Candidate, Fitter
+from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.weighing.ranking import Ranked, ranked
-from service.gap.which.beyond_tolerance import beyond_tolerance
+from service.gap.which.beyond_tolerance import beyond_tolerance, others_strained
 from service.gap.which.search import plain_twin
+from sim.reference import reference_rig
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
 TOLERANCE_M = 1e-3
+FIT = Fit(("eddy_currents",), np.zeros(40), (), reference_rig(), (), 0.0, np.arange(40), np.eye(40), "converged")
 
 
 def weighed(effects: dict[str, dict[str, float]], stated: bool = True) -> list[Ranked]:
@@ -31,7 +34,7 @@ def weighed(effects: dict[str, dict[str, float]], stated: bool = True) -> list[R
     ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
     with Fitter(1) as fitter:
         null, _ = plain_twin(fitter, ground)
-        return beyond_tolerance(fitter, ground, ranked(null, []))
+        return beyond_tolerance(fitter, ground, ranked(null, []), most=3)
 
 
 def moved(tolerances: float) -> dict[str, dict[str, float]]:
@@ -77,3 +80,30 @@ def test_the_diagnosis_says_that_it_is_the_datasheet_that_would_be_off() -> None
     assert "only with its datasheet off" in found["verdict"]["sentence"]
     (told,) = [note for note in found["notes"] if "would be off by more than a tolerance" in note]
     assert "sensor position A -3." in told
+
+
+def test_a_gain_that_no_tolerance_allows_is_named_beside_another_effect() -> None:
+    """Of mixtures it was never one, as the other effect with a datasheet far off left nothing."""
+    datasheet, truth = known_datasheet(seed=6)
+    datasheet = replace(datasheet, tolerance=replace(datasheet.tolerance, sensor_gain=0.01))
+    gains = {f"gain_change_{axis}": 0.07 if axis == "yA" else 0.0 for axis in ("xA", "xB", "yA", "yB")}
+    both = {"sensor_gain": gains, "loop_delay": {"delay_s": 2e-5}}
+    named = diagnose(experiment(with_effects(true_rig(truth), both)), datasheet).verdict.effects
+    assert set(named) == set(both)
+
+
+def test_values_of_all_kinds_that_are_off_beside_an_effect_are_no_sensor_s() -> None:
+    """They bear the error of a law: each may be off by as much as one gain that would be named."""
+    best = Candidate(("eddy_currents",), replace(FIT, penalty=60.0), 0.0, ())
+    assert not others_strained(best, ["one"], {"one": 6.0})
+    assert others_strained(replace(best, fit=replace(FIT, penalty=120.0)), ["one"], {"one": 6.0})
+
+
+@pytest.mark.parametrize("scale", [{"magnetic_saturation": {"saturation_inverse_per_a": 0.6}}])
+def test_none_is_named_beside_an_effect_whose_law_gives_the_scale(scale: dict[str, dict[str, float]]) -> None:
+    """Of two saturation laws one bends sooner, and so would be that of a rotor of another mass."""
+    datasheet, truth = known_datasheet(seed=6)
+    heavy = replace(truth, mass_kg=1.03 * truth.mass_kg)
+    sheet = replace(datasheet, tolerance=replace(datasheet.tolerance, mass=0.005))
+    named = diagnose(*one_plane(experiment(with_effects(true_rig(heavy), scale)), sheet)).verdict.effects
+    assert set(named) == set(scale)

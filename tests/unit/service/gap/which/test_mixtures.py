@@ -110,6 +110,35 @@ def test_values_that_bear_less_of_a_nonlinear_law_s_error_than_the_data_show_ask
     assert needs_all_effects(both, [both, *singles, leaving(gap, (), -200.0, (1.0, 1.0))]) is worth
 
 
+@pytest.mark.parametrize(
+    ("first", "noise_left", "worth"),
+    [(CROSS, 0.0, True), ("eddy_currents", 0.0, False), (CROSS, 0.2, False)],
+)
+def test_beside_a_coupling_all_that_a_second_effect_explains_to_noise_is_told(
+    first: str, noise_left: float, worth: bool
+) -> None:
+    """It may be a hundredth of the coupling's gap, which of a law that programs have otherwise would be an error."""
+    gap = (100_000.0, 0.0)
+    both = leaving(gap, (first, "internal_damping"), -10.0, (0.01 * noise_left, 0.0))
+    singles = [
+        leaving(gap, (first,), -90.0, (0.01, 0.0)),
+        leaving(gap, ("internal_damping",), -99.0, (0.9, 0.0)),
+    ]
+    assert needs_all_effects(both, [both, *singles, leaving(gap, (), -200.0, (1.0, 0.0))]) is worth
+
+
+@pytest.mark.parametrize(("hz", "worth"), [(700.0, True), (160.0, False)])
+def test_a_second_resonance_far_from_the_first_is_no_error_of_its_law(hz: float, worth: bool) -> None:
+    def resonances(effects: tuple[str, ...], evidence: float, left: float, *found_hz: float) -> Ranked:
+        r = explanation(effects, evidence, (left, 0.0))
+        fit = replace(r.candidate.fit, values=tuple({"frequency_hz": f} for f in found_hz))
+        return replace(r, candidate=replace(r.candidate, fit=fit))
+
+    both = resonances(("support_resonance", "extra_flexible_mode"), -10.0, 0.0, 150.0, hz)
+    one = resonances(("support_resonance",), -90.0, 0.05, 150.0)
+    assert needs_all_effects(both, [both, one]) is worth
+
+
 def test_one_effect_beside_values_that_no_datasheet_allows_makes_two_not_needless() -> None:
     both = explanation(("rotor_inertia", "sensor_position"), -10.0, (0.01, 0.01))
     singles = [explanation(("rotor_inertia",), -90.0, (0.3, 0.3)), explanation(("sensor_position",), -99.0, (0.9, 0.9))]
@@ -204,3 +233,29 @@ def test_of_two_fits_with_the_same_effects_the_likelier_is_kept_where_a_law_leav
     assert best_of_each(null, [near, nearer]) == [nearer]
     # a second plain twin would halve the probability of the first
     assert best_of_each(null, [near, replace(null, occam=null.occam + 1.0)]) == [near]
+
+
+def test_a_housing_and_a_mode_are_found_though_either_alone_is_no_likelier_than_nothing() -> None:
+    """The housing explains nine tenths of the gap alone, by values that make up for the mode."""
+    datasheet, truth = known_datasheet(seed=57)
+    mode = {"bearing_A_per_sqrt_kg": 0.05, "bearing_B_per_sqrt_kg": 0.03}
+    at_sensors = {"sensor_A_per_sqrt_kg": 0.04, "sensor_B_per_sqrt_kg": -0.02}
+    both = {
+        "support_resonance": {"inverse_mass_per_kg": 1 / 3000, "frequency_hz": 150.0, "damping_ratio": 0.03},
+        "extra_flexible_mode": {"frequency_hz": 700.0, "damping_ratio": 0.006, **mode, **at_sensors},
+    }
+    e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet, most=2)
+    assert set(e.order[0].candidate.effects) == set(both)
+
+
+def test_a_lag_of_sensors_beside_saturation_is_fitted_to_its_minimum() -> None:
+    """Where a strength has no derivative, as flux at zero, a step by its rounding errors ended the fit."""
+    datasheet, truth = known_datasheet(seed=58)
+    both = {"sensor_lag": {"time_constant_s": 2e-5}, "magnetic_saturation": {"saturation_inverse_per_a": 0.45}}
+    e = plant_of(*one_plane(experiment(with_effects(true_rig(truth), both), amplitude_a=0.2), datasheet), most=1)
+    begin = (
+        {"time_constant_s": 1.9e-5, "delay_s": 0.0},
+        {"saturation_inverse_per_a": 0.449, "flux_share": 0.0, "flux_power": 2.0},
+    )
+    c = fit_task(Task(e.ground, tuple(both), (begin,), np.zeros_like(e.null.candidate.fit.theta), (EXACT,)))
+    assert c.fit.cost < 1.2 * c.fit.n_residuals
