@@ -1,4 +1,4 @@
-"""Share of one channel's control signal in the other amplifier of the plane."""
+"""Share of one channel's control signal in another amplifier, of the same plane or of the same bearing."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,8 +13,12 @@ from sim.rig import Rig
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     plane = np.array([[0.0, p["share_ab"]], [p["share_ba"], 0.0]])
     more = p["plane_imbalance"]
-    of_planes = np.diag([1 + more, 1 - more]) if rig.n_planes == 2 else np.eye(1)
-    share = np.kron(of_planes, plane)
+    if rig.n_planes == 1:
+        share = plane
+    else:
+        share = np.kron(np.diag([1 + more, 1 - more]), plane)
+        for (x, y), end in zip(((0, 2), (1, 3)), "AB", strict=True):
+            share[x, y], share[y, x] = p[f"share_xy_{end}"], p[f"share_yx_{end}"]
     return replace(rig, amplifiers=replace(rig.amplifiers, crosstalk=rig.amplifiers.crosstalk + share))
 
 
@@ -28,11 +32,29 @@ EFFECT = Effect(
         Parameter(
             "share_ba", "1", -0.2, 0.2, 0.03, 0.0, description="share of u_A in amplifier B, mean of both planes"
         ),
+        *(
+            Parameter(
+                f"share_{into}{out_of}_{end}",
+                "1",
+                -0.2,
+                0.2,
+                0.0,
+                0.0,
+                description=f"share of u_{out_of}{end} in amplifier {into}{end}; not used on one plane",
+                strength=False,
+                optional=True,
+                dormant=True,
+                wakes=(0.01,),
+            )
+            for end in "AB"
+            for into, out_of in ("xy", "yx")
+        ),
         of_plane("the crosstalk", dormant=True),
     ),
     apply=_apply,
-    law="i_A = A (u_A + c_AB u_B), i_B = A (u_B + c_BA u_A), in each plane; shares c (1 + p) in x and c (1 - p) in y",
-    signature="off-diagonal of i/u within a plane, in phase with the diagonal",
+    law="i_A = A (u_A + c_AB u_B), i_B = A (u_B + c_BA u_A), in each plane; shares c (1 + p) in x and c (1 - p) in y; "
+    "at either bearing c_xy u_y in i_x, c_yx u_x in i_y",
+    signature="off-diagonal of i/u within a plane or a bearing, in phase with the diagonal",
     aliases=(),
     separated_by="logged i; without it the off-diagonals of y/u, which sensor position and mode shapes change too",
     source="Ott, Electromagnetic Compatibility Engineering, Wiley 2009, section 2.1 (crosstalk between channels)",
