@@ -16,6 +16,10 @@ from sim.rig import Array, Rig, Support
 Complex = NDArray[np.complex128]
 
 
+LEAST_SHARE = 1e-12
+"""Share of a housing's inverse mass below which there is none: its mass would leave the range of numbers."""
+
+
 @dataclass(frozen=True)
 class Mechanics:
     """Second-order equations of rotor and support, q coordinates and n axes."""
@@ -124,7 +128,7 @@ def _housings(support: Support, plane: int) -> list[tuple[NDArray[np.int64], tup
     return [
         (np.array(ends), (mass := support.mass_kg / part, 2 * damping * own * mass, mass * own**2))
         for ends, part, own, damping in housings
-        if part > 0
+        if part > LEAST_SHARE
     ]
 
 

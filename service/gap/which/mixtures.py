@@ -259,9 +259,12 @@ def _leaves_nothing(r: Ranked) -> bool:
 
 def _resonances_apart(c: Candidate) -> bool:
     """Whether two resonances are so far apart that neither is an error of the other's law; aliases are no others."""
-    found = {name: v["frequency_hz"] for name, v in zip(c.effects, c.fit.values, strict=True) if name in RESONANCES}
-    others = [(a, b) for a, b in combinations(c.effects, 2) if aliases(a, b) and not {a, b} <= set(found)]
-    return len(found) > 1 and not others and max(found.values()) > APART * min(found.values())
+    resonances = [k for k, name in enumerate(c.effects) if name in RESONANCES]
+    others = [pair for pair in combinations(c.effects, 2) if aliases(*pair) and not set(pair) <= set(RESONANCES)]
+    if len(resonances) < 2 or others:
+        return False
+    low, high = sorted(c.fit.values[k]["frequency_hz"] for k in resonances)
+    return high > APART * low
 
 
 def _gap_of_groups(order: Sequence[Ranked]) -> Real:
