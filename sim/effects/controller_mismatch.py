@@ -11,6 +11,8 @@ from sim.effect import Effect, Parameter
 from sim.imbalance import parameters, shares
 from sim.rig import Array, ControlLaw, Rig
 
+CANCELS = 1e-9
+"""Remainder of the numerator over a factor, relative to its coefficients, up to which the factor is in it."""
 OSCILLATES = 1e-6
 """Imaginary part of a pole or zero, over its size, from which it is one of a filter."""
 
@@ -61,14 +63,24 @@ def _tuned(polynomial: Array, frequency_change: float, damping_change: float) ->
     return np.asarray(polynomial[0] * kept * np.poly(tuned).real)
 
 
-def _parts_changed(b: Array, a: Array, half: tuple[float, float], integral: float, derivative: float) -> list[Array]:
+def _parts_changed(
+    b: Array, a: Array, half: tuple[float, float], integral: float, derivative: float
+) -> tuple[Array, Array]:
     """C (1 + (i wi wd + d s^2) / ((s + wi)(s + wd))) by Tustin's rule; ``half`` holds wi T/2 and wd T/2.
 
-    Of a PID, with its zeros at wi and wd, this changes the integral and the derivative part alone.
+    Of a PID, with its zeros at wi and wd, this changes the integral and the derivative part alone. A pole there cancels
+    a zero of C, and neither is written: a loop with both has eigenvalues that coincide.
     """
-    poles = np.polymul(*(np.array([1.0 + h, h - 1.0]) for h in half))
+    factors = [np.array([1.0 + h, h - 1.0]) for h in half]
     more = integral * half[0] * half[1] * np.array([1.0, 2.0, 1.0]) + derivative * np.array([1.0, -2.0, 1.0])
-    return [np.polymul(b, poles + more) / poles[0], np.polymul(a, poles) / poles[0]]
+    changed = np.polymul(*factors) + more
+    for factor in factors:
+        without, rest = np.polydiv(b, factor)
+        if np.abs(rest).max() < CANCELS * np.abs(b).max():
+            b = without
+        else:
+            a = np.polymul(a, factor)
+    return np.polymul(b, changed) / a[0], a / a[0]
 
 
 def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float], share: float) -> tuple[Array, Array]:

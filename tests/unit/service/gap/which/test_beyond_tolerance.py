@@ -86,9 +86,9 @@ def test_a_gain_that_no_tolerance_allows_is_named_beside_another_effect() -> Non
     """Of mixtures it was never one, as the other effect with a datasheet far off left nothing."""
     datasheet, truth = known_datasheet(seed=6)
     datasheet = replace(datasheet, tolerance=replace(datasheet.tolerance, sensor_gain=0.01))
-    gains = {f"gain_change_{axis}": 0.07 if axis == "yA" else 0.0 for axis in ("xA", "xB", "yA", "yB")}
-    both = {"sensor_gain": gains, "loop_delay": {"delay_s": 2e-5}}
-    named = diagnose(experiment(with_effects(true_rig(truth), both)), datasheet).verdict.effects
+    gains = {f"gain_change_{axis}": 0.07 if axis == "xA" else 0.0 for axis in ("xA", "xB", "yA", "yB")}
+    both = {"sensor_gain": gains, "eddy_currents": {"time_constant_s": 1e-6, "corner_rad_s": 1.0}}
+    named = diagnose(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet)).verdict.effects
     assert set(named) == set(both)
 
 

@@ -244,7 +244,7 @@ def test_a_housing_and_a_mode_are_found_though_either_alone_is_no_likelier_than_
         "support_resonance": {"inverse_mass_per_kg": 1 / 3000, "frequency_hz": 150.0, "damping_ratio": 0.03},
         "extra_flexible_mode": {"frequency_hz": 700.0, "damping_ratio": 0.006, **mode, **at_sensors},
     }
-    e = plant_of(experiment(with_effects(true_rig(truth), both)), datasheet, most=2)
+    e = plant_of(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet), most=2)
     assert set(e.order[0].candidate.effects) == set(both)
 
 
