@@ -18,7 +18,7 @@ OSCILLATES = 1e-6
 
 
 def corners_rad_s(law: ControlLaw) -> tuple[float, float]:
-    """Where C lags by 45 degrees, and where it leads by 45 degrees.
+    """Where C lags by 45 degrees, and where it leads by 45 degrees, rad/s.
 
     There the integral and the derivative part are as large as the proportional. Of a PID they are nearly the sizes of
     its two zeros, which are taken where they are real. A controller that never leads has no derivative part, one that
@@ -103,7 +103,7 @@ def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float],
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     law, of_axes = rig.controller, shares(rig, p)
-    lag, lead = corners_rad_s(law)
+    lag, lead = corners_rad_s(law) if p["derivative_change"] or p["integral_change"] else (0.0, 0.0)
     half = (lag * law.sample_time_s / 2, lead * law.sample_time_s / 2)
     b, a = _changed(law, half, p, 1.0)
     laws = law.apart or ((law.numerator, law.denominator),) * rig.n_axes

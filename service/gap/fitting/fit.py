@@ -209,8 +209,9 @@ class _Derivatives:
 def _within(hessian: Real, pull: Real, movable: Mask, lowest: Mask, highest: Mask) -> Real:
     """Projected Newton step (Bertsekas, SIAM J. Control Optim. 20, 1982): values at a bound do not cross it.
 
-    They are held there and the step of the others is solved for again. If the full step were clipped instead, the
-    others would miss their optimum with that value at its bound, and the fit would converge slowly.
+    Only ``movable`` values move, (a + e,). Those at a bound are held and the step of the others is solved for again. If
+    the full step were clipped instead, the others would miss their optimum with that value at its bound, and the fit
+    would converge slowly.
     """
     free = movable.copy()
     while True:
