@@ -60,6 +60,8 @@ class Parameter:
     description: str = ""
     strength: bool = True
     """False for a parameter that shapes the effect without making it vanish (a resonance's frequency)."""
+    amount: bool = False
+    """True for one that is an amount all the same, of which axes that differ have different shares."""
     optional: bool = False
     """True where the law is simpler with it at ``null``: it is reported there unless the data contradict."""
     dormant: bool = False
@@ -68,8 +70,7 @@ class Parameter:
     """Of a dormant one, starts of the fits in which it is free, once the effect without it leaves too much; empty where
     something else decides on that."""
     goes_with: Size | None = None
-    """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for
-    the
+    """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for the
     reference rig."""
 
     def of(self, rig: Rig) -> Parameter:

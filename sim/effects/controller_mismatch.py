@@ -5,16 +5,48 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim import control_law
 from sim.effect import Effect, Parameter
 from sim.imbalance import parameters, shares
 from sim.rig import Array, ControlLaw, Rig
 
+Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
 CANCELS = 1e-9
 """Remainder of the numerator over a factor, relative to its coefficients, up to which the factor is in it."""
 OSCILLATES = 1e-6
 """Imaginary part of a pole or zero, over its size, from which it is one of a filter."""
+SAME_NOTCH = 3.0
+"""Ratio of the frequencies of a notch's zeros and poles, at most."""
+INTEGRATES = 0.999
+"""Real pole from which it is an integrator's, leaky ones included: 1.6 Hz at 10 kHz."""
+OF_FILTERS = {
+    "notch_frequency_change": (
+        (0.02, -0.02),
+        -0.4,
+        0.6,
+        "frequencies of the notches in C, its complex zeros and their poles",
+    ),
+    "lowpass_frequency_change": (
+        (0.02,),
+        -0.4,
+        0.6,
+        "frequencies of the low-pass filters in C, its other complex poles",
+    ),
+    "rolloff_frequency_change": (
+        (0.02,),
+        -0.6,
+        2.0,
+        "frequencies at which C rolls off, its real poles without integrators",
+    ),
+    "notch_zero_damping_change": ((0.02,), -0.9, 3.0, "damping ratios of the notches' zeros"),
+    "notch_pole_damping_change": ((0.02,), -0.9, 3.0, "damping ratios of the notches' poles"),
+    "lowpass_damping_change": ((0.02,), -0.9, 3.0, "damping ratios of the low-pass filters"),
+}
+"""Relative changes of filters: where fits of each start, its range, and of what it is."""
 
 
 def corners_rad_s(law: ControlLaw) -> tuple[float, float]:
@@ -46,21 +78,63 @@ def _real_zeros_rad_s(law: ControlLaw) -> list[float]:
     return [float(2 * (1 - z) / (1 + z) / law.sample_time_s) for z in real if 0.0 < z < 1.0]
 
 
-def _tuned(polynomial: Array, frequency_change: float, damping_change: float) -> Array:
-    """A polynomial in z whose complex roots are those of filters tuned otherwise; its value at z = 1 stays.
+def _tuned(law_b: Array, law_a: Array, c: Mapping[str, float]) -> tuple[Array, Array]:
+    """Numerator and denominator of C with its filters tuned otherwise; each keeps its value at z = 1.
 
     By Tustin's rule a root is s = 2/T (z - 1)/(z + 1); its size and its damping ratio change.
     """
-    roots = np.roots(polynomial).astype(complex)
-    filters = np.abs(roots.imag) > OSCILLATES * np.abs(roots)
-    s = (roots[filters] - 1) / (roots[filters] + 1)
+    zeros, poles = np.roots(law_b).astype(complex), np.roots(law_a).astype(complex)
+    of_notch, rolls_off = _of_notch(zeros, poles), _rolls_off(poles)
+    lowpass = _oscillates(poles) & ~of_notch
+    notch, low = (c["notch_frequency_change"], c["lowpass_frequency_change"])
+    new_zeros = _moved(zeros, _oscillates(zeros), notch, c["notch_zero_damping_change"])
+    new_poles = _moved(poles, of_notch, notch, c["notch_pole_damping_change"])
+    new_poles = _moved(new_poles, lowpass, low, c["lowpass_damping_change"])
+    new_poles = _moved(new_poles, rolls_off, c["rolloff_frequency_change"], 0.0)
+    return _polynomial(law_b, zeros, new_zeros), _polynomial(law_a, poles, new_poles)
+
+
+def _polynomial(former: Array, roots: Complex, moved: Complex) -> Array:
+    """A polynomial in z with moved roots, and the value of the former one at z = 1."""
+    still = moved == roots
+    kept = float(np.prod((1 - roots[~still]) / (1 - moved[~still])).real)
+    return np.asarray(former[0] * kept * np.poly(moved).real)
+
+
+def _oscillates(roots: Complex) -> Mask:
+    """Which roots are complex: those of filters."""
+    return np.asarray(np.abs(roots.imag) > OSCILLATES * np.abs(roots))
+
+
+def _of_notch(zeros: Complex, poles: Complex) -> Mask:
+    """Which poles belong to notches: to each pair of complex zeros the complex poles that are nearest in frequency."""
+    size, taken = np.abs((poles - 1) / (poles + 1)), np.zeros(len(poles), dtype=bool)
+    for zero in zeros[_oscillates(zeros) & (zeros.imag > 0)]:
+        free = np.flatnonzero(_oscillates(poles) & (poles.imag > 0) & ~taken)
+        away = np.abs(np.log(size[free] / np.abs((zero - 1) / (zero + 1))))
+        if len(free) and away.min() < np.log(SAME_NOTCH):
+            taken |= np.isclose(poles, poles[free[away.argmin()]]) | np.isclose(
+                poles, poles[free[away.argmin()]].conjugate()
+            )
+    return taken
+
+
+def _rolls_off(poles: Complex) -> Mask:
+    """Which poles are real and no integrator's: those at which the derivative part rolls off."""
+    return np.asarray(~_oscillates(poles) & (poles.real > 0.0) & (poles.real < INTEGRATES))
+
+
+def _moved(roots: Complex, which: Mask, frequency_change: float, damping_change: float) -> Complex:
+    """The roots, some of them with another frequency and another damping ratio."""
+    if not (frequency_change or damping_change):
+        return roots
+    s = (roots[which] - 1) / (roots[which] + 1)
     damping = np.minimum(-s.real / np.abs(s) * (1 + damping_change), 1.0)
     turned = -damping + 1j * np.sign(s.imag) * np.sqrt(1 - damping**2)
     moved = (1 + frequency_change) * np.abs(s) * turned
-    tuned = roots.copy()
-    tuned[filters] = (1 + moved) / (1 - moved)
-    kept = float(np.prod((1 - roots[filters]) / (1 - tuned[filters])).real)
-    return np.asarray(polynomial[0] * kept * np.poly(tuned).real)
+    out = roots.copy()
+    out[which] = (1 + moved) / (1 - moved)
+    return out
 
 
 def _parts_changed(
@@ -86,12 +160,9 @@ def _parts_changed(
 def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float], share: float) -> tuple[Array, Array]:
     """Numerator and denominator of a controller that changes by a share of the effect."""
     b, a = np.asarray(law.numerator, dtype=float), np.asarray(law.denominator, dtype=float)
-    changes = {
-        name: share * p[name] for name in ("filter_frequency_change", "zero_damping_change", "pole_damping_change")
-    }
+    changes = {name: share * p[name] for name in OF_FILTERS}
     if any(changes.values()):
-        frequency_change, of_zeros, of_poles = changes.values()
-        b, a = _tuned(b, frequency_change, of_zeros), _tuned(a, frequency_change, of_poles)
+        b, a = _tuned(b, a, changes)
     if p["derivative_change"] or p["integral_change"]:
         b, a = _parts_changed(b, a, half, share * p["integral_change"], share * p["derivative_change"])
     if p["lag_samples"]:
@@ -133,46 +204,35 @@ EFFECT = Effect(
             0.0,
             description="relative change of the integral part",
             strength=False,
+            amount=True,
             optional=True,
             dormant=True,
             wakes=(0.1,),
         ),
-        Parameter(
-            "filter_frequency_change",
-            "1",
-            -0.4,
-            0.6,
-            0.0,
-            0.0,
-            description="relative change of the frequencies of the filters in C, its complex poles and zeros",
-            strength=False,
-            optional=True,
-            dormant=True,
-            wakes=(0.02, -0.02),
-        ),
         *(
             Parameter(
-                f"{one}_damping_change",
+                name,
                 "1",
-                -0.9,
-                3.0,
+                low,
+                high,
                 0.0,
                 0.0,
-                description=f"relative change of the damping ratios of the filters' {one}s",
+                description=f"relative change of the {of_what}",
                 strength=False,
+                amount=True,
                 optional=True,
                 dormant=True,
-                wakes=(0.02,),
+                wakes=wakes,
             )
-            for one in ("zero", "pole")
+            for name, (wakes, low, high, of_what) in OF_FILTERS.items()
         ),
         *parameters("controllers", dormant=True),
     ),
     apply=_apply,
     law="C'(z) = (1 + g) C(z) (1 + (i wi wd + d s^2)/((s + wi)(s + wd))) ((1 - l) + l/z), C lags by 45 degrees at wi "
-    "and leads by 45 degrees at wd; of the filters in C, "
-    "its complex poles and zeros, frequencies (1 + f) and damping ratios (1 + za), (1 + zb); where some axes change "
-    "more, each change in proportion to (1 +- e)(1 +- p), + at A, + in x",
+    "and leads by 45 degrees at wd; of the notches in C (complex zeros and the poles nearest to them), its low-pass "
+    "filters (other complex poles) and its roll-off (real poles), frequencies (1 + f) and damping ratios (1 + z), each "
+    "of its own; where some axes change more, each change in proportion to (1 +- e)(1 +- p), + at A, + in x",
     signature="U - R + C Y is not nil and is proportional to C Y; i/u and y/i are as before",
     aliases=("logging_offset",),
     separated_by="an offset of the log turns U by exactly n T w at any frequency, a mismatch turns and scales C Y only",

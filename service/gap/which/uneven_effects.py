@@ -139,9 +139,9 @@ def _changes(problem: Problem, rigs: Sequence[Rig], without: Rig, sweep: int, we
 
 
 def _scaled(effect: Effect, values: Mapping[str, float], share: float) -> dict[str, float]:
-    """An effect's parameters without its imbalances, its strengths multiplied by ``share``."""
+    """An effect's parameters without its imbalances, its strengths and amounts multiplied by ``share``."""
     return {
-        p.name: float(np.clip(values[p.name] * share, p.low, p.high)) if p.strength else values[p.name]
+        p.name: float(np.clip(values[p.name] * share, p.low, p.high)) if p.strength or p.amount else values[p.name]
         for p in effect.parameters
         if p.name not in imbalance.NAMES
     }

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear
 
 from sim import actuator, amplifier, control_law
 from sim.effects import CATALOGUE, effect
@@ -54,21 +55,53 @@ def test_controller_lag_is_a_share_of_a_sample():
 
 def test_controller_filters_are_tuned_to_another_frequency_and_damping():
     omega = 2 * np.pi * np.array([2.0, 200.0, 700.0, 780.0, 2000.0])
-    tuned = {"filter_frequency_change": 0.04, "zero_damping_change": 0.5, "pole_damping_change": -0.2}
+    damping = {"notch_zero_damping_change": 0.5, "notch_pole_damping_change": -0.2}
+    tuned = {"notch_frequency_change": 0.04, **damping}
     changed = control_law.response(alone("controller_mismatch", **tuned).controller, omega)
     b, a = pid_with_biquad(notch_hz=1.04 * 750.0, notch_damping=(1.5 * 0.2, 0.8 * 0.7))
     np.testing.assert_allclose(changed, control_law.response(ControlLaw(b, a, 1e-4), omega), rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("change", "tuned"),
+    [
+        ({"notch_frequency_change": 0.1}, {"notch_hz": 1.1 * 440.0}),
+        ({"lowpass_frequency_change": -0.1}, {"lowpass_hz": 0.9 * 1800.0}),
+        ({"lowpass_damping_change": 0.2}, {"lowpass_damping": 1.2 * 0.6}),
+        ({"rolloff_frequency_change": 0.5}, {"rolloff_hz": 1.5 * 1200.0}),
+    ],
+)
+def test_each_filter_of_a_controller_is_tuned_by_itself(change: dict[str, float], tuned: dict[str, float]):
+    """A PID with a low-pass filter, a notch and the roll-off of its derivative part, each written in s."""
+    rig = replace(RIG, controller=_pid_with_filters())
+    changed = alone("controller_mismatch", rig, **change).controller
+    omega = 2 * np.pi * np.array([2.0, 100.0, 430.0, 500.0, 1500.0, 3000.0])
+    expected = control_law.response(_pid_with_filters(**tuned), omega)
+    np.testing.assert_allclose(control_law.response(changed, omega), expected, rtol=1e-6)
+
+
+def _pid_with_filters(
+    notch_hz: float = 440.0, lowpass_hz: float = 1800.0, lowpass_damping: float = 0.6, rolloff_hz: float = 1200.0
+) -> ControlLaw:
+    """K (1 + wi/s) (s/wd + 1) / (s/wr + 1) with a notch and a low-pass filter, by Tustin's rule at 10 kHz."""
+    wi, wd, wr, wn, wl = 2 * np.pi * np.array([0.5, 40.0, rolloff_hz, notch_hz, lowpass_hz])
+    numerator, denominator = 3e4 * np.polymul([1.0, wi], [1 / wd, 1.0]), np.array([1 / wr, 1.0, 0.0])
+    numerator = np.polymul(numerator, [1 / wn**2, 2 * 0.05 / wn, 1.0])
+    denominator = np.polymul(denominator, [1 / wn**2, 2 * 0.4 / wn, 1.0])
+    denominator = np.polymul(denominator, [1 / wl**2, 2 * lowpass_damping / wl, 1.0])
+    b, a = bilinear(numerator, denominator, 1e4)
+    return ControlLaw(np.asarray(b), np.asarray(a), 1e-4)
+
+
 def test_a_controller_without_filters_has_none_to_tune():
     law = ControlLaw(np.array([3.0, -2.0]), np.array([1.0, -0.5]), 1e-4)
-    tuned = alone("controller_mismatch", replace(RIG, controller=law), filter_frequency_change=0.04).controller
+    tuned = alone("controller_mismatch", replace(RIG, controller=law), notch_frequency_change=0.04).controller
     omega = np.array([50.0, 5000.0])
     np.testing.assert_allclose(control_law.response(tuned, omega), control_law.response(law, omega), rtol=1e-12)
 
 
 def test_a_controller_of_one_axis_alone_runs_as_its_linear_model_says():
-    one = {"gain_change": 0.01, "derivative_change": 0.01, "lag_samples": 0.01, "filter_frequency_change": 0.01}
+    one = {"gain_change": 0.01, "derivative_change": 0.01, "lag_samples": 0.01, "notch_frequency_change": 0.01}
     rig = alone("controller_mismatch", **one, end_imbalance=-1.0, plane_imbalance=1.0)
     hz = np.array([47.0, 489.0])
     changed = np.abs(linear_model(rig, hz).controllers / linear_model(RIG, hz).controllers - 1)

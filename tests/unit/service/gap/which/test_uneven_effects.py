@@ -42,11 +42,11 @@ def test_one_soft_pedestal_of_four_is_told_by_its_axis() -> None:
 
 SAME = {"gain_change": 0.0, "derivative_change": 0.0, "lag_samples": 0.0}
 ONE_AXIS = {"end_imbalance": -1.0, "plane_imbalance": 1.0}
-TUNED = {"filter_frequency_change": 0.03, "zero_damping_change": 0.0, "pole_damping_change": 0.0}
-OTHER = {"filter_frequency_change": 0.0, "zero_damping_change": 0.0, "pole_damping_change": 0.1}
+TUNED = {"notch_frequency_change": 0.03, "notch_zero_damping_change": 0.0, "notch_pole_damping_change": 0.0}
+OTHER = {"notch_frequency_change": 0.0, "notch_zero_damping_change": 0.0, "notch_pole_damping_change": 0.1}
 
 
-NOTCH_OF_ONE = {"filter_frequency_change": -0.0125, "end_imbalance": -1.0, "plane_imbalance": -1.0}
+NOTCH_OF_ONE = {"notch_frequency_change": -0.0125, "end_imbalance": -1.0, "plane_imbalance": -1.0}
 """Of yB alone, which is a quarter of the mean; taken for all four alike it explains a fifth of the gap."""
 
 
