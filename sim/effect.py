@@ -70,8 +70,8 @@ class Parameter:
     """Of a dormant one, starts of the fits in which it is free, once the effect without it leaves too much; empty where
     something else decides on that."""
     goes_with: Size | None = None
-    """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for the
-    reference rig."""
+    """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for
+    the reference rig."""
 
     def of(self, rig: Rig) -> Parameter:
         """The parameter with its range scaled to a rig."""

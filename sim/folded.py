@@ -87,6 +87,8 @@ NOT_IN_MODEL = {
     "within a plane, and the margins those of planes by themselves",
     "magnets.cross_coupling_symmetric": "it couples the planes, which are identified one by one: ki and ks are what "
     "acts within a plane, and the margins those of planes by themselves",
+    "magnets.turned_whole": "it couples the planes, which are identified one by one: ki and ks are what acts within a "
+    "plane, and the margins those of planes by themselves",
     "seal_cross_stiffness_n_per_m": "it couples the planes, which are identified one by one: the damping that it takes "
     "from a whirl is not in the margins",
     "seal_cross_stiffness_by_speed_ns_per_m": "it couples the planes, which are identified one by one: the damping "

@@ -134,6 +134,8 @@ class Magnets:
     """Flux density at the bias over that at which a pole saturates, 0 for none, (n,)."""
     flux_power: float = 4.0
     """n of a pole's pull / (1 + (B/Bs)^n)"""
+    turned_whole: float = 0.0
+    """1 where magnets whose force is turned pull along turned axes, too; 0 where the force alone is turned."""
     hysteresis_narrowest_a: float = 0.0
     """Half width of the narrowest play of the iron; those of a Rayleigh loop begin at 0 and have no end."""
     hysteresis_widest_inverse_per_a: float = 0.0

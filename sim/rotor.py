@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim import actuator
 from sim.rig import Array, Rig, Support
 
 Complex = NDArray[np.complex128]
@@ -85,6 +86,8 @@ def mechanics(rig: Rig) -> Mechanics:
     if sealed(rig):
         stiffness += bearing_map.T @ seal_stiffness(rig) @ bearing_map
         damping += bearing_map.T @ seal_damping(rig) @ bearing_map
+    if rig.magnets.turned_whole:
+        stiffness -= bearing_map.T @ pull_along_turned_axes(rig) @ bearing_map
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
 
 
@@ -101,6 +104,16 @@ def seal_stiffness(rig: Rig) -> Array:
 def seal_damping(rig: Rig) -> Array:
     """Damping of seals at the bearings of two planes, (4, 4), on the right-hand side as their stiffness."""
     return np.asarray(np.kron(np.eye(2), _direct_damping(rig)))
+
+
+def pull_along_turned_axes(rig: Rig) -> Array:
+    """What magnets that are turned as a whole pull more with displacement than turned forces do, N/m, (n, n).
+
+    R ks R^T - R ks, R the rotation of the forces, times the share that is turned as a whole: a magnet meets the
+    displacement along its own axis.
+    """
+    turn = actuator.force_rotation(rig)
+    return np.asarray(rig.magnets.turned_whole * turn @ np.diag(rig.magnets.ks) @ (turn.T - np.eye(rig.n_axes)))
 
 
 def _cross_stiffness(rig: Rig) -> Array:

@@ -194,6 +194,7 @@ def test_each_of_its_parameters_counts(one):
     of_pedestals = {"pedestals": 0.5} if one.id == "support_resonance" else {}  # where there are any
     beside = dict.fromkeys(("frequency_ratio", "damping_quotient", "end_imbalance"), of_pedestals)
     beside["coupling_imbalance"] = {"mode_coupling": 0.02}
+    beside["turned_whole"] = {"rotation_rad": 0.04}
 
     tone = np.zeros((1, 4, 4), dtype=complex)
     tone[0, 1] = 1.2

@@ -111,6 +111,17 @@ def test_a_controller_of_one_axis_alone_runs_as_its_linear_model_says():
     np.testing.assert_allclose(found.u_per_r, model.u_per_r, atol=1e-3 * np.abs(model.u_per_r).max())
 
 
+def test_magnets_turned_as_a_whole_push_along_turned_axes_of_a_rotor_that_is_alike_in_both():
+    """Where x and y are alike, turned axes pull with displacement as before, and only currents act across."""
+    alike = replace(RIG.magnets, ki=np.tile(RIG.magnets.ki[:2], 2), ks=np.tile(RIG.magnets.ks[:2], 2))
+    rig, hz, angle = replace(RIG, magnets=alike), np.array([14.0, 90.0, 480.0]), 0.03
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.kron(np.array([[c, s], [-s, c]]), np.eye(2))
+    whole = alone("magnetic_cross_coupling", rig, rotation_rad=angle, turned_whole=1.0)
+    before = linear_model(rig, hz).y_per_i
+    np.testing.assert_allclose(linear_model(whole, hz).y_per_i, before @ turn, atol=1e-9 * np.abs(before).max())
+
+
 def test_crosstalk_of_one_plane_alone_leaves_the_other_without():
     crosstalk = alone("channel_crosstalk", share_ab=0.02, share_ba=0.01, plane_imbalance=-1.0).amplifiers.crosstalk
     np.testing.assert_array_equal(crosstalk[:2, :2], np.eye(2))
