@@ -95,6 +95,7 @@ NOT_IN_MODEL = {
     "that it takes from a whirl is not in the margins",
     "seal_damping_ns_per_m": _SEAL_DAMPS,
     "seal_damping_times_speed_n_per_m": _SEAL_DAMPS,
+    "seal_bow_per_sqrt_kg": "it is where modes move the shaft at a seal, which couples the planes: nothing without one",
     "drift": "the model's magnets do not change with time: ki and ks are means over the experiment, and residuals grow "
     "with what they changed meanwhile",
     "contact": "the model's rotor is free: where it touches, ki, ks and damping ratios are wrong; keep displacements "

@@ -299,6 +299,8 @@ class Rig:
     """C of direct damping fx = -C x', fy = -C y' of seals whose cross stiffness goes with the speed, (2, 2)."""
     seal_damping_times_speed_n_per_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
     """C W of those whose cross stiffness does not: damping that is stated by what it is at the rig's speed, (2, 2)."""
+    seal_bow_per_sqrt_kg: tuple[float, ...] = ()
+    """How much farther than the bearings the first modes move the shaft at the seals, the same in both planes."""
     disturbances: tuple[Disturbance, ...] = ()
     noise: Noise = field(default_factory=Noise)
     logging_offset_samples: float = 0.0

@@ -84,8 +84,9 @@ def mechanics(rig: Rig) -> Mechanics:
         mass[k, k], damping[k, k], stiffness[k, k] = of_housing
         bearing_map[axes, k] = sensor_map[axes, k] = -1.0
     if sealed(rig):
-        stiffness += bearing_map.T @ seal_stiffness(rig) @ bearing_map
-        damping += bearing_map.T @ seal_damping(rig) @ bearing_map
+        at_seals = seal_map(rig, bearing_map)
+        stiffness += at_seals.T @ seal_stiffness(rig) @ at_seals
+        damping += at_seals.T @ seal_damping(rig) @ at_seals
     if rig.magnets.turned_whole:
         stiffness -= bearing_map.T @ pull_along_turned_axes(rig) @ bearing_map
     return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
@@ -94,6 +95,19 @@ def mechanics(rig: Rig) -> Mechanics:
 def sealed(rig: Rig) -> bool:
     """Whether seals act on a rig of two planes, at its speed."""
     return rig.n_planes == 2 and bool(np.any(_cross_stiffness(rig)) or np.any(_direct_damping(rig)))
+
+
+def seal_map(rig: Rig, bearing_map: Array) -> Array:
+    """Displacement at the bearings, as seals meet it, per generalised coordinate, (4, n_q).
+
+    Between the bearings a mode moves the shaft farther than a straight line through both, or the other way.
+    """
+    out, start = bearing_map.copy(), 2
+    for plane, modes in enumerate(rig.rotor.modes):
+        bows = rig.seal_bow_per_sqrt_kg[: len(modes)]
+        out[2 * plane : 2 * plane + 2, start : start + len(bows)] += bows
+        start += 2 + len(modes)
+    return out
 
 
 def seal_stiffness(rig: Rig) -> Array:

@@ -6,13 +6,16 @@ damper alone is not taken for a seal. Their direct stiffness is small, and canno
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
 from sim.effect import Effect, Parameter
 from sim.imbalance import of_end
 from sim.rig import Rig
-from sim.sizes import STIFFNESS
+from sim.sizes import MASS, STIFFNESS
+
+BOWS = ("mode1_bow_per_sqrt_kg", "mode2_bow_per_sqrt_kg")
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -28,6 +31,34 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         seal_damping_ns_per_m=rig.seal_damping_ns_per_m + damps * abs(p["by_speed_ns_per_m"]) * shape,
         seal_damping_times_speed_n_per_m=rig.seal_damping_times_speed_n_per_m
         + damps * abs(p["stiffness_n_per_m"]) * shape,
+        seal_bow_per_sqrt_kg=_bows(rig, p),
+    )
+
+
+def _bows(rig: Rig, p: Mapping[str, float]) -> tuple[float, ...]:
+    """Those of the rig and of the effect together; none where it has none."""
+    own = tuple(p[name] for name in BOWS)
+    return (
+        tuple(map(sum, zip_longest(rig.seal_bow_per_sqrt_kg, own, fillvalue=0.0)))
+        if any(own)
+        else rig.seal_bow_per_sqrt_kg
+    )
+
+
+def _bow(mode: int, wakes: tuple[float, ...]) -> Parameter:
+    return Parameter(
+        BOWS[mode - 1],
+        "1/sqrt(kg)",
+        -0.6,
+        0.6,
+        0.0,
+        0.0,
+        description=f"how much farther mode {mode} moves the shaft at the seal than at the bearings",
+        strength=False,
+        optional=True,
+        dormant=True,
+        wakes=wakes,
+        goes_with=MASS**-0.5,
     )
 
 
@@ -84,10 +115,13 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        _bow(1, (0.1, -0.1)),  # one of the other sign is another local minimum
+        _bow(2, (0.02, -0.02)),
     ),
     apply=_apply,
     law="f_x = -(1 +- e) ((k + k' W) y + c x'), f_y = (1 +- e) ((k + k' W) x - c y'), + at A; between the bearings "
-    "twice of it at the mean of both displacements, weighted by 1 +- e",
+    "twice of it at the mean of both displacements, weighted by 1 +- e, and what flexible modes move the shaft farther "
+    "there, d q",
     signature="antisymmetric off-diagonal x-y of y/i at low frequency; takes damping from one whirl",
     aliases=("gyroscopic_coupling", "magnetic_cross_coupling"),
     separated_by="low frequency: gyroscopic coupling grows with frequency and speed; a rotation of the magnets stays "

@@ -40,7 +40,7 @@ EFFECT = Effect(
             strength=False,
             optional=True,
             dormant=True,
-            wakes=(1.0,),
+            wakes=(0.9,),
         ),
         of_end("the magnets", dormant=True),
     ),

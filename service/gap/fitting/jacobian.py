@@ -231,10 +231,11 @@ def _mechanical_columns(
     c, r = 6 * rig.n_axes, rig.rotor
     s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
     per_displacement, force = per_force @ magnets, motion.force
-    if rotor.sealed(rig):  # a seal acts at the bearings too
+    if rotor.sealed(rig):  # a seal acts at the bearings too, or where modes move the shaft farther
         seal = rotor.seal_stiffness(rig) + motion.s[:, None, None] * rotor.seal_damping(rig)
-        per_displacement = per_displacement - per_force @ seal
-        force = force - (seal @ (motion.q @ m.bearing_map.T)[..., None])[..., 0]
+        at_seals = rotor.seal_map(rig, m.bearing_map)
+        per_displacement = per_displacement - motion.y_per_push @ at_seals.T @ seal
+        force = force - (seal @ (motion.q @ at_seals.T)[..., None])[..., 0]
 
     def pushed(coordinate: int, generalised_force: Complex) -> Complex:
         """Sensor signals, (P, n), of a generalised force (P, 1) on one coordinate."""

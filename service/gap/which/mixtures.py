@@ -50,6 +50,9 @@ OF_ONE_LAW = frozenset(
 """Effects whose law is one matrix, the same in any program. They couple what else is apart, and so make gaps in which a
 second effect is a share less than that of another law's error; it is told where it explains what they leave to
 noise."""
+TRUSTED = 15.0
+"""Lead in log evidence by which a second effect is told beside such a one though that leaves no more than noise: values
+of the datasheet make up for it, each within its tolerance, and no error of a law can have drawn them there."""
 APART = 1.3
 """Ratio of the frequencies of two resonances from which they are two."""
 
@@ -242,7 +245,7 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     exact = not alias and _leaves_nothing(mixture)
     return all(
         np.any((np.array(r.apart) > _tolerated(r, alias, gap)) & (left < np.array(r.apart) / 3))
-        or (exact and _of_one_law(r) and not _leaves_nothing(r))
+        or (exact and _of_one_law(r) and (not _leaves_nothing(r) or mixture.log_evidence - r.log_evidence > TRUSTED))
         for r in allowed
     )
 

@@ -193,6 +193,17 @@ def test_a_seal_that_damps_takes_the_power_of_what_moves_in_it():
     np.testing.assert_array_equal(rotor.seal_damping(seal.on(RIG, **law)), 0.0)
 
 
+def test_a_seal_at_mid_span_pushes_where_a_mode_moves_the_shaft():
+    """Its power is that of its force and the motion of the shaft at the seal, whichever way the rotor bends."""
+    law = {"stiffness_n_per_m": 1e5, "between": 1.0, "mode1_bow_per_sqrt_kg": -0.25}
+    m, plain = rotor.mechanics(effect("cross_coupled_stiffness").on(RIG, **law)), rotor.mechanics(RIG)
+    q = 1e-6 * np.random.default_rng(3).standard_normal((2, len(m.mass)))
+    starts = np.array([0, 2 + len(RIG.rotor.modes[0])])
+    at_seal = [(plain.bearing_map[2 * k : 2 * k + 2] @ q.T).mean(axis=0) - 0.25 * q.T[starts[k] + 2] for k in (0, 1)]
+    work = -q[0] @ (m.stiffness - plain.stiffness) @ q[1]  # of the forces of one motion along the other one
+    assert work == pytest.approx(2e5 * (at_seal[1][0] * at_seal[0][1] - at_seal[0][0] * at_seal[1][1]), rel=1e-9)
+
+
 def test_a_seal_that_carries_the_fluid_round_damps_alike_at_all_speeds():
     law = {"stiffness_n_per_m": 0.0, "by_speed_ns_per_m": 150.0, "inverse_whirl_ratio": 2.0}
     for speed in (100.0, 300.0):

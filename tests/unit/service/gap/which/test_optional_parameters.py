@@ -71,6 +71,15 @@ def test_a_disc_that_modes_tilt_is_found_beside_another_effect() -> None:
     assert found[OF_A_DISC[2]] == pytest.approx(0.73, abs=0.2)
 
 
+def test_a_seal_at_mid_span_is_named_alone_though_the_rotor_bends_there() -> None:
+    """On a straight line through the bearings, sensors elsewhere or internal damping were needed beside it."""
+    seal = {"stiffness_n_per_m": 1e5, "end_imbalance": 0.0, "between": 1.0, "mode1_bow_per_sqrt_kg": -0.25}
+    best = explained({"cross_coupled_stiffness": seal}).order[0].candidate
+    assert best.effects == ("cross_coupled_stiffness",)
+    found = best.fit.values[0]
+    assert {name: found[name] for name in seal} == pytest.approx(seal, rel=0.05, abs=0.02)
+
+
 @pytest.mark.parametrize("damping", [0.0, 0.75])
 def test_a_seal_is_named_with_its_damping_or_without_any(damping: float) -> None:
     """By its stiffness alone it drove the datasheet's values to their bounds."""
