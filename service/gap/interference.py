@@ -36,6 +36,8 @@ MAINS_HZ = tuple(mains * k for k in (1, 2, 3, 6) for mains in (50.0, 60.0))
 """The mains, and the multiples of it that rectifiers make."""
 MULTIPLES = (1, 2, 3, 5)
 """Multiples of a source's frequency at which it also adds to the signals."""
+OVERTONES = range(2, 7)
+"""Multiples of the loudest source that may be taken for another one."""
 NEAR_HUM = 0.06
 """Relative distance up to which a harmonic of a point is near an interference."""
 FAR_FROM_HUM = (0.45, 0.8)
@@ -112,11 +114,27 @@ def _all_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]])
     if not found or sweep.Y.shape[1] <= PATTERNS + 1:
         return found
     loudest, by = found[0], beside_hum(sweep, found[0].frequency_hz)
-    others = (e for e in wanted if e != loudest.effect)
-    beside = [one for e in others if (one := _by_phase(sweep, rig, e, wanted[e], by)) is not None]
+    others = {e: _no_overtones(sweep, loudest, wanted[e], by) for e in wanted if e != loudest.effect}
+    beside = [one for e, hz in others.items() if hz and (one := _by_phase(sweep, rig, e, hz, by)) is not None]
     alike = (one.effect for one in found[1:] if abs(one.frequency_hz - loudest.frequency_hz) < resolution_hz(sweep))
     aliases = tuple(e for e in alike if e not in {one.effect for one in beside})
     return [replace(loudest, aliases=aliases), *beside]
+
+
+def _no_overtones(
+    sweep: Sweep, loudest: Interference, frequencies_hz: Sequence[float], by: Estimate
+) -> tuple[float, ...]:
+    """The frequencies without those at which an overtone of the loudest source nearby is heard better.
+
+    Runout has some, and twice the speed of a rotor that turns at nearly the mains is nearly twice the mains.
+    """
+
+    def deviate(hz: float) -> float:
+        return coherence(sweep, sweep.Y, hz, by)[1]
+
+    overtones = [k * loudest.frequency_hz for k in OVERTONES]
+    near = {f: [g for g in overtones if 0 < abs(g / f - 1) < NEAR_HUM] for f in frequencies_hz}
+    return tuple(f for f in frequencies_hz if not any(deviate(g) > deviate(f) for g in near[f]))
 
 
 def told_apart(sources: Sequence[Interference], main: Sweep, other: Sweep, rig: Rig) -> tuple[Interference, ...]:

@@ -17,11 +17,11 @@ BLOCKS, AXES, HARMONICS, RATE_HZ = 6, 4, (0, 1, 2, 3), 10_000.0
 NOISE_M = 1e-9
 
 
-def played(hum_m: float, hum_hz: float, seed: int) -> tuple[Sweep, Sweep]:
+def played(hum_m: float, hum_hz: float, seed: int, block_s: float = 0.05) -> tuple[Sweep, Sweep]:
     """A sweep of samples with a response and noise, demodulated block by block: (with a hum on y, without)."""
     rng = np.random.default_rng(seed)
     frequency = np.repeat(np.geomspace(12, 300, 40), 2)
-    periods = np.ceil(frequency * 0.05)
+    periods = np.ceil(frequency * block_s)
     samples = np.round(periods * RATE_HZ / frequency).astype(int)
     frequency = periods * RATE_HZ / samples
     clean = np.zeros((len(frequency), BLOCKS, len(HARMONICS), AXES), dtype=complex)
@@ -115,6 +115,17 @@ def test_a_loud_hum_is_not_heard_as_another_that_it_only_leaks_to(turns_hz: floa
     loud, _ = played(3e-6, turns_hz, seed=5)
     heard = interference(replace(loud, speed_rad_s=2 * np.pi * turns_hz), reference_rig())
     assert [(s.effect, s.aliases) for s in heard] == [("runout", ())]
+
+
+@pytest.mark.parametrize("turns_hz", [50.8, 61.0])
+def test_overtones_of_a_rotor_that_turns_at_nearly_the_mains_are_not_its(turns_hz: float) -> None:
+    """Twice the speed is nearer to twice the mains than blocks of a fiftieth of a second tell apart."""
+    loud, _ = played(1e-6, turns_hz, 5, block_s=0.02)
+    for k, seed in ((2, 6), (3, 7)):
+        overtone, quiet = played(4e-7, k * turns_hz, seed, block_s=0.02)
+        loud = replace(loud, Y=loud.Y + overtone.Y - quiet.Y)
+    heard = interference(replace(loud, speed_rad_s=2 * np.pi * turns_hz), reference_rig())
+    assert [s.effect for s in heard] == ["runout"]
 
 
 def test_a_rotor_that_turns_at_the_mains_frequency_leaves_both_open() -> None:
