@@ -118,11 +118,16 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         )
     if wrong := [p for p in planes if not p.adequate]:
         names = " and ".join(f"{p.plane}-plane" for p in wrong)
-        size = number(max(p.residual_rms_total for p in wrong), 2)
+        size = max(p.residual_rms_total for p in wrong)
+        told = (
+            f"the residuals are {number(size, 2)} times the noise"
+            if size > 1  # otherwise in units of noise and that error together
+            else "there is an error of the model that had to be allowed for beside the noise"
+        )
         return ("warn" if worst > GOOD_PERCENT else "bad"), (
-            f"The rig {result.rig!r} does not behave as its model: in the {names} the residuals are {size} times the "
-            f"noise, so something acts that the model does not have. It agrees with {where} by {worst_percent} in its "
-            f"worst entry; with that reserve, {figures_found}"
+            f"The rig {result.rig!r} does not behave as its model: in the {names} {told}, so something acts that the "
+            f"model does not have. It agrees with {where} by {worst_percent} in its worst entry; with that reserve, "
+            f"{figures_found}"
         )
     if worst < POOR_PERCENT:
         return "bad", (

@@ -62,9 +62,10 @@ def choose_modes(
     before
         What was chosen for nearly the same data: where it still stands nothing is searched for once more.
 
-    The datasheet's word, where it is asked for, counts in the last fit: modes are chosen by the data alone.
+    The datasheet's word, where it is asked for, counts in the last fit: modes are chosen by the data alone
+    (`_without_word`).
     """
-    fits = JointFits(replace(data, prior=None), knowledge)
+    fits = JointFits(_without_word(data), knowledge)
     counting = Counting(fits, plant, lowest_rad_s)
     if before is not None:
         place = next(k for k, e in enumerate(before.evidence) if e.chosen)
@@ -91,13 +92,22 @@ def choose_modes(
 
 def _selected(found: Counted, best: Refined, data: Data, knowledge: Knowledge) -> Selected:
     """The last fit from ``best``, and the evidence on the number of modes."""
-    fits, numbers = JointFits(replace(data, prior=None), knowledge), sorted(found.tried)
+    fits, numbers = JointFits(_without_word(data), knowledge), sorted(found.tried)
     evidence = tuple(
         fits.evidence("1 mode" if n == 1 else f"{n} modes", found.tried[n], n == found.number) for n in numbers
     )
     candidates = tuple(found.tried[n].model for n in numbers)
     free = JointFits(data, knowledge).free(best.model)
     return Selected(*finished(best, data, free, knowledge), evidence, candidates)
+
+
+def _without_word(data: Data) -> Data:
+    """The data without what the datasheet says of the rig, but for amplifiers that no logged current shows.
+
+    Held at the datasheet's they would be wrong by their tolerances, which modes would take up or no model explain.
+    """
+    prior = None if data.plant.I is not None or data.prior is None else data.prior.of_amplifiers()
+    return replace(data, prior=prior)
 
 
 def _work(model: PlaneModel) -> float:

@@ -137,6 +137,24 @@ def test_without_currents_the_amplifiers_are_taken_from_the_datasheet(
     assert any("currents are not logged" in w for w in plane.warnings)
 
 
+def test_without_currents_amplifiers_within_their_tolerances_are_no_error_of_the_model_and_no_mode(
+    experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel]
+) -> None:
+    """Modes are counted with amplifiers that may be off as the datasheet says, or another mode explains them."""
+    own = truth["x"].amplifiers
+    off = replace(
+        datasheet,
+        amplifier_natural_frequency_hz=tuple(1.02 * a.parameters[1] / 2 / np.pi for a in own) * 2,
+        amplifier_damping_ratio=tuple(0.95 * a.parameters[2] for a in own) * 2,
+    )
+    blind = replace(experiment, sweeps=tuple(replace(s, I=None) for s in experiment.sweeps))
+    for name, plane in identify(blind, off).planes.items():
+        assert plane.adequate
+        assert len(plane.modes) == 2
+        for key, value in zip(("ksA", "ksB"), truth[name].ks, strict=True):
+            assert abs(plane.stiffness[key].value - value) < 4 * plane.stiffness[key].std < 1e-2 * value
+
+
 def test_points_that_cannot_be_used_are_left_out_and_listed(experiment: Experiment, datasheet: Datasheet) -> None:
     main = experiment.main
     y, size = main.Y.copy(), main.amplitude_a.copy()

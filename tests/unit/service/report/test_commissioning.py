@@ -89,6 +89,15 @@ def test_a_wrong_model_is_not_called_identified(result):
     assert "12 times the noise" in text
 
 
+def test_a_model_with_an_error_that_had_to_be_allowed_for_is_not_told_by_residuals_below_the_noise(result):
+    """Its residuals are in units of noise and that error together."""
+    planes = {k: replace(p, adequate=False, residual_rms_total=0.93) for k, p in result.planes.items()}
+    text = verdict(replace(result, planes=planes))[1]
+    assert "does not behave as its model" in text
+    assert "times the noise" not in text
+    assert "error of the model that had to be allowed for" in text
+
+
 def test_a_wrong_model_is_not_said_to_have_converged(measured):
     """In result.json: the search converges on a wrong model, too."""
     experiment, datasheet = measured
