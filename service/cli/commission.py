@@ -65,7 +65,10 @@ def commission(
     priors: Priors = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a rig through its controller, identify it, and write result.json and report.html."""
+    """Measure a rig through its controller, identify it, and write result.json and report.html.
+
+    Exit status 0 also for a rig that is not identified: identified in result.json and --json is false then.
+    """
     from drivers.errors import AddressError
     from service import bootstrap
     from service.output import results_in
@@ -90,7 +93,8 @@ def identify(
 ) -> None:
     """Identify a rig from an experiment file, and write result.json, report.html and the datasheet beside them.
 
-    An experiment at several speeds, in one file or in several, gives the rotating model, too.
+    An experiment at several speeds, in one file or in several, gives the rotating model, too. Exit status 0 also for a
+    rig that is not identified: identified in result.json and --json is false then.
     """
     from service import bootstrap
     from service.experiment import file

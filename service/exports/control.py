@@ -28,7 +28,7 @@ def control_of(result: str | Path, plane: str = "x", part: Part = "plant") -> An
     Raises
     ------
     ExportError
-        No such plane or part.
+        No such plane or part, or a rig that is not identified.
     DocumentError
         The file cannot be read, or is no commissioning result.
     """

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from service.exports.documents import VERSION, reading
 from service.exports.errors import ExportError
 from service.identification.plane.combine import StateSpace, series
+from service.identification.result.saved import is_identified
 
 Real = NDArray[np.float64]
 Part = Literal["plant", "amplifiers", "whole"]
@@ -93,8 +94,13 @@ def of_result(document: Mapping[str, Any], plane: str, part: Part = "plant") -> 
     Raises
     ------
     ExportError
-        No such plane or part.
+        No such plane or part, or a result whose figures say nothing: no tool that reads the file would tell.
     """
+    if not is_identified(document):
+        raise ExportError(
+            f"the rig {document['rig']!r} is not identified, the figures of its model say nothing: it is not exported; "
+            "mend what the notes of the result name and identify it once more"
+        )
     planes = document["planes"]
     if plane not in planes:
         raise ExportError(f"the result of {document['rig']} has no plane {plane!r}; it has {', '.join(planes)}")

@@ -128,7 +128,7 @@ def model_summary(document: dict[str, Any]) -> dict[str, Any]:
     """What a result.json says in a sentence; stiffness, modes, fits and margins, plane by plane."""
     return {
         "rig": document["rig"],
-        **{name: document[name] for name in ("sentence", "tone") if name in document},
+        **{name: document[name] for name in ("sentence", "tone", "identified") if name in document},
         "planes": {name: _plane(plane) for name, plane in document["planes"].items()},
         "warnings": document.get("warnings", []),
     }

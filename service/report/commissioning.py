@@ -10,7 +10,7 @@ import numpy as np
 
 from service.experiment.data import Experiment
 from service.identification.loop.margins import Margin
-from service.identification.result.commissioning import CommissioningResult, PlaneResult
+from service.identification.result.commissioning import UNKNOWN, CommissioningResult, PlaneResult
 from service.identification.result.parts import ModeResult
 from service.report import measurement
 from service.report.format import MISSING, count, decibel, figures, fixed, number, paragraph, signed, span, table
@@ -25,10 +25,6 @@ GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
 POOR_PERCENT = 50.0
 """NRMSE below which it is not to be believed: a model that says nothing but the mean has 0."""
-NOTHING_PERCENT = -100.0
-"""NRMSE below which a model leaves twice what was measured: noise alone, as near instability, leaves no more."""
-UNKNOWN = 1.0
-"""Relative standard deviation of a stiffness from which nothing is known of it."""
 MARGINS = [
     "loop",
     "peak |S|, dB",
@@ -95,13 +91,10 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
 def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
     """The same without what is known of the rotor at speed."""
     planes = list(result.planes.values())
-    unseen = [p.cross_validation_fit_percent for p in planes if p.cross_validation_fit_percent is not None]
-    fits = unseen if len(unseen) == len(planes) else [p.fit_percent for p in planes]
-    worst = min(float(np.min(f)) for f in fits)
-    where = "a sweep that no fit has seen" if fits is unseen else "the data that it was fitted to"
+    worst, relative = result.worst_fit_percent, result.stiffness_uncertainty
+    where = "a sweep that no fit has seen" if result.unseen else "the data that it was fitted to"
     ki = [p.stiffness[k].value for p in planes for k in ("kiA", "kiB")]
     ks = [p.stiffness[k].value / 1e6 for p in planes for k in ("ksA", "ksB")]
-    relative = max(p.stiffness[k].std / abs(p.stiffness[k].value) for p in planes for k in p.stiffness)
     loudest = max(planes, key=lambda p: p.worst_peak)
     peak, zone = loudest.worst_peak, loudest.zone(loudest.worst_peak)
     worst_percent = f"{math.floor(100 * worst) / 100:.2f} % NRMSE"
@@ -109,7 +102,7 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
         f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone}{_standard(loudest)}."
     )
-    if worst < NOTHING_PERCENT or not relative < UNKNOWN:
+    if not result.identified:
         known = "" if relative < UNKNOWN else "; some stiffness is known to no more than its own size"
         return "bad", (
             f"The rig {result.rig!r} is not identified: the model agrees with {where} by {worst_percent} in its worst "

@@ -66,7 +66,7 @@ def baseline(session: Session, rig: Rig) -> ModelRow:
     Raises
     ------
     NotFoundError
-        The rig has no model of a whole commissioning.
+        The rig has no model of a whole commissioning that identified it.
     """
     if rig.baseline_model_id is not None:
         return get(session, ModelRow, rig.baseline_model_id)
@@ -74,6 +74,7 @@ def baseline(session: Session, rig: Rig) -> ModelRow:
         select(ModelRow)
         .join(ExperimentRow, ExperimentRow.id == ModelRow.experiment_id)
         .where(ModelRow.rig_id == rig.id, ExperimentRow.complete, ExperimentRow.purpose == "commissioning")
+        .where(ModelRow.summary["identified"].as_boolean().is_not(False))  # of models from before it was said, too
         .order_by(ModelRow.id.desc())
         .limit(1)
     )

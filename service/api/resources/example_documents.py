@@ -29,6 +29,7 @@ RESULT: dict[str, Any] = {
     "format": "amb-commissioning-result",
     "version": 1,
     "rig": "compressor 3",
+    "identified": True,
     "experiment": "experiment.h5",
     "planes": {"x": {"stiffness": {"kiA": _KI}, "state_space": _PLANT}},
     "warnings": [],

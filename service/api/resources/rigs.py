@@ -280,8 +280,14 @@ def set_baseline(
     with api.database.write() as session:
         rig = rigs.get(session, rig_id, for_update=True)
         etags.require_match(if_match, tag(rig))
-        if wanted.model is not None and results.get(session, ModelRow, wanted.model).rig_id != rig.id:
-            raise ConflictError(f"the model {wanted.model} is of another rig; choose one of this rig's models")
+        if wanted.model is not None:
+            model = results.get(session, ModelRow, wanted.model)
+            if model.rig_id != rig.id:
+                raise ConflictError(f"the model {wanted.model} is of another rig; choose one of this rig's models")
+            if model.summary.get("identified") is False:
+                raise ConflictError(
+                    f"the model {wanted.model} does not identify the rig, its figures say nothing; choose another one"
+                )
         rig.baseline_model_id = wanted.model
         audit(session, request, who, Action.baseline_changed, rig.id, rig=rig.id, model=wanted.model)
         found = shape(rig, rigs.version(session, rig))

@@ -31,6 +31,11 @@ from service.identification.statistics.validation import CorrelationTest
 from service.identification.steps.subspace import SubspaceModel
 from sim.folded import KnownEffect
 
+NOTHING_PERCENT = -100.0
+"""NRMSE below which a model leaves twice what was measured: noise alone, as near instability, leaves no more."""
+UNKNOWN = 1.0
+"""Relative standard deviation of a stiffness from which nothing is known of it."""
+
 
 @dataclass(frozen=True)
 class PlaneResult:
@@ -172,12 +177,36 @@ class CommissioningResult:
     known_effects: tuple[KnownEffect, ...] = ()
     """Effects that the twin named, and where the model has them."""
 
+    @property
+    def unseen(self) -> bool:
+        """Whether every plane was checked with a sweep that no fit has seen."""
+        return all(p.cross_validation_fit_percent is not None for p in self.planes.values())
+
+    @property
+    def worst_fit_percent(self) -> float:
+        """NRMSE in the worst entry of any plane, on the unseen sweep where every plane has one."""
+        planes = self.planes.values()
+        unseen = [f for p in planes if (f := p.cross_validation_fit_percent) is not None]
+        return min(float(np.min(f)) for f in (unseen if self.unseen else [p.fit_percent for p in planes]))
+
+    @property
+    def stiffness_uncertainty(self) -> float:
+        """Relative standard deviation of the stiffness that is known worst."""
+        every = [e for p in self.planes.values() for e in p.stiffness.values()]
+        return max(e.std / abs(e.value) if e.value else math.inf for e in every)
+
+    @property
+    def identified(self) -> bool:
+        """Whether the figures say anything: nobody may build on those of a model that does not."""
+        return self.worst_fit_percent >= NOTHING_PERCENT and self.stiffness_uncertainty < UNKNOWN
+
     def document(self, experiment: str = "experiment.h5") -> dict[str, Any]:
         """The contents of result.json; every number in it is finite or null."""
         document = {
             "format": "amb-commissioning-result",
             "version": 1,
             "rig": self.rig,
+            "identified": self.identified,
             "planes": {name: p.document() for name, p in self.planes.items()},
             "experiment": experiment,
             "speed_rad_s": self.speed_rad_s,

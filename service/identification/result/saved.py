@@ -68,8 +68,14 @@ def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str,
     Raises
     ------
     AmbError
-        The document does not fit the datasheet, or was written before parameters were kept in it.
+        The document does not fit the datasheet, was written before parameters were kept in it, or says nothing of the
+        rig.
     """
+    if not is_identified(document):
+        raise AmbError(
+            f"the rig {document.get('rig', '')!r} is not identified by this commissioning result, its figures say "
+            "nothing: mend what its notes name and identify it once more, or give another one"
+        )
     try:
         return _checked(document, datasheet)
     except (KeyError, TypeError, IndexError, AttributeError) as error:
@@ -77,6 +83,11 @@ def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str,
             f"the commissioning result is incomplete ({type(error).__name__}: {error}); give a result.json that ambit "
             "wrote, as it wrote it"
         ) from error
+
+
+def is_identified(document: Mapping[str, Any]) -> bool:
+    """Whether the figures of a result.json say anything of the rig; one of before this was written does."""
+    return document.get("identified") is not False
 
 
 def _checked(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, SavedPlane]:

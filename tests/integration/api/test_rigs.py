@@ -1,6 +1,7 @@
 """Rigs: versions and ETags, the baseline, retirement, histories."""
 
 from service.storage import jobs as rows
+from service.storage.tables import ModelRow
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 
@@ -38,6 +39,19 @@ def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):
     other = api.post("/rigs", json={"datasheet": SHEET, "name": f"other {rig}"}).json()["id"]
     tag = {"If-Match": api.get(f"/rigs/{other}").headers["etag"]}
     assert_problem(api.put(f"/rigs/{other}/baseline", json={"model": model}, headers=tag), 409, "another rig")
+
+
+def test_a_model_whose_figures_say_nothing_is_no_baseline(api, rig, experiment, service):
+    """Neither chosen nor taken as the newest; an older one is."""
+    good = rig.replace("rig_", "mod_")
+    nothing = f"{good}z"
+    with service.services.database.write() as session:
+        row = session.get(ModelRow, good)
+        kept = {c.key: getattr(row, c.key) for c in ModelRow.__table__.columns}
+        session.add(ModelRow(**kept | {"id": nothing, "summary": row.summary | {"identified": False}}))
+    assert api.post("/jobs", json={"kind": "health", "rig": rig}).json()["options"]["baseline"] == good
+    tag = {"If-Match": api.get(f"/rigs/{rig}").headers["etag"]}
+    assert_problem(api.put(f"/rigs/{rig}/baseline", json={"model": nothing}, headers=tag), 409, "say nothing")
 
 
 def test_a_retired_rig_takes_no_jobs_and_keeps_its_history(api, rig):

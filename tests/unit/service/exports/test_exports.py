@@ -17,6 +17,7 @@ from service.exports.errors import ExportError
 from service.exports.matlab import linear_variables
 from service.identification.result.saved import saved_planes
 from service.output import json_text, write_text
+from sim.errors import AmbError
 from sim.reference import reference_rig
 from tests.support.commissioned import AXES, LAW, SHEET, result
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
@@ -105,6 +106,14 @@ def test_a_plane_or_a_file_that_is_not_there_is_named(result_json, tmp_path):
         control_of(tmp_path / "nowhere.json", "x")
     with pytest.raises(DocumentError, match="amb-commissioning-result"):
         control_of(write_text(tmp_path / "other.json", '{"format": "amb-gap-report", "version": 1}'), "x")
+
+
+def test_a_model_whose_figures_say_nothing_is_not_exported(tmp_path):
+    nothing = write_text(tmp_path / "nothing.json", json_text(result() | {"identified": False}))
+    with pytest.raises(ExportError, match="'reference' is not identified"):
+        control_of(nothing, "x")
+    with pytest.raises(AmbError, match="'reference' is not identified"):  # nor checked with, nor a controller on it
+        saved_planes(json.loads(nothing.read_text()), SHEET)
 
 
 def test_scipy_reads_the_matlab_file(plant, tmp_path):

@@ -136,6 +136,22 @@ def test_of_a_model_that_says_nothing_no_figure_is_told_in_the_sentence(result, 
     assert "is not identified" in text
     assert "N/A" not in text
     assert "signs and units of the logged signals" in text
+    told = replace(result, planes=nothing).document()
+    assert (result.document()["identified"], told["identified"]) == (True, False)
+
+
+def test_a_datasheet_is_off_by_no_share_of_what_may_be_zero(measured, result):
+    """A stiffness at the end of its range: percent of nothing have fifteen digits."""
+    planes = {}
+    for name, p in result.planes.items():
+        tiny = replace(p.stiffness["ksB"], value=4e-7, std=19000.0)
+        planes[name] = replace(p, stiffness=p.stiffness | {"ksB": tiny})
+    nothing = replace(result, planes=planes)
+    of_ks = nothing.document()["planes"]["x"]["stiffness"]
+    assert (of_ks["ksA"]["error_percent"] > 30, of_ks["ksB"]["error_percent"]) == (True, None)
+    row = re.search(r"ks xB, N/m.*?</tr>", commissioning_page(nothing, *measured), flags=re.S)
+    assert row is not None
+    assert row[0].endswith(">–</td></tr>")
 
 
 def test_zones_of_the_datasheet_are_those_of_the_verdict_and_the_plots(measured, result):
