@@ -96,7 +96,7 @@ def table(found: list[Row], reference: str) -> Table:
             value,
             std,
             "" if r.reference is None else number(r.reference),
-            "" if r.error_percent is None else signed(r.error_percent, 1 if reference == "datasheet" else 3),
+            "" if r.reference is None else signed(r.error_percent, 1 if reference == "datasheet" else 3),
         )
         last = r.plane
     return out

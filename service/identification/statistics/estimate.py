@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+SIGNIFICANT = 3.0
+"""Standard deviations below which an estimate is not told from zero, and nothing is a share of it."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -20,8 +23,10 @@ class Estimate:
 
     @property
     def error_percent(self) -> float | None:
-        """How far the datasheet is from the estimate, percent of the estimate."""
-        return None if self.nominal is None else 100.0 * (self.nominal - self.value) / self.value
+        """How far the datasheet is from the estimate, percent of the estimate; None of one that may be zero."""
+        if self.nominal is None or self.value == 0 or abs(self.value) < SIGNIFICANT * self.std:
+            return None
+        return 100.0 * (self.nominal - self.value) / self.value
 
     def document(self) -> dict[str, Any]:
         """As JSON."""

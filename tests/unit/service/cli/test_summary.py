@@ -31,6 +31,17 @@ def test_the_datasheet_is_off_by_what_the_report_and_the_result_say() -> None:
     assert "+87.8" in capture.get()
 
 
+def test_a_share_of_what_may_be_zero_is_a_dash() -> None:
+    found = document()
+    nothing = found["planes"]["x"]["stiffness"]["ksB"] | {"value": 0.0, "std": 19000.0, "error_percent": None}
+    found["planes"]["x"]["stiffness"] |= {"ksB": nothing}
+    console = Console(width=120)
+    with console.capture() as capture:
+        console.print(summary.table(list(summary.rows(found, AXES)), "datasheet"))
+    (row,) = [line for line in capture.get().splitlines() if "ksB" in line]
+    assert row.split()[-1] == "–"
+
+
 def test_the_zone_of_the_sensitivity_peak_is_told() -> None:
     (told,) = summary.margins(document())
     assert told == "x-plane: sensitivity peak A 4.23 (12.5 dB), B 5.12 (14.2 dB), zone D of ISO 14839-3"
