@@ -1,6 +1,6 @@
 """The process that reads an upload: it limits itself, looks, reads, writes what it understood, and says so.
 
-``python -m service.uploads.child JOB`` where JOB is JSON: file, out, limits. One line of JSON on stdout:
+``python -m service.uploads.child JOB`` where JOB is JSON: file, out, limits, rig. One line of JSON on stdout:
 ``{"summary": ...}`` or ``{"status": 422, "reason": ...}``. Anything else, or a signal, means that the file won.
 """
 
@@ -81,8 +81,10 @@ def look(path: Path, limits: Limits) -> tuple[str, int]:
         ) from error
 
 
-def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
+def understood(path: Path, limits: Limits, out: Path, rig: Path | None = None) -> dict[str, Any]:
     """Summary of an experiment file; what was understood of it is written to ``out``, as this product writes it.
+
+    ``rig`` is the datasheet of the rig that it is of: values that only another unit makes are refused by its limits.
 
     Raises
     ------
@@ -94,13 +96,18 @@ def understood(path: Path, limits: Limits, out: Path) -> dict[str, Any]:
     # only now what reads: most hostile files are refused by their structure, in half the time
     from service.experiment import file
     from service.experiment.errors import ExperimentFileError, ExperimentSizeError
+    from service.experiment.units import must_be_in_si
+    from sim import rig_file
 
+    datasheet = None if rig is None else rig_file.read(rig)
     if kind == "MATLAB 5":
         import scipy.io.matlab  # noqa: F401  the reader's own loading is no fault of the file
 
     cpu_seconds(limits.read_seconds(decoded))
     try:
         experiment = file.read(path)
+        if datasheet is not None and experiment.axes == datasheet.axes:  # that it is another rig's is told first
+            must_be_in_si(experiment, datasheet)
         file.write(out, experiment)
     except (ExperimentSizeError, MemoryError) as error:
         raise UploadSizeError(f"reading it needs more than {limits.memory_bytes / MIB:,.0f} MiB of memory") from error
@@ -159,7 +166,8 @@ def answer(job: Mapping[str, Any]) -> dict[str, Any]:
     limits = Limits(**job["limits"])
     confine(limits)
     try:
-        return {"summary": understood(Path(job["file"]), limits, Path(job["out"]))}
+        rig = job.get("rig")
+        return {"summary": understood(Path(job["file"]), limits, Path(job["out"]), Path(rig) if rig else None)}
     except UploadError as error:
         return {"status": error.status, "reason": str(error)}
 

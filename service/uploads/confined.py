@@ -10,12 +10,14 @@ import subprocess
 import sys
 import tempfile
 import threading
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
 from service.uploads.errors import BY_STATUS, UploadBusyError, UploadContentError, UploadSizeError
 from service.uploads.limits import MIB, Limits
+from sim.datasheet import Datasheet
+from sim.rig_file import to_toml
 
 AT_ONCE = 2
 """Files that are read at the same time: the memory that uploads can take is this times the limit of one."""
@@ -36,7 +38,7 @@ class Parsed:
     """What was understood, written anew: nothing of the upload's own bytes is left in it."""
 
 
-def parse(path: Path, name: str, out: Path, limits: Limits | None = None) -> Parsed:
+def parse(path: Path, name: str, out: Path, limits: Limits | None = None, datasheet: Datasheet | None = None) -> Parsed:
     """Look at an uploaded file and read it, in a process under limits of memory and time.
 
     Parameters
@@ -49,6 +51,8 @@ def parse(path: Path, name: str, out: Path, limits: Limits | None = None) -> Par
         Where to write what was understood, HDF5.
     limits
         What it may cost.
+    datasheet
+        Of the rig that it is sent to, whose limits tell units that its values cannot have.
 
     Raises
     ------
@@ -67,16 +71,17 @@ def parse(path: Path, name: str, out: Path, limits: Limits | None = None) -> Par
         raise UploadBusyError("other uploads are being read; try again in a few seconds")
     try:
         with tempfile.TemporaryDirectory(prefix=".upload-", dir=out.parent) as folder:
-            return _parse(path, name, out, limits, Path(folder))
+            return _parse(path, name, out, limits, datasheet, Path(folder))
     finally:
         _PLACES.release()
 
 
-def _parse(path: Path, name: str, out: Path, limits: Limits, folder: Path) -> Parsed:
+def _parse(path: Path, name: str, out: Path, limits: Limits, datasheet: Datasheet | None, folder: Path) -> Parsed:
     seen_as = folder / _safe(name)
     seen_as.symlink_to(path.resolve())
     written = folder / "understood.h5.tmp"
-    job = {"file": str(seen_as), "out": str(written), "limits": asdict(limits)}
+    rig = None if datasheet is None else str(_rig_of(datasheet, folder))
+    job = {"file": str(seen_as), "out": str(written), "limits": asdict(limits), "rig": rig}
     with (folder / "answer.tmp").open("w+b") as said:
         status = _run(json.dumps(job), said, limits.wall_s + limits.read_seconds(limits.decoded_bytes) / 2)
         said.seek(0)
@@ -89,6 +94,13 @@ def _parse(path: Path, name: str, out: Path, limits: Limits, folder: Path) -> Pa
         raise BY_STATUS.get(answer.get("status", 422), UploadContentError)(reason)
     os.replace(written, out)
     return Parsed(answer["summary"], out)
+
+
+def _rig_of(datasheet: Datasheet, folder: Path) -> Path:
+    """A file for the child; effects change no limit, and a catalogue of them takes a second to load."""
+    path = folder / "rig.toml"
+    path.write_text(to_toml(replace(datasheet, effects=())), encoding="utf-8")
+    return path
 
 
 def _run(job: str, said: IO[bytes], wall_s: float) -> int:

@@ -41,6 +41,7 @@ from service.storage.ids import new_id
 from service.storage.tables import ExperimentRow
 from service.uploads import Limits, Parsed, UploadContentError, UploadError, parse
 from sim import rig_file
+from sim.datasheet import Datasheet
 
 router = APIRouter(prefix="/api/v1", tags=["experiments"], route_class=KeyFirst)
 
@@ -172,10 +173,10 @@ def _keep(
 ) -> tuple[Answer, bool]:
     with api.database.read() as session:
         rigs.active(session, rig_id)
-        axes = _axes_of(session, rig_id)
+        datasheet = _datasheet_of(session, rig_id)
     try:
-        parsed = parse(received, name, received.with_name("understood.h5"), _limits(api))
-        _must_have(axes, parsed)
+        parsed = parse(received, name, received.with_name("understood.h5"), _limits(api), datasheet)
+        _must_have(list(datasheet.axes), parsed)
     except UploadError as error:
         with api.database.write() as session:
             audit(session, request, who, Action.upload_refused, rig_id, rig=rig_id, reason=str(error)[:500])
@@ -190,9 +191,9 @@ def _keep(
     return once(api.database, who, request, key, f"{name}\n{sent}", make)
 
 
-def _axes_of(session: Session, rig_id: str) -> list[str]:
-    """Axes that the newest datasheet of a rig names."""
-    return list(rig_file.parse(rigs.version(session, rigs.get(session, rig_id)).datasheet).axes)
+def _datasheet_of(session: Session, rig_id: str) -> Datasheet:
+    """The newest datasheet of a rig."""
+    return rig_file.parse(rigs.version(session, rigs.get(session, rig_id)).datasheet)
 
 
 def _must_have(axes: list[str], parsed: Parsed) -> None:

@@ -4,13 +4,19 @@ import errno
 import os
 import sqlite3
 
+import h5py
 import pytest
 from sqlalchemy.exc import OperationalError
 
 from service.api.resources import experiments
+from service.experiment import file
+from service.identification.fit import identify
 from service.storage import rigs
+from sim.errors import AmbError
+from sim.rig_file import parse
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
+from tests.support.uploads import good
 
 SHEET = reference_sheet()
 
@@ -103,3 +109,15 @@ def test_requests_that_are_no_requests(api):
     assert_problem(api.post("/rigs", content=iter([b"x" * 600_000] * 3)), 413, "1,000,000")
     assert_problem(api.get("/rigs/bench/status"), 404, "there is no rig 'bench'; list them at /api/v1/rigs")
     assert_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")
+
+
+def test_an_upload_in_another_unit_is_refused_as_a_job_on_it_would_be(api, rig, tmp_path):
+    path = good(tmp_path / "e.h5")
+    headers = {"content-type": "application/x-hdf5"}
+    assert api.post(f"/rigs/{rig}/experiments", content=path.read_bytes(), headers=headers).status_code == 201
+    with h5py.File(path, "a") as opened:
+        opened["sweeps/0/Y"][...] *= 1e6
+    with pytest.raises(AmbError, match=r"Y reaches .* is it in µm\?") as told:
+        identify(file.read(path), parse(SHEET))
+    answer = api.post(f"/rigs/{rig}/experiments", content=path.read_bytes(), headers=headers)
+    assert_problem(answer, 422, str(told.value))
