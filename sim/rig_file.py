@@ -45,7 +45,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False, strict=True), AfterValidato
 PerAxis = Positive | list[Positive]
 # Beyond these only a unit can be wrong; what an experiment keeps to hangs on them.
 Gap = Annotated[Positive, Field(le=0.01)]
-Distance = Annotated[Positive, Field(le=20.0)]
+Distance = Annotated[Positive, Field(le=5.0)]  # of a bearing from the centre of gravity: a rotor of some 10 m
 Current = Annotated[Positive, Field(le=1000.0)]
 Delay = Annotated[NonNegative, Field(le=0.1)]
 Pair = Annotated[list[Distance], Field(min_length=2, max_length=2)]

@@ -20,6 +20,9 @@ FAR = 30.0
 SPAN = (0.1, 20.0)
 """Distance of the bearings from the centre of gravity over the radius of gyration: 1.7 for a uniform rotor between
 bearings at its ends, 0.5 for a disc between close ones, 10 for a small disc on a long shaft."""
+APART = 5.0
+"""Distance of a bearing over that of its sensor, or the other way round, from which they are not beside each other; one
+of them near the centre of gravity may look so, both of them not."""
 
 
 LOOSE, TIGHT = 1.0, 1e-6
@@ -57,14 +60,39 @@ def must_be_in_si(experiment: Experiment, datasheet: Datasheet) -> None:
 def odd_rotor(datasheet: Datasheet) -> list[str]:
     """What mass, inertia and distances of a datasheet tell together, where they are no rotor's; a sentence."""
     gyration_m = math.sqrt(datasheet.transverse_inertia_kgm2 / datasheet.mass_kg)
-    span_m = 0.5 * sum(datasheet.bearing_from_cog_m)
-    if SPAN[0] <= span_m / gyration_m <= SPAN[1]:
+    bearings_m, sensors_m = (0.5 * sum(d) for d in (datasheet.bearing_from_cog_m, datasheet.sensor_from_cog_m))
+    of_mass = (
+        f"mass_kg {datasheet.mass_kg:.4g} and transverse_inertia_kgm2 {datasheet.transverse_inertia_kgm2:.4g}, which "
+        f"make a radius of gyration of {gyration_m:.3g} m"
+    )
+    pairs = zip(datasheet.bearing_from_cog_m, datasheet.sensor_from_cog_m, strict=True)
+    ratios = [bearing / sensor for bearing, sensor in pairs]
+    if min(ratios) > APART or max(ratios) < 1 / APART:
+        right, wrong = "bearing_from_cog_m", "sensor_from_cog_m"
+        if _is_worse(bearings_m, sensors_m, gyration_m):
+            right, wrong = wrong, right
+        return [
+            f"the datasheet's bearing_from_cog_m {_pair(datasheet.bearing_from_cog_m)} and sensor_from_cog_m "
+            f"{_pair(datasheet.sensor_from_cog_m)} are not beside each other at either end, and {right} goes better "
+            f"with {of_mass}: is {wrong} in another unit than m, or its decimal point elsewhere?"
+        ]
+    if SPAN[0] <= bearings_m / gyration_m <= SPAN[1]:
         return []
     return [
-        f"the datasheet's mass_kg {datasheet.mass_kg:.4g} and transverse_inertia_kgm2 "
-        f"{datasheet.transverse_inertia_kgm2:.4g} make a radius of gyration of {gyration_m:.3g} m, which does not go "
-        f"with bearings {span_m:.3g} m from the centre of gravity: is one of them in g, t, mm or kg mm²?"
+        f"the datasheet's {of_mass}, do not go with bearings {bearings_m:.3g} m and sensors {sensors_m:.3g} m from the "
+        "centre of gravity: is one of them in g, t or kg mm², or are bearing_from_cog_m and sensor_from_cog_m in mm or "
+        "cm?"
     ]
+
+
+def _is_worse(one_m: float, other_m: float, gyration_m: float) -> bool:
+    """Whether a distance is further, as a factor, from that of a usual rotor's ends than another one."""
+    usual_m = math.sqrt(3) * gyration_m  # a uniform rotor's
+    return abs(math.log(one_m / usual_m)) > abs(math.log(other_m / usual_m))
+
+
+def _pair(values: tuple[float, float]) -> str:
+    return f"[{values[0]:.4g}, {values[1]:.4g}]"
 
 
 def odd_tolerances(datasheet: Datasheet) -> list[str]:
@@ -104,9 +132,12 @@ def odd_stiffness(found_over_datasheet: Mapping[str, NDArray[np.float64]]) -> li
     told = " and ".join(f"{name} {factor[name]:.1g} times" for name in off)
     remedies = {
         "ki": "current_stiffness_n_per_a, or of the currents or displacements of the experiment (mA, mm, µm)",
-        "ks": "position_stiffness_n_per_m (N/mm, N/µm)",
+        "ks": "position_stiffness_n_per_m (N/mm, N/µm), or of bearing_from_cog_m and sensor_from_cog_m (mm, cm)",
     }
-    both = "mass_kg and transverse_inertia_kgm2 (g, t), or of both stiffnesses"
+    both = (
+        "mass_kg and transverse_inertia_kgm2 (g, t), of bearing_from_cog_m and sensor_from_cog_m (mm, cm), or of both "
+        "stiffnesses"
+    )
     remedy = both if len(off) > 1 else remedies[off[0]]
     return [f"identified are {told} the datasheet's, which is no tolerance: check the unit of {remedy}"]
 

@@ -83,7 +83,8 @@ def identify(
         main.name,
         None if validation is None else validation.name,
         float(main.sweep.speed_rad_s),
-        (*_odd_stiffness(planes), *prepared.warnings, *doubts, *of_speed),
+        # the rotor first: with another one's mass or distances no stiffness is the datasheet's
+        (*odd_rotor(prepared.datasheet), *_odd_stiffness(planes), *prepared.warnings, *doubts, *of_speed),
         rotating=rotating,
         cross_planes=across,
         known_effects=twin.effects,
@@ -116,7 +117,7 @@ def _prepared(experiment: Experiment, twin: Folded) -> _Prepared:
             "give the datasheet of the rig that was measured"
         )
     must_be_in_si(experiment, datasheet)
-    doubts = incomplete(experiment) + changed_speed(experiment) + odd_rotor(datasheet) + stated_amplitudes(experiment)
+    doubts = incomplete(experiment) + changed_speed(experiment) + stated_amplitudes(experiment)
     log = checked(experiment, datasheet, twin.chain)
     experiment = led_back(log.experiment, log.chain)
     chosen = chosen_sweeps(experiment)

@@ -20,8 +20,8 @@ OMEGA = 2 * np.pi * np.array([4.0, 60.0, 350.0, 900.0])
 
 positive = st.floats(1e-12, 1e12, allow_nan=False)
 any_number = st.floats(-1e12, 1e12, allow_nan=False)
-up_to = {most: st.floats(1e-12, most) for most in (0.01, 20.0, 1e3)}
-distances_m = st.tuples(up_to[20.0], up_to[20.0])
+up_to = {most: st.floats(1e-12, most) for most in (0.01, 5.0, 1e3)}
+distances_m = st.tuples(up_to[5.0], up_to[5.0])
 signed_pair = st.tuples(any_number, any_number)
 names = st.text(st.characters(blacklist_categories=("Cs",)), min_size=1, max_size=30)
 modes = st.builds(Mode, positive, st.floats(0, 0.99), signed_pair, signed_pair)

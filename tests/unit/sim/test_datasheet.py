@@ -292,7 +292,7 @@ def test_every_practice_case_has_a_datasheet_that_is_read():
         ("linear_range_m", "80.0", "bearings.linear_range_m: no rig has more than 0.01; give it in m"),
         ("bias_current_a", "2750", "bearings.bias_current_a: no rig has more than 1000; give it in A, not in mA"),
         ("computing_delay_s", "50", "controller.computing_delay_s: no rig has more than 0.1; give it in s"),
-        ("bearing_from_cog_m", "[418, 404]", "rotor.bearing_from_cog_m.0: no rig has more than 20; give it in m"),
+        ("bearing_from_cog_m", "[418, 404]", "rotor.bearing_from_cog_m.0: no rig has more than 5; give it in m"),
         (
             "position_stiffness_n_per_m",
             "[-2e6, 2e6, 2e6, 2e6]",

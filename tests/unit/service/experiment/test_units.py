@@ -47,6 +47,23 @@ def test_a_mass_in_grams_or_tonnes_is_no_rotor(field, factor):
     assert "radius of gyration" in told
 
 
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("field", ["bearing_from_cog_m", "sensor_from_cog_m"])
+def test_distances_that_are_not_beside_each_other_name_the_one_that_is_off(field, factor):
+    a, b = getattr(SHEET, field)
+    (told,) = odd_rotor(replace(SHEET, **{field: (factor * a, factor * b)}))
+    assert f"is {field} in another unit than m" in told
+    near_the_centre = replace(SHEET, bearing_from_cog_m=(0.05, 0.77), sensor_from_cog_m=(0.005, 0.83))
+    assert odd_rotor(near_the_centre) == []
+
+
+def test_all_distances_in_another_unit_are_asked_about_with_mass_and_inertia():
+    far = {k: tuple(0.01 * d for d in getattr(SHEET, k)) for k in ("bearing_from_cog_m", "sensor_from_cog_m")}
+    (told,) = odd_rotor(replace(SHEET, **far))
+    for name in ("mass_kg", "transverse_inertia_kgm2", "bearing_from_cog_m", "sensor_from_cog_m"):
+        assert name in told
+
+
 def test_stiffness_off_by_a_thousand_is_a_unit_and_twice_is_none():
     usual = np.array([0.5, 0.6, 0.55, 0.5])
     assert odd_stiffness({"ki": usual, "ks": usual}) == []
@@ -56,6 +73,7 @@ def test_stiffness_off_by_a_thousand_is_a_unit_and_twice_is_none():
     assert "current_stiffness_n_per_a" in ki
     (both,) = odd_stiffness({"ki": 1e3 * usual, "ks": 1e3 * usual})
     assert "mass_kg" in both
+    assert all("bearing_from_cog_m" in told for told in (ks, both))
 
 
 @pytest.mark.parametrize(
