@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 
 AXES = ("xA", "xB", "yA", "yB")
 
+FASTEST_RAD_S = 6e4
+"""Beyond any rotor's speed, 573,000 rpm: the rim of one of 1 cm diameter moves at 300 m/s there, and sheets burst."""
+
 ISO_14839_3_DB = (("A", 9.5), ("B", 12.0), ("C", 14.0), ("D", math.inf))
 """Zones of ISO 14839-3 by peak sensitivity and their upper limits, dB."""
 

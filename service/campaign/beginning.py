@@ -6,13 +6,13 @@ from dataclasses import asdict
 from hashlib import sha256
 from typing import Any
 
-from drivers.controller import Capabilities
+from drivers.controller import Capabilities, Controller
 from service.campaign import journal
 from service.campaign.aims import Limits, Profile
 from service.campaign.multisine import plan as multisine_plan
 from service.campaign.multisine.plan import MultisineProfile
 from service.experiment.errors import CampaignError, JournalError
-from service.experiment.speeds import same
+from service.experiment.speeds import impossible, same
 from sim.datasheet import Datasheet
 from sim.rig_file import to_toml
 
@@ -61,6 +61,20 @@ def fingerprint(
         "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
         "profile": multisine_plan.documented(profile) if isinstance(profile, MultisineProfile) else asdict(profile),
     }
+
+
+def speed_now(controller: Controller) -> float:
+    """Speed that a controller tells before a campaign, rad/s.
+
+    Raises
+    ------
+    CampaignError
+        No rotor turns so fast: the file of a whole campaign would be refused for it.
+    """
+    speed_rad_s = float(controller.status().speed_rad_s)
+    if why := impossible(speed_rad_s):
+        raise CampaignError(f"the speed that the controller tells {why}")
+    return speed_rad_s
 
 
 def speed_of(header: journal.Entry, now_rad_s: float) -> float:

@@ -12,7 +12,7 @@ from drivers.controller import (
 from drivers.errors import CancelledError, ControllerError, LeaseError, StoppedElsewhereError
 from service.campaign import journal, phases
 from service.campaign.aims import Limits, Profile
-from service.campaign.beginning import checked_limits, fingerprint, profile_of, speed_of
+from service.campaign.beginning import checked_limits, fingerprint, profile_of, speed_now, speed_of
 from service.campaign.leased import Patient, alone, make_ready, stopped_by
 from service.campaign.multisine.plan import MultisineProfile, PeriodicRequest
 from service.campaign.plan import Request
@@ -24,7 +24,7 @@ from service.experiment import file
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.incomplete import INCOMPLETE
-from service.experiment.speeds import SPEED_CHANGED, same
+from service.experiment.speeds import SPEED_CHANGED, impossible, same
 from service.output import ready_folder
 from sim.datasheet import Datasheet
 from sim.rig_file import parse, to_toml
@@ -96,7 +96,7 @@ def run_campaign(
             f"{capabilities.identity} plays tones only, no periodic waveforms; measure it by stepped sine"
         )
     ready_folder(out_dir)
-    speed = float(controller.status().speed_rad_s)
+    speed = speed_now(controller)
     about = {"speed_rad_s": speed, "datasheet": to_toml(datasheet)}
     header = fingerprint(capabilities, datasheet, limits, profile) | {"about": about}
     log: journal.Journal | None = None
@@ -163,9 +163,10 @@ def run_campaign(
 
 
 def _speed_now(controller: Controller) -> float | None:
-    """At which the rotor turns; None where the controller does not answer: what is measured next tells that."""
+    """At which the rotor turns; None where the controller tells none that can be: what is measured next tells that."""
     try:
-        return float(controller.status().speed_rad_s)
+        speed_rad_s = float(controller.status().speed_rad_s)
+        return None if impossible(speed_rad_s) else speed_rad_s
     except ControllerError:
         return None
 

@@ -13,7 +13,7 @@ import typer
 
 from drivers.device.lease import WATCHDOG_S
 from service.cli.console import print_json
-from service.cli.usage import finite, value_of
+from service.cli.usage import finite, speed, value_of
 from service.remarks import say
 from sim.errors import EffectError, OptionsError
 from sim.withheld import CAMPAIGN_S
@@ -79,7 +79,7 @@ def serve(
     ] = CAMPAIGN_S,
     noise: Annotated[bool, typer.Option(help="Noise of sensors and currents.")] = True,
     gravity_m_per_s2: Annotated[float | None, typer.Option(help="Gravity on the rotor.", callback=finite)] = None,
-    speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.", callback=finite)] = None,
+    speed_rad_s: Annotated[float | None, typer.Option(help="Speed of the rotor.", callback=speed)] = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="Hold the rig to the wall clock.")] = False,
     watchdog_s: Annotated[
         float, typer.Option(help="Excitation ends, and a trip latches, when the host is silent for so long.", min=0.01)

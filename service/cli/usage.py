@@ -28,6 +28,15 @@ def finite(value: float | None) -> float | None:
     return value
 
 
+def speed(value: float | None) -> float | None:
+    """Callback of an option that is a rotor's speed, rad/s: one at which none turns is refused."""
+    from service.experiment.speeds import impossible
+
+    if finite(value) is not None and (why := impossible(float(value or 0.0))):
+        raise typer.BadParameter(f"it {why}")
+    return value
+
+
 def job_id(value: str) -> str:
     """Callback of an argument that is a job's id."""
     if not value.startswith("job_"):

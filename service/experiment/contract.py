@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from service.experiment.data import Sweep
 from service.experiment.demodulate import BLOCKS, HARMONICS, demodulate, time_origin, whole_periods
 from service.experiment.errors import ExperimentFileError
+from service.experiment.speeds import impossible
 
 FORMAT = "amb-experiment"
 VERSION = 1
@@ -131,11 +132,11 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     flags = _flags(d, len(frequency))
     block_samples = _block_samples(d, frequency, rate) if "block_samples" in datasets else None
     time_s = d.vector("time_s", len(frequency)) if "time_s" in datasets else None
-    speeds = d.vector("point_speed_rad_s", len(frequency)) if "point_speed_rad_s" in datasets else None
+    speeds = _speeds(d, len(frequency)) if "point_speed_rad_s" in datasets else None
     kurtosis = d.vector("kurtosis", n_axes) if "kurtosis" in datasets else None
     shared: dict[str, Any] = {
         "kind": kind,
-        "speed_rad_s": number(where, "speed_rad_s", attributes["speed_rad_s"]),
+        "speed_rad_s": _speed(where, attributes["speed_rad_s"]),
         "sample_rate_hz": rate,
         "comment": text(attributes.get("comment", "")),
     }
@@ -200,6 +201,21 @@ def _block_samples(d: _Datasets, frequency: NDArray[np.float64], rate: float) ->
             "whole periods: check its unit and sample_rate_hz",
         )
     return samples
+
+
+def _speed(where: str, value: Any) -> float:
+    speed_rad_s = number(where, "speed_rad_s", value)
+    if why := impossible(speed_rad_s):
+        raise ExperimentFileError(f"{where}: attribute speed_rad_s {why}")
+    return speed_rad_s
+
+
+def _speeds(d: _Datasets, n_points: int) -> NDArray[np.float64]:
+    speeds = d.vector("point_speed_rad_s", n_points)
+    fastest = int(np.argmax(np.abs(speeds)))
+    if why := impossible(float(speeds[fastest])):
+        raise d.fail("point_speed_rad_s", f"of point {fastest} {why}")
+    return speeds
 
 
 def _phases(d: _Datasets, R: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from sim.datasheet import FASTEST_RAD_S
 
 SPEED_APART, SPEED_APART_RAD_S = 0.01, 1.0
 """How far speeds may be apart that count as one: a share of it, and rad/s."""
@@ -12,6 +13,19 @@ SPEED_CHANGED = "speed_changed"
 """Attribute of a file whose rotor turned otherwise when the campaign had ended: from which speed to which."""
 FEW_LINES = 6
 """Lines at another speed up to which each is told."""
+
+
+def impossible(speed_rad_s: float) -> str:
+    """Why no rotor turns at a speed, whichever way, to follow what stated it; empty where one may.
+
+    >>> impossible(-1e9)
+    'is -1e+09 rad/s, and no rotor turns beyond 6e+04 rad/s: check it and its unit'
+    >>> impossible(6000.0)
+    ''
+    """
+    if abs(speed_rad_s) <= FASTEST_RAD_S:
+        return ""
+    return f"is {speed_rad_s:.3g} rad/s, and no rotor turns beyond {FASTEST_RAD_S:.3g} rad/s: check it and its unit"
 
 
 def same(one_rad_s: float, other_rad_s: float) -> bool:

@@ -70,6 +70,7 @@ def test_help_needs_none_of_the_heavy_libraries():
         (("rig", "serve", "--effect", "gremlins=3"), "--effect: no effect 'gremlins'"),
         (("rig", "serve", "--faults", "gremlins=0.1"), "--faults: there is no fault 'gremlins'; known are drop, delay"),
         (("rig", "serve", "--speed-rad-s", "nan"), "--speed-rad-s"),
+        (("rig", "serve", "--speed-rad-s", "1e9"), "--speed-rad-s"),
         (("rig", "serve", "--protocol", "modbus-tls"), "--certificate"),
         (("effects", "gremlins"), "loop_delay"),
         (("export", "model", "result.json", "plant.doc"), ".mat"),

@@ -82,6 +82,16 @@ class Turning(Faulty):
         return replace(self.inner.status(), speed_rad_s=self.speed_rad_s)
 
 
+def test_a_speed_at_which_no_rotor_turns(tmp_path):
+    """The file of the whole campaign would be refused for it; told by a glitch on the way, it is that point's alone."""
+    rig = Turning(None)
+    rig.speed_rad_s = 3e5
+    assert_refused(CampaignError, r"the controller tells is 3e\+05 rad/s, .* check it and its unit", rig, tmp_path)
+    glitch = Turning(lambda k: setattr(glitch, "speed_rad_s", -1e9 if k == 40 else 314.0))
+    campaign(glitch, tmp_path, TINY)
+    assert {s.speed_rad_s for s in read(tmp_path / "experiment.h5").sweeps} == {314.0}
+
+
 def test_a_journal_of_another_speed(tmp_path):
     """One sweep has one speed: what was measured at standstill is no part of a sweep at speed."""
     with pytest.raises(CancelledError):

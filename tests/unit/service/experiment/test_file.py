@@ -201,12 +201,20 @@ def test_a_wrong_attribute_of_the_file(write_hdf5, demodulated, root, said):
         ({"sample_rate_hz": 0.0}, "sample_rate_hz"),
         ({"sample_rate_hz": float("nan")}, "sample_rate_hz"),
         ({"speed_rad_s": "fast"}, "speed_rad_s"),
+        ({"speed_rad_s": -1e9}, "attribute speed_rad_s is -1e+09 rad/s, and no rotor turns beyond 6e+04 rad/s"),
         ({"sample_rate_hz": 39.0}, "Nyquist"),
         ({"kind": "noise"}, "no excited sweep"),
     ],
 )
 def test_a_wrong_attribute_of_a_sweep(write_hdf5, demodulated, attributes, said):
     assert said in refused(write_hdf5(demodulated, attributes))
+
+
+def test_a_point_at_a_speed_at_which_no_rotor_turns_is_named(write_hdf5, demodulated):
+    speeds = np.zeros(len(demodulated["frequency_hz"]))
+    speeds[1] = 3e9
+    told = refused(write_hdf5(demodulated | {"point_speed_rad_s": speeds}))
+    assert "point_speed_rad_s of point 1 is 3e+09 rad/s" in told
 
 
 def test_a_number_is_shown_as_one(write_hdf5, demodulated):
