@@ -246,7 +246,8 @@ def recover(out_dir: Path) -> Experiment:
 def recover_into_file(out_dir: Path) -> tuple[Path, Experiment]:
     """``out_dir/experiment.h5`` of what the journal there holds, which stays, and the experiment.
 
-    A file that holds all of it, and perhaps more, is left as it is; one of another campaign is put aside.
+    A file that holds all of it, and perhaps more, is left as it is; one of another campaign is put aside. A campaign
+    that ended has no journal any more, and its file is what there is.
 
     Raises
     ------
@@ -254,8 +255,13 @@ def recover_into_file(out_dir: Path) -> tuple[Path, Experiment]:
         As of `recover`.
     CampaignError
         No point was measured yet.
+    ExperimentFileError
+        The file of a campaign that ended cannot be read.
     """
-    found, path = recover(out_dir), out_dir / EXPERIMENT
+    path = out_dir / EXPERIMENT
+    if path.exists() and not (out_dir / JOURNAL).exists():
+        return path, file.read(path)
+    found = recover(out_dir)
     if not _write(path, found):
         raise CampaignError(f"{out_dir / JOURNAL} holds no excited point yet; run the campaign again")
     return path, found

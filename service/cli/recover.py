@@ -19,11 +19,16 @@ def recover(
     The journal stays: the same ambit commission still goes on from there.
     """
     from service.campaign.run import recover_into_file
+    from service.experiment.incomplete import INCOMPLETE
 
     path, experiment = recover_into_file(folder)
     points = {sweep.comment: sweep.n_points for sweep in experiment.sweeps if sweep.kind != "noise"}
+    complete = INCOMPLETE not in experiment.attributes
     if as_json:
-        print_json({"experiment": str(path), "points": points})
+        print_json({"experiment": str(path), "points": points, "complete": complete})
+        return
+    if complete:
+        stdout().print(f"the campaign is complete, nothing is left to recover: {path}", soft_wrap=True)
         return
     told = ", ".join(f"{sweep} {count}" for sweep, count in points.items())
     stdout().print(f"{sum(points.values())} points of a campaign that did not end ({told}): {path}", soft_wrap=True)

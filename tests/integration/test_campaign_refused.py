@@ -1,5 +1,6 @@
 """What a campaign refuses before anything moves, and what it does with files that lie in its folder."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -254,6 +255,17 @@ def test_recovering_without_a_journal(tmp_path, capsys):
         recover(tmp_path)
     assert run(["recover", str(tmp_path)]) == 1
     assert "cannot read the journal" in capsys.readouterr().err
+
+
+def test_recovering_what_is_complete(tmp_path, capsys):
+    campaign(Faulty(lambda k: None), tmp_path, TINY)
+    path = tmp_path / "experiment.h5"
+    before = path.read_bytes()
+    assert run(["recover", str(tmp_path)]) == 0
+    assert f"the campaign is complete, nothing is left to recover: {path}" in " ".join(capsys.readouterr().out.split())
+    assert run(["recover", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["complete"] is True
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("n", [1, 12, 60])
