@@ -11,14 +11,18 @@ import math
 import re
 import tomllib
 from dataclasses import fields
+from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sim.datasheet import AXES, ISO_14839_3_DB, Datasheet, Mode, Tolerance
 from sim.errors import DatasheetError, EffectError
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 FARTHEST = 1e16
 """Largest figure of any rig in SI units, and one over the smallest that is not nought: beyond, squares of figures and
@@ -53,6 +57,10 @@ OTHER_UNITS = {"_m": "m, not in mm or um", "_a": "A, not in mA", "_s": "s, not i
 """By the end of a field's name: what a value beyond any rig's is to be in."""
 SignedPair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
+SHOWN = 3
+"""Problems of a file that its error tells; the others are counted."""
+LONGEST = 60
+"""Characters of a name that are looked at for what it may mean: the search grows with their square."""
 DEEPEST = 8
 """Parts of a dotted key, and brackets within brackets: a datasheet has three, and a parser's work grows with them."""
 BYTE_ORDER_MARK = "\ufeff"
@@ -203,21 +211,53 @@ def _per_axis(name: str, value: float | list[float], n: int) -> tuple[float, ...
     return tuple(values)
 
 
-def _first_problem(error: ValidationError) -> str:
-    # Of a name that is wrong and so one that is missing, the first tells; of a list, what is wrong in it and not that
-    # it is no number.
-    problems = [p for p in error.errors() if not (p["type"] == "float_type" and isinstance(p.get("input"), list))]
-    problem = next((p for p in problems if p["type"] == "extra_forbidden"), (problems or error.errors())[0])
-    parts = [str(p) for p in problem["loc"] if not str(p).startswith(("function", "constrained", "list[", "float"))]
-    where = ".".join(parts)
+def _problems(error: ValidationError) -> str:
+    """What is wrong with a file in one line: names that are not known first, then what is missing or cannot be."""
+    # of a list, what is wrong in it is told and not that it is no number
+    found = [p for p in error.errors() if not (p["type"] == "float_type" and isinstance(p.get("input"), list))]
+    found = found or error.errors()
+    told, meant = {}, set()
+    for problem in found:
+        if problem["type"] == "extra_forbidden":
+            where, close = _where(problem["loc"]), _close(problem["loc"])
+            meant |= {close}
+            told[where] = f"{where} is not known" + (f", is {close} meant?" if close else "")
+    for problem in found:
+        where = _where(problem["loc"])
+        if where not in told and not (problem["type"] == "missing" and where in meant):  # misspelt, and so missing
+            told[where] = f"{where} is missing" if problem["type"] == "missing" else f"{where}: {_refused(problem)}"
+    sentences = list(told.values())
+    more = len(sentences) - SHOWN
+    return "; ".join(sentences[:SHOWN]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _where(loc: tuple[int | str, ...]) -> str:
+    """Where in a file something is: a section in its brackets, or a dotted name."""
+    parts = [str(p) for p in loc if not str(p).startswith(("function", "constrained", "list[", "float"))]
+    return f"[{parts[0]}]" if len(parts) == 1 else ".".join(parts)
+
+
+def _close(loc: tuple[int | str, ...]) -> str:
+    """The name that a misspelt one is likely to be; empty where none is like it."""
+    section: type[BaseModel] = _File
+    for part in loc[:-1]:
+        if isinstance(part, str):
+            annotation = section.model_fields[part].annotation
+            inside = (a for a in (annotation, *get_args(annotation)) if isinstance(a, type))
+            section = next(a for a in inside if issubclass(a, BaseModel))
+    like = get_close_matches(str(loc[-1])[:LONGEST], section.model_fields, n=1)
+    return _where((*loc[:-1], like[0])) if like else ""
+
+
+def _refused(problem: ErrorDetails) -> str:
+    """Why a value cannot be."""
     message = problem["msg"].removeprefix("Value error, ")
     shown = problem.get("input")
-    value = "" if isinstance(shown, dict | list | BaseModel) or problem["type"] == "missing" else f" (it is {shown!r})"
+    value = "" if isinstance(shown, dict | list | BaseModel) else f" (it is {shown!r})"
     if problem["type"] == "less_than_equal":
         unit = next(OTHER_UNITS[end] for p in reversed(problem["loc"]) if (end := str(p)[-2:]) in OTHER_UNITS)
         message = f"no rig has more than {problem['ctx']['le']:g}; give it in {unit}"
-    more = error.error_count() - 1
-    return f"{where}: {message}{value}" + (f", and {more} more" if more and not value else "")
+    return message + value
 
 
 def _must_be_shallow(text: str) -> None:
@@ -263,7 +303,7 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
     try:
         f = _File.model_validate(raw)
     except ValidationError as error:
-        raise DatasheetError(f"{source}: {_first_problem(error)}") from error
+        raise DatasheetError(f"{source}: {_problems(error)}") from error
     try:
         _must_be_in_hz(f)
         datasheet = _datasheet(f)

@@ -328,8 +328,21 @@ def test_a_slow_amplifier_in_hertz_is_one() -> None:
 
 
 def test_of_a_name_that_is_wrong_the_name_is_told_and_not_what_is_missing_for_it():
-    with pytest.raises(DatasheetError, match=r"rotor\.mass: Extra inputs"):
-        rig_file.parse(TEXT.replace("mass_kg = ", "mass = "))
+    told = refusal(TEXT.replace("mass_kg = ", "mass = "))
+    assert told == "my/rig.toml: rotor.mass is not known, is rotor.mass_kg meant?"
+    assert refusal(TEXT.replace("[limits]", "[limit]")) == "my/rig.toml: [limit] is not known, is [limits] meant?"
+    told = refusal(TEXT.replace("damping_ratio = 0.001", "damping = 0.001"))
+    assert told == "my/rig.toml: modes.0.damping is not known, is modes.0.damping_ratio meant?"
+    assert refusal(TEXT + "\n[stator]\n") == "my/rig.toml: [stator] is not known"
+
+
+def test_of_many_problems_the_first_are_told_and_the_others_counted():
+    told = "my/rig.toml: [rig] is missing; [rotor] is missing; [bearings] is missing; and 3 more"
+    assert refusal("") == told
+    wrong = with_line("mass_kg", "-280").replace("bias_current_a = ", "bias_curent_a = ")
+    told = refusal(wrong)
+    assert told.startswith("my/rig.toml: bearings.bias_curent_a is not known, is bearings.bias_current_a meant?; ")
+    assert told.endswith("rotor.mass_kg: Input should be greater than 0 (it is -280.0)")
 
 
 @pytest.mark.parametrize(
