@@ -69,7 +69,7 @@ class _Datasets:
     def array(self, name: str, dtype: type[np.generic]) -> NDArray[Any]:
         """A dataset that must exist, be numeric and finite."""
         if name not in self.datasets:
-            raise self.fail(name, "is missing; write it as the contract of experiment files says")
+            raise self.fail(name, "is missing; write it as docs/experiment-file.md says")
         raw = np.asarray(self.datasets[name])
         if raw.dtype.kind not in "iufcb":
             raise self.fail(name, f"has type {raw.dtype}; it must hold numbers")
@@ -120,7 +120,7 @@ def sweep(where: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]
     """
     for name in ("kind", "sample_rate_hz", "speed_rad_s"):
         if name not in attributes:
-            raise ExperimentFileError(f"{where}: attribute {name} is missing; add it as the contract says")
+            raise ExperimentFileError(f"{where}: attribute {name} is missing; add it as docs/experiment-file.md says")
     kind = text(attributes["kind"])
     if kind not in KINDS:
         raise ExperimentFileError(f"{where}: attribute kind is {kind!r}; it must be one of {', '.join(KINDS)}")

@@ -95,7 +95,7 @@ def _from_tree(path: Path, tree: Mapping[str, Any]) -> Experiment:
     attributes = tree["attributes"]
     for name in ("format", "version", "rig", "axes"):
         if name not in attributes:
-            raise ExperimentFileError(f"{path}: attribute {name} is missing; add it as the contract says")
+            raise ExperimentFileError(f"{path}: attribute {name} is missing; add it as docs/experiment-file.md says")
     contract.format_and_version(str(path), attributes["format"], attributes["version"])
     axes = _axes(path, attributes["axes"])
     if not tree["sweeps"]:

@@ -116,7 +116,7 @@ def understood(path: Path, limits: Limits, out: Path, rig: Path | None = None) -
     except Exception as error:  # whatever a file provokes in a reader is the file's fault here
         raise UploadContentError(
             f"it cannot be read as an experiment ({type(error).__name__}: {_first_line(error)}); "
-            "write it as the contract of experiment files says"
+            "write it as docs/experiment-file.md says"
         ) from error
     return summary(kind, experiment)
 

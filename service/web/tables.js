@@ -45,9 +45,10 @@ export function progress(job) {
   if (job.state === "done") return "in " + duration((new Date(job.ended_at) - new Date(job.started_at)) / 1000);
   if (job.state !== "running") return "";
   const p = job.progress;
-  const left = p.time_left_s ? ", " + duration(p.time_left_s) + " left" : "";
+  const left = p.time_left_s ? duration(p.time_left_s) + " left" : "";
   const points = p.points ? p.point + " of " + p.points + " points" : phase(p.phase);
-  return h("span", {}, h("span", { class: "bar" }, h("i", { width: p.percent + "%" })), p.percent.toFixed(0) + " %, " + points + left);
+  const told = [p.percent.toFixed(0) + " %", points, left].filter(Boolean).join(", "); // a job that just began has neither
+  return h("span", {}, h("span", { class: "bar" }, h("i", { width: p.percent + "%" })), told);
 }
 
 function cancel(job, context) {

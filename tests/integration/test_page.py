@@ -327,6 +327,9 @@ def test_a_job_is_alive_on_the_page_without_reloading(service, ids):
         page.open(f"{service.url}/#/job/{ids['running']}")
         page.until("document.body.innerText.includes('running')")
         page.run("window.kept = true")
+        report(percent=0.0, point=0, points=0, phase="", time_left_s=None)
+        page.until("document.body.innerText.includes('0 %')", 5)
+        assert "0 %," not in page.text(), "what just began has no comma for nothing"
         report(percent=42.0, point=126, points=300, phase="main", time_left_s=75.0)
         page.until("document.body.innerText.includes('42 %, 126 of 300 points, 1 min 15 s left')", 5)
         assert page.run("document.querySelector('.bar > i').style.width") == "42%"

@@ -224,7 +224,8 @@ def test_a_number_is_shown_as_one(write_hdf5, demodulated):
 @pytest.mark.parametrize("name", ["frequency_hz", "axis", "amplitude_a", "harmonics", "R", "U", "Y"])
 def test_a_missing_dataset(write_hdf5, demodulated, name):
     del demodulated[name]
-    assert f"/sweeps/0/{name} is missing" in refused(write_hdf5(demodulated))
+    told = refused(write_hdf5(demodulated))
+    assert f"/sweeps/0/{name} is missing; write it as docs/experiment-file.md says" in told
 
 
 @pytest.mark.parametrize("name", ["sample_start", "r", "u", "y"])
