@@ -1,6 +1,7 @@
 """Jobs as a user relies on them: real API, real worker, real device over Modbus, killed for real."""
 
 import json
+import re
 import shutil
 import time
 
@@ -8,8 +9,11 @@ import pytest
 
 from service.campaign.run import recover
 from service.experiment import file
-from tests.support.processes import wait_for
+from sim.rig_file import to_toml
+from tests.support.measured import small_experiment
+from tests.support.processes import ROOT, wait_for
 from tests.support.service import QUICK, SLOW, Running, free_port, reference_sheet, rig_device, service
+from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
 
@@ -68,6 +72,19 @@ def test_a_rig_is_measured_and_identified_by_one_request(running, rig, rig_id):
     actions = [line["action"] for line in running.get("/audit", params={"rig": rig_id})["items"]]
     assert actions == ["rotor.released", "rotor.excited", "job.submitted", "rig.created"]
     assert rig.status().excitation_a == 0
+
+
+@on_sqlite
+def test_what_the_readme_shows_of_the_client_runs(running, tmp_path, monkeypatch, capsys):
+    block = re.search(r"```python\n(from pathlib.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert block is not None
+    experiment, datasheet = one_plane(*small_experiment())
+    (tmp_path / "rig.toml").write_text(to_toml(datasheet))
+    (tmp_path / "out" / "rig1").mkdir(parents=True)
+    file.write(tmp_path / "out" / "rig1" / "experiment.h5", experiment)
+    monkeypatch.chdir(tmp_path)
+    exec(block[1].replace("http://127.0.0.1:8311", running.api.said), {})
+    assert "The rig 'reference' is identified" in capsys.readouterr().out
 
 
 @on_sqlite
