@@ -223,12 +223,14 @@ def _candidates(found: list[dict[str, Any]]) -> Table:
     from rich import box
     from rich.table import Table
 
+    from service.gap.document import parameters_used
+
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("explanation")
     for head in ("probability", "closure", "parameters"):
         table.add_column(head, justify="left" if head == "parameters" else "right")
     for c in found:
-        values = ", ".join(f"{name} {e['value']:.4g}{_end(e)}" for name, e in c["parameters"].items())
+        values = ", ".join(f"{name} {e['value']:.4g}{_end(e)}" for name, e in parameters_used(c).items())
         closure = (
             ("not shown" if c.get("open_strength") else "") if c["closure"] is None else f"{100 * c['closure']:z.0f} %"
         )

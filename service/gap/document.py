@@ -75,6 +75,17 @@ def likeliest(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return sorted(document["candidates"], key=lambda c: (c["effect"] != named, -round(c["probability"], 2)))
 
 
+def parameters_used(candidate: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The fitted parameters of a gap.json's candidate, without those of wider laws that it does without."""
+
+    def used(name: str, value: float) -> bool:
+        effect, _, parameter = name.rpartition(".")
+        p = next(p for p in CATALOGUE[effect or candidate["effect"]].parameters if p.name == parameter)
+        return value != p.null or not (p.dormant or p.optional)
+
+    return {name: e for name, e in candidate["parameters"].items() if used(name, e["value"])}
+
+
 def ends_reached(document: Mapping[str, Any]) -> list[str]:
     """Strengths of the verdict's effects that are at an end of their range, in words; ``document`` is a gap.json.
 

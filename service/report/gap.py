@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from service.gap.diagnosis import Diagnosis
-from service.gap.document import alike, gap_document, likeliest
+from service.gap.document import alike, gap_document, likeliest, parameters_used
 from service.gap.weighing.significance import SIGNIFICANT
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, fixed, number, paragraph, quantity, table
@@ -195,7 +195,7 @@ def _parameters(candidates: list[dict[str, Any]]) -> str:
     rows = []
     for c in candidates:
         head, tail = in_words(c["effect"]), [_percent(_gap_after(c), 3), number(c["log_evidence"], 6)]
-        for name, e in c["parameters"].items():
+        for name, e in parameters_used(c).items():
             effect, _, parameter = name.rpartition(".")
             p = next(p for p in CATALOGUE[effect or c["effects"][0]].parameters if p.name == parameter)
             value, std = quantity(e["value"], e["std"] or float("inf"), p.unit)
@@ -206,7 +206,7 @@ def _parameters(candidates: list[dict[str, Any]]) -> str:
             rows.append([head, f"{in_words(effect)}: {p.words}" if effect else p.words, value, std, *tail])
             head, tail = "", ["", ""]
     found = table(["explanation", "parameter", "value", "std. dev.", "gap after", "log evidence"], rows, left=2)
-    if any(e["at_bound"] for c in candidates for e in c["parameters"].values()):
+    if any(e["at_bound"] for c in candidates for e in parameters_used(c).values()):
         found += paragraph("At an end of its range a value is where the fit had to stop, and not measured.", "small")
     return found
 

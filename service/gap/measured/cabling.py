@@ -25,6 +25,8 @@ BROKEN, HOLDS = 0.2, 0.02
 """Share of a signal's power that a law leaves from which it does not hold, and up to which it does. A log that is a
 sample off leaves 0.12 on rigs of two other programs, channels that are swapped or conjugate 0.3 and more; put in order
 they leave less than 1e-6, and an amplifier's law 1e-4."""
+FAR_BETTER = 0.05
+"""Ratio of what conjugates leave to what the signals as written do, up to which these are conjugates."""
 UNIT = 30.0
 """Factor from which a signal is not off, but in another unit, or is not there."""
 ALIKE = (0.5, 2.0)
@@ -156,12 +158,16 @@ def _wrong(log: _Log) -> Iterator[str]:
 
 
 def _conjugates(log: _Log) -> str | None:
-    """That the controller's law holds on no axis, and on all of them with conjugates; in words."""
+    """That the controller's law holds on no axis, and far better on all of them with conjugates; in words.
+
+    Where r is most of u, and in phase with its conjugate, conjugates leave less than `BROKEN`.
+    """
     each = range(len(log.axes))
-    if any(log.by_controller(k, k, k)[1] < BROKEN for k in each):
+    left = [log.by_controller(k, k, k)[1] for k in each]
+    if min(left) < HOLDS:
         return None
     for which, words in (("uy", "U and Y are"), ("y", "Y is"), ("u", "U is")):
-        if all(log.by_controller(k, k, k, which)[1] < HOLDS for k in each):
+        if all(log.by_controller(k, k, k, which)[1] < min(HOLDS, FAR_BETTER * left[k]) for k in each):
             return (
                 f"{words} the conjugate of what the datasheet's controller makes: are the amplitudes of exp(-j h w t), "
                 "and not of exp(+j h w t), or are controller.numerator and denominator written lowest power of z first?"

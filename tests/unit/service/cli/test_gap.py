@@ -8,7 +8,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from service.cli.gap import _candidates, _proposal, app
-from service.gap.document import likeliest
+from service.gap.document import likeliest, parameters_used
+from sim.effects import CATALOGUE
 from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 
@@ -83,3 +84,15 @@ def test_what_to_measure_next_is_told_with_its_price_and_the_command_that_asks_f
         "next: each axis from 1 kHz up to 3 kHz; 13 min on the rig, 96 % likely to tell loop delay from "
         "eddy currents + runout: ambit submit experiment --rig bench"
     )
+
+
+def test_parameters_of_wider_laws_that_an_explanation_does_without_are_not_listed():
+    null = {effect: CATALOGUE[effect].null() for effect in ("loop_delay", "sensor_lag")}
+    delayed = {**null["loop_delay"], "delay_s": 2e-5}
+    alone = {"effect": "loop_delay", "parameters": {name: {"value": v} for name, v in delayed.items()}}
+    assert list(parameters_used(alone)) == ["delay_s"]
+    values = {f"{effect}.{name}": v for effect in null for name, v in null[effect].items()}
+    both = {**values, "loop_delay.plane_imbalance": 1.0, "sensor_lag.delay_s": 1e-5}
+    mixture = {"effect": "loop_delay+sensor_lag", "parameters": {name: {"value": v} for name, v in both.items()}}
+    assert set(parameters_used(mixture)) >= {"loop_delay.delay_s", "loop_delay.plane_imbalance", "sensor_lag.delay_s"}
+    assert "loop_delay.end_imbalance" not in parameters_used(mixture)

@@ -39,6 +39,13 @@ def current() -> Complex:
     return MAIN.I
 
 
+def driven_hard(sweep: Sweep) -> Sweep:
+    """The points at which the controller adds least to the excitation."""
+    f = sweep.harmonic(1)
+    added, r = (np.linalg.norm(x[:, :, f], axis=(1, 2)) for x in (sweep.U - sweep.R, sweep.R))
+    return sweep.select(added / r < np.quantile(added / r, 0.4))
+
+
 WRONG: dict[str, tuple[Callable[[], Sweep], tuple[str, ...]]] = {
     "two sensors": (lambda: replace(MAIN, Y=MAIN.Y[..., SWAPPED]), ("u of xA follows y of xB", "y or of u")),
     "two controls": (lambda: replace(MAIN, U=MAIN.U[..., SWAPPED]), ("u of xA follows y of xB and r of xB",)),
@@ -58,6 +65,10 @@ WRONG: dict[str, tuple[Callable[[], Sweep], tuple[str, ...]]] = {
     "conjugates": (
         lambda: replace(MAIN, U=MAIN.U.conj(), I=current().conj(), Y=MAIN.Y.conj()),
         ("U and Y are the conjugate", "exp(-j h w t)", "lowest power"),
+    ),
+    "conjugates where r is most of u": (
+        lambda: driven_hard(replace(MAIN, U=MAIN.U.conj(), I=current().conj(), Y=MAIN.Y.conj())),
+        ("U and Y are the conjugate", "exp(-j h w t)"),
     ),
     "conjugate displacements": (lambda: replace(MAIN, Y=MAIN.Y.conj()), ("Y is the conjugate",)),
 }
