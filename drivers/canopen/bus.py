@@ -16,13 +16,15 @@ from typing import Any
 
 import can
 import canopen
-from can.interfaces.socketcand.socketcand import SocketCanDaemonBus, convert_can_message_to_ascii_message
+from can.interfaces.socketcand.socketcand import convert_can_message_to_ascii_message
 
 from drivers.errors import BusError, ControllerError
 from sim.errors import reason
 
 INTERFACES = ("socketcan", "socketcand", "udp_multicast", "virtual")
 
+HUB_PATIENCE_S = 1.0
+"""How long a socketcand hub may take to accept a connection, for each of its answers, and for a frame."""
 TOGETHER = 8
 """Frames that leave in one go where the interface is a network connection: a millisecond of a line at 1 Mbit/s."""
 
@@ -57,7 +59,7 @@ def bus_arguments(address: str, bitrate: int = 1_000_000) -> dict[str, Any]:
     except ValueError:
         raise ControllerError(f"the port in {address!r} is not a number") from None
     if interface == "socketcand":
-        return {"interface": interface, "host": host, "port": number, "channel": channel or "can0", "tcp_tune": True}
+        return {"interface": interface, "host": host, "port": number, "channel": channel or "can0"}
     return {"interface": interface, "channel": host, "port": number}
 
 
@@ -78,7 +80,7 @@ def open_network(address: str, bitrate: int = 1_000_000) -> canopen.Network:
         network.connect()
     except (can.CanError, OSError, TimeoutError, ValueError) as error:
         raise BusError(
-            f"cannot open the CAN bus {address}: {reason(error)}; see that it is up, and that its name is right"
+            f"cannot open the CAN bus {address}: {reason(error)}; see that it is up, and that its address is right"
         ) from error
     return network
 
@@ -86,9 +88,7 @@ def open_network(address: str, bitrate: int = 1_000_000) -> canopen.Network:
 def _reachable(arguments: dict[str, Any]) -> can.BusABC:
     if arguments["interface"] != "socketcand":
         return can.Bus(**arguments)
-    # python-can would try for ten seconds, at full speed
-    socket.create_connection((arguments["host"], arguments["port"]), timeout=1.0).close()
-    return _SocketcandBus(**{k: v for k, v in arguments.items() if k != "interface"})
+    return _SocketcandBus(arguments["host"], arguments["port"], arguments["channel"])
 
 
 class _KeepsQuiet(can.Listener):
@@ -102,16 +102,52 @@ class _KeepsQuiet(can.Listener):
         time.sleep(0.05)
 
 
-class _SocketcandBus(SocketCanDaemonBus):
-    """python-can's, which takes a closed connection for silence, and a kilobyte, and four system calls, at a time."""
+class _SocketcandBus(can.BusABC):
+    """A bus behind a socketcand hub, with an end to every wait.
 
-    _MINE = "_SocketCanDaemonBus__"
+    python-can's own waits for ever for the answers of what is no hub, tries for ten seconds where nobody listens, takes
+    a closed connection for silence, and a kilobyte, and four system calls, at a time.
+    """
 
-    def __init__(self, **arguments: Any) -> None:
-        super().__init__(**arguments)  # type: ignore[no-untyped-call]
-        self._connection: socket.socket = getattr(self, self._MINE + "socket")
+    def __init__(self, host: str, port: int, channel: str) -> None:
+        self.channel_info = f"socketcand on {channel}@{host}:{port}"
         self._came: deque[can.Message] = deque()
         self._begun = ""
+        self._connection = socket.create_connection((host, port), timeout=HUB_PATIENCE_S)
+        try:
+            self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._greet(channel)
+            super().__init__(channel=channel)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def _greet(self, channel: str) -> None:
+        for said, answer in (("", "< hi >"), (f"< open {channel} >", "< ok >"), ("< rawmode >", "< ok >")):
+            self._connection.sendall(said.encode("ascii"))
+            heard = self._heard()[:40]
+            if heard != answer:
+                told = f"answers {heard!r}" if heard else "answers nothing"
+                asked = f"to {said!r}" if said else "to a connection"
+                raise can.CanError(f"what listens there {told} {asked}, where a socketcand hub says {answer!r}")
+
+    def _heard(self) -> str:
+        """What is said up to the end of a word of the hub's, as far as it comes in time; more of it is kept."""
+        deadline = time.monotonic() + HUB_PATIENCE_S
+        while ">" not in self._begun and (left := deadline - time.monotonic()) > 0:
+            if not select.select([self._connection], [], [], left)[0]:
+                break
+            chunk = self._connection.recv(256)
+            self._begun += chunk.decode("ascii", "backslashreplace")
+            if not chunk or len(self._begun) > 256:  # no hub says so much
+                break
+        word, end, self._begun = self._begun.partition(">")
+        return word + end
+
+    def shutdown(self) -> None:
+        """Leave the bus; safe twice."""
+        super().shutdown()
+        self._connection.close()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._came:

@@ -59,7 +59,7 @@ def test_bus_that_is_not_there_is_a_bus_error() -> None:
 
 def test_can_addresses() -> None:
     assert bus_arguments("socketcand/host:29536/can1") == {
-        "interface": "socketcand", "host": "host", "port": 29536, "channel": "can1", "tcp_tune": True,
+        "interface": "socketcand", "host": "host", "port": 29536, "channel": "can1",
     }  # fmt: skip
     assert bus_arguments("udp_multicast/239.74.163.2:5000") == {
         "interface": "udp_multicast", "channel": "239.74.163.2", "port": 5000,
