@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -48,7 +49,7 @@ Priors = Annotated[
         "Without it they are not trusted at all.",
     ),
 ]
-STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
+STOPPING = "stopping: any excitation ramps to zero, what was measured is kept"
 
 
 def commission(
@@ -130,12 +131,16 @@ def commission_directly(
     from service import bootstrap
     from service.campaign.journal import entries
     from service.campaign.run import JOURNAL
-    from service.cli.interrupt import asked_to_stop
+    from service.cli.interrupt import asked_to_stop, kill_is_ctrl_c
     from service.cli.progress import campaign_progress
 
     began = time.monotonic()
     profile = bootstrap.profile_for(excitation.value, quick)
-    with asked_to_stop(STOPPING) as cancelled, connection as controller, campaign_progress() as progress:
+    with ExitStack() as stack:
+        with kill_is_ctrl_c():  # nothing is excited yet that would have to ramp down: the first signal ends the command
+            controller = stack.enter_context(connection)
+        cancelled = stack.enter_context(asked_to_stop(STOPPING))
+        progress = stack.enter_context(campaign_progress())
         try:
             experiment = bootstrap.measure(controller, datasheet, out, progress, cancelled, resume, profile)
         except BusError as error:

@@ -19,7 +19,7 @@ app = typer.Typer(no_args_is_help=True, help="Short checks of a commissioned rig
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 BaselineFolder = Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")]
 BUDGET_S = 90.0
-STOPPING = "stopping: the excitation ramps to zero, what was measured is kept"
+STOPPING = "stopping: any excitation ramps to zero, what was measured is kept"
 Budget = Annotated[float, typer.Option(help="Rig time of the check, s.", min=20.0, max=3600.0)]
 PerYear = Annotated[
     float, typer.Option(help="False alarms a year that are accepted, over all figures.", min=1e-6, max=1.0)
@@ -45,7 +45,7 @@ def check(
     """Measure a few tones, compare with the commissioning; write health.json and health.html."""
     from drivers.errors import AddressError
     from service import bootstrap, checkup
-    from service.cli.interrupt import asked_to_stop
+    from service.cli.interrupt import asked_to_stop, kill_is_ctrl_c
     from service.cli.progress import campaign_progress
     from service.health.sequential import Policy
     from service.output import results_in
@@ -53,7 +53,7 @@ def check(
     then, datasheet = checkup.read_baseline(baseline)
     with results_in(out):
         plan = checkup.plan_for(then, datasheet, budget_s)
-        with value_of("--controller", AddressError):
+        with value_of("--controller", AddressError), kill_is_ctrl_c():
             rig = bootstrap.connect(controller)
         try:
             with asked_to_stop(STOPPING) as cancelled, campaign_progress() as progress:

@@ -4,6 +4,7 @@ import json
 import re
 import resource
 import signal
+import socket
 
 import pytest
 
@@ -119,3 +120,22 @@ def _status(url: str) -> Status:
         return controller.status()
     finally:
         controller.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_still_connecting_ends_with_the_first_signal_and_speaks_of_no_excitation(
+    tmp_path, out, number
+):
+    (tmp_path / "rig.toml").write_text(true_and_known()[1])
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"canopen://socketcand/127.0.0.1:{silent.getsockname()[1]}/can0?node=5"
+        command = Running("commission", "--controller", url, "--rig", tmp_path / "rig.toml", "--out", out)
+        try:
+            silent.settimeout(60)
+            connection, _ = silent.accept()
+            with connection:
+                command.interrupt(number)
+                assert command.wait(20) == 1
+            assert command.said == ["ambit: stopped by the user; files that were finished are kept\n"]
+        finally:
+            command.end()
