@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
 import time
 from collections import OrderedDict
@@ -12,6 +11,7 @@ from typing import Generic, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 
+from service.aside import aside, within
 from service.storage.database import Database
 
 T = TypeVar("T")
@@ -50,19 +50,16 @@ class Momentary(Generic[T]):
             at = self._clock()
             answer = self._answer
             if answer is None or (answer.done() and at - self._began >= self._seconds):
-                answer = self._answer = Future()
+                answer = self._answer = aside(read, "moment")
                 self._began = at
-                threading.Thread(target=_find_out, args=(answer, read), name="moment", daemon=True).start()
             left = self._began + self._patience_s - at
-        # those who come later wait no longer than who asked first; the thread goes on without them
-        return await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(answer)), max(left, 0.0))
+        return await within(left, answer)  # those who come later wait no longer than who asked first
 
-
-def _find_out(answer: Future[T], read: Callable[[], T]) -> None:
-    try:
-        answer.set_result(read())
-    except Exception as error:
-        answer.set_exception(error)
+    def forget(self) -> None:
+        """Let nobody have an answer of before, as what it tells has been changed."""
+        with self._lock:
+            if self._answer is not None and self._answer.done():
+                self._answer = None
 
 
 class Kept(Generic[T]):

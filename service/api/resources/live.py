@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import threading
 import time
-from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import wait
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Request, Response
 from pydantic import ConfigDict
 
-from drivers.errors import ControllerError
+from drivers.errors import BusError, ControllerError
 from service import bootstrap
 from service.access.audit import Action
 from service.access.keys import Identity
 from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
+from service.api.kept import Momentary
 from service.api.problems import UnavailableError, documented
 from service.api.resources.controllers import IN_PROCESS
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
+from service.aside import aside, within
 from service.campaign.leased import acknowledged
 from service.errors import ConflictError
 from service.storage import jobs, rigs
@@ -40,11 +42,18 @@ router = APIRouter(prefix="/api/v1/rigs", tags=["rigs"], route_class=KeyFirst)
 
 FRESH_S = 0.5
 """Whoever asks again within this time gets the same answer: a page that many look at does not load the bus."""
+ANSWER_S = 5.0
+"""How long a request waits for a controller, whatever its driver does; most drivers say earlier that nobody answers."""
 STOPS = 8
-"""Stops that are worked on at once, beside all other requests: none of those is waited for."""
+"""Stops that look into the database at once, beside all other requests: none of those is waited for."""
+STOPS_EACH = 4
+"""Stops of one controller that are under way at once: of one that hangs, the others are not told to wait as well."""
 STOPPED = "the rig was stopped by hand"
+END_IT_THERE = "end the excitation at the controller, or see that it is on and that its address is right"
 IDLE_S = 30.0
 """A connection that nobody asked for so long is given up."""
+CLOSE_S = 1.0
+"""Time that connections have to be given up in when the service ends."""
 
 
 class LiveStatus(Shape):
@@ -104,17 +113,73 @@ class Acknowledged(Shape):
     """Now."""
 
 
-@dataclass
 class _Line:
-    """A connection to one controller, used by one caller at a time."""
+    """A connection to one controller, used by one caller at a time; what its driver does is waited for by nobody else.
 
-    url: str
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    controller: Controller | None = None
-    asked: float = 0.0
-    answer: LiveStatus | None = None
+    However often it is asked, a controller that hangs has one thread that looks, one that acknowledges, and a few that
+    stop.
+    """
 
-    def ask(self, question: Callable[[Controller], T]) -> T:
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self.lock = threading.Lock()
+        self.controller: Controller | None = None
+        self.asked = time.monotonic()
+        self.now: Momentary[LiveStatus] = Momentary(FRESH_S, ANSWER_S)
+        self.acknowledging: Momentary[Acknowledged] = Momentary(0.0, ANSWER_S)
+        self._stops = threading.Semaphore(STOPS_EACH)
+
+    def status(self) -> LiveStatus:
+        """The controller now."""
+        try:
+            with self._turn():
+                return self._ask(lambda controller: _status(self.url, controller))
+        except ControllerError as error:
+            return LiveStatus(reachable=False, detail=str(error), controller_url=self.url)
+
+    def acknowledge(self, keep: Callable[[str], None]) -> Acknowledged:
+        """Clear the latched trip, which ``keep`` is told."""
+        with self._turn():
+            trip = self._ask(acknowledged)
+            self.now.forget()
+            if trip is not None:
+                keep(trip)
+            return Acknowledged(acknowledged=trip, state=self._ask(_state))
+
+    def stop(self) -> str:
+        """Ramp the excitation to zero, past whoever asks something else; whose lease it was."""
+        if not self._stops.acquire(blocking=False):
+            raise BusError(f"{STOPS_EACH} stops before this one are not answered yet; {END_IT_THERE}")
+        try:
+            controller = self.controller
+            if controller is not None:
+                with suppress(Exception):  # it has restarted, or somebody has just given the line up
+                    controller.stop()
+                    return controller.status().lease_holder
+            with bootstrap.connected(self.url) as controller:
+                controller.stop()
+                return controller.status().lease_holder
+        finally:
+            self._stops.release()
+            self.now.forget()
+
+    def close(self) -> None:
+        """Give the connection up."""
+        controller, self.controller = self.controller, None
+        if controller is not None:
+            with suppress(Exception):
+                controller.close()
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        if not self.lock.acquire(timeout=ANSWER_S / 2):  # in time for whoever asks to be told so
+            raise BusError(f"{self.url}: what it was asked before is not answered yet; see that the controller is on")
+        try:
+            yield
+        finally:
+            self.lock.release()
+
+    def _ask(self, question: Callable[[Controller], T]) -> T:
         try:
             if self.controller is None:
                 self.controller = bootstrap.connect(self.url)
@@ -123,44 +188,31 @@ class _Line:
             self.close()
             raise
 
-    def close(self) -> None:
-        controller, self.controller = self.controller, None
-        if controller is not None:
-            with suppress(Exception):
-                controller.close()
-
 
 class Lines:
-    """Connections of the API to controllers."""
+    """Connections of the API to controllers. Nothing in here waits in a thread of the requests."""
 
     def __init__(self) -> None:
         self.stops = CapacityLimiter(STOPS)
         self._lines: dict[str, _Line] = {}
-        self._lock = threading.Lock()
 
-    def status(self, url: str) -> LiveStatus:
+    async def status(self, url: str) -> LiveStatus:
         """Status of a controller, at most half a second old."""
         line = self._line(url)
-        with line.lock:
-            if line.answer is not None and time.monotonic() - line.asked < FRESH_S:
-                return line.answer
-            try:
-                line.answer = line.ask(lambda controller: _status(url, controller))
-            except ControllerError as error:
-                line.answer = LiveStatus(reachable=False, detail=str(error), controller_url=url)
-            line.asked = time.monotonic()
-            return line.answer
+        try:
+            return await line.now.get(line.status)
+        except TimeoutError:
+            return LiveStatus(reachable=False, detail=_no_answer(url), controller_url=url)
 
-    def acknowledge(self, url: str) -> Acknowledged:
-        """Clear the latched trip of a controller that nobody holds."""
+    async def acknowledge(self, url: str, keep: Callable[[str], None]) -> Acknowledged:
+        """Clear the latched trip of a controller that nobody holds, and have it written down, however late it is."""
         line = self._line(url)
-        with line.lock:
-            line.answer = None
-            line.asked = time.monotonic()
-            trip = line.ask(acknowledged)
-            return Acknowledged(acknowledged=trip, state=line.ask(_state))
+        try:
+            return await line.acknowledging.get(lambda: line.acknowledge(keep))
+        except TimeoutError:
+            raise BusError(f"{_no_answer(url)}; whether its trip is acknowledged is not known") from None
 
-    def stop(self, urls: Collection[str]) -> tuple[set[str], dict[str, str]]:
+    async def stop(self, urls: Collection[str]) -> tuple[set[str], dict[str, str]]:
         """Ramp the excitation to zero at all of these controllers at once, whoever holds the leases.
 
         Nobody is waited for who asks a controller that does not answer, and none keeps another one from its stop.
@@ -175,50 +227,40 @@ class Lines:
         holders: set[str] = set()
         failures: dict[str, str] = {}
 
-        def stop(url: str) -> None:
+        async def stop(url: str) -> None:
             try:
-                holders.add(self._stop(url))
+                holders.add(await within(ANSWER_S, aside(self._line(url).stop, "stop")))
+            except TimeoutError:
+                failures[url] = f"no answer within {ANSWER_S:g} s; {END_IT_THERE}"
             except ControllerError as error:
                 failures[url] = str(error)
             except Exception as error:  # a defect of one driver is no reason to let any rotor go on
                 log.exception("the stop of %s met a defect", url)
                 failures[url] = f"{type(error).__name__}: {error}"
 
-        if urls:
-            with ThreadPoolExecutor(len(urls)) as pool:
-                list(pool.map(stop, urls))
+        await asyncio.gather(*map(stop, urls))
         return holders, failures
 
-    def _stop(self, url: str) -> str:
-        line = self._line(url)
-        line.answer = None
-        controller = line.controller
-        if controller is not None:
-            with suppress(Exception):  # it has restarted, or somebody has just given the line up
-                controller.stop()
-                return controller.status().lease_holder
-        controller = bootstrap.connect(url)
-        try:
-            controller.stop()
-            return controller.status().lease_holder
-        finally:
-            controller.close()
-
     def _line(self, url: str) -> _Line:
-        with self._lock:
-            old = [k for k, line in self._lines.items() if time.monotonic() - line.asked > IDLE_S and k != url]
-            dropped = [self._lines.pop(k) for k in old if not self._lines[k].lock.locked()]
-            line = self._lines.setdefault(url, _Line(url))
-        for other in dropped:
-            other.close()
+        line = self._lines.setdefault(url, _Line(url))
+        line.asked = time.monotonic()
+        for other in [line for line in self._lines.values() if line.asked < time.monotonic() - IDLE_S]:
+            if not other.lock.locked():
+                del self._lines[other.url]
+                aside(other.close, "line")
         return line
 
     def close(self) -> None:
-        """Give up every connection."""
-        with self._lock:
-            lines, self._lines = list(self._lines.values()), {}
-        for line in lines:
-            line.close()
+        """Give up every connection, as far as their drivers do so in time."""
+        closing = [aside(line.close, "line") for line in self._lines.values()]
+        self._lines = {}
+        wait(closing, CLOSE_S)
+
+
+def _no_answer(url: str) -> str:
+    return (
+        f"{url}: the controller does not answer within {ANSWER_S:g} s; see that it is on, and that its address is right"
+    )
 
 
 def _state(controller: Controller) -> str:
@@ -259,33 +301,35 @@ def _must_be_seen(rig: Rig, url: str) -> None:
         )
 
 
-@router.get("/{rig_id}/status", response_model=LiveStatus, responses=documented(404, 409))
-def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Response:
-    """The rig now: state, trip, excitation, displacements, and who holds the lease."""
-    lines: Lines = request.app.state.lines
+def _controller(api: Services, rig_id: str) -> str:
+    """URL of a rig's controller, which others than the job on it reach."""
     with api.database.read() as session:
         rig = rigs.get(session, rig_id)
         url = rigs.version(session, rig).controller_url
     _must_be_seen(rig, url)
-    return etags.document(lines.status(url))
+    return url
+
+
+@router.get("/{rig_id}/status", response_model=LiveStatus, responses=documented(404, 409))
+async def rig_status(request: Request, rig_id: RigId, who: Viewer, api: Api) -> Response:
+    """The rig now: state, trip, excitation, displacements, and who holds the lease."""
+    lines: Lines = request.app.state.lines
+    return etags.document(await lines.status(await to_thread.run_sync(_controller, api, rig_id)))
 
 
 @router.post("/{rig_id}/acknowledge", response_model=Acknowledged, responses=documented(404, 409))
-def acknowledge_trip(request: Request, rig_id: RigId, who: Operator, api: Api) -> Acknowledged:
+async def acknowledge_trip(request: Request, rig_id: RigId, who: Operator, api: Api) -> Acknowledged:
     """Clear the latched trip of the rig's controller, once its cause is found: jobs may excite the rotor again.
 
     Nothing moves by it. A controller that somebody holds is left alone.
     """
     lines: Lines = request.app.state.lines
-    with api.database.read() as session:
-        rig = rigs.get(session, rig_id)
-        url = rigs.version(session, rig).controller_url
-    _must_be_seen(rig, url)
-    done = lines.acknowledge(url)
-    if done.acknowledged is not None:
+
+    def keep(trip: str) -> None:
         with api.database.write() as session:
-            audit(session, request, who, Action.trip_acknowledged, rig_id, rig=rig_id, trip=done.acknowledged)
-    return done
+            audit(session, request, who, Action.trip_acknowledged, rig_id, rig=rig_id, trip=trip)
+
+    return await lines.acknowledge(await to_thread.run_sync(_controller, api, rig_id), keep)
 
 
 @router.post("/{rig_id}/stop", status_code=204, response_class=Response, responses=documented(404, 409))
@@ -299,23 +343,34 @@ async def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> 
     same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched off.
     """
     lines: Lines = request.app.state.lines
-    return await to_thread.run_sync(_stop, request, rig_id, who, api, lines, limiter=lines.stops)
-
-
-def _stop(request: Request, rig_id: str, who: Identity, api: Services, lines: Lines) -> Response:
-    with api.database.read() as session:
-        rig = rigs.get(session, rig_id)
-        current = rigs.version(session, rig).controller_url
-        urls = {url for url in (current, *jobs.controllers_moving(session, rig_id)) if _seen_by_all(url)}
-    holders, failures = lines.stop(urls)
-    with api.database.write() as session:
-        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holders)]
-        if not urls and not ended:
-            _must_be_seen(rig, current)
-        how = "stop asked for by hand; the controller did not confirm it" if failures else "stopped by hand"
-        audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how=how, cancelled=" ".join(ended))
+    urls = await to_thread.run_sync(_moving, rig_id, api, limiter=lines.stops)
+    holders, failures = await lines.stop(urls)
+    ended = await to_thread.run_sync(
+        _stopped, request, rig_id, who, api, urls, holders, bool(failures), limiter=lines.stops
+    )
     if failures:
         told = "; ".join(f"{url}: {why}" for url, why in sorted(failures.items()))
         asked = f"; asked to end: {', '.join(ended)}" if ended else ""
         raise UnavailableError(f"the stop did not reach the controller {told}{asked}")
     return Response(status_code=204)
+
+
+def _moving(rig_id: str, api: Services) -> set[str]:
+    """Controllers that may excite the rig now or soon, as far as others than a job reach them."""
+    with api.database.read() as session:
+        current = rigs.version(session, rigs.get(session, rig_id)).controller_url
+        return {url for url in (current, *jobs.controllers_moving(session, rig_id)) if _seen_by_all(url)}
+
+
+def _stopped(
+    request: Request, rig_id: str, who: Identity, api: Services, urls: set[str], holders: set[str], failed: bool
+) -> list[str]:
+    """Cancel the jobs that do not hear of the stop from a controller, and write it down; which ones."""
+    with api.database.write() as session:
+        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holders)]
+        if not urls and not ended:
+            rig = rigs.get(session, rig_id)
+            _must_be_seen(rig, rigs.version(session, rig).controller_url)
+        how = "stop asked for by hand; the controller did not confirm it" if failed else "stopped by hand"
+        audit(session, request, who, Action.rotor_released, rig_id, rig=rig_id, how=how, cancelled=" ".join(ended))
+    return ended

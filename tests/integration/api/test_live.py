@@ -1,6 +1,7 @@
 """A rig as it is now: its controller away, a stop by hand, a rig that nobody else sees."""
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
@@ -9,13 +10,15 @@ import pytest
 
 from drivers.device.machine import RigDevice
 from drivers.device.serve import ModbusOptions, serve_modbus
-from drivers.errors import LimitError
+from drivers.errors import BusError, LimitError
 from service import bootstrap
 from service.access.keys import Scope
 from service.api.app import THREADS
-from service.api.resources.live import Lines, LiveStatus
+from service.api.resources import live
 from service.config import Settings
+from service.errors import ConflictError
 from service.storage import jobs as rows
+from service.storage import rigs as rig_rows
 from sim.reference import reference_rig
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet, rig_device
@@ -162,12 +165,12 @@ def test_a_stop_waits_for_no_other_request(tmp_path, monkeypatch):
     """Not even with a key that was never shown before."""
     waiting, let_go = threading.Semaphore(0), threading.Event()
 
-    def hang(lines: Lines, url: str) -> LiveStatus:
+    def hang(*_, **__):
         waiting.release()
         let_go.wait(30)
-        return LiveStatus(reachable=False, controller_url=url)
+        raise ConflictError("it took too long")
 
-    monkeypatch.setattr(Lines, "status", hang)
+    monkeypatch.setattr(rig_rows, "listed", hang)
     with (
         serving(Settings(home=tmp_path / "home", port=0, requests_per_s=10_000)) as service,
         httpx.Client(base_url=f"{service.url}/api/v1", timeout=40) as api,
@@ -176,11 +179,60 @@ def test_a_stop_waits_for_no_other_request(tmp_path, monkeypatch):
         keys = [{"authorization": f"Bearer {service.key(Scope.operator)}"} for _ in range(2)]
         body = {"datasheet": SHEET, "controller_url": "modbus://127.0.0.1:9"}
         rig = api.post("/rigs", json=body, headers=keys[0]).json()["id"]
-        looks = [lookers.submit(api.get, f"/rigs/{rig}/status", headers=keys[0]) for _ in range(THREADS)]
+        looks = [lookers.submit(api.get, "/rigs", headers=keys[0]) for _ in range(THREADS)]
         try:
             assert all(waiting.acquire(timeout=10) for _ in looks)
             answer = api.post(f"/rigs/{rig}/stop", headers=keys[1], timeout=10)
             assert_problem(answer, 503, "did not reach the controller")
         finally:
             let_go.set()
-        assert {look.result().status_code for look in looks} == {200}
+        assert {look.result().status_code for look in looks} == {409}
+
+
+@pytest.fixture
+def hanging(api, rig, monkeypatch):
+    """A rig whose controller's driver comes back from nothing, and how often it was asked."""
+    url, let_go, asked = "modbus://127.0.0.1:10", threading.Event(), []
+    changed(api, rig, url)
+    connect = bootstrap.connect
+
+    def hang(to: str):
+        if to != url:
+            return connect(to)
+        asked.append(to)
+        let_go.wait(60)
+        raise BusError("let go")
+
+    monkeypatch.setattr(bootstrap, "connect", hang)
+    monkeypatch.setattr(live, "ANSWER_S", 1.0)
+    yield rig, asked
+    let_go.set()
+
+
+def test_a_controller_that_hangs_has_each_request_answered_in_time(api, hanging):
+    rig, _ = hanging
+    unknown = api.post(f"/rigs/{rig}/acknowledge", timeout=10)
+    assert_problem(unknown, 503, "does not answer within 1 s", "whether its trip is acknowledged is not known")
+    for _ in range(2):
+        status = api.get(f"/rigs/{rig}/status", timeout=10).json()
+        assert status["reachable"] is False
+        assert status["detail"].startswith("modbus://127.0.0.1:10: what it was asked before is not answered yet")
+        assert_problem(api.post(f"/rigs/{rig}/stop", timeout=10), 503, "did not reach", "no answer within 1 s")
+
+
+def test_however_many_ask_for_a_controller_that_hangs_other_rigs_and_jobs_are_served(api, hanging, tripping, request):
+    rig, asked = hanging
+    body = {"datasheet": SHEET, "controller_url": tripping.url, "name": f"{request.node.name}, another"}
+    other = api.post("/rigs", json=body).json()["id"]
+    with httpx.Client(base_url=api.base_url, timeout=30) as many, ThreadPoolExecutor(135) as lookers:
+        ways = [(many.get, "status"), (many.post, "stop"), (many.post, "acknowledge")] * 45
+        looks = [lookers.submit(way, f"/rigs/{rig}/{what}") for way, what in ways]
+        while len(asked) < 2:
+            time.sleep(0.01)
+        began = time.monotonic()
+        assert api.get("/jobs").status_code == 200
+        assert api.get(f"/rigs/{other}/status").json()["reachable"] is True
+        assert api.post(f"/rigs/{other}/stop").status_code == 204
+        assert time.monotonic() - began < 5
+        assert {look.result().status_code for look in looks} == {200, 503}
+    assert len(asked) <= 2 + live.STOPS_EACH
