@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.errors import BusError, CancelledError, LeaseError, RestartError, StoppedElsewhereError
 from service import bootstrap
+from service.aside import aside
 from service.campaign.aims import Profile
 from service.campaign.journal import entries
 from service.campaign.multisine.plan import MultisineProfile
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 LEASE_POLL_S = 0.5
 RECONNECT_S = 1.0
+CONNECT_S = 10.0
+"""Time that a driver has to connect in, however little patience the settings leave."""
 UNHEARD_S = 5.0
 """A rotor that nobody could stop by cancelling for so long, because the database is away, is left alone until it is
 back."""
@@ -117,7 +121,7 @@ class _Campaign:
         while True:
             self._raise_if_stopped()
             try:
-                controller = bootstrap.connect(self.url)
+                controller = self._connected()
             except BusError as error:
                 self._away(error)
                 continue
@@ -139,6 +143,20 @@ class _Campaign:
             finally:
                 with suppress(Exception):
                     controller.close()
+
+    def _connected(self) -> Controller:
+        """The controller; whoever cancels meanwhile waits for no driver that does not come back."""
+        connecting = aside(lambda: bootstrap.connect(self.url), "connecting")
+        patience_s = max(self.worker.settings.controller_patience_s, CONNECT_S)
+        try:
+            while not wait([connecting], 0.1).done:
+                self._raise_if_stopped()
+                if time.monotonic() - self.answered > patience_s:
+                    raise BusError(f"{self.url}: nothing comes of the connection; see that its address is right")
+        except (StoppedError, BusError):
+            connecting.add_done_callback(_close_late)
+            raise
+        return connecting.result()
 
     def _run(self, controller: Controller) -> Experiment:
         self.control.report(phase="connected")
@@ -231,6 +249,13 @@ class _Campaign:
     def _raise_if_stopped(self) -> None:
         if self.control.stopped():
             raise StoppedError("the job was stopped; the excitation is off")
+
+
+def _close_late(connecting: Future[Controller]) -> None:
+    """Give up a connection that came when nobody waited for it any more."""
+    if connecting.exception() is None:
+        with suppress(Exception):
+            connecting.result().close()
 
 
 def _must_be_active(worker: Context, job: JobRow) -> None:

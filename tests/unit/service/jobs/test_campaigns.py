@@ -177,3 +177,41 @@ def test_a_job_whose_controller_is_silent_says_so_while_the_point_is_tried_again
     before, waiting, after = control.told[1:]
     assert (before["phase"], after["phase"]) == ("main", "main")
     assert waiting == {"phase": "controller does not answer, waiting: no answer", "time_left_s": None}
+
+
+@pytest.fixture
+def connection(monkeypatch):
+    """One that comes when it is let go, and whether it was given up."""
+    let_go, closed = threading.Event(), threading.Event()
+
+    def connect(_):
+        let_go.wait(30)
+        return SimpleNamespace(close=closed.set)
+
+    monkeypatch.setattr(bootstrap, "connect", connect)
+    yield SimpleNamespace(let_go=let_go, closed=closed)
+    let_go.set()
+
+
+def test_a_job_whose_driver_does_not_come_back_from_connecting_is_cancelled_all_the_same(
+    worker, job, control, connection, monkeypatch
+):
+    later = threading.Timer(0.3, monkeypatch.setattr, (control, "stopped", lambda: True))
+    later.start()
+    began = time.monotonic()
+    with pytest.raises(StoppedError):
+        campaigns.measure(worker, job, control, Profile(), "commissioning")
+    assert time.monotonic() - began < 10
+    later.join()
+    connection.let_go.set()
+    assert connection.closed.wait(10)  # what came late keeps no connection
+
+
+def test_a_job_whose_driver_does_not_come_back_from_connecting_fails_once_the_patience_is_over(
+    worker, job, control, connection, monkeypatch
+):
+    worker.settings = Settings(home=worker.settings.home, controller_patience_s=0.2)
+    monkeypatch.setattr(campaigns, "CONNECT_S", 0.3, raising=False)
+    with pytest.raises(JobError, match=r"modbus://127\.0\.0\.1:9: nothing comes") as ended:
+        campaigns.measure(worker, job, control, Profile(), "commissioning")
+    assert ended.value.title == "controller does not answer"
