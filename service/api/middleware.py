@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 import secrets
@@ -101,6 +102,10 @@ class Around:
                     except ClientDisconnect:  # the rest of the body never came, or was too much of it
                         if not body.exceeded and status == 500:
                             status = GONE
+                    except asyncio.CancelledError:
+                        # By the server, which has waited for it long enough and ends: that is no defect to be told.
+                        if status == 500:
+                            await _refuse(sending, 503, "the service ends; try again once it is back", request_id)
                     if body.exceeded and status == 500:
                         body.exceeded = False
                         await _refuse(sending, 413, _LARGER.format(limit), request_id)
@@ -162,7 +167,7 @@ class _Body:
 
 
 async def _refuse(send: Send, status: int, detail: str, request_id: str, wait_s: float = 0.0) -> None:
-    titles = {413: "Content Too Large", 429: "Too Many Requests"}
+    titles = {413: "Content Too Large", 429: "Too Many Requests", 503: "Service Unavailable"}
     body = Problem(title=titles[status], status=status, detail=detail, request_id=request_id)
     headers = [(b"content-type", MEDIA_TYPE.encode())]
     headers.append((b"retry-after", str(ceil(wait_s)).encode()) if wait_s else (b"connection", b"close"))

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import gc
+import logging
+import os
 import signal
 import socket
+import threading
+import time
 
 import uvicorn
 
+from service import tracing
 from service.access.loopback import FIRST_KEY, bound_to
 from service.api.app import create_app
 from service.api.state import Services
@@ -15,8 +20,12 @@ from service.config import Settings
 from service.errors import ConfigurationError
 from service.storage import keys
 
+log = logging.getLogger(__name__)
+
 GRACE_S = 5
 """Time that open requests have when the server ends."""
+THREADS_S = 1.0
+"""Time that their threads have then."""
 
 
 def prepared(settings: Settings) -> tuple[Server, str]:
@@ -89,3 +98,16 @@ class Server(uvicorn.Server):
             raise ConfigurationError(
                 f"cannot listen on {self.config.host} port {self.config.port}; give another host or port"
             ) from error
+
+
+def end_without_threads() -> None:
+    """End this process now if threads of requests hang: Python would wait for them, maybe for ever."""
+    deadline = time.monotonic() + THREADS_S
+    for thread in threading.enumerate():
+        if thread is not threading.main_thread() and not thread.daemon:
+            thread.join(max(deadline - time.monotonic(), 0.0))
+            if thread.is_alive():
+                log.warning("a request hangs, and is left behind")
+                tracing.end()
+                logging.shutdown()
+                os._exit(0)

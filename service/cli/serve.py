@@ -25,7 +25,7 @@ def serve(
 ) -> None:
     """Serve the API, and work on jobs, until Ctrl-C; prints the URL when it is ready."""
     from service import logs, tracing
-    from service.api.server import prepared
+    from service.api.server import end_without_threads, prepared
     from service.bootstrap import product_version
     from service.config import load
     from service.jobs.supervisor import Supervisor
@@ -46,6 +46,7 @@ def serve(
     finally:
         if supervisor is not None:
             supervisor.end()
+    end_without_threads()
 
 
 def worker(
