@@ -50,7 +50,7 @@ def local_service(home: Path, worker: str) -> Iterator[str]:
     server = uvicorn.Server(announcing.config)  # this one leaves stdout to the caller
     supervisor = Supervisor(settings)
     thread = threading.Thread(target=server.run, name="api", daemon=True)
-    supervisor.start()
+    supervisor.start(announcing.services.database)
     try:
         thread.start()
         yield _url(server, thread)

@@ -64,11 +64,15 @@ def prepared(settings: Settings) -> tuple[Server, str]:
         ssl_keyfile=settings.tls_key,
         timeout_graceful_shutdown=GRACE_S,
     )
-    return Server(options), notice
+    return Server(options, services), notice
 
 
 class Server(uvicorn.Server):
     """Prints its URL once it listens: the reader may be a program that waits for it."""
+
+    def __init__(self, options: uvicorn.Config, services: Services) -> None:
+        super().__init__(options)
+        self.services = services
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to listen."""

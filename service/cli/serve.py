@@ -40,7 +40,7 @@ def serve(
         say(f"ambit serve: {notice}")
     supervisor = Supervisor(settings) if worker else None
     if supervisor is not None:
-        supervisor.start()
+        supervisor.start(server.services.database)
     try:
         server.run()
     finally:

@@ -8,8 +8,12 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from datetime import timedelta
 
 from service.config import Settings
+from service.errors import ConflictError
+from service.storage import workers
+from service.storage.database import Database, now
 
 log = logging.getLogger(__name__)
 
@@ -17,6 +21,8 @@ FIRST_PAUSE_S = 1.0
 """Before a worker that died is started again; it doubles up to a minute while it keeps dying."""
 LONGEST_PAUSE_S = 60.0
 GRACE_S = 15.0
+ENDING = timedelta(seconds=1)
+"""A worker may be heard for so long after its service was killed."""
 
 
 class Supervisor:
@@ -28,10 +34,38 @@ class Supervisor:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="worker-supervisor", daemon=True)
 
-    def start(self) -> None:
-        """Start the worker."""
+    def start(self, database: Database) -> None:
+        """Start the worker.
+
+        Parameters
+        ----------
+        database
+            The one that this process has already: a second one of the same SQLite file would, as it is closed, take
+            the locks of the first one along.
+
+        Raises
+        ------
+        ConflictError
+            Another one of its name is at work: this one would be started again and again, and never begin.
+        """
+        self._must_be_alone(database)
         self._process = self._started()
         self._thread.start()
+
+    def _must_be_alone(self, database: Database) -> None:
+        """One that is about to end, as its service was killed, is waited for: it gives no sign of life any more."""
+        began = now()
+        while True:
+            with database.read() as session:
+                other = workers.named(session, self._settings.worker)
+            if other is None:
+                return
+            if other.beat_at > began + ENDING:
+                raise ConflictError(
+                    f"a worker named {other.name!r} runs on {other.machine} as process {other.process} already, "
+                    "perhaps that of another ambit serve; end that, give another home, or serve with --no-worker"
+                )
+            time.sleep(0.1)
 
     def _started(self) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(

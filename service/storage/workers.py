@@ -49,6 +49,12 @@ def sign_on(session: Session, name: str, instance: str) -> None:
     )
 
 
+def named(session: Session, name: str) -> WorkerRow | None:
+    """Whoever has a worker's name and lives, as far as can be told: one that was just killed may seem to."""
+    row = session.get(WorkerRow, name)
+    return row if row is not None and _lives(row) else None
+
+
 def alive(row: WorkerRow) -> bool:
     """Whether a worker gave a sign of life just now."""
     return _lives(row)
