@@ -122,6 +122,13 @@ def test_magnets_turned_as_a_whole_push_along_turned_axes_of_a_rotor_that_is_ali
     np.testing.assert_allclose(linear_model(whole, hz).y_per_i, before @ turn, atol=1e-9 * np.abs(before).max())
 
 
+def test_a_sensor_elsewhere_sees_a_mode_by_its_shape_there():
+    moved = alone("sensor_position", shift_A_m=0.01, shift_B_m=-0.02, mode2_slope_A_per_m_sqrt_kg=1.5)
+    for before, after in zip(RIG.rotor.modes, moved.rotor.modes, strict=True):
+        changes = np.subtract([m.shape_at_sensors for m in after], [m.shape_at_sensors for m in before])
+        np.testing.assert_allclose(changes, [[0.0, 0.0], [0.015, 0.0]], atol=1e-15)
+
+
 def test_crosstalk_of_one_plane_alone_leaves_the_other_without():
     crosstalk = alone("channel_crosstalk", share_ab=0.02, share_ba=0.01, plane_imbalance=-1.0).amplifiers.crosstalk
     np.testing.assert_array_equal(crosstalk[:2, :2], np.eye(2))

@@ -80,6 +80,14 @@ def test_a_seal_at_mid_span_is_named_alone_though_the_rotor_bends_there() -> Non
     assert {name: found[name] for name in seal} == pytest.approx(seal, rel=0.05, abs=0.02)
 
 
+def test_a_sensor_elsewhere_is_named_alone_though_a_mode_has_a_node_there() -> None:
+    """Near a node its place changes a mode's shape by more than any tolerance: another mode was told beside it."""
+    moved = {"shift_A_m": 0.0, "shift_B_m": -0.03, "mode2_slope_B_per_m_sqrt_kg": 2.5}
+    best = explained({"sensor_position": moved}).order[0].candidate
+    assert best.effects == ("sensor_position",)
+    assert {name: best.fit.values[0][name] for name in moved} == pytest.approx(moved, rel=0.1, abs=2e-3)
+
+
 @pytest.mark.parametrize("damping", [0.0, 0.75])
 def test_a_seal_is_named_with_its_damping_or_without_any(damping: float) -> None:
     """By its stiffness alone it drove the datasheet's values to their bounds."""
