@@ -120,7 +120,8 @@ def _task(name: str, ground: Ground, best: Candidate, changes: Mapping[str, floa
 def _places(name: str, ground: Ground) -> dict[str, int]:
     """By parameter of an effect, the index of the nuisance value that it changes."""
     names = ground.nuisance.names
-    return {p.name: names.index(_value(p.name)) for p in CATALOGUE[name].parameters if _value(p.name) in names}
+    values = {p.name: value for p in CATALOGUE[name].parameters if (value := _value(p.name)) is not None}
+    return {parameter: names.index(value) for parameter, value in values.items() if value in names}
 
 
 def _stated(parameter: str, change: float) -> float:
@@ -128,8 +129,8 @@ def _stated(parameter: str, change: float) -> float:
     return change if parameter.endswith("_m") else float(np.expm1(change))
 
 
-def _value(parameter: str) -> str:
-    """Name of the nuisance value that a parameter changes.
+def _value(parameter: str) -> str | None:
+    """Name of the nuisance value that a parameter changes; None of one that shapes the change.
 
     >>> [_value(name) for name in ("gain_change_xA", "shift_B_m", "mass_change", "inertia_change")]
     ['sensor_gain_xA', 'sensor_position_B', 'mass', 'transverse_inertia']
@@ -138,4 +139,4 @@ def _value(parameter: str) -> str:
     for before, after in (("gain_change_", "sensor_gain_"), ("shift_", "sensor_position_")):
         if parameter.startswith(before):
             return after + parameter.removeprefix(before).removesuffix("_m")
-    return known[parameter]
+    return known.get(parameter)
