@@ -56,7 +56,7 @@ class Momentary(Generic[T]):
         return await within(left, answer)  # those who come later wait no longer than who asked first
 
     def forget(self) -> None:
-        """Let nobody have an answer of before, as what it tells has been changed."""
+        """Let nobody have the answer any more, as what it tells has been changed; one under way is waited for."""
         with self._lock:
             if self._answer is not None and self._answer.done():
                 self._answer = None

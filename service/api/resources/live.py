@@ -47,7 +47,7 @@ ANSWER_S = 5.0
 STOPS = 8
 """Stops that look into the database at once, beside all other requests: none of those is waited for."""
 STOPS_EACH = 4
-"""Stops of one controller that are under way at once: of one that hangs, the others are not told to wait as well."""
+"""Stops of one controller that are under way at once; the others wait their turn, as long as they may."""
 STOPPED = "the rig was stopped by hand"
 END_IT_THERE = "end the excitation at the controller, or see that it is on and that its address is right"
 IDLE_S = 30.0
@@ -148,7 +148,7 @@ class _Line:
 
     def stop(self) -> str:
         """Ramp the excitation to zero, past whoever asks something else; whose lease it was."""
-        if not self._stops.acquire(blocking=False):
+        if not self._stops.acquire(timeout=ANSWER_S / 2):
             raise BusError(f"{STOPS_EACH} stops before this one are not answered yet; {END_IT_THERE}")
         try:
             controller = self.controller

@@ -236,3 +236,10 @@ def test_however_many_ask_for_a_controller_that_hangs_other_rigs_and_jobs_are_se
         assert time.monotonic() - began < 5
         assert {look.result().status_code for look in looks} == {200, 503}
     assert len(asked) <= 2 + live.STOPS_EACH
+
+
+def test_stops_of_one_rig_that_come_together_all_reach_it(api, rig, tripping):
+    changed(api, rig, tripping.url)
+    with httpx.Client(base_url=api.base_url, timeout=30) as many, ThreadPoolExecutor(40) as callers:
+        stops = [callers.submit(many.post, f"/rigs/{rig}/stop") for _ in range(40)]
+        assert {stop.result().status_code for stop in stops} == {204}
