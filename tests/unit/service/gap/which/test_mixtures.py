@@ -50,7 +50,18 @@ def test_of_two_effects_one_may_make_the_fundamental_s_gap_and_the_other_that_of
     assert needs_all_effects(both, [both, *singles])
 
 
-def test_a_second_effect_that_one_alone_makes_needless_is_notworth_it() -> None:
+@pytest.mark.parametrize(("first", "lead", "told"), [(CROSS, 40.0, True), (CROSS, 8.0, False), (AWAY, 40.0, False)])
+def test_a_second_effect_that_values_of_the_datasheet_made_up_for_is_told_beside_a_coupling(
+    first: str, lead: float, told: bool
+) -> None:
+    """A coupling's law is the same in every program, so that no error of it can have drawn the values away."""
+    gap, second = (1e7,), "modal_damping"
+    both = leaving(gap, (first, second), -10.0, (0.0,))
+    alone = [leaving(gap, (first,), -10.0 - lead, (5e-6,), penalty=2.0), leaving(gap, (second,), -99.0, (0.9,))]
+    assert needs_all_effects(both, [both, *alone]) is told
+
+
+def test_a_second_effect_that_one_alone_makes_needless_is_not_worth_it() -> None:
     both = explanation((CROSS, AWAY), -10.0, (0.009, 0.008))
     enough = explanation((CROSS,), -15.0, (0.01, 0.01))
     useless = explanation((AWAY,), -99.0, (1.0, 0.5))
