@@ -78,10 +78,12 @@ def static_load(rig: Rig) -> Array:
 def force_rotation(rig: Rig) -> Array:
     """How the magnets' forces turn from x to y and share at each bearing, (n, n), identity without coupling."""
     n, angle, share = rig.n_axes, rig.magnets.cross_coupling_rad, rig.magnets.cross_coupling_symmetric
-    if n != 4:
-        return np.eye(n)
-    c, s = np.cos(angle), np.sin(angle)
-    return np.block([[np.diag(c), np.diag(share + s)], [np.diag(share - s), np.diag(c)]])
+    rotation = np.eye(n)
+    if n == 4 and (angle.any() or share.any()):
+        x, y, s = np.arange(2), np.arange(2, 4), np.sin(angle)
+        rotation[x, x] = rotation[y, y] = np.cos(angle)
+        rotation[x, y], rotation[y, x] = share + s, share - s
+    return rotation
 
 
 def operating_point(rig: Rig) -> OperatingPoint:
