@@ -6,7 +6,7 @@ import pickle
 import threading
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from functools import cache, lru_cache, wraps
+from functools import lru_cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -85,10 +85,14 @@ def _freeze(value: Any) -> None:
             _freeze(getattr(value, name))
 
 
-@cache
+_FIELDS: dict[type, tuple[str, ...]] = {}
+"""Names of a class's fields, none of what is no dataclass: `dataclasses.fields` takes longer than a freeze."""
+
+
 def _fields(kind: type) -> tuple[str, ...]:
-    """Names of a dataclass's fields; none of what is no dataclass. `dataclasses.fields` takes longer than a freeze."""
-    return tuple(f.name for f in fields(kind)) if is_dataclass(kind) else ()
+    if kind not in _FIELDS:
+        _FIELDS[kind] = tuple(f.name for f in fields(kind)) if is_dataclass(kind) else ()
+    return _FIELDS[kind]
 
 
 def _read_only(result: T) -> T:
