@@ -116,7 +116,7 @@ EFFECT = Effect(
             optional=True,
         ),
         _bow(1, (0.1, -0.1)),  # one of the other sign is another local minimum
-        _bow(2, (0.02, -0.02)),
+        _bow(2, (0.02,)),
     ),
     apply=_apply,
     law="f_x = -(1 +- e) ((k + k' W) y + c x'), f_y = (1 +- e) ((k + k' W) x - c y'), + at A; between the bearings "

@@ -11,6 +11,8 @@ from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
+pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+
 
 def of_mass(sheet: Datasheet, factor: float) -> Datasheet:
     """A rig whose rotor and magnets are so much heavier and stronger, which moves as the one it is taken from."""
