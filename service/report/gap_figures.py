@@ -280,7 +280,7 @@ def candidate_figure(d: Diagnosis, document: Mapping[str, Any], most: int = 8) -
     return fig
 
 
-def _in_lines(effects: list[str], widest: int = 34) -> str:
+def _in_lines(effects: list[str], widest: int = 29) -> str:
     """Effects joined by +, on as many lines as the width of the labels asks for."""
     lines = [effects[0]]
     for effect in effects[1:]:
