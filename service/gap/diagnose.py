@@ -14,7 +14,7 @@ from service.gap.drift_rate import with_drift_rate
 from service.gap.explain_parts import PERCENT_FITTED, Found, explain_parts
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.predict import at_speed_of
-from service.gap.hints import hints, one_point
+from service.gap.hints import hints, one_point, unsettled_lines
 from service.gap.interference import Interference, measured_by
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.lost_loop import LIMIT, LostLoop, with_limit
@@ -169,7 +169,9 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
         yield f"not told apart either: {', '.join(map(in_words, verdict.also_alike))}"
     if data.tone is not None and verdict.effects:
         yield data.tone.in_words(nu.rig.axes)
-    if verdict.kind != "none_of_these":
+    if verdict.kind == "none_of_these":
+        yield from unsettled_lines(found.parts)
+    else:
         yield from hints(d.chosen, nu.rig, (d.observation, d.held_out), data.polar_inertia_kgm2)
     if not verdict.effects and not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))

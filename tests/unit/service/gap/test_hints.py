@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,8 +16,10 @@ from service.gap.diagnosis import Diagnosis
 from service.gap.document import gap_document, sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.hints import hints
+from service.gap.fitting.part import Ground
+from service.gap.hints import hints, unsettled_lines
 from service.gap.measured.observation import GapError, observe
+from service.gap.which.explained import Explained
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.twin import rig_from_datasheet
@@ -49,6 +53,22 @@ def test_one_bad_point_is_named(sweep: int) -> None:
     assert not d.verdict.effects
     if d.verdict.kind == "no_gap":
         assert "but for a few points" in sentence(d)
+
+
+@pytest.mark.parametrize(("drift", "elsewhere", "told"), [(0.05, 1.0, True), (0.002, 1.0, False), (0.05, 9.0, False)])
+def test_lines_at_which_the_rig_still_rang_are_named_where_most_is_left_there(
+    drift: float, elsewhere: float, told: bool
+) -> None:
+    """Its blocks change little, and its response may be off by a third: the ringing of a narrow resonance is long."""
+    o = observe(MEASURED.main, rig_from_datasheet(SHEET))
+    hz = float(o.frequency_hz[9])
+    rang = o.points_hz == hz
+    z = elsewhere * np.ones(o.Y.shape, dtype=complex)
+    z[rang] *= 40.0 / elsewhere
+    ringing = replace(o, drifting=rang & (o.axis == 0), drift=np.where(rang, drift, 0.0))
+    ground = SimpleNamespace(observations=(ringing,))
+    found = unsettled_lines([Explained(cast(Ground, ground), (), (), (z,))])
+    assert [f"at {hz:.4g} Hz" in words for words in found] == [True] * told
 
 
 def test_a_clean_rig_has_no_bad_point() -> None:
