@@ -120,14 +120,18 @@ def seal_damping(rig: Rig) -> Array:
     return np.asarray(np.kron(np.eye(2), _direct_damping(rig)))
 
 
-def pull_along_turned_axes(rig: Rig) -> Array:
-    """What magnets that are turned as a whole pull more with displacement than turned forces do, N/m, (n, n).
+def further_along_turned_axes(rig: Rig) -> Array:
+    """What magnets that are turned as a whole meet of a displacement beside what others do, w (R^T - 1), (n, n).
 
-    R ks R^T - R ks, R the rotation of the forces, times the share that is turned as a whole: a magnet meets the
-    displacement along its own axis.
+    R is the rotation of the forces, w the share that is turned as a whole: a magnet meets the displacement along its
+    own axis.
     """
-    turn = actuator.force_rotation(rig)
-    return np.asarray(rig.magnets.turned_whole * turn @ np.diag(rig.magnets.ks) @ (turn.T - np.eye(rig.n_axes)))
+    return np.asarray(rig.magnets.turned_whole * (actuator.force_rotation(rig).T - np.eye(rig.n_axes)))
+
+
+def pull_along_turned_axes(rig: Rig) -> Array:
+    """What they pull more with displacement than turned forces do, w (R ks R^T - R ks), N/m, (n, n)."""
+    return np.asarray(actuator.force_rotation(rig) * rig.magnets.ks @ further_along_turned_axes(rig))
 
 
 def _cross_stiffness(rig: Rig) -> Array:

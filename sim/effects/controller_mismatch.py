@@ -113,9 +113,8 @@ def _of_notch(zeros: Complex, poles: Complex) -> Mask:
         free = np.flatnonzero(_oscillates(poles) & (poles.imag > 0) & ~taken)
         away = np.abs(np.log(size[free] / np.abs((zero - 1) / (zero + 1))))
         if len(free) and away.min() < np.log(SAME_NOTCH):
-            taken |= np.isclose(poles, poles[free[away.argmin()]]) | np.isclose(
-                poles, poles[free[away.argmin()]].conjugate()
-            )
+            pole = poles[free[away.argmin()]]
+            taken |= np.isclose(poles, pole) | np.isclose(poles, pole.conjugate())
     return taken
 
 

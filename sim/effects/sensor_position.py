@@ -9,8 +9,6 @@ from sim.sizes import SLOPE, SPAN
 
 SLOPED = 2
 """First modes whose shapes change along the shaft by a slope of their own."""
-
-
 ENDS = ("A", "B")
 
 

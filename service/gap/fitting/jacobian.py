@@ -83,6 +83,8 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
     per_current = magnetic / point.ki
     for k, (ki, ks) in enumerate(_moved_points(rig, point)):
         columns[:, :, k * n : (k + 1) * n] = per_magnet * (ki * per_current + ks * at_bearing)[:, None, :]
+    along_turned = at_bearing @ rotor.further_along_turned_axes(rig).T
+    columns[:, :, n : 2 * n] += per_magnet * (rig.magnets.ks * along_turned)[:, None, :]
     if rig.gravity_m_per_s2:  # the mass is a static load, which changes ki and ks
         ki, ks = _moved_point(lambda factor: _with_mass(rig, factor))
         columns[:, :, 6 * n] = ((ki * per_current + ks * at_bearing)[:, None, :] * per_magnet).sum(axis=-1)
@@ -96,7 +98,8 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
         )
     axes = np.arange(n)
     columns[:, axes, 5 * n + axes] = (model.y_per_u[o.line] @ U[..., None])[..., 0]
-    _mechanical_columns(nuisance, rig, m, motion, rotation * point.ks, columns)
+    magnets = rotation * point.ks + rotor.pull_along_turned_axes(rig)
+    _mechanical_columns(nuisance, rig, m, motion, magnets, columns)
     return _per_unit(columns, nuisance.per_unit)
 
 
@@ -125,7 +128,8 @@ def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> 
     stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
     closed = np.linalg.inv(m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness))
     q = (closed[o.line] @ (magnetic @ rotation.T @ m.force_map.T)[..., None])[..., 0]
-    total = (magnetic + point.ks * (q @ m.bearing_map.T)) @ rotation.T
+    at_bearing = q @ m.bearing_map.T
+    total = (magnetic + point.ks * at_bearing) @ rotation.T + at_bearing @ rotor.pull_along_turned_axes(rig).T
     response = sensor.response(rig.sensors, omega)[o.line]
     push = response[:, :, None] * (m.sensor_map @ closed)[o.line]
     return _Motion(q, total, push, response, np.asarray(s[o.line]), np.asarray(closed[o.line]))
@@ -176,7 +180,8 @@ def residue_columns(rig: Rig, o: Observation) -> Complex:
     n, m = rig.n_axes, rotor.mechanics(rig)
     point, rotation = actuator.operating_point(rig), force_rotation(rig)
     motion = _motion(rig, m, _magnetic(rig, o), o)
-    per_displacement = motion.y_per_push @ m.force_map @ (rotation * point.ks)
+    magnets = rotation * point.ks + rotor.pull_along_turned_axes(rig)
+    per_displacement = motion.y_per_push @ m.force_map @ magnets
     per_displacement[:, np.arange(n), np.arange(n)] += motion.sensor
     planes = (len(motion.s), n, n // 2, 2)
     force = motion.force.reshape(len(motion.s), -1, 2)

@@ -18,6 +18,7 @@ EFFECTS = [
     {"loop_delay": {"delay_s": 3e-5}, "channel_crosstalk": {"share_ab": 0.03}},
     {"support_resonance": {"frequency_hz": 300.0}, "magnetic_cross_coupling": {"rotation_rad": 0.03}},
     {"eddy_currents": {"time_constant_s": 1e-5, "corner_rad_s": 1e4}, "logging_offset": {"samples": 1.0}},
+    {"magnetic_cross_coupling": {"rotation_rad": 0.1, "symmetric_share": 0.0, "turned_whole": 1.0}},
 ]
 OF_ITS_OWN = [
     {"extra_flexible_mode": {"frequency_hz": 310.0}},
