@@ -265,6 +265,7 @@ def _of_support(support: Support | None) -> list[Mode]:
     if support is None:
         return []
     share, hz = support.pedestals, support.natural_frequency_rad_s / (2 * math.pi)
+    hz *= math.sqrt(support.plane_frequency_ratio)
     damping = support.damping_ratio
     at_a, at_b = (float(np.mean(support.shares[end::2])) if support.shares else 1.0 for end in (0, 1))
     parts = (

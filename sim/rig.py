@@ -81,6 +81,8 @@ class Support:
     """Natural frequency of the pedestal at B over that at A."""
     damping_quotient: float = 1.0
     """Damping ratio of the pedestal at B over that at A."""
+    plane_frequency_ratio: float = 1.0
+    """Natural frequency in y over that in x, of housing and pedestals."""
     shares: tuple[float, ...] = ()
     """Inverse mass of each axis's pedestal over the mean, of the planes' housings in the mean of their axes, n; () for
     the same everywhere."""

@@ -148,7 +148,8 @@ def _direct_damping(rig: Rig) -> Array:
 
 def _housings(support: Support, plane: int) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:
     """Housings of a plane: the axes whose bearings each carries, and its mass, damping and stiffness."""
-    share, w, ratio = support.pedestals, support.natural_frequency_rad_s, support.frequency_ratio
+    share, ratio = support.pedestals, support.frequency_ratio
+    w = support.natural_frequency_rad_s * support.plane_frequency_ratio**plane
     a, b, zeta = 2 * plane, 2 * plane + 1, support.damping_ratio
     of_a, of_b = support.of_axis(a), support.of_axis(b)
     housings = (

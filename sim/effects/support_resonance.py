@@ -20,7 +20,16 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     uneven = any(p[name] for name in NAMES)
     own = tuple(shares(rig, p).tolist()) if uneven else ()
     mass = 1 / p["inverse_mass_per_kg"]
-    support = Support(mass, w, p["damping_ratio"], p["pedestals"], p["frequency_ratio"], p["damping_quotient"], own)
+    support = Support(
+        mass,
+        w,
+        p["damping_ratio"],
+        p["pedestals"],
+        p["frequency_ratio"],
+        p["damping_quotient"],
+        p["plane_frequency_ratio"],
+        own,
+    )
     return replace(rig, support=support)
 
 
@@ -92,11 +101,26 @@ EFFECT = Effect(
             dormant=True,
             wakes=(1.3,),
         ),
+        Parameter(
+            "plane_frequency_ratio",
+            "1",
+            0.5,
+            2.0,
+            1.0,
+            1.0,
+            "log",
+            "of the part in y over that in x, which frequency_hz is; not used on one plane",
+            strength=False,
+            optional=True,
+            dormant=True,
+            wakes=(0.9, 1.1),
+        ),
         *parameters("pedestals", dormant=True),
     ),
     apply=_apply,
     law="mh xh'' + dh xh' + kh xh = -sum f, of both bearings or of either; bearings and sensors see the rotor relative "
-    "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x, of a housing of both as (1 +- p)",
+    "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x, of a housing of both as (1 +- p); "
+    "kh goes as the square of the plane's frequency",
     signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
     aliases=("extra_flexible_mode",),
     likened={"extra_flexible_mode": _like_a_mode},

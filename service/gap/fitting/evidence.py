@@ -28,6 +28,9 @@ MODEL_ERRORS = 40.0
 """Effective number of independent values in a law's error: residuals of neighbouring lines and channels are
 correlated."""
 
+WEIGHTS = np.geomspace(1e-5, 0.5, 30)
+"""Weights of chi-square beside the penalty among which the maximum of the likelihood is looked for."""
+
 
 def prior_precision(unknowns: Unknowns) -> Real:
     """Prior precision of the unknowns, (a + e, a + e), with the variance of a uniform prior for effects' parameters."""
@@ -59,10 +62,19 @@ def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float
     """Log evidence of a fit; ``noise`` is the chi-square that a right twin leaves in each of its groups.
 
     Groups (fundamental and harmonics of each sweep) are judged separately, so that a gap in one does not hide a gap in
-    another.
+    another. The fit minimised chi-square and penalty. Where much is left beyond noise, the likelihood is at its maximum
+    elsewhere: with values nearer to the datasheet and, of the amplifiers, to what their own data say. Without that step
+    back, an error of the plant's law that amplifiers' values took up would be charged by their data, at full weight.
     """
     excess = np.array([max(chi - level, 0.0) for (chi, _), level in zip(fit.groups, noise, strict=True)])
-    return float(log_likelihood(excess).sum() - 0.5 * fit.penalty + occam_factor)
+    best = float(log_likelihood(excess).sum() - 0.5 * fit.penalty)
+    left = np.where(np.arange(len(excess)) % 2 == 0, excess, 0.0)  # fundamentals: values have little of the harmonics
+    if fit.trade_off is not None and left.sum() > MODEL_ERRORS:
+        for weight in WEIGHTS:
+            rise, fall = fit.trade_off.at_weight(weight)
+            beyond = log_likelihood(excess + rise * left / left.sum())
+            best = max(best, float(beyond.sum() - 0.5 * (fit.penalty - fall)))
+    return best + occam_factor
 
 
 def log_likelihood(excess: Real) -> Real:

@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.fitted import OUT_OF_STEPS, Fit, Linearised
+from service.gap.fitting.fitted import OUT_OF_STEPS, Fit, Linearised, TradeOff
 from service.gap.fitting.objective import Objective, State
 from service.gap.fitting.part import Ground
 from service.gap.fitting.part_model import PartModel
@@ -150,7 +150,14 @@ class Problem:
             inherited=values[n:],
             across=tuple(across),
             ends=self.unknowns.ends(e),
+            trade_off=self._trade_off(state.x, curvature),
         )
+
+    def _trade_off(self, x: Real, curvature: Real) -> TradeOff:
+        """Of chi-square and penalty about ``x``; nuisance values at their bounds are held."""
+        u, free = self.unknowns, np.ones(len(x), dtype=bool)
+        free[: u.n_nuisance] = np.abs(x[: u.n_nuisance]) < 0.999 * TOLERANCE_BOUND
+        return TradeOff.at(x - u.prior_mean, curvature, u.prior, free)
 
     def linearised(self, fit: Fit) -> Linearised:
         """The fit as a linear least-squares problem about its solution."""

@@ -13,10 +13,61 @@ from sim.rig import Rig
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 
+LEAST_PRECISION = 1e-9
+"""Precision of the prior, in units of that of a tolerance, below which a direction has none."""
 OUT_OF_STEPS = "reached the largest number of iterations"
 """Status of a fit that has not converged and could go on."""
+
+
+@dataclass(frozen=True, eq=False)
+class TradeOff:
+    """How chi-square rises as the penalty of the nuisance values falls, along directions that do not interact.
+
+    Both are parabolas about the minimum of their sum. With chi-square weighted by w < 1 the minimum lies nearer to the
+    mean of the prior, and follows from here.
+    """
+
+    penalty: Real
+    """(d,) the penalty's part along each direction"""
+    stiffness: Real
+    """(d,) curvature of chi-square over that of the penalty"""
+
+    @classmethod
+    def at(cls, away: Real, curvature: Real, prior: Real, free: Mask) -> TradeOff:
+        """At a minimum.
+
+        Parameters
+        ----------
+        away
+            Unknowns less the mean of their prior, (m,).
+        curvature, prior
+            J^T J of the weighted residuals, and precision of the prior, zero for unknowns without one, (m, m) each.
+        free
+            Which unknowns may move, (m,).
+        """
+        priced = np.diag(prior) > 0
+        k, others = np.flatnonzero(free & priced), np.flatnonzero(free & ~priced & (np.diag(curvature) > 0))
+        follow = np.linalg.lstsq(curvature[np.ix_(others, others)], curvature[np.ix_(others, k)], rcond=None)[0]
+        own = curvature[np.ix_(k, k)] - curvature[np.ix_(k, others)] @ follow
+        precision, directions = np.linalg.eigh(prior[np.ix_(k, k)])
+        known = precision > LEAST_PRECISION
+        whitening = directions[:, known] / np.sqrt(precision[known])
+        stiffness, along = np.linalg.eigh(whitening.T @ own @ whitening)
+        pull = whitening.T @ (prior @ away)[k]  # values that are held pull at the others
+        return cls((along.T @ pull) ** 2, np.maximum(stiffness, 0.0))
+
+    def at_weight(self, weight: float) -> tuple[float, float]:
+        """Rise of chi-square and fall of the penalty at the minimum of w chi-square + penalty, 0 < w <= 1.
+
+        >>> TradeOff(np.array([1.0]), np.array([1.0])).at_weight(1.0)
+        (0.0, 0.0)
+        """
+        back = (1 - weight) / (1 + weight * self.stiffness)
+        rise = self.penalty * back * (2 + self.stiffness * back)
+        return float(rise.sum()), float((self.penalty * (1 - (1 - back) ** 2)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +96,8 @@ class Fit:
     """as ``groups``, of the fundamental in the plane that was not excited, for each sweep; contained in ``groups``"""
     ends: Mapping[tuple[str, str], End] = field(default_factory=dict)
     """(effect, parameter) that ended at an end of its range, and which end"""
+    trade_off: TradeOff | None = None
+    """of chi-square and penalty; None where it is not known"""
 
     @property
     def out_of_steps(self) -> bool:

@@ -53,6 +53,10 @@ noise."""
 TRUSTED = 15.0
 """Lead in log evidence by which a second effect is told beside such a one though that leaves no more than noise: values
 of the datasheet make up for it, each within its tolerance, and no error of a law can have drawn them there."""
+FAR_CLOSER = 0.05
+"""Share of what one nonlinear effect leaves, up to which two that are aliases may leave it for both to be told. An
+alias beside takes up a part of the error of a law, not nearly all of it: beside plays of every kind, Bouc-Wen
+hysteresis, and five laws of saturation none did."""
 APART = 1.3
 """Ratio of the frequencies of two resonances from which they are two."""
 
@@ -243,11 +247,22 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     # The others' nuisance values are implausible.
     allowed = [r for r in smaller if not _strained(r, _borne(r, gap)) and (_at_bound(mixture) or not _at_bound(r))]
     exact = not alias and _leaves_nothing(mixture)
+
+    def leaves_too_much(r: Ranked) -> bool:
+        own, tolerated = np.array(r.apart), _tolerated(r, alias and not _far_closer(mixture, r), gap)
+        return bool(np.any((own > tolerated) & (left < own / 3)))
+
     return all(
-        np.any((np.array(r.apart) > _tolerated(r, alias, gap)) & (left < np.array(r.apart) / 3))
+        leaves_too_much(r)
         or (exact and _of_one_law(r) and (not _leaves_nothing(r) or mixture.log_evidence - r.log_evidence > TRUSTED))
         for r in allowed
     )
+
+
+def _far_closer(mixture: Ranked, r: Ranked) -> bool:
+    """Whether nonlinear effects together leave so little of what one of them leaves that its law is not at fault."""
+    nonlinear = all(CATALOGUE[name].nonlinear for name in mixture.candidate.effects)
+    return nonlinear and mixture.unexplained < FAR_CLOSER * r.unexplained
 
 
 def _of_one_law(r: Ranked) -> bool:

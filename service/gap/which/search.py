@@ -15,6 +15,7 @@ from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.measured.observation import GapError
 from service.gap.weighing.ranking import Ranked, noise_levels, ranked
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVERAL
+from service.gap.which.accepted_instead import accepted_instead
 from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
@@ -98,6 +99,8 @@ def explain(
         search.add_wider_laws(search.found)
         search.add_mixtures(most)
     order = beyond_tolerance(fitter, ground, weighed_plainly(fitter, ground, search.order), most)
+    fitted = Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))
+    order = accepted_instead(order, fitted.remaining)
     # the simpler law's chi-square differs so little that evidence and shares are kept
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
     return Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))

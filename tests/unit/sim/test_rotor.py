@@ -237,6 +237,22 @@ def test_a_pedestal_moves_under_its_own_bearing_alone():
     np.testing.assert_allclose(held - free, of_pedestals[:, :, None] * np.eye(4), rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.parametrize("pedestals", [0.0, 1.0])
+def test_what_carries_the_bearings_may_be_softer_in_one_direction(pedestals):
+    """A pedestal is stiffer upright than sideways: the y plane as if its own frequency were stated for both."""
+    values = {"inverse_mass_per_kg": 1 / 900.0, "damping_ratio": 0.03, "pedestals": pedestals, "frequency_ratio": 1.1}
+    in_x, in_y, unlike = (
+        rotor.receptances(rotor.mechanics(effect("support_resonance").on(RIG, **values, **own)), OMEGA)[1]
+        for own in (
+            {"frequency_hz": 90.0},
+            {"frequency_hz": 126.0},
+            {"frequency_hz": 90.0, "plane_frequency_ratio": 1.4},
+        )
+    )
+    np.testing.assert_allclose(unlike[:, :2, :2], in_x[:, :2, :2], rtol=1e-12)
+    np.testing.assert_allclose(unlike[:, 2:, 2:], in_y[:, 2:, 2:], rtol=1e-12)
+
+
 def test_what_is_no_pedestal_is_the_housing_of_both():
     half = effect("support_resonance").on(RIG, pedestals=0.5)
     whole, apart = (effect("support_resonance").on(RIG, pedestals=share) for share in (0.0, 1.0))

@@ -80,7 +80,7 @@ def test_what_a_linear_effect_leaves_at_one_amplitude_alone_is_no_other_law_of_i
     linear: str, left: tuple[float, ...], worth: bool
 ) -> None:
     """An alias beside it would make up for another program's law, which is as far off at any amplitude."""
-    both = explanation((linear, "magnetic_hysteresis"), -10.0, (0.001, 0.0, 0.001, 0.0))
+    both = explanation((linear, "magnetic_hysteresis"), -10.0, (0.001, 0.0, 0.004, 0.0))
     singles = [explanation((linear,), -90.0, left), explanation(("magnetic_hysteresis",), -99.0, (0.9, 0.5, 0.9, 0.5))]
     assert needs_all_effects(both, [both, *singles]) is worth
 
@@ -98,6 +98,24 @@ def test_a_law_s_error_goes_with_the_whole_effect_in_a_group_that_holds_little_o
         leaving(gap, ("eddy_currents",), -99.0, (0.5, 0.9)),
     ]
     assert needs_all_effects(both, [both, *singles, leaving(gap, (), -200.0, (1.0, 1.0))]) is worth
+
+
+@pytest.mark.parametrize(
+    ("second", "both_leave", "worth"),
+    [("magnetic_saturation", 0.001, True), ("magnetic_saturation", 0.02, False), ("eddy_currents", 0.001, False)],
+)
+def test_two_nonlinear_aliases_that_leave_next_to_nothing_of_what_one_leaves_are_both_there(
+    second: str, both_leave: float, worth: bool
+) -> None:
+    """Iron with hysteresis that saturates: hysteresis alone left a twelfth, as another law of it may. A linear lag
+    beside it bends to the error of a law far better."""
+    gap = (1e6, 3e4)
+    both = leaving(gap, ("magnetic_hysteresis", second), -10.0, (both_leave, 0.0))
+    singles = [
+        leaving(gap, ("magnetic_hysteresis",), -300.0, (0.08, 0.1)),
+        leaving(gap, (second,), -500.0, (0.9, 0.9)),
+    ]
+    assert needs_all_effects(both, [both, *singles, leaving(gap, (), -600.0, (1.0, 1.0))]) is worth
 
 
 @pytest.mark.parametrize(
