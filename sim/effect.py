@@ -120,6 +120,11 @@ class Effect:
     likened: Mapping[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = field(default_factory=dict)
     """By id of an alias: the alias's values -> those with which this effect is most like it; empty where it cannot
     be."""
+    includes: Mapping[str, Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]]] = field(
+        default_factory=dict
+    )
+    """By id of another effect: (own values, the other's) -> those with which this effect alone is most like both; empty
+    where it cannot be."""
 
     def on(self, rig: Rig, **values: float) -> Rig:
         """Rig with this effect; parameters not given keep their typical value.

@@ -17,7 +17,7 @@ import numpy as np
 from sim import actuator
 from sim.chain import Chain
 from sim.datasheet import Datasheet, Mode
-from sim.rig import Rig, Support
+from sim.rig import Rig
 from sim.twin import rig_from_datasheet, with_effects
 
 IN_MODEL = {
@@ -257,26 +257,33 @@ def _modes(rig: Rig) -> tuple[Mode, ...]:
         )
         for m in rig.rotor.modes[0]
     ]
-    return tuple(sorted([*modes, *_of_support(rig.support)], key=lambda m: m.frequency_hz))
+    return tuple(sorted([*modes, *_of_support(rig)], key=lambda m: m.frequency_hz))
 
 
-def _of_support(support: Support | None) -> list[Mode]:
+def _of_support(rig: Rig) -> list[Mode]:
     """Modes that act as housing and pedestals, the mean of the planes: magnets and sensors see rotor less housing."""
+    support = rig.support
     if support is None:
         return []
     share, hz = support.pedestals, support.natural_frequency_rad_s / (2 * math.pi)
     hz *= math.sqrt(support.plane_frequency_ratio)
     damping = support.damping_ratio
     at_a, at_b = (float(np.mean(support.shares[end::2])) if support.shares else 1.0 for end in (0, 1))
+    of_both = (1 - share) * (at_a + at_b) / 2
+    lever = float(np.mean(rig.rotor.bearing_from_cog_m))
+    bearings, sensors = (
+        (a / lever, -b / lever) for a, b in (rig.rotor.bearing_from_cog_m, rig.rotor.sensor_from_cog_m)
+    )
+    of_one = damping * support.damping_quotient
     parts = (
-        ((1 - share) * (at_a + at_b) / 2, (1.0, 1.0), hz, damping),
-        (share * at_a, (1.0, 0.0), hz, damping),
-        (share * at_b, (0.0, 1.0), hz * support.frequency_ratio, damping * support.damping_quotient),
+        (of_both, (1.0, 1.0), (1.0, 1.0), hz, damping),
+        (support.rocking * of_both, bearings, sensors, hz * support.rocking_frequency_ratio, damping),
+        (share * at_a, (1.0, 0.0), (1.0, 0.0), hz, damping),
+        (share * at_b, (0.0, 1.0), (0.0, 1.0), hz * support.frequency_ratio, of_one),
     )
     out = []
-    for part, ends, own, own_damping in parts:
+    for part, *shapes, own, own_damping in parts:
         if part > 0:
             size = math.sqrt(part / support.mass_kg)
-            shape = (size * ends[0], size * ends[1])
-            out.append(Mode(own, own_damping, shape, shape))
+            out.append(Mode(own, own_damping, *((size * a, size * b) for a, b in shapes)))
     return out

@@ -83,6 +83,11 @@ class Support:
     """Damping ratio of the pedestal at B over that at A."""
     plane_frequency_ratio: float = 1.0
     """Natural frequency in y over that in x, of housing and pedestals."""
+    rocking: float = 0.0
+    """Inverse inertia with which the housing of both bearings also rocks about the rotor's centre of gravity, times the
+    square of the bearings' mean distance, over the inverse mass; 0 where it only translates."""
+    rocking_frequency_ratio: float = 1.5
+    """Natural frequency of its rocking over that of its translation."""
     shares: tuple[float, ...] = ()
     """Inverse mass of each axis's pedestal over the mean, of the planes' housings in the mean of their axes, n; () for
     the same everywhere."""

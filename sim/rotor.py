@@ -1,7 +1,7 @@
 """Rotor and support: parameters -> M q'' + (D + G) q' + K q = B f, with the exact maps to bearings and sensors.
 
 Coordinates: per plane the translation of the centre of gravity, the tilt, and the flexible modes (free-free,
-unit modal mass); then one displacement of the housing per plane where the rig has a support.
+unit modal mass); then, where the rig has a support, one displacement per plane of each housing.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import actuator
-from sim.rig import Array, Rig, Support
+from sim.rig import Array, Rig
 
 Complex = NDArray[np.complex128]
 
@@ -37,6 +37,8 @@ class Mechanics:
     """(n, q) -> displacement at the bearings, relative to the housing"""
     sensor_map: Array
     """(n, q) -> displacement at the sensors, relative to the housing"""
+    sensor_slope_map: Array
+    """(n, q) change of ``sensor_map`` per metre that a sensor is farther from the centre of gravity; none of modes"""
 
     @property
     def high_frequency(self) -> Array:
@@ -65,10 +67,10 @@ def mechanics(rig: Rig) -> Mechanics:
     sizes = [2 + len(m) for m in rotor.modes]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     n_rotor = int(starts[-1])
-    housings = [h for plane in range(rig.n_planes) for h in _housings(rig.support, plane)] if rig.support else []
+    housings = [h for plane in range(rig.n_planes) for h in _housings(rig, plane)]
     n_q = n_rotor + len(housings)
     mass, damping, stiffness = np.zeros((n_q, n_q)), np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
-    bearing_map, sensor_map = np.zeros((n, n_q)), np.zeros((n, n_q))
+    bearing_map, sensor_map, sensor_slope_map = (np.zeros((n, n_q)) for _ in range(3))
     for plane, modes in enumerate(rotor.modes):
         s, rows = int(starts[plane]), slice(2 * plane, 2 * plane + 2)
         columns = slice(s, s + sizes[plane])
@@ -78,18 +80,20 @@ def mechanics(rig: Rig) -> Mechanics:
             mass[k, k], stiffness[k, k] = 1.0, w**2
             damping[k, k] = 2 * (m.damping_ratio + internal) * w
         bearing_map[rows, columns], sensor_map[rows, columns] = plane_maps(rig, plane)
+        sensor_slope_map[rows, s + 1] = 1.0, -1.0
     if rig.n_planes == 2 and speed:
         _turning(rig, starts, damping, stiffness)
-    for k, (axes, of_housing) in enumerate(housings, start=n_rotor):
-        mass[k, k], damping[k, k], stiffness[k, k] = of_housing
-        bearing_map[axes, k] = sensor_map[axes, k] = -1.0
+    for k, housing in enumerate(housings, start=n_rotor):
+        mass[k, k], damping[k, k], stiffness[k, k] = housing.inertia
+        bearing_map[housing.axes, k], sensor_map[housing.axes, k] = -housing.at_bearings, -housing.at_sensors
+        sensor_slope_map[housing.axes, k] = -housing.sensor_slope
     if sealed(rig):
         at_seals = seal_map(rig, bearing_map)
         stiffness += at_seals.T @ seal_stiffness(rig) @ at_seals
         damping += at_seals.T @ seal_damping(rig) @ at_seals
     if rig.magnets.turned_whole:
         stiffness -= bearing_map.T @ pull_along_turned_axes(rig) @ bearing_map
-    return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map)
+    return Mechanics(mass, damping, stiffness, bearing_map.T.copy(), bearing_map, sensor_map, sensor_slope_map)
 
 
 def sealed(rig: Rig) -> bool:
@@ -146,22 +150,51 @@ def _direct_damping(rig: Rig) -> Array:
     return rig.seal_damping_ns_per_m + rig.seal_damping_times_speed_n_per_m / abs(rig.speed_rad_s)
 
 
-def _housings(support: Support, plane: int) -> list[tuple[NDArray[np.int64], tuple[float, float, float]]]:
-    """Housings of a plane: the axes whose bearings each carries, and its mass, damping and stiffness."""
-    share, ratio = support.pedestals, support.frequency_ratio
-    w = support.natural_frequency_rad_s * support.plane_frequency_ratio**plane
-    a, b, zeta = 2 * plane, 2 * plane + 1, support.damping_ratio
+@dataclass(frozen=True)
+class _Housing:
+    """A coordinate in which something that carries bearings of a plane moves."""
+
+    axes: NDArray[np.int64]
+    """whose bearings it carries"""
+    at_bearings: Array
+    """their displacement per unit, (len(axes),)"""
+    at_sensors: Array
+    """that of their sensors, (len(axes),)"""
+    sensor_slope: Array
+    """what that is more per metre that they are farther from the centre of gravity, 1/m, (len(axes),)"""
+    inertia: tuple[float, float, float]
+    """mass, damping and stiffness"""
+
+
+def _housings(rig: Rig, plane: int) -> list[_Housing]:
+    """What carries the bearings of a plane: a housing that translates, and rocks; a pedestal under each bearing."""
+    if (support := rig.support) is None:
+        return []
+    share, w = support.pedestals, support.natural_frequency_rad_s * support.plane_frequency_ratio**plane
+    zeta, zeta_b = support.damping_ratio, support.damping_ratio * support.damping_quotient
+    a, b = 2 * plane, 2 * plane + 1
     of_a, of_b = support.of_axis(a), support.of_axis(b)
-    housings = (
-        ([a, b], (1 - share) * (of_a + of_b) / 2, w, zeta),
-        ([a], share * of_a, w, zeta),
-        ([b], share * of_b, w * ratio, zeta * support.damping_quotient),
+    of_both = (1 - share) * (of_a + of_b) / 2
+    slopes = np.array([1.0, -1.0]) / np.mean(rig.rotor.bearing_from_cog_m)
+    bearings, sensors = slopes * rig.rotor.bearing_from_cog_m, slopes * rig.rotor.sensor_from_cog_m
+    one, both = np.ones(1), np.ones(2)
+    translating = ([a, b], (both, both, 0 * both), of_both, w, zeta)
+    rocking = (
+        [a, b],
+        (bearings, sensors, slopes),
+        support.rocking * of_both,
+        w * support.rocking_frequency_ratio,
+        zeta,
     )
-    return [
-        (np.array(ends), (mass := support.mass_kg / part, 2 * damping * own * mass, mass * own**2))
-        for ends, part, own, damping in housings
-        if part > LEAST_SHARE
-    ]
+    under_a = ([a], (one, one, 0 * one), share * of_a, w, zeta)
+    under_b = ([b], (one, one, 0 * one), share * of_b, w * support.frequency_ratio, zeta_b)
+    out = []
+    for axes, (at_bearings, at_sensors, slope), part, own, damping in (translating, rocking, under_a, under_b):
+        if part > LEAST_SHARE:
+            mass = support.mass_kg / part
+            inertia = (mass, 2 * damping * own * mass, mass * own**2)
+            out.append(_Housing(np.array(axes), at_bearings, at_sensors, slope, inertia))
+    return out
 
 
 def _turning(rig: Rig, starts: Array, damping: Array, stiffness: Array) -> None:

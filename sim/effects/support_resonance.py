@@ -10,6 +10,9 @@ from sim.imbalance import NAMES, parameters, shares
 from sim.rig import Rig, Support
 from sim.sizes import MASS
 
+ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
+"""A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
+
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["inverse_mass_per_kg"] < 1e-12:
@@ -28,6 +31,8 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         p["frequency_ratio"],
         p["damping_quotient"],
         p["plane_frequency_ratio"],
+        p["rocking"],
+        p["rocking_frequency_ratio"],
         own,
     )
     return replace(rig, support=support)
@@ -45,6 +50,20 @@ def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
         "frequency_hz": values["frequency_hz"],
         "damping_ratio": values["damping_ratio"],
     }
+
+
+def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[str, float]:
+    """A housing that rocks as a mode swings, which moves both ends against each other, bearings and sensors alike."""
+    at_bearings, at_sensors = (
+        0.5 * (mode[f"{place}_A_per_sqrt_kg"] - mode[f"{place}_B_per_sqrt_kg"]) for place in ("bearing", "sensor")
+    )
+    against = (mode[f"{place}_A_per_sqrt_kg"] * mode[f"{place}_B_per_sqrt_kg"] for place in ("bearing", "sensor"))
+    rocking = at_bearings * at_sensors / own["inverse_mass_per_kg"]
+    ratio = mode["frequency_hz"] / own["frequency_hz"]
+    (_, most), (least, greatest) = ROCKING, ROCKING_FREQUENCY_RATIO
+    if max(against) >= 0 or not 0 < rocking < most or not least < ratio < greatest:
+        return {}
+    return {**own, "pedestals": 0.0, "rocking": rocking, "rocking_frequency_ratio": ratio}
 
 
 EFFECT = Effect(
@@ -115,15 +134,41 @@ EFFECT = Effect(
             dormant=True,
             wakes=(0.9, 1.1),
         ),
+        Parameter(
+            "rocking",
+            "1",
+            *ROCKING,
+            0.0,
+            0.0,
+            description="inverse inertia of a housing that rocks too, times the square of the bearings' mean distance "
+            "from the centre of gravity, over the inverse mass",
+            strength=False,
+            optional=True,
+            dormant=True,
+        ),
+        Parameter(
+            "rocking_frequency_ratio",
+            "1",
+            *ROCKING_FREQUENCY_RATIO,
+            1.0,
+            1.0,
+            "log",
+            "of its rocking over that of its translation",
+            strength=False,
+            optional=True,
+            dormant=True,
+        ),
         *parameters("pedestals", dormant=True),
     ),
     apply=_apply,
     law="mh xh'' + dh xh' + kh xh = -sum f, of both bearings or of either; bearings and sensors see the rotor relative "
     "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x, of a housing of both as (1 +- p); "
-    "kh goes as the square of the plane's frequency",
+    "kh goes as the square of the plane's frequency; an angle of a housing that rocks about the rotor's centre of "
+    "gravity likewise",
     signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
     aliases=("extra_flexible_mode",),
     likened={"extra_flexible_mode": _like_a_mode},
+    includes={"extra_flexible_mode": _that_rocks},
     separated_by="signs of the residues; speed splits a rotor mode only; an accelerometer on the housing",
     source="Genta, Dynamics of Rotating Systems, Springer 2005, chapter 2 (rotor on compliant supports); "
     "Khader, System Identification of Active Magnetic Bearing for Commissioning, section 5.3.2 (the split first peak)",

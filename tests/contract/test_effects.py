@@ -193,6 +193,7 @@ def test_each_of_its_parameters_counts(one):
     """
     of_pedestals = {"pedestals": 0.5} if one.id == "support_resonance" else {}  # where there are any
     beside = dict.fromkeys(("frequency_ratio", "damping_quotient", "end_imbalance"), of_pedestals)
+    beside["rocking_frequency_ratio"] = {"rocking": 2.0}
     beside["coupling_imbalance"] = {"mode_coupling": 0.02}
     beside["turned_whole"] = {"rotation_rad": 0.04}
 
@@ -494,6 +495,25 @@ def test_an_effect_likened_to_its_alias_answers_like_it(one):
         rig = rig_for(one)
         a, b = (linear_model(r, TONES_HZ) for r in (other.on(rig, **alike), one.on(rig, **likened(alike))))
         assert differences(a.y_per_u, b.y_per_u).max() < 1e-9
+
+
+@every_effect
+def test_an_effect_that_includes_another_answers_as_both(one):
+    """Bearings and sensors of the other move as one another, as they do where a part of the rig itself moves."""
+    for name, alone in one.includes.items():
+        rig = rig_for(one)
+        (a, b), (sa, sb) = rig.rotor.bearing_from_cog_m, rig.rotor.sensor_from_cog_m
+        shape = {"bearing_A": a, "bearing_B": -b, "sensor_A": sa, "sensor_B": -sb}
+        typical = {p.name: p.typical for p in one.parameters}
+        other = {"frequency_hz": 310.0, "damping_ratio": typical["damping_ratio"]}
+        other |= {f"{place}_per_sqrt_kg": 0.05 * size for place, size in shape.items()}
+        both = linear_model(CATALOGUE[name].on(one.on(rig, **typical), **other), TONES_HZ)
+        # a start for a fit: the mean of both ends, which sensors beside their bearings do not quite have
+        started = linear_model(one.on(rig, **alone(typical, other)), TONES_HZ)
+        without = linear_model(one.on(rig, **typical), TONES_HZ)
+        assert differences(started.y_per_u, both.y_per_u).max() < 0.3 * differences(without.y_per_u, both.y_per_u).max()
+        bent = {**other, "bearing_B_per_sqrt_kg": 0.05 * b}
+        assert not alone(typical, bent), "both ends move the same way: it translates"
 
 
 def test_effects_of_a_twin_add_up():

@@ -253,9 +253,9 @@ def _mechanical_columns(
         q = motion.q
         columns[:, :, c] += pushed(start, -r.mass_kg * s2 * q[:, [start]])
         columns[:, :, c + 1] += pushed(start + 1, -r.transverse_inertia_kgm2 * s2 * q[:, [start + 1]])
-        for side, sign in enumerate((1.0, -1.0)):
+        for side in (0, 1):
             axis = 2 * plane + side
-            columns[:, axis, c + 2 + side] += sign * motion.sensor[:, axis] * q[:, start + 1]
+            columns[:, axis, c + 2 + side] += motion.sensor[:, axis] * (q @ m.sensor_slope_map[axis])
         for k, mode in enumerate(modes[: nuisance.n_modes]):
             at = start + 2 + k
             w, qk, s = mode.natural_frequency_rad_s, q[:, [at]], motion.s[:, None]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
-from service.gap.fitting.stage import PROBE
+from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
@@ -221,6 +221,23 @@ def with_aliases(fitter: Fitter, ground: Ground, best: Candidate, found: Sequenc
         if frozenset(effects) not in as_good
     )
     return fitter.run(exact_tasks(ground, sorted(probed, key=cost)[:1]))
+
+
+def as_fewer(fitter: Fitter, ground: Ground, best: Candidate) -> list[Candidate]:
+    """A mixture's effects without one that another of them includes (`Effect.includes`), as a housing that rocks."""
+    tasks = []
+    for k, name in enumerate(best.effects):
+        for other, both in CATALOGUE[name].includes.items():
+            if other not in best.effects:
+                continue
+            at = best.effects.index(other)
+            values = list(best.fit.values)
+            values[k] = dict(both(values[k], values[at]))
+            if values[k]:
+                kept = [j for j in range(len(values)) if j != at]
+                start = tuple(values[j] for j in kept)
+                tasks.append(Task(ground, tuple(best.effects[j] for j in kept), (start,), best.fit.theta, (EXACT,)))
+    return fitter.run(tasks)
 
 
 def without_superfluous(everything: Sequence[Ranked]) -> list[Ranked]:

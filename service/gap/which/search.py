@@ -20,6 +20,7 @@ from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
 from service.gap.which.mixtures import (
+    as_fewer,
     extended,
     leaves_more_than_law_error,
     with_aliases,
@@ -189,7 +190,10 @@ class _Search:
             self.order = without_superfluous(ranked(self.null, self.found))
 
     def add_mixtures(self, most: int) -> None:
-        """Add mixtures of up to ``most`` effects by forward selection, and those with an alias of one of theirs."""
+        """Add mixtures of up to ``most`` effects by forward selection, and what the best one may be instead.
+
+        That has an alias in the place of an effect, or is one effect that includes two.
+        """
         fewer = next(r for r in self.order if r.candidate is self.null)
         for size in range(1, most):
             extension = extended(self.ground, self.order, fewer, size)
@@ -201,6 +205,7 @@ class _Search:
         best = self.order[0].candidate
         if len(best.effects) > 1:  # also where the last mixture was not extended, as it leaves nothing
             more = with_aliases(self.fitter, self.ground, best, self.found)
+            more += as_fewer(self.fitter, self.ground, best)
             self.found = best_of_each(self.null, [*self.found, *more])
             self.order = without_superfluous(ranked(self.null, self.found))
         best = self.order[0].candidate

@@ -25,6 +25,7 @@ OF_ITS_OWN = [
     {"off_centre_rotor": {f"offset_{axis}_m": 6e-5 for axis in ("xA", "xB", "yA", "yB")}},
     {"cross_coupled_stiffness": {"stiffness_n_per_m": 3e5, "end_imbalance": 0.5}},
     {"cross_coupled_stiffness": {"stiffness_n_per_m": 3e5, "between": 1.0, "mode1_bow_per_sqrt_kg": -0.2}},
+    {"support_resonance": {"frequency_hz": 300.0, "rocking": 3.0, "plane_frequency_ratio": 1.2}},
     {"internal_damping": {}},
     {"magnetic_saturation": {"flux_share": 0.5}},
 ]
