@@ -95,6 +95,41 @@ class Parameter:
         return in_words(self.name.removesuffix(SUFFIXES.get(self.unit, "")))
 
 
+def rarely_needed(
+    name: str,
+    unit: str,
+    low: float,
+    high: float,
+    null: float,
+    scale: Literal["log", "linear"] = "linear",
+    description: str = "",
+    *,
+    amount: bool = False,
+    wakes: tuple[float, ...] = (),
+    goes_with: Size | None = None,
+) -> Parameter:
+    """A parameter that shapes an effect on few rigs: fits hold it at ``null`` until the law without it leaves too much.
+
+    Arguments as of `Parameter`.
+    """
+    return Parameter(
+        name,
+        unit,
+        low,
+        high,
+        null,
+        null,
+        scale,
+        description,
+        strength=False,
+        amount=amount,
+        optional=True,
+        dormant=True,
+        wakes=wakes,
+        goes_with=goes_with,
+    )
+
+
 @dataclass(frozen=True)
 class Effect:
     """An unmodelled effect that a twin can lack."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
@@ -44,17 +44,13 @@ EFFECT = Effect(
         Parameter(
             "lag_s", "s", 0.0, 2e-4, 2e-6, 0.0, description="time constant of a further first-order lag", optional=True
         ),
-        Parameter(
+        rarely_needed(
             "first_order_share",
             "1",
             0.0,
             0.998,
             0.0,
-            0.0,
             description="share of the s^2 term that is missing: at 1 the amplifiers are of first order, wa/(2 za)",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.9,),
         ),
         *parameters("amplifiers"),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
 from sim.sizes import BIAS
@@ -51,17 +51,13 @@ EFFECT = Effect(
             "nothing on a first-order amplifier",
             strength=False,
         ),
-        Parameter(
+        rarely_needed(
             "slope_noise_share",
             "1",
             0.0,
             0.4,
             0.0,
-            0.0,
             description="root mean square of the slopes that noise asks of a coil, over the limit",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.05,),
         ),
         *parameters("amplifiers", dormant=True),

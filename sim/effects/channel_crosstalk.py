@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_plane
 from sim.rig import Rig
 
@@ -33,17 +33,13 @@ EFFECT = Effect(
             "share_ba", "1", -0.2, 0.2, 0.03, 0.0, description="share of u_A in amplifier B, mean of both planes"
         ),
         *(
-            Parameter(
+            rarely_needed(
                 f"share_{into}{out_of}_{end}",
                 "1",
                 -0.2,
                 0.2,
                 0.0,
-                0.0,
                 description=f"share of u_{out_of}{end} in amplifier {into}{end}; not used on one plane",
-                strength=False,
-                optional=True,
-                dormant=True,
                 wakes=(0.01,),
             )
             for end in "AB"

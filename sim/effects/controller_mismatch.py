@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import control_law
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import parameters, shares
 from sim.rig import Array, ControlLaw, Rig
 
@@ -194,33 +194,25 @@ EFFECT = Effect(
         ),
         Parameter("derivative_change", "1", -0.5, 1.0, 0.05, 0.0, description="relative change of the derivative part"),
         Parameter("lag_samples", "samples", -0.5, 0.5, 0.05, 0.0, description="share of the sample before"),
-        Parameter(
+        rarely_needed(
             "integral_change",
             "1",
             -1.0,
             3.0,
             0.0,
-            0.0,
             description="relative change of the integral part",
-            strength=False,
             amount=True,
-            optional=True,
-            dormant=True,
             wakes=(0.1,),
         ),
         *(
-            Parameter(
+            rarely_needed(
                 name,
                 "1",
                 low,
                 high,
                 0.0,
-                0.0,
                 description=f"relative change of the {of_what}",
-                strength=False,
                 amount=True,
-                optional=True,
-                dormant=True,
                 wakes=wakes,
             )
             for name, (wakes, low, high, of_what) in OF_FILTERS.items()

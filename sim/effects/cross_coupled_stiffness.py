@@ -10,7 +10,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_end
 from sim.rig import Rig
 from sim.sizes import MASS, STIFFNESS
@@ -46,17 +46,13 @@ def _bows(rig: Rig, p: Mapping[str, float]) -> tuple[float, ...]:
 
 
 def _bow(mode: int, wakes: tuple[float, ...]) -> Parameter:
-    return Parameter(
+    return rarely_needed(
         BOWS[mode - 1],
         "1/sqrt(kg)",
         -0.6,
         0.6,
         0.0,
-        0.0,
         description=f"how much farther mode {mode} moves the shaft at the seal than at the bearings",
-        strength=False,
-        optional=True,
-        dormant=True,
         wakes=wakes,
         goes_with=MASS**-0.5,
     )
@@ -76,31 +72,23 @@ EFFECT = Effect(
             description="at each bearing, mean of both, sign of the whirl",
             goes_with=STIFFNESS,
         ),
-        Parameter(
+        rarely_needed(
             "by_speed_ns_per_m",
             "N s/m",
             -1e5,
             1e5,
             0.0,
-            0.0,
             description="what each rad/s adds to it, as the rotor carries the fluid round; told by two speeds alone",
             goes_with=STIFFNESS,
-            strength=False,
-            optional=True,
-            dormant=True,
         ),
-        Parameter(
+        rarely_needed(
             "inverse_whirl_ratio",
             "1",
             0.0,
             4.0,
             0.0,
-            0.0,
             description="of direct damping c in the same places: c |W| / (|k| + |k' W|); about 2 where fluid goes "
             "round at half the speed of the rotor, which at rest shows none",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(1.0,),
         ),
         of_end("the seal"),

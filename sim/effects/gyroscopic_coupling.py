@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import chain, repeat
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.rig import Disc, FlexibleMode, Rig
 from sim.sizes import INERTIA, SLOPE
 
@@ -24,17 +24,13 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 
 def _slope(mode: int) -> Parameter:
-    return Parameter(
+    return rarely_needed(
         f"mode{mode}_slope_per_m_sqrt_kg",
         "1/(m sqrt(kg))",
         -3.0,
         3.0,
         0.0,
-        0.0,
         description=f"tilt of that inertia per displacement of mode {mode}; 0: it tilts with the rigid body alone",
-        strength=False,
-        optional=True,
-        dormant=True,
         wakes=(0.3, -0.3),  # a slope of the other sign is another local minimum
         goes_with=SLOPE,
     )
@@ -54,30 +50,22 @@ EFFECT = Effect(
             description="beside what a twin with this effect states; negative where the rotor turns from y to x",
             goes_with=INERTIA,
         ),
-        Parameter(
+        rarely_needed(
             "mode_coupling",
             "1",
             -0.5,
             0.5,
             0.0,
-            0.0,
             description="g of q'' + g W q' between the two planes' copies of each flexible mode, mean of the first two",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.01,),
         ),
-        Parameter(
+        rarely_needed(
             "coupling_imbalance",
             "1",
             -1.0,
             1.0,
             0.0,
-            0.0,
             description="1: g only of the first mode, -1: only of the second; nothing on a rotor with one",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.3,),
         ),
         _slope(1),

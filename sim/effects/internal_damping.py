@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import chain, islice, repeat
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.errors import EffectError
 from sim.rig import FlexibleMode, Rig
 
@@ -29,17 +29,13 @@ EFFECT = Effect(
     path="plant",
     parameters=(
         Parameter("damping_ratio", "1", 1e-5, 0.03, 2e-3, 0.0, "log", "zi, added to every flexible mode, mean of two"),
-        Parameter(
+        rarely_needed(
             "mode_imbalance",
             "1",
             -1.0,
             1.0,
             0.0,
-            0.0,
             description="1: only of the first mode, -1: only of the second; nothing on a rotor with one",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.8, -0.8),
         ),
     ),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_end
 from sim.rig import Rig
 
@@ -29,17 +29,13 @@ EFFECT = Effect(
     parameters=(
         Parameter("rotation_rad", "rad", -0.2, 0.2, 0.04, 0.0, description="magnets turned against the sensors"),
         Parameter("symmetric_share", "1", -0.2, 0.2, 0.01, 0.0, description="share of the flux that closes across"),
-        Parameter(
+        rarely_needed(
             "turned_whole",
             "1",
             0.0,
             1.0,
             0.0,
-            0.0,
             description="1 where the magnets' axes are turned, so that displacements pull along them, too",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.9,),
         ),
         of_end("the magnets", dormant=True),

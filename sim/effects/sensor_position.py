@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.rig import FlexibleMode, Rig
 from sim.sizes import SLOPE, SPAN
 
@@ -33,17 +33,13 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 
 def _slope(mode: int, end: str) -> Parameter:
-    return Parameter(
+    return rarely_needed(
         _slope_name(mode, end),
         "1/(m sqrt(kg))",
         -3.0,
         3.0,
         0.0,
-        0.0,
         description=f"by which the shape of mode {mode} at sensor {end} changes with its distance",
-        strength=False,
-        optional=True,
-        dormant=True,
         wakes=(0.1,),
         goes_with=SLOPE,
     )

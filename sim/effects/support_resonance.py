@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.errors import EffectError
 from sim.imbalance import NAMES, parameters, shares
 from sim.rig import Rig, Support
@@ -106,57 +106,41 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
-        Parameter(
+        rarely_needed(
             "damping_quotient",
             "1",
             0.1,
             10.0,
             1.0,
-            1.0,
             "log",
             "damping ratio of the pedestal at B over that at A",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(1.3,),
         ),
-        Parameter(
+        rarely_needed(
             "plane_frequency_ratio",
             "1",
             0.5,
             2.0,
             1.0,
-            1.0,
             "log",
             "of the part in y over that in x, which frequency_hz is; not used on one plane",
-            strength=False,
-            optional=True,
-            dormant=True,
             wakes=(0.9, 1.1),
         ),
-        Parameter(
+        rarely_needed(
             "rocking",
             "1",
             *ROCKING,
             0.0,
-            0.0,
             description="inverse inertia of a housing that rocks too, times the square of the bearings' mean distance "
             "from the centre of gravity, over the inverse mass",
-            strength=False,
-            optional=True,
-            dormant=True,
         ),
-        Parameter(
+        rarely_needed(
             "rocking_frequency_ratio",
             "1",
             *ROCKING_FREQUENCY_RATIO,
             1.0,
-            1.0,
             "log",
             "of its rocking over that of its translation",
-            strength=False,
-            optional=True,
-            dormant=True,
         ),
         *parameters("pedestals", dormant=True),
     ),
