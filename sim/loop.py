@@ -9,6 +9,8 @@ and the control signal may change anywhere inside a step (delays).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sim import actuator, control_law
@@ -165,7 +167,19 @@ class Loop:
         return np.array([-u * np.sum(a[k + 1 :]) for k in range(order)])
 
     def closed_loop(self) -> Array:
-        """One sample of the linear closed loop as a matrix on [z, controller states, past u]."""
+        """One sample of the linear closed loop as a matrix on [z, controller states, past u].
+
+        Dead time of a sensor counts as that of its axis's amplifier: about the loop both are the same, as each axis has
+        a controller of its own (with crosstalk between axes whose sensors differ, nearly so).
+        """
+        if np.any(self.rig.sensors.delay_s):
+            rig, delay = self.rig, self.rig.sensors.delay_s
+            elsewhere = replace(
+                rig,
+                sensors=replace(rig.sensors, delay_s=np.zeros(rig.n_axes)),
+                amplifiers=replace(rig.amplifiers, delay_s=rig.amplifiers.delay_s + delay),
+            )
+            return Loop(elsewhere, self.substeps).closed_loop()
         ss, p, n = self._ss, self._p, self.n_axes
         order, n_z = self._a.shape[1] - 1, p.n_z
         n_c, n_u = n * order, p.history * n
