@@ -41,6 +41,11 @@ def test_a_controller_held_exactly_hides_no_faint_gap() -> None:
     assert s.closure is not None
 
 
+def test_an_interval_holds_what_lies_between_one_in_forty_on_either_side() -> None:
+    evenly = np.linspace(0.0, 1.0, 1001)
+    assert interval_95(np.random.default_rng(0).permutation(evenly), 1001) == pytest.approx((0.025, 0.975))
+
+
 def test_an_interval_is_open_where_resamples_do_not_show_the_gap() -> None:
     assert interval_95([0.9] * 100, 100) == (pytest.approx(0.9), pytest.approx(0.9))
     assert interval_95([0.9] * 90, 100)[0] is None

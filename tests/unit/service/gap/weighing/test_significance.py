@@ -25,6 +25,13 @@ def test_noise_alone_is_not_significant(points: int, bound: float) -> None:
     assert alarms <= 1
 
 
+def test_of_many_cells_the_worst_is_as_rarely_significant_as_one_alone() -> None:
+    """Of 96 channels the worst is two deviates high nearly always; after that number of tests, in one of 40."""
+    rng = np.random.default_rng(7)
+    alarms = [worst(list(noise(rng, CELLS, 40, CHANNELS))) > norm.isf(0.025) for _ in range(RUNS)]
+    assert np.mean(alarms) == pytest.approx(0.025, abs=0.025)
+
+
 @pytest.mark.parametrize("values", [4, 8, 12, 20, 31])
 def test_a_few_values_are_as_rarely_significant_as_is_said(values: int) -> None:
     """Cells of one size that are all at the square that noise exceeds once in a thousand million."""

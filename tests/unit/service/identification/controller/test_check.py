@@ -112,6 +112,17 @@ def test_the_verdict_follows_the_table_of_zones(planes):
     assert generous.document()["verdict"] == "safe"
 
 
+def test_the_verdict_is_that_of_the_highest_peak_that_the_data_allow(planes):
+    """A zone that the best model just keeps to, and models as likely do not, is not kept to."""
+    free = check_controller("reference", planes, LAW, zones=zone_table("ok=20,bad"), accepted_zone="ok")
+    decibel = [20 * np.log10([a.sensitivity_peak.value, a.sensitivity_peak.high]) for a in free.axes]
+    widest = max(decibel, key=lambda ends: ends[1])
+    assert widest[1] > max(value for value, _ in decibel), "else no limit lies between"
+    limit = 0.5 * (max(value for value, _ in decibel) + widest[1])
+    found = check_controller("reference", planes, LAW, zones=zone_table(f"ok={limit},bad"), accepted_zone="ok")
+    assert not found.safe
+
+
 def test_an_unstable_loop_is_told_with_its_motion(planes):
     found = check_controller("reference", planes, scaled(0.4))
     assert not found.safe
