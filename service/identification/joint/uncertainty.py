@@ -128,13 +128,14 @@ def uncertainty_of(
     return Uncertainty(reported, from_data, refined.fit.free, bool(adequate), widening, float(scale))
 
 
-def _sandwich(influence: Real, residual: Real, bands: int = 24) -> Real:
+def _sandwich(influence: Real, residual: Real, bands: int = 48) -> Real:
     """Covariance of the estimate from sums of influence times residual over bands of rows.
 
-    ``influence`` (N, n) is J (J^T J)^-1.
+    ``influence`` (N, n) is J (J^T J)^-1. Rows go channel by channel and line by line, so that a band has neighbouring
+    lines of a channel; a few reach from the last lines of one to the first of the next.
     """
     n = len(residual)
-    edges = np.linspace(0, n, 2 * bands + 1).astype(int)
+    edges = np.linspace(0, n, bands + 1).astype(int)
     sums = np.array([influence[a:b].T @ residual[a:b] for a, b in pairwise(edges) if b > a])
     count = len(sums)
     return np.asarray(sums.T @ sums * count / max(count - influence.shape[1] / 2, 1.0))
