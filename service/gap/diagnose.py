@@ -26,7 +26,7 @@ from service.gap.overall_verdict import overall_verdict
 from service.gap.progress import Progress, ProgressCallback
 from service.gap.proposal.case import Grounds
 from service.gap.weighing.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
-from service.gap.weighing.verdict import Verdict
+from service.gap.weighing.verdict import LEAVES, MIXTURE_SHARE, Verdict
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
 from service.gap.which.beyond_tolerance import OFF_TOLERANCES
@@ -130,7 +130,7 @@ def _diagnosis(
         loop=loop_figures(null.fit.rig, chosen.fit.rig, o, twins),
         next_experiment=proposal.document() if proposal else None,
         discrepancy=discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
-        datasheet_off=tuple(nu.clearly_off(chosen.fit.theta)),
+        datasheet_off=() if leaves_some(verdict, found.parts) else tuple(nu.clearly_off(chosen.fit.theta)),
     )
     notes = (*data.notes, *found.notes, *runout_notes(data.sources), *not_weighed(fitter.lost, found.parts))
     return replace(diagnosis, notes=(*notes, *_notes(diagnosis, data, found), *_undecided(diagnosis, pair)))
@@ -176,9 +176,18 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
     if not verdict.effects and not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
     if far := nu.far_off(d.chosen.fit.theta):
-        yield f"the datasheet is off beyond its tolerances: {values_off(far, verdict.kind == 'none_of_these')}"
+        yield f"the datasheet is off beyond its tolerances: {values_off(far, leaves_some(verdict, found.parts))}"
     if d.within_the_datasheet and (off := nu.far_off(d.null.fit.theta, OFF_TOLERANCES)):
         yield f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"
+
+
+def leaves_some(verdict: Verdict, parts: Sequence[Explained]) -> bool:
+    """Whether something is left that is not explained, and may have drawn the datasheet's values from where they are.
+
+    Where nothing explains the gap, or an effect explains it by another law than the rig's.
+    """
+    left = (e for e in parts if e.chosen.effects and e.order[0].unexplained > MIXTURE_SHARE)
+    return verdict.kind == "none_of_these" or any(e.remaining > LEAVES for e in left)
 
 
 def values_off(far: Sequence[str], unexplained: bool) -> str:

@@ -2,18 +2,20 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from service.experiment.data import Experiment
 from service.gap.apply import applied
-from service.gap.diagnose import FARTHEST, diagnose, values_off
+from service.gap.diagnose import FARTHEST, diagnose, leaves_some, values_off
 from service.gap.document import gap_document
 from service.gap.fitting import candidates
 from service.gap.fitting.candidates import Candidate, Task, fit_task
 from service.gap.measured.observation import GapError
 from service.gap.origin import origin
+from service.gap.weighing.verdict import Verdict
 from sim.errors import EffectError
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
@@ -221,3 +223,22 @@ def test_of_many_values_that_what_nothing_explains_draws_away_a_few_are_named() 
     assert told.count("damping") == FARTHEST
     assert f"and {30 - FARTHEST} more (what nothing explains may have drawn them there)" in told
     assert values_off(far, unexplained=False).count("damping") == 30
+
+
+@pytest.mark.parametrize(
+    ("kind", "effects", "left", "significance", "drawn"),
+    [
+        ("effect", ("magnetic_hysteresis",), 0.16, 25.0, True),
+        ("effect", ("magnetic_hysteresis",), 0.16, 2.0, False),
+        ("effect", ("magnetic_hysteresis",), 0.001, 25.0, False),
+        ("no_gap", (), 1.0, 0.0, False),
+        ("none_of_these", (), 1.0, 25.0, True),
+    ],
+)
+def test_what_an_effect_leaves_may_have_drawn_the_datasheet_s_values(
+    kind: str, effects: tuple[str, ...], left: float, significance: float, drawn: bool
+) -> None:
+    """Plays for Bouc-Wen hysteresis: sensors seemed to be elsewhere by as much as a fit allows."""
+    best = SimpleNamespace(unexplained=left)
+    part = SimpleNamespace(chosen=SimpleNamespace(effects=effects), order=[best], remaining=significance)
+    assert leaves_some(Verdict(kind, effects, (), 0.9, ()), [part]) is drawn
