@@ -75,7 +75,16 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
         return {"side": side, **{f"clearance_{axis}_m": clearance for axis in AXES}}
     if name == "support_resonance":
         pedestals, ratio = float(g.choice([0.0, 0.0, 1.0])), float(g.uniform(0.9, 1.1))
-        return {"frequency_hz": 15.0 * 50.0 ** float(g.uniform()), "pedestals": pedestals, "frequency_ratio": ratio}
+        softer = float(g.choice([1.0, 1.0, 1.0, g.uniform(0.7, 1.4)]))  # in one direction than in the other
+        rocking = float(g.choice([0.0, 0.0, 0.0, g.uniform(1.0, 4.0)])) * (1.0 - pedestals)
+        return {
+            "frequency_hz": 15.0 * 50.0 ** float(g.uniform()),
+            "pedestals": pedestals,
+            "frequency_ratio": ratio,
+            "plane_frequency_ratio": softer,
+            "rocking": rocking,
+            "rocking_frequency_ratio": float(g.uniform(1.2, 2.5)),
+        }
     if name == "extra_flexible_mode":
         at_b = 0.06 * share * g.uniform(0.4, 1.0, 2) * g.choice([-1.0, 1.0], 2)
         at_s = at_b * g.uniform(0.7, 1.3, 2)

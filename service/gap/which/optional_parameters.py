@@ -11,13 +11,22 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
+from numpy.typing import NDArray
+
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
+from service.gap.fitting.starts.resonances import unlike_planes
+from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.fitting.unknowns import TURNING, dormant_at_null
+from service.gap.which.one_more_effect import rough_beside, rough_stages
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
+Complex = NDArray[np.complex128]
+
+SUPPORT = "support_resonance"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
 effect."""
@@ -30,6 +39,28 @@ def with_optional_parameters(fitter: Fitter, ground: Ground, found: Sequence[Can
     """
     before = {c.effects: cost(c) for c in found}
     return [c for c in fitter.run(task for c in found for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
+
+
+def softer_in_one_plane(
+    ground: Ground, null: Candidate, plain: Sequence[Complex], found: Sequence[Candidate]
+) -> Iterator[Task]:
+    """Task to fit a support with the resonance that each plane shows; none where ``found`` has no support alone.
+
+    A resonance is narrow, so that no start with the same frequency in both planes leads there. ``plain`` are the
+    residuals of the plain twin ``null``.
+    """
+    if not any(c.effects == (SUPPORT,) for c in found) or ground.nuisance.rig.n_planes < 2:
+        return
+    effect = CATALOGUE[SUPPORT].of(ground.nuisance.rig)
+    unexplained = SweepResiduals(null.fit.rig, plain[0], ground.observations[0], ground)
+    typical = {p.name: p.typical for p in effect.parameters}
+    starts = [
+        ({**typical, **own, "pedestals": share},) for own in unlike_planes(effect, unexplained) for share in (0.0, 1.0)
+    ]
+    if starts:
+        rough = rough_beside(null, ground)
+        theta = null.fit.theta if rough != rough_stages(ground) else ground.theta
+        yield Task(ground, (SUPPORT,), tuple(starts), theta, (*rough, EXACT))
 
 
 def with_all_parameters(task: Task) -> Task | None:

@@ -24,6 +24,9 @@ FINE_FREQUENCIES = 17
 GRID_APART = 8
 """Least distance of a second resonance from the first, in steps of the grid (lines, and one frequency between each)."""
 
+SAME_FREQUENCY = 0.02
+"""Logarithm of the ratio of two frequencies below which they are taken for the same."""
+
 
 def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals) -> list[dict[str, float]]:
     """The best resonances, then one at the largest residuals, then the typical one."""
@@ -32,8 +35,24 @@ def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals) ->
     return [{**base, **f} for f in found]
 
 
-def resonances(effect: Effect, residuals: SweepResiduals, count: int = 2) -> list[dict[str, float]]:
+def unlike_planes(effect: Effect, residuals: SweepResiduals) -> list[dict[str, float]]:
+    """Support that is softer in one direction: the best resonance of each plane; empty where both are the same."""
+    in_x, in_y = (resonances(effect, residuals, 1, plane) for plane in (0, 1))
+    if not in_x or not in_y:
+        return []
+    ratio = in_y[0]["frequency_hz"] / in_x[0]["frequency_hz"]
+    known = next(p for p in effect.parameters if p.name == "plane_frequency_ratio")
+    if abs(np.log(ratio)) < SAME_FREQUENCY or not known.low < ratio < known.high:
+        return []
+    return [{**in_x[0], known.name: ratio}]
+
+
+def resonances(
+    effect: Effect, residuals: SweepResiduals, count: int = 2, plane: int | None = None
+) -> list[dict[str, float]]:
     """Resonances that explain most beyond what the nuisance values can, best first: frequency, damping and shape.
+
+    Of all points, or of those in which an axis of one ``plane`` is excited.
 
     A score test: a resonance of small modal participation has a response that is linear in its residues, so these
     follow from a regression of the residuals, with what the nuisance values can explain projected out. A housing moves
@@ -47,6 +66,8 @@ def resonances(effect: Effect, residuals: SweepResiduals, count: int = 2) -> lis
     f, w = o.fundamental, weight(o, "y")[:, o.fundamental]
     columns = residue_columns(residuals.rig, o) * w[..., None, None]
     columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
+    if plane is not None:
+        columns = columns * (o.axis // 2 == plane)[:, None, None]
     wanted, s = stacked(residuals.z[:, f, :, None]), 2j * np.pi * o.points_hz
     wanted -= basis @ (basis.T @ wanted)
 
