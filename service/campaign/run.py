@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from drivers.controller import (
@@ -20,6 +20,7 @@ from service.campaign.points import Point, experiment
 from service.campaign.predecessor import holds_all, make_way, put_aside
 from service.campaign.progress import Meter, ProgressCallback
 from service.campaign.recorder import Recorder, Trip
+from service.exclusive import sole_use
 from service.experiment import file
 from service.experiment.data import Experiment
 from service.experiment.errors import CampaignError, JournalError
@@ -31,6 +32,9 @@ from sim.rig_file import parse, to_toml
 
 EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
+LOCK = ".experiment.in-use"
+"""Of the folder, while a campaign writes there."""
+ANOTHER, ELSEWHERE = "another campaign", "wait for its end, or choose another folder"
 _Done = dict[str, list[Point]]
 _Extra = dict[str, str]
 
@@ -78,6 +82,8 @@ def run_campaign(
     ------
     OutputError
         ``out_dir`` cannot be written; nothing has moved.
+    ConflictError
+        Another campaign writes in ``out_dir``; nothing has moved.
     CampaignError
         The controller does not fit the datasheet, cannot play the excitation, or is tripped.
     JournalError
@@ -116,49 +122,52 @@ def run_campaign(
             attributes | extra,
         )
 
-    try:
-        with controller.lease(holder or alone("ambit campaign")), stopped_by(controller, cancelled):
-            # whoever holds the rig writes here, and nobody else
-            if not resume:
-                put_aside(out_dir / JOURNAL)
-            opened = journal.Journal(out_dir / JOURNAL, header)
-            try:
-                speed = speed_of(opened.header, speed)
-            except JournalError:
-                opened.close()
-                raise
-            log = opened
-            with _quiet_on_failure(controller):
-                make_ready(controller)
-                measure = Patient(controller, cancelled or (lambda: False))
-                recorder = Recorder(
-                    measure,
-                    log.found,
-                    log.append,
-                    capabilities.sample_rate_hz,
-                    capabilities.harmonics,
-                    lambda: _speed_now(controller),
-                )
-                _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
-                extra |= _changed_speed(controller, speed)
-        result = assembled()
-        make_way(out_dir / EXPERIMENT, result)
-        file.write(out_dir / EXPERIMENT, result)
-    except BaseException as error:
-        if log is None and not isinstance(error, KeyboardInterrupt | CancelledError):
-            raise  # nothing was begun
-        extra[INCOMPLETE] = str(error) or "stopped from the keyboard"
-        kept = _keep(out_dir / EXPERIMENT, assembled, 0 if log is None else log.count)
-        if log is not None:
-            log.close()
-        if isinstance(error, KeyboardInterrupt | CancelledError):
-            kind = StoppedElsewhereError if isinstance(error, StoppedElsewhereError) else CancelledError
-            raise kind(
-                f"the campaign was stopped and the excitation is off; {kept}: run it again to go on where it stopped"
-            ) from None
-        raise
-    log.close()
-    (out_dir / JOURNAL).unlink(missing_ok=True)
+    with ExitStack() as folder:  # until the journal is gone or closed, which is after the rig is given back
+        try:
+            with controller.lease(holder or alone("ambit campaign")), stopped_by(controller, cancelled):
+                # whoever holds the rig writes here, and nobody else, not even one who holds another rig
+                folder.enter_context(sole_use(out_dir, ANOTHER, ELSEWHERE, LOCK))
+                if not resume:
+                    put_aside(out_dir / JOURNAL)
+                opened = journal.Journal(out_dir / JOURNAL, header)
+                try:
+                    speed = speed_of(opened.header, speed)
+                except JournalError:
+                    opened.close()
+                    raise
+                log = opened
+                with _quiet_on_failure(controller):
+                    make_ready(controller)
+                    measure = Patient(controller, cancelled or (lambda: False))
+                    recorder = Recorder(
+                        measure,
+                        log.found,
+                        log.append,
+                        capabilities.sample_rate_hz,
+                        capabilities.harmonics,
+                        lambda: _speed_now(controller),
+                    )
+                    _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
+                    extra |= _changed_speed(controller, speed)
+            result = assembled()
+            make_way(out_dir / EXPERIMENT, result)
+            file.write(out_dir / EXPERIMENT, result)
+        except BaseException as error:
+            if log is None and not isinstance(error, KeyboardInterrupt | CancelledError):
+                raise  # nothing was begun
+            extra[INCOMPLETE] = str(error) or "stopped from the keyboard"
+            kept = _keep(out_dir / EXPERIMENT, assembled, 0 if log is None else log.count)
+            if log is not None:
+                log.close()
+            if isinstance(error, KeyboardInterrupt | CancelledError):
+                kind = StoppedElsewhereError if isinstance(error, StoppedElsewhereError) else CancelledError
+                raise kind(
+                    f"the campaign was stopped and the excitation is off; {kept}: run it again to go on where it "
+                    "stopped"
+                ) from None
+            raise
+        log.close()
+        (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
 
 

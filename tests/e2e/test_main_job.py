@@ -30,8 +30,7 @@ def demo(tmp_path_factory):
 
 def test_everything_is_there(demo):
     out, _, _ = demo
-    found = {p.name for p in out.iterdir() if not p.name.startswith(".")}  # the lock of the folder is hidden
-    assert found == {"experiment.h5", "result.json", "report.html", "rig.toml", "service"}
+    assert {p.name for p in out.iterdir()} == {"experiment.h5", "result.json", "report.html", "rig.toml", "service"}
 
 
 def test_the_rig_is_found(demo):

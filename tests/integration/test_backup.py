@@ -18,7 +18,7 @@ from service.backup.create import create, kind_of, prune
 from service.backup.restore import WHY, restore
 from service.config import Settings
 from service.errors import ConflictError, DocumentError, OutputError, StorageError
-from service.exclusive import LOCK, sole_use
+from service.exclusive import sole_use
 from service.jobs.engine import Dispatcher, workflow_id
 from service.jobs.submission import hand_over, hand_over_all
 from service.storage import jobs, migrate, workers
@@ -333,7 +333,7 @@ def test_what_a_killed_backup_left_goes_with_the_next_one(tmp_path):
         create(settings, folder)
     assert (folder / ".20260101T000000Z.part").exists()
     path, _ = create(settings, folder)
-    assert {p.name for p in folder.iterdir()} == {path.name, "store", LOCK}
+    assert {p.name for p in folder.iterdir()} == {path.name, "store"}
     assert not list((folder / "store").glob("**/*.part"))
 
 
@@ -352,7 +352,7 @@ def test_a_backup_that_is_told_to_end_leaves_nothing_of_itself(tmp_path, monkeyp
         assert "stopped by the user" in "".join(running.said)
     finally:
         running.end()
-    assert {p.name for p in folder.iterdir()} == {"store", LOCK}
+    assert {p.name for p in folder.iterdir()} == {"store"}
 
 
 def test_an_unfinished_backup_is_no_backup(tmp_path):

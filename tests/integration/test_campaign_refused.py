@@ -11,9 +11,9 @@ from drivers.errors import BusError, CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import measure, write_datasheet
 from service.campaign.journal import entries, line
-from service.campaign.run import recover, run_campaign
+from service.campaign.run import LOCK, recover, recover_into_file, run_campaign
 from service.cli import run
-from service.errors import OutputError
+from service.errors import ConflictError, OutputError
 from service.experiment.errors import CampaignError, JournalError
 from service.experiment.file import read
 from service.experiment.speeds import changed_speed
@@ -210,7 +210,27 @@ def test_the_journal_of_a_campaign_that_runs_stays_its_own(tmp_path):
 
     rig = Faulty(meanwhile)
     campaign(rig, tmp_path, TINY)
-    assert during == ["experiment.journal"]
+    assert set(during) == {"experiment.journal", LOCK}
+    assert names(tmp_path) == {"experiment.h5"}
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_campaigns_of_two_rigs_do_not_write_into_one_folder(tmp_path, resume):
+    kept, refused = [], []
+
+    def meanwhile(k):
+        if k == 40:
+            kept.append((tmp_path / "experiment.journal").read_bytes())
+            other = Faulty(lambda n: None)  # a rig of its own, whose lease keeps nobody out
+            with pytest.raises(ConflictError) as error:
+                campaign(other, tmp_path, TINY, resume=resume)
+            refused.append(str(error.value))
+            assert (other.n, other.status().lease_holder) == (0, "")
+            assert (tmp_path / "experiment.journal").read_bytes() == kept[0]
+            recover_into_file(tmp_path)  # to look at what there is disturbs nobody
+
+    campaign(Faulty(meanwhile), tmp_path, TINY)
+    assert refused == [f"another campaign is at work in {tmp_path}; wait for its end, or choose another folder"]
     assert names(tmp_path) == {"experiment.h5"}
 
 
