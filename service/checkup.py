@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.bootstrap import DATASHEET, RESULT
-from service.output import json_text, read_document, ready_folder, write_text
+from service.output import json_text, read_document, ready_folder, whole, write_text
 from sim.errors import reason
 
 if TYPE_CHECKING:
@@ -46,10 +46,23 @@ def read_baseline(folder: Path) -> tuple[Baseline, Datasheet]:
     AmbError
         One of them is missing or cannot be read.
     """
-    from service.health.compare import Baseline
     from sim.rig_file import read
 
-    return Baseline(read_document(folder / RESULT, "amb-commissioning-result")), read(folder / DATASHEET)
+    return baseline_of(folder / RESULT), read(folder / DATASHEET)
+
+
+def baseline_of(path: Path) -> Baseline:
+    """A baseline from its result.json.
+
+    Raises
+    ------
+    DocumentError
+        It cannot be read, or is no whole result.
+    """
+    from service.health.compare import Baseline
+    from service.identification.result.shape import ResultModel
+
+    return Baseline(read_document(path, "amb-commissioning-result", ResultModel))
 
 
 def plan_for(baseline: Baseline, datasheet: Datasheet, budget_s: float) -> ShortPlan:
@@ -123,6 +136,7 @@ def read_history(path: Path) -> list[Checked]:
     A last line that a crash cut short is left out.
     """
     from service.errors import DocumentError
+    from service.health.shape import CheckRead
     from service.health.trend import Checked
 
     try:
@@ -135,10 +149,12 @@ def read_history(path: Path) -> list[Checked]:
     for number, text in enumerate(lines):
         try:
             document = json.loads(text)
-            found.append(Checked(datetime.fromisoformat(document["checked_at"]), document))
-        except (ValueError, KeyError, TypeError) as error:
+        except ValueError as error:
             if number < len(lines) - 1:
                 raise DocumentError(f"line {number + 1} of {path} is no health check; mend or move the file") from error
+            break
+        check = whole(document, CheckRead, f"line {number + 1} of {path}")
+        found.append(Checked(check["checked_at"], check))
     return found
 
 

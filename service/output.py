@@ -7,9 +7,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from service.errors import DocumentError, OutputError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
 
 
 def ready_folder(folder: Path, mode: int = 0o777) -> Path:
@@ -98,20 +101,56 @@ def json_text(document: dict[str, Any], indent: int | None = 1) -> str:
     return json.dumps(document, indent=indent, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def read_document(path: Path, expected_format: str) -> dict[str, Any]:
+def read_document(path: Path, expected_format: str, shape: type[BaseModel] | None = None) -> dict[str, Any]:
     """A JSON document of this product.
+
+    Parameters
+    ----------
+    shape
+        The fields that are read, with their types: the document is checked, and has no others then.
 
     Raises
     ------
     DocumentError
-        The file cannot be read, is no JSON, or is of another format or version.
+        The file cannot be read, is no JSON, is of another format or version, or is not of the shape.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise DocumentError(f"cannot read {path}: {reason}; give the path of a file that ambit wrote") from error
     found = document.get("format") if isinstance(document, dict) else None
     if found != expected_format or document.get("version") != 1:
         raise DocumentError(f"{path} is no {expected_format} of version 1 (its format is {found!r}); give another file")
-    return dict(document)
+    return dict(document) if shape is None else whole(document, shape, str(path))
+
+
+def whole(document: Any, shape: type[BaseModel], what: str) -> dict[str, Any]:
+    """The fields of a document that a shape names, once they are known to be of it.
+
+    Parameters
+    ----------
+    what
+        Where it is from, as told to whoever gave it.
+
+    Raises
+    ------
+    DocumentError
+        A field is missing or wrong: the first one is named.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return shape.model_validate(document).model_dump()
+    except ValidationError as error:
+        raise DocumentError(f"{what} is damaged, it {first_problem(error)}; give it as ambit wrote it") from error
+
+
+def first_problem(error: ValidationError) -> str:
+    """What is wrong with a document, to go on a sentence that begins with it: the first of its fields that is."""
+    problem = error.errors(include_url=False, include_input=False)[0]
+    said = problem["msg"].removeprefix("Value error, ").partition(" or instance of ")[0]
+    where = ".".join(map(str, problem["loc"]))
+    if problem["type"] == "missing":
+        return f'has no "{where}"'
+    return f'has a wrong "{where}": {said}' if where else f"is not whole: {said}"

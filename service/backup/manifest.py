@@ -8,8 +8,10 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
-from service.errors import StorageError
-from service.output import json_text, read_document, write_text
+from pydantic import TypeAdapter, ValidationError
+
+from service.errors import DocumentError, StorageError
+from service.output import first_problem, json_text, read_document, write_text
 
 FORMAT = "amb-backup"
 NAME = "manifest.json"
@@ -68,8 +70,10 @@ def read(folder: Path) -> Manifest:
         A file of the backup is missing or was changed.
     """
     document = read_document(folder / NAME, FORMAT)
-    known = {k: v for k, v in document.items() if k not in ("format", "version")}
-    manifest = Manifest(**known | {"missing": tuple(known["missing"])})
+    try:
+        manifest: Manifest = TypeAdapter(Manifest).validate_python(document)
+    except ValidationError as error:
+        raise DocumentError(f"{folder / NAME} {first_problem(error)}; take another backup") from error
     for name, sha256 in manifest.files.items():
         path = folder / name
         if not path.is_file() or digest(path) != sha256:

@@ -47,10 +47,12 @@ def model(
 ) -> None:
     """Write a state space with names and units: A, B, C, D in continuous time."""
     from service.exports import files, linear
+    from service.identification.result.shape import ResultSpaces
     from service.output import read_document, ready_folder
 
     _must_end(out, files.LINEAR_ENDINGS)
-    found = linear.of_result(read_document(result, "amb-commissioning-result"), plane.value, part.value)
+    document = read_document(result, "amb-commissioning-result", ResultSpaces)
+    found = linear.of_result(document, plane.value, part.value)
     ready_folder(out.parent)
     print(files.write_linear(out, found))
 
@@ -94,7 +96,8 @@ def show(file: Annotated[Path, typer.Argument(help="File that export wrote.")]) 
         except ExportError as error:
             problems.append(str(error))
     # the reader that got further says more
-    raise ExportError(problems[-1] if file.suffix.lower() not in files.LINEAR_ENDINGS else problems[0])
+    problem = problems[-1] if file.suffix.lower() not in files.LINEAR_ENDINGS else problems[0]
+    raise ExportError(problem if str(file) in problem else f"{file}: {problem}; give a file as ambit export wrote it")
 
 
 def _must_end(out: Path, endings: tuple[str, ...]) -> None:

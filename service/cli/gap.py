@@ -69,6 +69,7 @@ def apply(
     from service.errors import OutputError
     from service.gap.apply import applied, cannot_run, of_another
     from service.gap.document import ends_reached
+    from service.gap.shape import Report
     from service.output import read_document, ready_folder, write_text
     from sim.rig_file import read, to_toml
 
@@ -76,7 +77,7 @@ def apply(
     if out.exists() and out.samefile(rig):
         raise OutputError(f"{out} is the datasheet itself, which later diagnoses begin from; give --out another name")
     ready_folder(out.parent)
-    document = read_document(report, "amb-gap-report")
+    document = read_document(report, "amb-gap-report", Report)
     twin = applied(datasheet, document)
     write_text(out, to_toml(twin))
     gone = [name for name, _ in datasheet.effects if name not in dict(twin.effects)]
@@ -151,11 +152,12 @@ def open_sealed(
     Fails, too, when the diagnosis is of another case.
     """
     from service.experiment import file
+    from service.gap.shape import ScoredReport
     from service.gap.trial.opening import opened_document
     from service.output import read_document
     from sim.withheld.seal import FORMAT
 
-    report = read_document(gap, "amb-gap-report")
+    report = read_document(gap, "amb-gap-report", ScoredReport)
     measured = None if experiment is None else file.read(experiment)
     document = opened_document(read_document(sealed, FORMAT), commitment, report, measured)
     if as_json:

@@ -9,6 +9,7 @@ import numpy as np
 
 from service.exports.errors import ExportError
 from service.exports.linear import Linear, Part, matrix, of_result
+from service.identification.result.shape import ResultSpaces
 from service.output import read_document
 
 
@@ -32,7 +33,7 @@ def control_of(result: str | Path, plane: str = "x", part: Part = "plant") -> An
     DocumentError
         The file cannot be read, or is no commissioning result.
     """
-    return to_control(of_result(read_document(Path(result), "amb-commissioning-result"), plane, part))
+    return to_control(of_result(read_document(Path(result), "amb-commissioning-result", ResultSpaces), plane, part))
 
 
 def to_control(model: Linear) -> Any:

@@ -13,6 +13,8 @@ from service.exports.documents import VERSION, reading
 from service.exports.errors import ExportError
 from service.identification.plane.combine import StateSpace, series
 from service.identification.result.saved import is_identified
+from service.identification.result.shape import ResultSpaces
+from service.output import whole
 
 Real = NDArray[np.float64]
 Part = Literal["plant", "amplifiers", "whole"]
@@ -95,7 +97,10 @@ def of_result(document: Mapping[str, Any], plane: str, part: Part = "plant") -> 
     ------
     ExportError
         No such plane or part, or a result whose figures say nothing: no tool that reads the file would tell.
+    DocumentError
+        The document is not whole.
     """
+    document = whole(document, ResultSpaces, "the commissioning result")
     if not is_identified(document):
         raise ExportError(
             f"the rig {document['rig']!r} is not identified, the figures of its model say nothing: it is not exported; "

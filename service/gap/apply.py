@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
-from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
+from pydantic import ValidationError
 
 from service.gap.measured.observation import GapError
 from service.gap.origin import datasheet_digest
+from service.gap.shape import Parameter, Report
+from service.output import first_problem
 from sim.datasheet import Datasheet
 from sim.effects import effect
 from sim.errors import EffectError, LevitationError
@@ -19,36 +21,6 @@ from sim.wording import in_words
 
 NO_GAP = "no_gap"
 """Verdict of a diagnosis that found nothing to add."""
-
-
-class _Verdict(BaseModel):
-    kind: str
-    effects: list[str]
-    outdated: list[str] = []
-
-
-class _Parameter(BaseModel):
-    value: FiniteFloat
-
-
-class _Candidate(BaseModel):
-    effect: str = ""
-    effects: list[str] = []
-    parameters: dict[str, _Parameter]
-
-    @model_validator(mode="after")
-    def _names(self) -> Self:
-        self.effects = self.effects or self.effect.split("+")
-        return self
-
-
-class _Report(BaseModel):
-    """The fields of a gap.json that are read; others may be anything."""
-
-    format: str = ""
-    rig: str = ""
-    verdict: _Verdict
-    candidates: list[_Candidate] = []
 
 
 def applied(datasheet: Datasheet, document: Mapping[str, Any]) -> Datasheet:
@@ -119,17 +91,16 @@ def cannot_run(twin: Datasheet) -> str | None:
     return None
 
 
-def _read(document: Mapping[str, Any]) -> _Report:
+def _read(document: Mapping[str, Any]) -> Report:
     try:
-        return _Report.model_validate(dict(document))
+        return Report.model_validate(dict(document))
     except ValidationError as error:
-        problem = error.errors()[0]
-        where = ".".join(map(str, problem["loc"]))
-        wrong = f'has no "{where}"' if problem["type"] == "missing" else f'has a wrong "{where}": {problem["msg"]}'
-        raise GapError(f"the gap report {wrong}; diagnose again, which writes a whole gap.json") from error
+        raise GapError(
+            f"the gap report {first_problem(error)}; diagnose again, which writes a whole gap.json"
+        ) from error
 
 
-def _values(name: str, prefix: str, fitted: Mapping[str, _Parameter]) -> tuple[tuple[str, float], ...]:
+def _values(name: str, prefix: str, fitted: Mapping[str, Parameter]) -> tuple[tuple[str, float], ...]:
     """Values of an effect's parameters; optional ones that the report lacks are at their null."""
     known = effect(name).parameters
     missing = [p.name for p in known if prefix + p.name not in fitted and not p.optional]

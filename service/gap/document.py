@@ -97,8 +97,10 @@ def ends_reached(document: Mapping[str, Any]) -> list[str]:
     for name, e in next((found for effects, found in listed_effects if effects == named), {}).items():
         effect, _, parameter = name.rpartition(".")
         effect = effect or named[0]
-        p = next(p for p in CATALOGUE[effect].parameters if p.name == parameter)
-        if e.get("at_bound") and p.strength and e["value"] != p.null:
+        # a report of another version may know parameters that this one does not
+        known = CATALOGUE[effect].parameters if effect in CATALOGUE else ()
+        p = next((p for p in known if p.name == parameter), None)
+        if p is not None and e.get("at_bound") and p.strength and e["value"] != p.null:
             where = f"{p.words} of {in_words(effect)} is at the {e['at_bound']} end of its range"
             sentences.append(f"{where}, where the fit had to stop: not measured")
     return sentences

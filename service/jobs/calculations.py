@@ -83,11 +83,8 @@ def gap(experiment: str, rig: str, out: str, processes: int, tell: Tell = silent
 def health_plan(baseline: str, rig: str, budget_s: float, tell: Tell = silent) -> dict[str, Any]:
     """Profile of a short experiment, as JSON."""
     from service import checkup
-    from service.health.compare import Baseline
-    from service.output import read_document
 
-    document = read_document(Path(baseline), "amb-commissioning-result")
-    plan = checkup.plan_for(Baseline(document), rig_file.read(Path(rig)), budget_s)
+    plan = checkup.plan_for(checkup.baseline_of(Path(baseline)), rig_file.read(Path(rig)), budget_s)
     return asdict(plan.profile)
 
 
@@ -103,11 +100,9 @@ def health_compare(
 ) -> dict[str, Any]:
     """Compare a short experiment with a baseline; health.html is in ``out``; the document."""
     from service import checkup
-    from service.health.compare import Baseline
     from service.health.sequential import Policy
-    from service.output import read_document
 
-    then = Baseline(read_document(Path(baseline), "amb-commissioning-result"))
+    then = checkup.baseline_of(Path(baseline))
     measured = file.read(Path(experiment))
     when = datetime.fromisoformat(at)
     tell("comparison", 2.0)

@@ -78,7 +78,7 @@ def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str,
         )
     try:
         return _checked(document, datasheet)
-    except (KeyError, TypeError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise AmbError(
             f"the commissioning result is incomplete ({type(error).__name__}: {error}); give a result.json that ambit "
             "wrote, as it wrote it"
