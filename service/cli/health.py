@@ -74,14 +74,15 @@ def compare(
     history: History = None,
     as_json: Json = False,
 ) -> None:
-    """Compare an experiment that was measured before with the commissioning."""
+    """Compare an experiment that was measured before with the commissioning, and add it to the history of checks."""
     from service import checkup
     from service.experiment import file
     from service.health.sequential import Policy
 
     then, datasheet = checkup.read_baseline(baseline)
     measured = file.read(experiment)
-    done = checkup.compare_into(then, datasheet, measured, out, history, Policy(false_alarms_per_year))
+    past = history or baseline / checkup.HISTORY
+    done = checkup.compare_into(then, datasheet, measured, out, past, Policy(false_alarms_per_year))
     _show(done.document, done.files, as_json)
 
 

@@ -55,20 +55,22 @@ def experiment(path, ki=1.0, seed=1):
     return path
 
 
-def test_checks_add_up_to_a_history_and_a_trend(baseline, tmp_path, capsys):
-    history = tmp_path / "history.jsonl"
+def test_checks_add_up_to_a_history_in_the_baselines_folder_and_a_trend(baseline, tmp_path, capsys):
+    """Those of a year share the allowance of false alarms, so each has to know of those before."""
+    history = baseline / "history.jsonl"
     for k in range(3):
         found = experiment(tmp_path / f"{k}.h5", 0.97 if k == 2 else 1.0, seed=k)
         out = tmp_path / f"out{k}"
-        command = ["health", "compare", found, "--baseline", baseline, "--out", out, "--history", history, "--json"]
+        command = ["health", "compare", found, "--baseline", baseline, "--out", out, "--json"]
         assert run([str(c) for c in command]) == 0
         printed = json.loads(capsys.readouterr().out)
+        assert printed["files"]["history"] == str(history)
         assert printed["alarm"] is (k == 2)
         assert printed["tests_made"] == k
         assert json.loads((out / "health.json").read_text())["drifted"] == printed["drifted"]
         assert "Health of" in (out / "health.html").read_text()
     assert set(printed["drifted"]) == {"x.kiA", "x.kiB"}
-    assert run(["health", "trend", str(history), "--json"]) == 0
+    assert run(["health", "trend", str(baseline), "--json"]) == 0
     trend = json.loads(capsys.readouterr().out)
     assert trend["checks"] == 3
     assert trend["series"]["x.kiA"]["drifted"] == [False, False, True]
