@@ -47,6 +47,7 @@ class Series:
     std_percent: Real
     """(N,) of each check alone, without the baseline's error."""
     baseline_std_percent: float
+    """Of the newest check's baseline."""
     drifted: tuple[bool, ...]
     slope_percent_per_year: float | None
     slope_std: float | None
@@ -112,11 +113,10 @@ def _speeds(checks: Sequence[Checked]) -> Real:
 
 def _series(name: str, checks: list[Checked], speeds: Real, level: float) -> Series:
     figures = [c.document["parameters"][name] for c in checks]
-    baseline = figures[-1]["baseline"]
-    size = abs(baseline["value"]) or 1.0
     # a rig may be commissioned anew: every check is seen against its own baseline
+    size = np.array([abs(float(f["baseline"]["value"])) or 1.0 for f in figures])
     change = np.array([float(f["change_percent"]) for f in figures])
-    std = np.array([100 * float(f["now"]["std"]) / size for f in figures])
+    std = 100 * np.array([float(f["now"]["std"]) for f in figures]) / size
     slope = slope_std = significance = None
     drifting = False
     days = np.array([(c.at - checks[0].at).total_seconds() for c in checks]) / DAY_S
@@ -135,7 +135,7 @@ def _series(name: str, checks: list[Checked], speeds: Real, level: float) -> Ser
         tuple(c.at for c in checks),
         change,
         std,
-        100 * float(baseline["std"]) / size,
+        100 * float(figures[-1]["baseline"]["std"]) / float(size[-1]),
         tuple(bool(f["drifted"]) for f in figures),
         slope,
         slope_std,

@@ -87,6 +87,18 @@ def test_a_rig_that_is_commissioned_anew_does_not_change_steadily_for_that():
     assert series.slope_percent_per_year == pytest.approx(0.01 * 365.25, abs=3 * series.slope_std)
 
 
+def test_each_check_is_as_sure_as_its_own_baseline_is_large():
+    """A damping ratio that is half as large since the rig was commissioned anew is known half as well, in percent."""
+    checks = history(0.0, 12)
+    for k, c in enumerate(checks):
+        value = 2e-3 if k < 6 else 1e-3
+        figure = c.document["parameters"]["x.kiA"]
+        figure |= {"now": {"value": value, "std": 1e-5}, "baseline": {"value": value, "std": 2e-5}}
+    series = trend(checks)["x.kiA"]
+    assert series.std_percent == pytest.approx([0.5] * 6 + [1.0] * 6)
+    assert series.baseline_std_percent == pytest.approx(2.0), "of the baseline that holds now"
+
+
 def test_a_rig_that_is_checked_at_another_speed_does_not_change_steadily_for_that():
     """Gyroscopic coupling moves its modes: a step where the speed changes, and no slope at either one."""
     checks = history(0.0, 40)
