@@ -30,6 +30,14 @@ def test_a_transient_is_seen(turn):
     assert seen == 50
 
 
+def test_a_drift_from_half_to_half_is_seen_where_the_scatter_is_that_of_noise():
+    """What decays slowly moves all blocks of a half alike, by less than each of them scatters."""
+    drift = 0.75 * np.sign(np.arange(B) - (B - 1) / 2)[:, None]
+    found = [judged(blocks(k) + drift) for k in range(200)]
+    assert np.mean([not f.settled for f in found]) > 0.85
+    assert np.median([f.excess for f in found]) < 1.4
+
+
 def test_a_change_that_does_not_matter_is_let_through():
     x = 1000 + np.linspace(-3, 3, B)[:, None] * np.ones((1, N)) + 0j
     assert not judged(x).settled

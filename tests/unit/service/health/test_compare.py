@@ -3,17 +3,23 @@
 import math
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from service.errors import DocumentError
 from service.experiment.data import Experiment
-from service.health.compare import Baseline, compare, other_speed
+from service.health.compare import REPRODUCIBILITY, Baseline, _unexplained, compare, other_speed
 from service.health.monitored import Monitored
+from service.health.noise import check_weights
 from service.health.result import FigureChange
 from service.health.sequential import Policy
 from service.identification.loop.margins import zone_table
+from service.identification.measured.noise import ESTIMATED_WEIGHTS
+from service.identification.measured.points import plane_points
+from service.identification.result.saved import saved_planes
 from sim.errors import AmbError
 from sim.reference import reference_rig
 from sim.twin import with_effects
@@ -76,6 +82,52 @@ def test_a_mode_that_moved_by_many_of_its_widths_is_found():
     assert set(found.drifted) == {"x.wn2", "y.wn2"}
     by_id = {c.monitored.id: c for c in found.changes}
     assert by_id["y.wn2"].change_percent == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_change_is_no_surer_than_two_campaigns_on_one_rig_agree(unchanged):
+    """However little noise there is: what was let pass of transients is in each."""
+    for c in checked(unchanged).changes:
+        noise = math.hypot(c.std_was, c.std_now)
+        assert c.std_change == pytest.approx(math.hypot(noise, REPRODUCIBILITY[c.monitored.kind] * abs(c.was)))
+        assert c.reproducibility > 0
+
+
+def test_a_baseline_of_few_data_asks_for_larger_changes(unchanged):
+    """Its deviations are less sure, so the tails of what chance makes of them are longer."""
+    few = [{"chosen": True, "data": 80, "parameters": 45}]
+    planes = result()["planes"]
+    document = {**result(), "planes": {**planes, "x": {**planes["x"], "mode_evidence": few}}}
+    found = compare(Baseline(document), unchanged, SHEET)
+    x, y = (next(c for c in found.changes if c.monitored.plane == p) for p in "xy")
+    assert x.threshold > 1.1 * y.threshold
+
+
+@pytest.mark.parametrize(("beyond", "unexplained"), [(0.97, False), (1.03, True)])
+def test_residuals_are_unexplained_as_soon_as_chance_hardly_makes_them(beyond, unexplained):
+    level, freedom = 1e-4, 100
+    rms = math.sqrt(ESTIMATED_WEIGHTS * chi2.isf(level, freedom) / freedom)
+    saved, now = SimpleNamespace(rms_over_sigma=0.9), SimpleNamespace(rms=beyond * rms, freedom=freedom)
+    assert _unexplained(saved, now, level) is unexplained
+
+
+def test_what_leaks_at_the_borders_of_blocks_costs_a_point_little_of_its_weight(unchanged):
+    """It cancels in the mean of the blocks, but for the first and the last: of six blocks a sixth of it counts."""
+    saved = saved_planes(result(), SHEET)["x"]
+    points = plane_points(unchanged.main, tuple(unchanged.axes), "x")
+    tone = np.isclose(points.omega, np.unique(points.omega)[5])
+    signs = np.array([1, -1] * (points.n_blocks // 2))
+    scatter = np.var(points.Y, axis=1, ddof=1).mean(axis=1)
+    louder = points.Y.copy()
+    louder[tone] += signs[:, None] * np.sqrt(100 * scatter[tone])[:, None, None]
+    assert not points.suspect[tone].any()
+    before, after = (
+        {(k, j): w for k, j, w in check_weights(saved.model, p, unchanged).plant.entries}
+        for p in (points, replace(points, Y=louder))
+    )
+    for channel in (2, 3):
+        falls = np.abs(before[channel, channel][tone] / after[channel, channel][tone]) ** 2
+        assert np.all(falls > 5)
+        assert np.all(falls < 35)
 
 
 def test_what_no_parameter_explains_is_said(unchanged):

@@ -118,6 +118,27 @@ def test_slopes_of_rigs_that_do_not_drift_are_calibrated():
     assert 0.6 < np.std(found) < 1.25
 
 
+def test_checks_that_scatter_more_than_they_say_make_a_slope_less_sure():
+    """Its deviation follows from their scatter then, whatever they say of themselves."""
+    checks = history(0.0, 20)
+    stds = []
+    for smaller in (5, 50):
+        for c in checks:
+            c.document["parameters"]["x.kiA"]["now"]["std"] = 1.8 * 0.05 / smaller
+        stds.append(trend(checks)["x.kiA"].slope_std)
+    assert stds[0] == pytest.approx(stds[1])
+    assert stds[0] == pytest.approx(trend(history(0.0, 20))["x.kiA"].slope_std, rel=0.5)
+
+
+@pytest.mark.parametrize(("baselines", "known"), [(3, True), (4, False)])
+def test_every_baseline_takes_one_check_for_its_level(baselines, known):
+    """What is left of the checks beside levels and slope tells the scatter: three at least."""
+    checks = history(0.0, 7)
+    for k, c in enumerate(checks):
+        c.document["parameters"]["x.kiA"]["baseline"] = {"value": 180.0 + k % baselines, "std": 0.09}
+    assert (trend(checks)["x.kiA"].slope_std is not None) is known
+
+
 def with_allowance(checks, per_year):
     return [Checked(c.at, {**c.document, "false_alarms_per_year": per_year}) for c in checks]
 
