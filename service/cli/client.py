@@ -15,7 +15,7 @@ import typer
 
 from service.campaign.progress import PHASE_WORDS
 from service.cli.commission import Excitation
-from service.cli.console import print_json, stderr
+from service.cli.console import Json, print_json, stderr
 from service.cli.usage import job_id
 from service.remarks import one_line, say
 
@@ -27,7 +27,6 @@ Url = Annotated[
 ]
 Key = Annotated[str | None, typer.Option(help="API key.", envvar="AMBIT_KEY", show_envvar=True)]
 Ca = Annotated[Path | None, typer.Option(help="Authority of the service's certificate, PEM.", envvar="AMBIT_CA")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 LOG_EVERY_S = 5.0
 AGAIN = "{}; trying again"
 STILL = "the job goes on; stop it with: ambit cancel {}"

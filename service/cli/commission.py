@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.console import print_json, stdout
+from service.cli.console import Json, print_json, stdout
 from service.cli.usage import value_of
 from service.remarks import say
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from service.experiment.data import Experiment
     from sim.datasheet import Datasheet
     from sim.rig import Rig
-
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
 class Excitation(StrEnum):

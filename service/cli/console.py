@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+"""Option of every command that prints a result."""
 _WHOLE = 10_000
 
 

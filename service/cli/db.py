@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from service.cli.console import print_json
+from service.cli.console import Json, print_json
 from service.cli.installation import Config, Home
 from service.remarks import say
 
 app = typer.Typer(no_args_is_help=True, help="Databases and store of the service: upgrade, backup, restore.")
-
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
 @app.command()

@@ -12,7 +12,8 @@ from urllib.parse import urlsplit
 
 import typer
 
-from service.cli.commission import Json, Quick, commission_directly, show
+from service.cli.commission import Quick, commission_directly, show
+from service.cli.console import Json
 from service.remarks import say
 
 if TYPE_CHECKING:

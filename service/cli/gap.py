@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.console import print_json, stdout
+from service.cli.console import Json, print_json, stdout
 from service.remarks import say
 from sim.wording import in_words
 
@@ -60,6 +60,7 @@ def apply(
     report: Annotated[Path, typer.Argument(help="gap.json of a diagnosis.")],
     rig: Annotated[Path, typer.Option(help="Datasheet that was diagnosed.")],
     out: Annotated[Path, typer.Option(help="Twin file to write: the datasheet with the effects that were found.")],
+    as_json: Json = False,
 ) -> None:
     """Write a twin that has the effects that a diagnosis found; says so where it does not levitate.
 
@@ -81,26 +82,43 @@ def apply(
     twin = applied(datasheet, document)
     write_text(out, to_toml(twin))
     gone = [name for name, _ in datasheet.effects if name not in dict(twin.effects)]
+    off, ends, warnings = document["datasheet_off"], ends_reached(document), list[str]()
+    if of_another(datasheet, document):
+        warnings.append(
+            f"{report} was made with another datasheet than {rig}; its effects were fitted beside that one's "
+            "values: give it, or diagnose again with this one"
+        )
+    if reason := cannot_run(twin):
+        warnings.append(
+            f"this twin cannot be simulated or served as it stands, {reason}; identify the experiment with "
+            "it, ambit identify --rig, and give it the ki, ks and modes that come out"
+        )
+    if as_json:
+        added = [one for one in twin.effects if one not in datasheet.effects]
+        print_json(
+            {
+                "rig": twin.name,
+                "files": {"twin": str(out)},
+                "added": [{"effect": name, "parameters": dict(values)} for name, values in added],
+                "removed": gone,
+                "datasheet_off": off,
+                "ends_reached": ends,
+                "warnings": warnings,
+            }
+        )
+        return
     if gone:
         print(f"{out}: {twin.name} without {', '.join(gone)}, which the rig does not show as the twin named it")
     elif twin == datasheet:
         print(f"{out}: {twin.name} as its datasheet has it: the diagnosis found no gap, so there is no effect to add")
     else:
         print(f"{out}: {twin.name} with {', '.join(name for name, _ in twin.effects)}")
-    if off := document.get("datasheet_off"):
+    if off:
         print(f"note: the datasheet's own values stay, far off as they are ({', '.join(off)}); identify measures them")
-    for note in ends_reached(document):
+    for note in ends:
         print(f"note: {note}")
-    if of_another(datasheet, document):
-        say(
-            f"warning: {report} was made with another datasheet than {rig}; its effects were fitted beside that one's "
-            "values: give it, or diagnose again with this one"
-        )
-    if reason := cannot_run(twin):
-        say(
-            f"warning: this twin cannot be simulated or served as it stands, {reason}; identify the experiment with "
-            "it, ambit identify --rig, and give it the ki, ks and modes that come out"
-        )
+    for warning in warnings:
+        say(f"warning: {warning}")
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.console import print_json, stdout
+from service.cli.console import Json, print_json, stdout
 from service.cli.usage import value_of
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Short checks of a commissioned rig: what drifted, and how sure that is.")
 
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 BaselineFolder = Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")]
 BUDGET_S = 90.0
 STOPPING = "stopping: any excitation ramps to zero, what was measured is kept"
@@ -168,11 +167,15 @@ def trend(
 
 
 @app.command()
-def secret() -> None:
+def secret(as_json: Json = False) -> None:
     """Make a secret for signing webhooks; it is shown once."""
     from service.health.webhook import new_secret
 
-    print(new_secret())
+    made = new_secret()
+    if as_json:
+        print_json({"secret": made})
+        return
+    print(made)
 
 
 def _show(document: dict[str, Any], files: dict[str, Path], as_json: bool) -> None:

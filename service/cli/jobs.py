@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.campaign.progress import PHASE_WORDS
-from service.cli.client import Ca, Json, Key, Kind, Url, client
-from service.cli.console import print_json, stdout
+from service.cli.client import Ca, Key, Kind, Url, client
+from service.cli.console import Json, print_json, stdout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

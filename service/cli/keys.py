@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.access.keys import Scope
-from service.cli.console import print_json, stdout
+from service.cli.console import Json, print_json, stdout
 from service.cli.installation import Config, Home
 from service.remarks import say
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from service.storage.tables import KeyRow
 
 app = typer.Typer(no_args_is_help=True, help="API keys of the service: create, list, revoke.")
-
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 
 
 @app.command()
@@ -94,6 +92,7 @@ def revoke(
     key_id: Annotated[str, typer.Argument(metavar="ID", help="Id of the key, key_...")],
     config: Config = None,
     home: Home = None,
+    as_json: Json = False,
 ) -> None:
     """Revoke a key: the next request with it is refused."""
     from service.access import keys
@@ -104,7 +103,11 @@ def revoke(
     with _database(config, home) as database, database.write() as session:
         row = rows.revoke(session, key_id)
         audit.record(session, audited(keys.LOCAL, Action.key_revoked, key_id, name=row.name))
-        say(f"{key_id} ({row.name}) is revoked")
+        revoked = _document(row)
+    if as_json:
+        print_json(revoked)
+        return
+    say(f"{key_id} ({revoked['name']}) is revoked")
 
 
 def _document(row: KeyRow) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.client import Ca, Json, Key, Url, client
-from service.cli.console import print_json, stdout
+from service.cli.client import Ca, Key, Url, client
+from service.cli.console import Json, print_json, stdout
 from service.cli.usage import value_of
 
 if TYPE_CHECKING:

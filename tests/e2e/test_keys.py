@@ -34,7 +34,10 @@ def test_the_first_key_is_an_admins_and_is_shown_once(ambit, tmp_path):
     second = json.loads(ambit("keys", "create", "--days", "1", "--json").stdout)
     assert second["scope"] == "viewer"
     assert second["expires"]
-    assert ambit("keys", "revoke", second["id"]).returncode == 0
+    assert second["id"] in ambit("keys", "revoke", second["id"]).stderr
+    again = json.loads(ambit("keys", "revoke", second["id"], "--json").stdout)
+    assert (again["id"], again["state"]) == (second["id"], "revoked")
+    assert again["revoked"]
     table = ambit("keys", "list").stdout
     assert "revoked" in table
     assert "bench [red] laptop" in table, "a name is no markup"

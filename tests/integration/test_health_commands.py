@@ -192,6 +192,8 @@ def test_plan_and_secret(baseline, capsys):
     assert len(json.loads(capsys.readouterr().out)["frequencies_hz"]) > 8
     assert run(["health", "secret"]) == 0
     assert capsys.readouterr().out.startswith("whsec_")
+    assert run(["health", "secret", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["secret"].startswith("whsec_")
 
 
 def test_a_controller_is_refused_with_a_reason_and_accepted_with_another_table(baseline, tmp_path, capsys):
@@ -220,5 +222,20 @@ def test_exports_and_what_they_hold(baseline, tmp_path, capsys):
     assert run(["export", "responses", str(experiment(tmp_path / "e.h5")), str(frf), "--path", "r->u"]) == 0
     assert run(["export", "show", str(frf)]) == 0
     assert "u_xA, u_xB per r_xA, r_xB" in capsys.readouterr().out
+    assert run(["export", "model", str(baseline / "result.json"), str(out), "--json"]) == 0
+    model = json.loads(capsys.readouterr().out)
+    assert model.pop("files") == {"model": str(out)}
+    assert model["outputs"] == ["y_xA", "y_xB"]
+    assert model["output_units"] == ["m", "m"]
+    assert run(["export", "show", str(out), "--json"]) == 0
+    read_back = json.loads(capsys.readouterr().out)
+    assert {k: read_back[k] for k in model if k != "comment"} == {k: model[k] for k in model if k != "comment"}
+    assert run(["export", "responses", str(tmp_path / "e.h5"), str(frf), "--json"]) == 0
+    measured = json.loads(capsys.readouterr().out)
+    assert measured.pop("files") == {"x": str(frf)}
+    assert run(["export", "show", str(frf), "--json"]) == 0
+    (shown,) = json.loads(capsys.readouterr().out)["responses"]
+    assert shown["frequencies"] == len(frequencies())
+    assert shown["inputs"] == measured["responses"][0]["inputs"] == ["u_xA", "u_xB"]
     assert run(["export", "model", str(baseline / "result.json"), str(tmp_path / "x.xls")]) == 2
     assert run(["export", "model", str(baseline / "result.json"), str(out), "--part", "rotor"]) == 2

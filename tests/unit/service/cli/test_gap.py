@@ -47,12 +47,22 @@ def test_a_twin_with_a_value_that_was_not_measured_is_written_with_a_note(tmp_pa
     stopped = {"delay_s": {"value": 3e-4, "std": 1e-6, "at_bound": "high"}}
     verdict = {"kind": "effect", "effects": ["loop_delay"]}
     report = {"format": "amb-gap-report", "version": 1, "rig": sheet.name, "verdict": verdict}
+    report["of"] = {"datasheet_sha256": "another one's"}
     found = report | {"candidates": [{"effect": "loop_delay", "parameters": stopped}]}
     (tmp_path / "rig.toml").write_text(to_toml(sheet))
     (tmp_path / "gap.json").write_text(json.dumps(found))
     paths = ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "twin.toml")]
     printed = CliRunner().invoke(app, ["apply", str(tmp_path / "gap.json"), *paths])
     assert "note: delay of loop delay is at the high end of its range" in printed.stdout
+    told = json.loads(CliRunner().invoke(app, ["apply", str(tmp_path / "gap.json"), *paths, "--json"]).stdout)
+    assert told["added"] == [{"effect": "loop_delay", "parameters": {"delay_s": 3e-4}}]
+    assert told["files"] == {"twin": str(tmp_path / "twin.toml")}
+    assert told["ends_reached"] == [
+        "delay of loop delay is at the high end of its range, where the fit had to stop: not measured"
+    ]
+    assert told["removed"] == told["datasheet_off"] == []
+    (warning,) = told["warnings"]
+    assert printed.stderr == f"warning: {warning}\n", "the same words"
 
 
 def test_a_datasheet_that_is_far_off_is_said_to_stay_so_in_the_twin(tmp_path: Path) -> None:
