@@ -62,6 +62,8 @@ class Diagnosis:
     closures: dict[tuple[str, ...], float | None]
     gap_before: float
     noise_floor: float
+    """``gap_before`` of what counts as noise: with `measured.observation.MODEL_FLOOR`, the error of any twin, and the
+    mean of a point near a flexible mode counted as one block. A right twin may come nearer (docs/decisions/0008)."""
     gaps_after: dict[tuple[str, ...], float]
     observation: Observation
     held_out: Observation

@@ -8,6 +8,7 @@ from typing import Any
 
 from service.gap.diagnosis import Diagnosis
 from service.gap.document import alike, gap_document, likeliest, parameters_used
+from service.gap.measured.observation import MODEL_FLOOR
 from service.gap.weighing.significance import SIGNIFICANT
 from service.report import gap_figures as draw
 from service.report.format import MISSING, count, fixed, number, paragraph, quantity, table
@@ -65,7 +66,7 @@ def _how_far(document: dict[str, Any], unseen: draw.Compared) -> list[Part]:
     runner = s["runner_up"]
     rows = [
         ["relative gap on unseen data, before", f"{100 * gap['before']:.3g} %"],
-        ["the same of noise alone", f"{100 * gap['noise_floor']:.3g} %"],
+        ["the same of what counts as noise", f"{100 * gap['noise_floor']:.3g} %"],
         ["residual over noise, mean square, before", number(s["before"], 4)],
         ["after", number(s["after"], 4)],
         ["of a right twin", number(s["noise_floor"], 4)],
@@ -77,7 +78,12 @@ def _how_far(document: dict[str, Any], unseen: draw.Compared) -> list[Part]:
                 [f"closure of the runner-up, {in_words('+'.join(runner['effects']))}", _percent(runner["closure"])]
             )
     caption = "Distance of measured and twin, all axes together, line by line on the sweep that no fit has seen."
-    parts: list[Part] = [table(["", document["shrinkage"]["held_out"]], rows)]
+    counted = (
+        f"What counts as noise is what the blocks of a point scatter, with {100 * MODEL_FLOOR:.2g} % of each value for "
+        "what no twin gets right, and with all that one block scatters near a flexible mode: a twin that is right may "
+        "come nearer than that."
+    )
+    parts: list[Part] = [table(["", document["shrinkage"]["held_out"]], rows), paragraph(counted)]
     if document["verdict"]["effects"] and s["paths"]:
         parts.append(_closed_by(s))
     return [*parts, Captioned(draw.gap_figure(unseen), caption)]

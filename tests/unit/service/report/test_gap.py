@@ -114,6 +114,14 @@ def test_a_gap_that_the_unseen_sweep_does_not_show_is_not_said_to_close_by_nothi
     assert "closes" not in lead(page).replace("how much of it closes", "")
 
 
+def test_a_gap_below_the_noise_has_a_reason_beside_it(diagnosis):
+    """The floor holds an error that any twin is allowed, so one that is right may come nearer."""
+    page = gap_page(replace(diagnosis, gap_before=5.7e-4, noise_floor=1.33e-3))
+    figures = page.index("0.057 %"), page.index("0.133 %")
+    reason = page.index("with 0.03 % of each value for what no twin gets right")
+    assert max(figures) < reason < page.index('<h2 id="where">')
+
+
 @pytest.mark.parametrize("kind", ["no_gap", "none_of_these"])
 def test_how_sure_is_told_whatever_the_verdict(diagnosis, kind):
     assert "probability 87 %" in lead(gap_page(replace(diagnosis, verdict=Verdict(kind, (), (), 0.87, ("why",)))))
