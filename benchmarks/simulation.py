@@ -116,7 +116,7 @@ def in_python_control(rig: Rig, r: Array) -> Array:
     block[:n_z, :n_z], block[:n_z, n_z:] = a * T, b * T
     held = expm(block)
     plant = control.ss(held[:n_z, :n_z], held[:n_z, n_z:], c, np.zeros((n, n)), T)
-    numerator, denominator = control_law.transposed_form(rig.controller)
+    (numerator,), (denominator,) = control_law.transposed_forms(rig.controller, 1)
     one = control.tf2ss(control.tf(numerator, denominator, T), method="scipy")
     loop = control.feedback(plant, control.append(*[one] * n), sign=-1)
     return np.asarray(control.forced_response(loop, inputs=r.T).outputs).T
@@ -129,7 +129,7 @@ def _slope(_t: float, z: Array, a: Array, push: Array) -> Array:
 def in_solve_ivp(rig: Rig, r: Array) -> Array:
     """The same linear rig with scipy's solve_ivp from hold to hold, the controller between."""
     a, b, c = linear_parts(rig)
-    numerator, denominator = control_law.transposed_form(rig.controller)
+    (numerator,), (denominator,) = control_law.transposed_forms(rig.controller, 1)
     order, n = len(denominator) - 1, b.shape[1]
     z, state, y = np.zeros(len(a)), np.zeros((order + 1, n)), np.empty((len(r), n))
     for k in range(len(r)):

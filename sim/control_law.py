@@ -30,13 +30,11 @@ def _response(numerator: Array, denominator: Array, law: ControlLaw, omega_rad_s
     return np.asarray(np.polyval(numerator, z) / np.polyval(denominator, z))
 
 
-def transposed_form(law: ControlLaw) -> tuple[Array, Array]:
-    """Numerator and monic denominator of one length, for the direct form II transposed, of all axes in the mean."""
-    return _transposed(law.numerator, law.denominator, len(law.denominator))
-
-
 def transposed_forms(law: ControlLaw, n_axes: int) -> tuple[Array, Array]:
-    """The same of each axis, (n, order + 1), with poles and zeros at z = 0 where it is of less order than another."""
+    """Numerators and monic denominators of each axis, for the direct form II transposed, (n, order + 1).
+
+    One of less order than another has poles and zeros at z = 0.
+    """
     laws = law.apart or ((law.numerator, law.denominator),) * n_axes
     longest = max(len(a) for _, a in laws)
     forms = [_transposed(b, a, longest) for b, a in laws]

@@ -188,10 +188,3 @@ def separated(experiments: Complex, multisine: Multisine) -> Complex:
     mixed = np.einsum("ej,elk->ljk", multisine.mixing.conj(), experiments) / n
     phase = multisine.spectrum / np.maximum(np.abs(multisine.spectrum), 1e-300)
     return np.asarray(mixed * phase.conj()[:, :, None])
-
-
-def crest_factor(signal: Real) -> float:
-    """Peak over root mean square of a signal, largest of its columns; (N,) or (N, n)."""
-    x = signal.reshape(len(signal), -1)
-    rms = np.sqrt(np.mean(x**2, axis=0))
-    return float(np.max(np.max(np.abs(x), axis=0) / np.maximum(rms, 1e-300)))

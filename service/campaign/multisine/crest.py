@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.experiment.multisine import Lines, Multisine, crest_factor, random_phases, synthesise
+from service.experiment.multisine import Lines, Multisine, random_phases, synthesise
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -88,8 +88,3 @@ def _coarse(lines: Lines) -> int:
     from scipy.fft import next_fast_len  # takes a while, and only who makes phases needs it
 
     return min(lines.samples, int(next_fast_len(5 * top, real=True)))
-
-
-def displacement_crest(multisine: Multisine, response: Complex) -> float:
-    """Largest crest factor of the outputs over all experiments."""
-    return max(crest_factor(_signal(multisine, response, e)) for e in range(multisine.n_inputs))
