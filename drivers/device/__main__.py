@@ -42,10 +42,11 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--key", type=Path)
     p.add_argument("--client-ca", type=Path)
     p.add_argument("--device", default="", help="serial port of modbus-rtu; a pseudo-terminal without it")
+    p.add_argument("--baud", type=int, default=115200)
     p.add_argument("--bus", default="", help="CAN bus of canopen; a socketcand hub of its own without it")
     p.add_argument("--node", type=int, default=5)
     p.add_argument("--bitrate", type=int, default=1_000_000)
-    p.add_argument("--throttle", action="store_true", help="hold the hub's frames back to the bit rate")
+    p.add_argument("--throttle", action="store_true", help="hold hub or pseudo-terminal to the bit rate")
     p.add_argument("--withheld", type=int, help="seed of a case that only the sealed file tells")
     p.add_argument("--sealed", type=Path, default=Path("withheld.json"))
     p.add_argument("--campaign-s", type=float, default=CAMPAIGN_S, help="rig time that a campaign on it will take")
@@ -56,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
     if a.protocol == "modbus-rtu":
-        rtu = RtuOptions(a.device, unit=a.unit, map=a.map, faults=a.faults, fault_seed=a.fault_seed)
+        rtu = RtuOptions(a.device, a.baud, a.unit, a.map, a.faults, a.fault_seed, a.throttle)
         return serve_modbus_rtu(device, rtu)
     if a.protocol == "canopen":
         return serve_canopen(

@@ -13,6 +13,7 @@ import socket
 import ssl
 import struct
 import threading
+import time
 from contextlib import suppress
 
 from pymodbus.framer.rtu import FramerRTU
@@ -28,6 +29,10 @@ from sim.errors import reason
 MAX_PDU = 253
 _HEADER = struct.Struct(">HHHB")
 GATEWAY_TARGET_FAILED = 0x0B
+BITS_PER_BYTE = 10
+"""On a serial line: 8 bits between start and stop, no parity."""
+BURST_BYTES = 16
+"""Of a throttled line: so many bytes come at once, as from the FIFO of a UART."""
 
 
 class TcpServer:
@@ -148,6 +153,8 @@ class RtuServer:
     ----------
     spoiler
         Faults on purpose.
+    baud
+        Bits per second to which a pseudo-terminal is held back, requests and answers; None does not.
     """
 
     def __init__(
@@ -157,8 +164,10 @@ class RtuServer:
         unit: int = 1,
         registers: RegisterMap = DEFAULT_MAP,
         spoiler: ModbusSpoiler | None = None,
+        baud: int | None = None,
     ) -> None:
-        self._front, self._fd, self._unit = front, fd, unit
+        self._front, self._fd, self._unit, self._baud = front, fd, unit, baud
+        self._free_at = 0.0
         self._session = RegisterSession(front, registers)
         self._spoilt: SpoiltConversation | None = None
         if spoiler is not None:
@@ -194,6 +203,7 @@ class RtuServer:
                 self._serve(frame)
 
     def _serve(self, frame: bytes) -> None:
+        self._carry(len(frame))
         if self._spoilt is not None:
             self._spoilt.take(frame)
         elif answer := self._answer(frame):
@@ -206,9 +216,18 @@ class RtuServer:
         return _rtu_frame(frame, self._session.answer(frame[1:-2]))
 
     def _send(self, raw: bytes) -> None:
+        burst = len(raw) if self._baud is None else BURST_BYTES
         while raw:
+            self._carry(len(raw[:burst]))
             select.select([], [self._fd], [], 1.0)
-            raw = raw[os.write(self._fd, raw) :]
+            raw = raw[os.write(self._fd, raw[:burst]) :]
+
+    def _carry(self, size: int) -> None:
+        """Wait as long as a throttled line takes for that many bytes."""
+        if self._baud is not None:
+            now = time.monotonic()
+            self._free_at = max(self._free_at, now) + BITS_PER_BYTE * size / self._baud
+            time.sleep(self._free_at - now)
 
 
 def _rtu_frame(request: bytes, pdu: bytes) -> bytes:

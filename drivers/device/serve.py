@@ -67,6 +67,8 @@ class RtuOptions:
     faults: str = ""
     """As for Modbus TCP."""
     fault_seed: int = 0
+    throttle: bool = False
+    """Hold a pseudo-terminal back to the bit rate, as a serial port is by itself."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
     else:
         master, slave = os.openpty()
         tty.setraw(slave)
-        server = RtuServer(front, master, options.unit, registers, spoiler)
+        server = RtuServer(front, master, options.unit, registers, spoiler, options.baud if options.throttle else None)
         name = os.ttyname(slave)
 
         def close_port() -> None:

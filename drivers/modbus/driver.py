@@ -6,7 +6,6 @@ import logging
 import socket
 import ssl
 import struct
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,6 +20,7 @@ from drivers.errors import BusError
 from drivers.link import RefusedError
 from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_response, to_bytes, to_registers
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
+from drivers.modbus.turns import Turns, Urgency
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, check_crc, with_crc
 from drivers.pages import SEGMENT_BYTES, SEGMENT_PAGES, page_data, paged_bytes
@@ -54,7 +54,9 @@ class ModbusLink:
     make_client
         Makes a client that is not yet connected.
     shared
-        Held for every request, on a line that several links share.
+        A line that several links share: each request waits for its turn, and a stop for none of the others.
+    urgent
+        Its requests go before those of links that are not.
     """
 
     order: Order = "big"
@@ -64,12 +66,14 @@ class ModbusLink:
         make_client: Callable[[], Client],
         registers: RegisterMap,
         unit: int,
-        shared: threading.RLock | None = None,
+        shared: Turns | None = None,
+        urgent: bool = False,
     ) -> None:
         self._make_client = make_client
         self._map = registers
         self._unit = unit
-        self._turn = shared or threading.RLock()
+        self._turns = shared or Turns()
+        self._urgency = Urgency.BEAT if urgent else Urgency.DATA
         self._client: Client | None = None
         self._transaction = 0
 
@@ -98,7 +102,8 @@ class ModbusLink:
         for span in self._map.spans(group, MAX_WRITE):
             raw = b"".join(entry_bytes(e, sealed[e.obj.name], self._map.word_order) for e in span)
             address, registers = span[0].address, to_registers(raw)
-            self._ask("write_registers", address, registers)
+            with self._turns.turn(Urgency.STOP if group == "stop" else self._urgency):
+                self._ask("write_registers", address, registers)
 
     def lockin_payload(self, size: int) -> bytes:
         """Lock-in payload from the data area."""
@@ -121,7 +126,7 @@ class ModbusLink:
 
     def close(self) -> None:
         """Close the connection; the next call opens it again."""
-        with self._turn:
+        with self._turns.turn(self._urgency):
             client, self._client = self._client, None
             if client is not None:
                 with suppress(Exception):
@@ -139,24 +144,30 @@ class ModbusLink:
         blocks = [(address + at, min(MAX_READ, registers - at)) for at in range(0, registers, MAX_READ)]
         parts: list[bytes] = []
         failed_at, failures = -1, 0
-        with self._turn:
-            while len(parts) < len(blocks):
-                try:
-                    self._read_on(blocks, parts, keep)
-                except (BusError, RefusedError):
-                    failures = failures + 1 if failed_at == len(parts) else 1
-                    failed_at = len(parts)
-                    if failures == BLOCK_TRIES:
-                        raise
+        while len(parts) < len(blocks):
+            try:
+                self._read_on(blocks, parts, keep)
+            except (BusError, RefusedError):
+                failures = failures + 1 if failed_at == len(parts) else 1
+                failed_at = len(parts)
+                if failures == BLOCK_TRIES:
+                    raise
         return b"".join(parts)
 
     def _read_on(self, blocks: list[tuple[int, int]], parts: list[bytes], keep: Keep) -> None:
-        """Read the blocks that are missing."""
-        client = self._connected()
-        if isinstance(client, ModbusSerialClient):
-            for address, count in blocks[len(parts) :]:
-                parts.append(keep(len(parts), self._block(address, count)))
-            return
+        """Read the blocks that are missing.
+
+        On a serial line each has its own turn: heartbeat and stop go between two of them.
+        """
+        with self._turns.turn(self._urgency):
+            client = self._connected()
+            if not isinstance(client, ModbusSerialClient):
+                self._read_fast(client, blocks, parts, keep)
+        for address, count in blocks[len(parts) :]:
+            parts.append(keep(len(parts), self._block(address, count)))
+
+    def _read_fast(self, client: Client, blocks: list[tuple[int, int]], parts: list[bytes], keep: Keep) -> None:
+        """All of them on a socket, which is this link's alone."""
         try:
             _set_kernel_timeout(client.socket, client.comm_params.timeout_connect)
             for address, count in blocks[len(parts) :]:
@@ -201,7 +212,7 @@ class ModbusLink:
 
     def _ask(self, verb: str, *arguments: Any, **more: Any) -> ModbusPDU:
         """Answer to one request of pymodbus's client."""
-        with self._turn:
+        with self._turns.turn(self._urgency):
             client = self._connected()
             try:
                 answer: ModbusPDU = getattr(client, verb)(*arguments, **more, device_id=self._unit)
@@ -294,7 +305,7 @@ class ModbusLinks:
     def link(self, urgent: bool = False) -> ModbusLink:
         """Connection that opens itself at the first call."""
         if self._line is not None:
-            return ModbusLink(self._line.client, self._map, self._unit, self._line.turn)
+            return ModbusLink(self._line.client, self._map, self._unit, self._line.turns, urgent)
         timeout = URGENT_TIMEOUT_S if urgent else TIMEOUT_S
         return ModbusLink(lambda: self._make_client(timeout), self._map, self._unit)
 
@@ -308,7 +319,7 @@ class _SharedLine:
     """A serial line: one port for all links of this host, which take turns."""
 
     def __init__(self, make_client: Callable[[float], Client]) -> None:
-        self.turn = threading.RLock()
+        self.turns = Turns()
         self._client = make_client(TIMEOUT_S / 2)
 
     def client(self) -> Client:
@@ -317,7 +328,7 @@ class _SharedLine:
 
     def close(self) -> None:
         """Close the port."""
-        with self.turn:
+        with self.turns.turn(Urgency.DATA):
             self._client.close()
 
 

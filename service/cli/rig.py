@@ -99,7 +99,9 @@ def serve(
     bus: Annotated[str, typer.Option(help="canopen: bus address; a socketcand hub of its own without it.")] = "",
     node: Annotated[int, typer.Option(help="canopen: node number.", min=1, max=127)] = 5,
     bitrate: Annotated[int, typer.Option(help="canopen: bits per second.", min=10_000)] = 1_000_000,
-    throttle: Annotated[bool, typer.Option("--throttle", help="canopen: hold the hub to the bit rate.")] = False,
+    throttle: Annotated[
+        bool, typer.Option("--throttle", help="canopen, modbus-rtu: hold hub or pseudo-terminal to the bit rate.")
+    ] = False,
     faults: Annotated[
         str, typer.Option(help="Faults on purpose, probability per frame: drop=0.01,corrupt=0.002, or all=0.001.")
     ] = "",
@@ -136,7 +138,7 @@ def serve(
     served: Served
     match protocol:
         case Protocol.modbus_rtu:
-            rtu = devices.RtuOptions(device, baud, unit, own_map, faults, fault_seed)
+            rtu = devices.RtuOptions(device, baud, unit, own_map, faults, fault_seed, throttle)
             served = devices.serve_modbus_rtu(machine, rtu)
         case Protocol.canopen:
             can = devices.CanOptions(bus, node, bitrate, host, port, throttle, own_map, faults, fault_seed)

@@ -1,0 +1,80 @@
+"""A serial line of 115200 baud: a raw record keeps it busy for far longer than a lease lasts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.controller import Tone
+from drivers.device.machine import RigDevice
+from drivers.device.modbus import RtuServer
+from drivers.device.serve import RtuOptions, Served, serve_modbus_rtu
+from drivers.url import connect
+from sim.reference import reference_rig
+
+RECORD = Tone(axis=0, amplitude_a=0.0, periods=1, samples=400, blocks=1, raw=True)
+"""19 kB, which take two seconds."""
+TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=1)
+LEASE_S = 1.0
+
+
+@pytest.fixture
+def line() -> Iterator[Served]:
+    served = serve_modbus_rtu(RigDevice(reference_rig(), seed=1), RtuOptions(throttle=True))
+    yield served
+    served.close()
+
+
+@pytest.fixture
+def blocks(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """Requests for blocks of data that the device has answered."""
+    asked: list[bytes] = []
+    answer = RtuServer._answer
+
+    def noted(server: RtuServer, frame: bytes) -> bytes:
+        if frame[1] == 4:  # read input registers
+            asked.append(frame)
+        return answer(server, frame)
+
+    monkeypatch.setattr(RtuServer, "_answer", noted)
+    return asked
+
+
+def test_a_raw_record_that_takes_longer_than_the_lease_does_not_end_it(line: Served, blocks: list[bytes]) -> None:
+    controller = connect(line.url)
+    try:
+        with controller.lease("slow line", seconds=LEASE_S):
+            point = controller.measure(RECORD)
+            assert point.records is not None
+            assert len(point.records["y"]) == RECORD.samples
+            assert controller.status().lease_holder == "slow line"
+            assert controller.measure(TONE).tone == TONE
+    finally:
+        controller.close()
+    bits = 10 * 255 * len(blocks)
+    assert bits / 115200 > LEASE_S, "the line is not busy for long enough to tell"
+
+
+def test_a_stop_is_heard_while_a_raw_record_is_on_its_way(line: Served, blocks: list[bytes]) -> None:
+    controller = connect(line.url)
+    heard: list[int] = []
+
+    def stop() -> None:
+        while len(blocks) < 10:
+            time.sleep(0.001)
+        controller.stop()
+        heard.append(len(blocks))
+
+    stopper = threading.Thread(target=stop)
+    try:
+        with controller.lease("slow line"):
+            stopper.start()
+            controller.measure(RECORD)
+            stopper.join()
+    finally:
+        controller.close()
+    assert any(event.text == "stop" for event in line.device.events())
+    assert heard[0] < len(blocks) - 10, "it had to wait for the record"
