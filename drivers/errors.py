@@ -11,7 +11,8 @@
         ├── BusyError            the controller is playing another tone
         ├── RestartError         the controller restarted (its boot_id changed); nothing of before is valid
         ├── AddressError         a URL is none of a controller: its scheme, host or an option; says what is valid
-        ├── StopRefusedError     the controller refused to stop, and may go on exciting: end the excitation there
+        ├── StopRefusedError     the controller did not stop, and may go on exciting: end the excitation there
+        ├── OverdueError         a tone did not end in its time; the excitation was ended, and is off
         ├── MapError             a rig's own map of registers or objects is wrong; names the object
         └── CancelledError       the excitation was stopped, and is off
             └── StoppedElsewhereError  by somebody else than the caller: see to the rig before it is excited again
@@ -62,7 +63,11 @@ class AddressError(ControllerError):
 
 
 class StopRefusedError(ControllerError):
-    """The controller refused to stop: it may go on exciting, and somebody has to end that at the controller."""
+    """The controller refused to stop, or did not: it may go on exciting, and somebody has to end that there."""
+
+
+class OverdueError(ControllerError):
+    """A tone did not end in its time, or after a stop that the controller had accepted."""
 
 
 class MapError(ControllerError):

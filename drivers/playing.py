@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
 from drivers.controller import HARMONICS, Capabilities, PointResult, Tone, TripCause
+from drivers.device.lockin import ramp_samples
 from drivers.dialogue import Dialogue, held_by, number, readable
-from drivers.errors import BusError, CancelledError, ControllerError, StoppedElsewhereError, TripError
+from drivers.errors import (
+    BusError,
+    CancelledError,
+    ControllerError,
+    OverdueError,
+    StoppedElsewhereError,
+    TripError,
+)
 from drivers.link import Link
 from drivers.objects import BY_NAME, Outcome
 from drivers.packing import Values, encode
@@ -15,6 +24,10 @@ from drivers.payload import decode_lockin, decode_raw, lockin_bytes, payload_crc
 
 FIRST_POLL_S, POLL_S, LONG_POLL_S = 0.001, 0.02, 0.05
 STOP_AGAIN_S = 0.1
+OVERDUE_S = 30.0
+"""Beyond twice its length, a tone has so long to end: a simulated rig compiles before its first one."""
+UNHEEDED_S = 5.0
+"""So long a controller may go on after a stop that it accepted; to ramp the excitation down takes parts of a second."""
 _ECHO = ("axis", "amplitude_a", "periods", "samples", "blocks", "settle_samples")
 
 
@@ -70,10 +83,18 @@ class Playing:
         )
 
     def _wait(self, tone: Tone, command: int) -> int:
-        """How often one had to look until the tone was done; raises when it ended otherwise."""
+        """How often one had to look until the tone was done; raises when it ended otherwise.
+
+        Raises
+        ------
+        OverdueError
+            It did not end in its time, or not after a stop: while one waits, the heartbeat keeps the excitation on.
+        """
         began = time.monotonic()
         samples = tone.settle_samples + tone.blocks * tone.samples
         expected = began + 0.9 * samples * self._seconds_per_sample
+        overdue = began + 2 * self._longest_s(tone) + OVERDUE_S
+        unheeded = math.inf
         stop_again = 0.0
         looks = 0
         while True:
@@ -83,6 +104,7 @@ class Playing:
                 # again and again until it is seen to work: the first may have been lost
                 self._dialogue.stop(self._dialogue.token)
                 stop_again = now + STOP_AGAIN_S
+                unheeded = min(unheeded, now + UNHEEDED_S)
             pause = max(min(expected - now, LONG_POLL_S), min(0.05 * (now - began), POLL_S), FIRST_POLL_S)
             if self._dialogue.link.wait_for_change(pause) == command:
                 return looks
@@ -98,6 +120,23 @@ class Playing:
                     raise CancelledError("stopped before the tone began")
                 # the answer to the command belonged to another one: say it again, under its number
                 self._start(tone, command)
+            now = time.monotonic()
+            if now > unheeded:
+                raise self._overdue(f"went on for {UNHEEDED_S:.3g} s after it was told to stop")
+            if now > overdue:
+                raise self._overdue(f"did not end a tone of {self._length_s(tone):.3g} s within {now - began:.3g} s")
+
+    def _overdue(self, what: str) -> OverdueError:
+        return OverdueError(f"{self._dialogue.links.description}: the controller {what}")
+
+    def _length_s(self, tone: Tone) -> float:
+        """How long a tone takes by the controller's clock, ramps and settling included, s."""
+        rate = self._capabilities.sample_rate_hz
+        return (2 * ramp_samples(tone, rate) + tone.settle_samples + tone.blocks * tone.samples) / rate
+
+    def _longest_s(self, tone: Tone) -> float:
+        """The same at the pace of the last tone, where a simulated rig is slower than its clock, s."""
+        return self._length_s(tone) * max(1.0, self._seconds_per_sample * self._capabilities.sample_rate_hz)
 
     def _judge(self, outcome: Outcome, status: Values) -> None:
         if outcome == Outcome.STOPPED:

@@ -17,6 +17,7 @@ from drivers.errors import (
     CancelledError,
     ControllerError,
     LeaseError,
+    OverdueError,
     StoppedElsewhereError,
     StopRefusedError,
 )
@@ -147,31 +148,54 @@ class RemoteController:
     def _end_excitation(self, token: int, why: BaseException) -> None:
         """Say stop, and again where it is refused; then hold the heartbeat back until the device has gone quiet.
 
+        A stop that is accepted is believed, but not of a device whose tone is overdue: that one is looked at.
+
         Raises
         ------
         CancelledError
-            A stop that the caller asked for was refused, and the watchdog did it.
+            A stop that the caller asked for was refused, or not heeded, and the watchdog did it.
+        OverdueError
+            A tone did not end, and the stop or the watchdog ended it.
         StopRefusedError
             The device goes on exciting for all that.
         """
+        refused = self._refused_stop(token)
+        overdue = isinstance(why, OverdueError)
+        if refused is None and not overdue:
+            return
+        ended = "a stop has ended the excitation"
+        if refused is not None or not self._goes_quiet():
+            self._hold_back_the_heartbeat(token, refused, why)
+            ended = "its watchdog has ended the excitation"
+        if isinstance(why, StopRefusedError):
+            raise CancelledError(f"stopped: the controller refused to; {ended}, see why it does not stop") from why
+        if overdue and self._stop_asked.is_set():
+            raise CancelledError(f"stopped: {why}; {ended}, see why it does not stop") from why
+        if overdue:
+            raise OverdueError(f"{why}; {ended}: see why it does not end its tones, or restart it") from why
+
+    def _refused_stop(self, token: int) -> StopRefusedError | None:
+        """Say stop: how it was refused to the last; None where it was heard, or the bus is down."""
+        refused = None
         for _ in range(STOP_TRIES):
             try:
                 self._dialogue.stop(token)
-                return
+                return None
             except StopRefusedError as error:
                 refused = error
             except Exception:  # the bus is down: no heartbeat reaches the device either
-                return
+                return None
+        return refused
+
+    def _hold_back_the_heartbeat(self, token: int, refused: StopRefusedError | None, why: BaseException) -> None:
+        """Let the watchdog end the excitation, and go on with the heartbeat once it has."""
         if self._heartbeat is not None:
             self._heartbeat.close()
         if not self._goes_quiet():
-            raise StopRefusedError(f"{refused}: it goes on exciting, also without a heartbeat") from why
+            told = refused or f"{why}; end the excitation there"
+            raise StopRefusedError(f"{told}: it goes on exciting, also without a heartbeat") from why
         if self._heartbeat is not None:
             self._heartbeat = Heartbeat(self._dialogue.links.link(urgent=True), token)
-        if isinstance(why, StopRefusedError):
-            raise CancelledError(
-                "stopped: the controller refused to; its watchdog has ended the excitation, see why it does not stop"
-            ) from why
 
     def _goes_quiet(self) -> bool:
         """Whether the device ends its excitation in time."""

@@ -14,7 +14,15 @@ from drivers.device.front import DeviceFront
 from drivers.device.machine import RigDevice
 from drivers.device.play import Interruption
 from drivers.device.stops import KEPT, Stops
-from drivers.errors import BusError, CancelledError, LeaseError, StoppedElsewhereError, StopRefusedError, TripError
+from drivers.errors import (
+    BusError,
+    CancelledError,
+    LeaseError,
+    OverdueError,
+    StoppedElsewhereError,
+    StopRefusedError,
+    TripError,
+)
 from drivers.link import RefusedError
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Value, Values, with_crc
@@ -375,6 +383,76 @@ def test_a_rotor_that_stays_excited_for_all_that_is_told_as_that(refusing, monke
         controller.lease("job"),
     ):
         controller.measure(LONG)
+
+
+# ---- a tone that does not end
+
+SHORT = Tone(axis=0, amplitude_a=0.02, periods=10, samples=2000, blocks=1)
+"""Of 0.2 s, and ramps of 40 ms each."""
+
+
+@pytest.fixture
+def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[_Bus, RemoteController]]]:
+    """Makes a controller that goes on with a short tone for minutes, and hears stops as its argument says."""
+    monkeypatch.setattr("drivers.playing.OVERDUE_S", 0.3)
+    monkeypatch.setattr("drivers.playing.UNHEEDED_S", 0.3)
+    monkeypatch.setattr("drivers.remote.WATCHDOG_PATIENCE_S", 1.0)
+    made: list[_Bus] = []
+
+    def make(heeds: bool, watchdog_s: float = 0.2) -> tuple[_Bus, RemoteController]:
+        device = RigDevice(reference_rig(), seed=1, watchdog_s=watchdog_s, real_time=True)
+        bus = _Bus(device)
+        made.append(bus)
+        arm = device.arm
+        monkeypatch.setattr(device, "arm", lambda tone, token: arm(LONG, token))
+        if not heeds:
+            monkeypatch.setattr(device, "stop", lambda token=0: None)
+        return bus, RemoteController(bus, patience_s=0.05)
+
+    yield make
+    for bus in made:
+        bus.front.device._stop.set()
+        bus.front.close()
+        bus.front.device.close()
+
+
+def test_a_tone_that_does_not_end_is_stopped_and_told_with_the_controller(stuck) -> None:
+    bus, controller = stuck(heeds=True)
+    told = (
+        r"test bus: the controller did not end a tone of 0\.28 s within .* s; a stop has ended the excitation: see why"
+    )
+    with controller.lease("job"):
+        with pytest.raises(OverdueError, match=told):
+            controller.measure(SHORT)
+        assert (bus.front.exciting(), bus.front.device.status().trip) == (False, TripCause.NONE)
+
+
+def test_a_tone_that_ends_neither_by_itself_nor_by_a_stop_is_ended_by_the_watchdog(stuck) -> None:
+    bus, controller = stuck(heeds=False)
+    with controller.lease("job"):
+        with pytest.raises(OverdueError, match=r"did not end a tone .*; its watchdog has ended the excitation"):
+            controller.measure(SHORT)
+        assert (bus.front.exciting(), bus.front.device.status().trip) == (False, TripCause.HOST)
+
+
+def test_a_stop_that_is_accepted_and_not_heeded_ends_by_the_watchdog(stuck) -> None:
+    bus, controller = stuck(heeds=False)
+    asked = _while_exciting(bus.front.device, controller.stop)
+    told = "stopped: test bus: the controller went on for 0.3 s after it was told to stop; its watchdog has ended"
+    with controller.lease("job"):
+        with pytest.raises(CancelledError, match=told):
+            controller.measure(LONG)
+        assert (bus.front.exciting(), bus.front.device.status().trip) == (False, TripCause.HOST)
+    asked.join()
+
+
+def test_a_tone_that_nothing_ends_is_told_as_that(stuck) -> None:
+    bus, controller = stuck(heeds=False, watchdog_s=60.0)
+    told = "did not end a tone .* end the excitation there: it goes on exciting, also without a heartbeat"
+    with controller.lease("job"):
+        with pytest.raises(StopRefusedError, match=told):
+            controller.measure(SHORT)
+        bus.front.device._stop.set()
 
 
 # ---- a lease that was taken, and an interruption before that is noted
