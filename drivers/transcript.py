@@ -16,9 +16,9 @@ from drivers.errors import BusError, ControllerError
 from drivers.link import Link, LinkFactory, RefusedError
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, encode
+from drivers.transcript_lines import FORMAT, VERBS, checked_lines
 from sim.errors import reason
 
-FORMAT = "amb-transcript"
 _DRAWN_ANEW = ("token", "command", "crc", "holder")
 
 
@@ -104,15 +104,9 @@ def replay_links(path: Path) -> _ReplayLinks:
     Raises
     ------
     ControllerError
-        The file cannot be read, or is not a transcript.
+        The file cannot be read, is not a transcript, or is damaged; names the line.
     """
-    try:
-        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ControllerError(f"cannot read the transcript {path}: {reason(error)}") from error
-    if not lines or lines[0].get("format") != FORMAT or lines[0].get("version") != 1:
-        raise ControllerError(f"{path} is not a transcript of version 1")
-    return _ReplayLinks(path, lines[1:])
+    return _ReplayLinks(path, checked_lines(path))
 
 
 class _ReplayLinks:
@@ -137,7 +131,7 @@ class _ReplayLink:
         self._commands: dict[int, int] = {}
         self._holders: dict[str, str] = {}
         """Who held the lease then, and who does now; as a status tells them."""
-        self.order: Order = lines[0]["order"] if lines else "big"
+        self.order: Order = next((line["order"] for line in lines if "order" in line), "big")
 
     def read(self, group: str) -> dict[str, Value]:
         answer = self._answer("read", group)
@@ -150,7 +144,7 @@ class _ReplayLink:
 
     def write(self, group: str, values: Values) -> None:
         line = self._line("write", group)
-        then = line.get("values", {})
+        then = line["values"]
         for name, value in values.items():
             if name not in _DRAWN_ANEW and then.get(name) != value:
                 raise ControllerError(
@@ -158,7 +152,7 @@ class _ReplayLink:
                 )
         if "command" in values:
             self._commands[int(then["command"])] = int(values["command"])  # type: ignore[arg-type]
-        if "holder" in values:
+        if "holder" in values and "holder" in then:
             self._holders[_shown(then["holder"])] = _shown(values["holder"])
         self._result(line)
 
@@ -184,7 +178,7 @@ class _ReplayLink:
         line = self._lines[self._next]
         self._next += 1
         if line.get(verb) != what:
-            asked = next((f"{v} {line[v]}" for v in ("read", "write", "lockin", "raw") if v in line), "nothing")
+            asked = next((f"{v} {line[v]}" for v in VERBS if v in line), "nothing")
             raise ControllerError(f"{self._path}, line {self._next + 1}: recorded {asked}, and not {verb} {what}")
         return line
 
