@@ -24,7 +24,7 @@ from drivers.errors import (
     TripError,
 )
 from drivers.link import RefusedError
-from drivers.objects import BY_NAME, Refusal
+from drivers.objects import BY_NAME, Outcome, Refusal
 from drivers.packing import Value, Values, with_crc
 from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
@@ -361,6 +361,24 @@ def test_what_refuses_every_stop_is_ended_by_its_watchdog_before_the_tone_is_giv
             controller.acknowledge()
             bus.before = lambda group: None
             assert controller.measure(TONE).tone == TONE, "the heartbeat is back"
+
+
+def test_a_device_whose_tone_is_over_is_not_quiet_while_it_still_excites(
+    refusing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus, controller = refusing(refusals=1e9)
+    read = bus.read
+
+    def over(group: str) -> dict[str, Value]:
+        values = read(group)
+        return values | {"outcome": int(Outcome.TRIPPED)} if values.get("excitation_a") else values
+
+    monkeypatch.setattr(bus, "read", over)
+    with controller.lease("job"):
+        with pytest.raises(KeyboardInterrupt):
+            controller.measure(LONG)
+        assert bus.front.device.status().excitation_a == 0
+        controller.acknowledge()
 
 
 def test_a_stop_that_was_asked_for_and_refused_ends_as_a_stop_once_the_watchdog_has_acted(refusing) -> None:

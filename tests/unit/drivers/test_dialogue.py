@@ -1,0 +1,49 @@
+"""A host believes the newest status only: what a bus delivers late, or once more, is asked for again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivers.dialogue import Dialogue
+from drivers.errors import BusError
+
+
+class _Answers:
+    """Links of which each reading gives the next status: its boot, and the number of its snapshot."""
+
+    description = "test bus"
+
+    def __init__(self, *answers: tuple[int, int]) -> None:
+        self.left = list(answers)
+
+    def link(self, urgent: bool = False) -> Any:
+        return self
+
+    def read(self, group: str) -> dict[str, Any]:
+        if not self.left:
+            raise BusError("no answer")
+        boot, snapshot = self.left.pop(0)
+        return {"boot_id": boot, "snapshot": snapshot}
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("stale", [7, 6], ids=["the same", "an older one"])
+def test_a_status_that_was_given_before_is_asked_for_again(stale: int) -> None:
+    dialogue = Dialogue(_Answers((1, 7), (1, stale), (1, 8)), patience_s=10.0)
+    assert [dialogue.status()["snapshot"] for _ in range(2)] == [7, 8]
+
+
+def test_a_bus_that_gives_nothing_but_the_last_status_fails() -> None:
+    dialogue = Dialogue(_Answers((1, 7), (1, 7)), patience_s=0.0)
+    dialogue.status()
+    with pytest.raises(BusError, match="test bus: the controller answered with an older status"):
+        dialogue.status()
+
+
+def test_a_controller_that_has_restarted_counts_anew() -> None:
+    dialogue = Dialogue(_Answers((1, 7), (2, 1)), patience_s=0.0)
+    assert [dialogue.status()["snapshot"] for _ in range(2)] == [7, 1]
