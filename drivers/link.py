@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from drivers.errors import ControllerError
 from drivers.objects import Refusal
 from drivers.packing import Order, Value, Values
+
+
+def go_on() -> None:
+    """Nothing speaks against it."""
 
 
 class RefusedError(ControllerError):
@@ -35,8 +40,11 @@ class Link(Protocol):
     def lockin_payload(self, size: int) -> bytes:
         """Lock-in payload of the last result, not checked."""
 
-    def raw_record(self, result: int, size: int) -> bytes:
-        """Raw record of a result, not checked."""
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
+        """Raw record of a result, not checked.
+
+        ``between`` is called between its parts: on a slow line it takes minutes, and what this raises ends them.
+        """
 
     def wait_for_change(self, seconds: float) -> int | None:
         """Wait until the device says that something happened, or the time is over.

@@ -138,6 +138,10 @@ class Playing:
         """The same at the pace of the last tone, where a simulated rig is slower than its clock, s."""
         return self._length_s(tone) * max(1.0, self._seconds_per_sample * self._capabilities.sample_rate_hz)
 
+    def _require_no_stop(self) -> None:
+        if self._stop_asked.is_set():
+            raise CancelledError("stopped while the raw record was on its way; the excitation is off")
+
     def _judge(self, outcome: Outcome, status: Values) -> None:
         if outcome == Outcome.STOPPED:
             raise CancelledError("stopped; the excitation is off")
@@ -174,7 +178,7 @@ class Playing:
             raise BusError("the CRC of the result is wrong: it was corrupted on the bus")
         records = None
         if tone.raw:
-            raw = readable(lambda: link.raw_record(result, int(number(header["raw_bytes"]))))
+            raw = readable(lambda: link.raw_record(result, int(number(header["raw_bytes"])), self._require_no_stop))
             if payload_crc(result, raw) != header["raw_crc"]:
                 raise BusError("the CRC of the raw record is wrong: it was corrupted on the bus")
             records = decode_raw(raw, tone, axes, link.order)

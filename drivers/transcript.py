@@ -9,11 +9,12 @@ from __future__ import annotations
 import base64
 import json
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import BusError, ControllerError
-from drivers.link import Link, LinkFactory, RefusedError
+from drivers.link import Link, LinkFactory, RefusedError, go_on
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, encode
 from drivers.transcript_lines import FORMAT, VERBS, checked_lines
@@ -70,8 +71,8 @@ class _RecordingLink:
         payload: bytes = self._kept({"lockin": size}, lambda: self._link.lockin_payload(size))
         return payload
 
-    def raw_record(self, result: int, size: int) -> bytes:
-        raw: bytes = self._kept({"raw": size, "result": result}, lambda: self._link.raw_record(result, size))
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
+        raw: bytes = self._kept({"raw": size, "result": result}, lambda: self._link.raw_record(result, size, between))
         return raw
 
     def wait_for_change(self, seconds: float) -> int | None:
@@ -159,7 +160,7 @@ class _ReplayLink:
     def lockin_payload(self, size: int) -> bytes:
         return base64.b64decode(self._answer("lockin", size)["base64"])
 
-    def raw_record(self, result: int, size: int) -> bytes:
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
         return base64.b64decode(self._answer("raw", size)["base64"])
 
     def wait_for_change(self, seconds: float) -> int | None:
@@ -212,7 +213,7 @@ class _SilentLink:
     def lockin_payload(self, size: int) -> bytes:
         raise ControllerError("a replay answers on its measuring connection only")
 
-    def raw_record(self, result: int, size: int) -> bytes:
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
         raise ControllerError("a replay answers on its measuring connection only")
 
     def wait_for_change(self, seconds: float) -> int | None:

@@ -19,7 +19,7 @@ from drivers.canopen.dictionary import object_dictionary
 from drivers.canopen.map import DEFAULT_MAP, SEGMENT_BYTES, WHOLE_INDEX, ObjectMap
 from drivers.canopen.upload import UploadingSdoClient
 from drivers.errors import BusError
-from drivers.link import Link, RefusedError
+from drivers.link import Link, RefusedError, go_on
 from drivers.objects import BY_NAME, Outcome, Refusal, Type
 from drivers.packing import Order, Value, Values, decode, encode, pack, unpack, with_crc
 from sim.errors import reason
@@ -182,7 +182,7 @@ class _SdoLink:
     def lockin_payload(self, size: int) -> bytes:
         return self._block(self._objects.lockin_index, size)
 
-    def raw_record(self, result: int, size: int) -> bytes:
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
         """The whole in one transfer; on a bus on which that has failed, segment by segment, each with its own CRC."""
         if not self._in_segments:
             with suppress(BusError, RefusedError):
@@ -193,6 +193,7 @@ class _SdoLink:
         parts = self._segments[1]
         deadline, tried = time.monotonic() + SEGMENTS_S, 0
         while (segment := len(parts)) * SEGMENT_BYTES < size:
+            between()
             try:
                 parts.append(self._segment(result, segment, min(size - SEGMENT_BYTES * segment, SEGMENT_BYTES)))
                 tried = 0
@@ -316,7 +317,7 @@ class _PdoLink:
     def lockin_payload(self, size: int) -> bytes:
         raise BusError("process data cannot be asked for")
 
-    def raw_record(self, result: int, size: int) -> bytes:
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
         raise BusError("process data cannot be asked for")
 
     def wait_for_change(self, seconds: float) -> int | None:

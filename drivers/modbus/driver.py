@@ -17,7 +17,7 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import BusError
-from drivers.link import RefusedError
+from drivers.link import RefusedError, go_on
 from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_response, to_bytes, to_registers
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.modbus.turns import Turns, Urgency
@@ -109,14 +109,15 @@ class ModbusLink:
         """Lock-in payload from the data area."""
         return self._data(self._map.lockin_address, size, _as_it_is)
 
-    def raw_record(self, result: int, size: int) -> bytes:
+    def raw_record(self, result: int, size: int, between: Callable[[], None] = go_on) -> bytes:
         """Raw record, segment by segment through the data area; the CRC of every page is checked."""
         parts = []
         left = paged_bytes(size)
         for segment in range(-(-left // SEGMENT_BYTES)):
             self.write("window", {"result": result, "segment": segment})
             shown = min(left - SEGMENT_BYTES * segment, SEGMENT_BYTES)
-            parts.append(self._data(self._map.raw_address, shown, _page_from(result, SEGMENT_PAGES * segment)))
+            keep = _page_from(result, SEGMENT_PAGES * segment, between)
+            parts.append(self._data(self._map.raw_address, shown, keep))
         return b"".join(parts)
 
     def wait_for_change(self, seconds: float) -> int | None:
@@ -244,9 +245,14 @@ def _as_it_is(number: int, block: bytes) -> bytes:
     return block
 
 
-def _page_from(result: int, first: int) -> Keep:
+def _page_from(result: int, first: int, between: Callable[[], None]) -> Keep:
     """Blocks that are the pages of a raw record from this one on."""
-    return lambda number, block: page_data(result, first + number, block)
+
+    def keep(number: int, block: bytes) -> bytes:
+        between()
+        return page_data(result, first + number, block)
+
+    return keep
 
 
 def _set_kernel_timeout(connection: socket.socket, seconds: float) -> None:

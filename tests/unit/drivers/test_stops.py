@@ -216,7 +216,7 @@ class _Bus:
     def lockin_payload(self, size: int) -> bytes:
         return self.front.lockin_payload()
 
-    def raw_record(self, result: int, size: int) -> bytes:
+    def raw_record(self, result: int, size: int, between: Callable[[], None]) -> bytes:
         return self.front.raw_record()
 
     def wait_for_change(self, seconds: float) -> int | None:
