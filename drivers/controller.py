@@ -145,6 +145,14 @@ class Capabilities:
     periodic: bool = field(default=False, compare=False)
     """Whether it also plays periodic waveforms on all axes at once: it is a `PeriodicController` then. That is the
     driver's, not the rig's, and two drivers of one rig are equal without it."""
+    raw_bytes_per_s: float | None = field(default=None, compare=False)
+    """About how fast raw records come over the link, on a line that is so slow that one waits; None on others. The
+    driver's, too."""
+
+    def record_wait_s(self, samples: int) -> float:
+        """About how long one waits for a raw record of so many samples, u, i, y of each axis; 0 where that is short."""
+        size = 4 * 3 * len(self.axes) * samples
+        return size / self.raw_bytes_per_s if self.raw_bytes_per_s else 0.0
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,8 @@ class LinkFactory(Protocol):
 
     description: str
     """For messages: scheme, host, unit."""
+    raw_bytes_per_s: float | None
+    """About how fast a raw record comes, on a line that is slow by nature; None on others."""
 
     def link(self, urgent: bool = False) -> Link:
         """Connection that opens itself at the first call; `urgent` has short time-outs."""

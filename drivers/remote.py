@@ -82,6 +82,7 @@ class RemoteController:
             displacement_limit_m=number(v["displacement_limit_m"]),
             current_limit_a=number(v["current_limit_a"]),
             raw_records=bool(v["raw_records"]),
+            raw_bytes_per_s=self._dialogue.links.raw_bytes_per_s,
         )
 
     # ---- the protocol's verbs

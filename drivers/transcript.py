@@ -28,7 +28,7 @@ class RecordingLinks:
 
     def __init__(self, links: LinkFactory, path: Path) -> None:
         self._links = links
-        self.description = links.description
+        self.description, self.raw_bytes_per_s = links.description, links.raw_bytes_per_s
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
@@ -113,6 +113,7 @@ def replay_links(path: Path) -> _ReplayLinks:
 class _ReplayLinks:
     def __init__(self, path: Path, lines: list[dict[str, Any]]) -> None:
         self.description = f"replay://{path}"
+        self.raw_bytes_per_s: float | None = None
         self._replay = _ReplayLink(path, lines)
 
     def link(self, urgent: bool = False) -> Link:

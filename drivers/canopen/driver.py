@@ -61,6 +61,7 @@ class CanopenLinks:
         self._lock = threading.RLock()
         self._network: canopen.Network | None = None
         self._node: Any = None
+        self.raw_bytes_per_s: float | None = None
         self.changed = threading.Event()
         self.progress: Progress | None = None
         self.heard_at: float | None = None

@@ -12,12 +12,13 @@ from contextlib import suppress
 from typing import Any
 
 from pymodbus import FramerType, ModbusException
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import BusError
 from drivers.link import RefusedError, go_on
+from drivers.modbus.clients import TcpClient, TlsClient
 from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_response, to_bytes, to_registers
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.modbus.turns import Turns, Urgency
@@ -26,11 +27,13 @@ from drivers.packing import Order, Value, Values, check_crc, with_crc
 from drivers.pages import SEGMENT_BYTES, SEGMENT_PAGES, page_data, paged_bytes
 from sim.errors import reason
 
-Client = Any  # ModbusTcpClient or ModbusSerialClient, which are only partly typed
+Client = Any  # TcpClient, TlsClient or ModbusSerialClient, which are only partly typed
 Keep = Callable[[int, bytes], bytes]
 TIMEOUT_S = 0.3
 URGENT_TIMEOUT_S = 0.08
 BLOCK_TRIES = 4
+RECORD_SHARE = 0.75
+"""Of a serial line's bytes, those that are a raw record's; the others are frames around it, heartbeats and pauses."""
 
 # pymodbus writes every time-out to the log as an error; here they are raised, and counted, by those who retry.
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
@@ -290,8 +293,8 @@ class ModbusLinks:
     ----------
     make_client
         Makes a client with the given time-out, s.
-    serial
-        A line that all links share, one request at a time.
+    baud
+        Of a serial line, bits per second, which all links share, one request at a time; None for connections.
     """
 
     def __init__(
@@ -300,13 +303,14 @@ class ModbusLinks:
         make_client: Callable[[float], Client],
         unit: int = 1,
         registers: RegisterMap = DEFAULT_MAP,
-        serial: bool = False,
+        baud: int | None = None,
     ) -> None:
         self.description = description
+        self.raw_bytes_per_s = None if baud is None else RECORD_SHARE * baud / 10
         self._make_client = make_client
         self._unit = unit
         self._map = registers
-        self._line: _SharedLine | None = _SharedLine(make_client) if serial else None
+        self._line: _SharedLine | None = _SharedLine(make_client) if baud is not None else None
 
     def link(self, urgent: bool = False) -> ModbusLink:
         """Connection that opens itself at the first call."""
@@ -338,42 +342,11 @@ class _SharedLine:
             self._client.close()
 
 
-class _TcpClient(ModbusTcpClient):
-    """pymodbus's TCP client, which keeps to itself why it cannot connect."""
-
-    def connect(self) -> bool:
-        """Connect; OSError where that fails."""
-        if self.socket is None:
-            parameters = self.comm_params
-            self.socket = socket.create_connection((parameters.host, parameters.port), parameters.timeout_connect)
-        return True
-
-
-class _TlsClient(ModbusTcpClient):
-    """pymodbus's TCP client in TLS. Its own TLS client neither checks the host's name nor the frame's length."""
-
-    def __init__(self, host: str, port: int, timeout: float, context: ssl.SSLContext) -> None:
-        super().__init__(host, port=port, timeout=timeout, retries=0)
-        self._context = context
-
-    def connect(self) -> bool:
-        """Connect, and check both certificates."""
-        if self.socket is None:
-            host = str(self.comm_params.host)
-            plain = socket.create_connection((host, self.comm_params.port), timeout=2.0)
-            try:
-                self.socket = self._context.wrap_socket(plain, server_hostname=host)
-            except BaseException:
-                plain.close()
-                raise
-        return True
-
-
 def tcp_links(host: str, port: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> ModbusLinks:
     """Links over plain TCP."""
 
     def client(timeout: float) -> Client:
-        return _TcpClient(host, port=port, timeout=timeout, retries=0)
+        return TcpClient(host, port=port, timeout=timeout, retries=0)
 
     return ModbusLinks(f"modbus://{host}:{port}?unit={unit}", client, unit, registers)
 
@@ -384,7 +357,7 @@ def tls_links(
     """Links over TLS, with the certificates of the context."""
 
     def client(timeout: float) -> Client:
-        return _TlsClient(host, port, timeout, context)
+        return TlsClient(host, port, timeout, context)
 
     return ModbusLinks(f"modbuss://{host}:{port}?unit={unit}", client, unit, registers)
 
@@ -397,4 +370,4 @@ def rtu_links(port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFA
             port, framer=FramerType.RTU, baudrate=baud, timeout=max(timeout, 3 * 260 * 11 / baud), retries=0
         )
 
-    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, serial=True)
+    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, baud)

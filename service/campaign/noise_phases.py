@@ -63,6 +63,7 @@ class NoisePhases:
                 **_lines(records, samples, blocks, self.recorder.harmonics),
             }
 
+        self._awaits_record(request)
         found = self._certainly("noise", request, reduction)
         self.done["noise"] = [
             Point(
@@ -126,10 +127,15 @@ class NoisePhases:
             def reduction(records: dict[str, Real]) -> dict[str, Any]:
                 return _stored(noise.spectra(noise.without_mean_block(records, samples), rate))
 
+            self._awaits_record(request)
             outcome = self.recorder.reduced("periodic", request, reduction)
             if not isinstance(outcome, Trip):
                 knowledge.noise = knowledge.noise.joined(_restored(outcome))
             self._report(f"axis {axis} periodic record at {frequency:.4g} Hz")
+
+    def _awaits_record(self, request: Request) -> None:
+        if not self.recorder.replaying:
+            self.meter.awaits_record("noise", request.blocks * request.samples)
 
     def _report(self, last: str) -> None:
         self.meter.finished("noise", last, self.recorder.replaying, self.recorder.rig_seconds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 PHASE_WORDS = {
     "noise": "noise",
@@ -18,9 +18,13 @@ PHASE_WORDS = {
 """What a person is told of a phase: in a log, on a bar and the page, and of its sweep in a report."""
 
 
+WORTH_TELLING_S = 10.0
+"""A wait for a record that is longer than this is told."""
+
+
 @dataclass(frozen=True)
 class Progress:
-    """One report, after every finished point."""
+    """One report, after every finished point, and before one that takes long to come."""
 
     phase: str
     """"noise", "preliminary", "main", "peaks", "validation", "amplifier" or "done"."""
@@ -36,16 +40,30 @@ class Progress:
     """Time that the rig has spent."""
     last: str
     """The last point in words."""
+    wait_s: float = 0.0
+    """Wall time until the next report, estimated, where a slow line brings a record first; 0 otherwise."""
 
 
 ProgressCallback = Callable[[Progress], None]
 
 
 class Meter:
-    """Counts points and time, and reports."""
+    """Counts points and time, and reports.
 
-    def __init__(self, callback: ProgressCallback | None, clock: Callable[[], float] = time.monotonic) -> None:
+    Parameters
+    ----------
+    record_wait_s
+        (samples) -> how long one waits for a raw record of so many samples, s.
+    """
+
+    def __init__(
+        self,
+        callback: ProgressCallback | None,
+        clock: Callable[[], float] = time.monotonic,
+        record_wait_s: Callable[[int], float] = lambda samples: 0.0,
+    ) -> None:
         self._callback = callback
+        self._record_wait_s = record_wait_s
         self._clock = clock
         self._started = clock()
         self._replayed = 0
@@ -66,6 +84,12 @@ class Meter:
             self._started = self._clock()
         if self._callback is not None:
             self._callback(self.state(phase, last))
+
+    def awaits_record(self, phase: str, samples: int) -> None:
+        """A raw record of so many samples is asked for next: reported where one has to wait for it."""
+        wait_s = self._record_wait_s(samples)
+        if self._callback is not None and wait_s > WORTH_TELLING_S:
+            self._callback(replace(self.state(phase, "a record is on its way"), wait_s=wait_s))
 
     def state(self, phase: str, last: str) -> Progress:
         """Where the campaign is."""

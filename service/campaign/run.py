@@ -61,7 +61,7 @@ def run_campaign(
         Made when it does not exist. Every finished point is on disk there, in ``experiment.journal``, before the
         next one begins; the journal is removed when experiment.h5 is complete.
     progress
-        Called after every point.
+        Called after every point, and before a record for which one waits.
     cancelled
         Polled some ten times a second, from another thread; True ends the campaign.
     resume
@@ -106,7 +106,7 @@ def run_campaign(
     about = {"speed_rad_s": speed, "datasheet": to_toml(datasheet)}
     header = fingerprint(capabilities, datasheet, limits, profile) | {"about": about}
     log: journal.Journal | None = None
-    meter = Meter(progress)
+    meter = Meter(progress, record_wait_s=capabilities.record_wait_s)
     done: _Done = {}
     extra: _Extra = {}
 

@@ -54,7 +54,12 @@ def line(p: Progress) -> str:
     """One report as a line of text."""
     known = p.points_per_s > 0 and p.done >= FIRST_POINTS
     rate = f", {p.points_per_s:.1f} points/s, {duration(p.seconds_left)} left" if known else ""
-    return f"{PHASE_WORDS.get(p.phase, p.phase)}: {p.done} of {p.total} points{rate}"
+    return f"{PHASE_WORDS.get(p.phase, p.phase)}: {p.done} of {p.total} points{rate}{_wait(p)}"
+
+
+def _wait(p: Progress) -> str:
+    """What is told of a record for which one waits."""
+    return f", the next one comes over a slow line in some {duration(p.wait_s)}" if p.wait_s else ""
 
 
 def _log() -> Callable[[Progress], None]:
@@ -64,7 +69,7 @@ def _log() -> Callable[[Progress], None]:
         nonlocal shown_at, shown
         now = time.monotonic()
         part = "done" if p.done == p.total else p.phase
-        if now - shown_at >= LOG_EVERY_S or part != shown:
+        if now - shown_at >= LOG_EVERY_S or part != shown or p.wait_s:
             shown_at, shown = now, part
             say(line(p))
 
@@ -94,7 +99,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
                 completed=p.done,
                 total=p.total,
                 rate=f"{p.points_per_s:.1f} points/s" if known else "",
-                left=f"{duration(p.seconds_left)} left" if known else "",
+                left=f"{duration(p.seconds_left)} left" if known else _wait(p).removeprefix(", "),
             )
 
         yield show

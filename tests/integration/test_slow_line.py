@@ -11,7 +11,7 @@ import pytest
 from drivers.controller import Tone
 from drivers.device.machine import RigDevice
 from drivers.device.modbus import RtuServer
-from drivers.device.serve import RtuOptions, Served, serve_modbus_rtu
+from drivers.device.serve import ModbusOptions, RtuOptions, Served, serve_modbus, serve_modbus_rtu
 from drivers.errors import CancelledError
 from drivers.url import connect
 from sim.reference import reference_rig
@@ -57,6 +57,19 @@ def test_a_raw_record_that_takes_longer_than_the_lease_does_not_end_it(line: Ser
         controller.close()
     bits = 10 * 255 * len(blocks)
     assert bits / 115200 > LEASE_S, "the line is not busy for long enough to tell"
+
+
+def test_how_long_a_raw_record_takes_is_known_beforehand(line: Served) -> None:
+    fast = serve_modbus(line.device, ModbusOptions(port=0))
+    waits = []
+    for served in (line, fast):
+        controller = connect(served.url)
+        waits.append(controller.capabilities().record_wait_s(30_000))
+        controller.close()
+    fast.close()
+    on_the_line = 48 * 30_000 * 10 / 115200  # its bytes alone
+    assert on_the_line < waits[0] < 1.5 * on_the_line
+    assert waits[1] == 0.0, "nobody waits for a network"
 
 
 def test_a_stop_goes_between_two_blocks_of_a_raw_record_and_ends_it(line: Served, blocks: list[bytes]) -> None:

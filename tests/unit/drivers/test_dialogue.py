@@ -14,6 +14,7 @@ class _Answers:
     """Links of which each reading gives the next status: its boot, and the number of its snapshot."""
 
     description = "test bus"
+    raw_bytes_per_s = None
 
     def __init__(self, *answers: tuple[int, int]) -> None:
         self.left = list(answers)

@@ -196,6 +196,7 @@ class _Bus:
 
     description = "test bus"
     order = "big"
+    raw_bytes_per_s = None
 
     def __init__(self, device: RigDevice) -> None:
         self.front = DeviceFront(device, "big")

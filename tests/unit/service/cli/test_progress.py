@@ -1,6 +1,7 @@
 """What a person who waits is told: a line now and then in a log, a bar on a terminal."""
 
 import sys
+from dataclasses import replace
 
 from service.campaign.progress import Progress
 from service.cli.progress import campaign_progress, percent_progress
@@ -44,6 +45,19 @@ def test_a_terminal_shows_part_points_and_time_left(capsys, monkeypatch):
     assert "peaks" in shown
     assert "60/100" in shown
     assert "20 s left" in shown
+
+
+def test_a_record_that_a_slow_line_brings_is_told_with_its_time(capsys, monkeypatch):
+    told = "the next one comes over a slow line in some 2 min 47 s"
+    waiting = replace(report("noise", 0, points_per_s=0.0), wait_s=167.0)
+    with campaign_progress() as show:
+        show(waiting)
+        show(replace(waiting, done=1))  # at once, though it is of the same part
+    assert [told in line for line in capsys.readouterr().err.splitlines()] == [True, True]
+    on_a_terminal(monkeypatch)
+    with campaign_progress() as show:
+        show(waiting)
+    assert told in capsys.readouterr().err
 
 
 def test_a_calculation_is_shown_on_a_terminal_and_silent_in_a_log(capsys, monkeypatch):
