@@ -158,6 +158,33 @@ def read_history(path: Path) -> list[Checked]:
     return found
 
 
+def ready_history(path: Path) -> Path:
+    """The history, proven to be such that a check can be added, its folder made where it does not exist.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written: a check that could not be added would bound no false alarms.
+    DocumentError
+        It cannot be read.
+    """
+    from service.errors import OutputError
+
+    existed = path.exists()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab"):
+            pass
+        if not existed:
+            path.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"cannot add to the history {path}: {reason(error)}; nothing was started: name another one by --history"
+        ) from error
+    read_history(path)
+    return path
+
+
 def _append(path: Path, document: dict[str, Any]) -> None:
     from service.errors import OutputError
 

@@ -48,7 +48,7 @@ def diagnose(
     for note in document["notes"]:
         console.print(f"note: {note}", soft_wrap=True)
     if document["candidates"]:
-        console.print(_candidates(likeliest(document)[:5]))
+        console.print(_candidates(likeliest(document)[:5], document["verdict"]["kind"]))
     if proposed := document["next_experiment"]:
         console.print(_proposal(proposed), soft_wrap=True, markup=False)
     for name, path in files.items():
@@ -239,15 +239,17 @@ def _proposal(proposed: dict[str, Any]) -> str:
     return f"{words}: {proposed['command']}"
 
 
-def _candidates(found: list[dict[str, Any]]) -> Table:
+def _candidates(found: list[dict[str, Any]], kind: str) -> Table:
+    """The likeliest explanations of a verdict of that ``kind``; where none of them is named, their heading says so."""
     from rich import box
     from rich.table import Table
 
     from service.gap.document import parameters_used
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("explanation")
-    for head in ("probability", "closure", "parameters"):
+    table.add_column("rejected explanation" if kind == "none_of_these" else "explanation")
+    likely = "among those tried" if kind == "none_of_these" else "probability"
+    for head in (likely, "closure", "parameters"):
         table.add_column(head, justify="left" if head == "parameters" else "right")
     for c in found:
         values = ", ".join(f"{name} {e['value']:.4g}{_end(e)}" for name, e in parameters_used(c).items())

@@ -50,6 +50,7 @@ def check(
     from service.output import results_in
 
     then, datasheet = checkup.read_baseline(baseline)
+    file = checkup.ready_history(history or baseline / checkup.HISTORY)
     with results_in(out):
         plan = checkup.plan_for(then, datasheet, budget_s)
         with value_of("--controller", AddressError), kill_is_ctrl_c():
@@ -59,7 +60,6 @@ def check(
                 experiment = checkup.measure_check(rig, datasheet, plan, out, progress, cancelled)
         finally:
             rig.close()
-    file = history or baseline / checkup.HISTORY
     done = checkup.compare_into(then, datasheet, experiment, out, file, Policy(false_alarms_per_year))
     _show(done.document, done.files, as_json)
 
@@ -80,7 +80,7 @@ def compare(
 
     then, datasheet = checkup.read_baseline(baseline)
     measured = file.read(experiment)
-    past = history or baseline / checkup.HISTORY
+    past = checkup.ready_history(history or baseline / checkup.HISTORY)
     done = checkup.compare_into(then, datasheet, measured, out, past, Policy(false_alarms_per_year))
     _show(done.document, done.files, as_json)
 

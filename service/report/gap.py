@@ -165,7 +165,7 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
             Captioned(
                 discrepancy_figure(document["discrepancy"]),
                 "What is missing, without a law: error of the twin over the measured signal of the excited axis, of "
-                "the most significant channels. The same at both amplitudes: it is in proportion to them.",
+                "the most significant channels. Where both amplitudes have the same, it is in proportion to them.",
             )
         )
     bars = draw.candidate_figure(d, document)

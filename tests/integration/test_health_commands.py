@@ -125,6 +125,17 @@ def test_a_history_that_a_crash_cut_short_goes_on(baseline, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["checks"] == 2
 
 
+def test_a_check_that_could_not_be_added_to_the_history_moves_no_rotor(baseline, tmp_path, capsys):
+    """Missing there it would not count among those that share the allowance of false alarms."""
+    (folder := tmp_path / "history.jsonl").mkdir()
+    check = ["health", "check", "--controller", "simulated://", "--baseline", baseline]
+    assert run([*map(str, check), "--out", str(tmp_path / "o"), "--history", str(folder)]) == 1
+    told = capsys.readouterr().err
+    assert f"cannot add to the history {folder}" in told
+    assert "nothing was started: name another one by --history" in told
+    assert not (tmp_path / "o").exists()
+
+
 def test_a_history_with_something_else_in_it_is_refused_by_line(tmp_path, capsys):
     (tmp_path / "history.jsonl").write_text('{"a": 1}\n{"b": 2}\n')
     assert run(["health", "trend", str(tmp_path / "history.jsonl")]) == 1

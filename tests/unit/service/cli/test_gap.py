@@ -14,10 +14,10 @@ from sim.reference import reference_datasheet
 from sim.rig_file import to_toml
 
 
-def told(*found: dict[str, Any]) -> str:
+def told(*found: dict[str, Any], kind: str = "effect") -> str:
     console = Console(width=200)
     with console.capture() as capture:
-        console.print(_candidates(list(found)))
+        console.print(_candidates(list(found), kind))
     return capture.get()
 
 
@@ -30,6 +30,14 @@ def test_a_value_at_an_end_of_its_range_is_told_as_that() -> None:
     stopped = {"delay_s": {"value": 5e-4, "std": 1e-6, "at_bound": "high"}}
     assert "delay_s 0.0005 (high end of its range)" in told(explanation(parameters=stopped))
     assert "range" not in told(explanation())
+
+
+def test_where_nothing_explains_a_gap_no_effect_seems_to_be_named() -> None:
+    """The likeliest of what was tried is no verdict, nor is its share a probability that it is there."""
+    assert "rejected explanation" in told(explanation(), kind="none_of_these")
+    assert "probability" not in told(explanation(), kind="none_of_these")
+    assert "rejected" not in told(explanation())
+    assert "probability" in told(explanation())
 
 
 def test_what_closes_nothing_closes_no_less_than_nothing() -> None:
