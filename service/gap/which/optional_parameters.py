@@ -53,7 +53,7 @@ def softer_in_one_plane(
         return
     effect = CATALOGUE[SUPPORT].of(ground.nuisance.rig)
     unexplained = SweepResiduals(null.fit.rig, plain[0], ground.observations[0], ground)
-    typical = {p.name: p.typical for p in effect.parameters}
+    typical = {p.name: p.wakes[0] if p.wakes else p.typical for p in effect.parameters}
     starts = [
         ({**typical, **own, "pedestals": share},) for own in unlike_planes(effect, unexplained) for share in (0.0, 1.0)
     ]

@@ -86,12 +86,11 @@ def test_a_mode_that_swings_in_one_plane_alone_is_told_with_the_plane() -> None:
 @pytest.mark.parametrize(
     "other",
     [
-        {"pedestals": 1.0, "frequency_ratio": 1.38, "damping_quotient": 1.5, "plane_frequency_ratio": 1.0},
-        {"pedestals": 1.0, "frequency_ratio": 0.92, "damping_quotient": 1.0, "plane_frequency_ratio": 0.58},
+        {"pedestals": 1.0, "frequency_ratio": 0.92, "damping_quotient": 1.5, "plane_frequency_ratio": 0.58},
         {"pedestals": 0.0, "plane_frequency_ratio": 0.8},
         {"pedestals": 0.0, "rocking": 2.5, "rocking_frequency_ratio": 1.7},
     ],
-    ids=["of two ends", "of four", "a housing", "a housing that rocks"],
+    ids=["pedestals", "a housing", "a housing that rocks"],
 )
 def test_a_support_whose_frequencies_and_damping_are_unlike_is_one_effect(other: dict[str, float]) -> None:
     values = {"inverse_mass_per_kg": 1.5e-3, "frequency_hz": 170.0, "damping_ratio": 0.02}
