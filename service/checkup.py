@@ -159,7 +159,7 @@ def read_history(path: Path) -> list[Checked]:
 
 
 def ready_history(path: Path) -> Path:
-    """The history, proven to be such that a check can be added, its folder made where it does not exist.
+    """The history, proven to be such that a check can be added; nothing is made or changed.
 
     Raises
     ------
@@ -168,15 +168,13 @@ def ready_history(path: Path) -> Path:
     DocumentError
         It cannot be read.
     """
+    from tempfile import TemporaryFile
+
     from service.errors import OutputError
 
-    existed = path.exists()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("ab"):
+        with path.open("ab") if path.exists() else TemporaryFile(dir=path.parent):
             pass
-        if not existed:
-            path.unlink()
     except OSError as error:
         raise OutputError(
             f"cannot add to the history {path}: {reason(error)}; nothing was started: name another one by --history"

@@ -129,11 +129,12 @@ def test_a_check_that_could_not_be_added_to_the_history_moves_no_rotor(baseline,
     """Missing there it would not count among those that share the allowance of false alarms."""
     (folder := tmp_path / "history.jsonl").mkdir()
     check = ["health", "check", "--controller", "simulated://", "--baseline", baseline]
-    assert run([*map(str, check), "--out", str(tmp_path / "o"), "--history", str(folder)]) == 1
-    told = capsys.readouterr().err
-    assert f"cannot add to the history {folder}" in told
-    assert "nothing was started: name another one by --history" in told
-    assert not (tmp_path / "o").exists()
+    for history in (folder, tmp_path / "nowhere" / "h.jsonl"):
+        assert run([*map(str, check), "--out", str(tmp_path / "o"), "--history", str(history)]) == 1
+        told = capsys.readouterr().err
+        assert f"cannot add to the history {history}" in told
+        assert "nothing was started: name another one by --history" in told
+    assert sorted(tmp_path.iterdir()) == [baseline, folder], "nothing is left behind"
 
 
 def test_a_history_with_something_else_in_it_is_refused_by_line(tmp_path, capsys):

@@ -73,7 +73,8 @@ def log_evidence(fit: Fit, occam_factor: float, noise: Sequence[float]) -> float
         for weight in WEIGHTS:
             rise, fall = fit.trade_off.at_weight(weight)
             beyond = log_likelihood(excess + rise * left / left.sum())
-            best = max(best, float(beyond.sum() - 0.5 * (fit.penalty - fall)))
+            # a price below the penalty, where tolerances are assumed, has less to lose than the penalty
+            best = max(best, float(beyond.sum() - 0.5 * max(fit.penalty - fall, 0.0)))
     return best + occam_factor
 
 

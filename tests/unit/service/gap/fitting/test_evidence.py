@@ -1,5 +1,7 @@
 """Evidence counts an error of a law once: not as misfit of what other data say of the values that took it up, too."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -64,6 +66,14 @@ def test_where_much_is_left_the_evidence_is_that_of_the_likeliest_values() -> No
     assert likeliest > at_the_fit + 5.0
     assert log_evidence(a_fit(x, known=False), 0.0, (30.0, 0.0)) == pytest.approx(at_the_fit)
     assert log_evidence(a_fit(x), 0.0, (30.0, 0.0)) == pytest.approx(likeliest, abs=0.1)
+
+
+def test_no_step_back_gains_more_than_the_price_of_the_values() -> None:
+    """Where tolerances are assumed, values off cost less than the fit minimised; nothing is won beyond that."""
+    x = minimum(1.0)
+    cheap = replace(a_fit(x), penalty=0.1)
+    likelihood = -0.5 * MODEL_ERRORS * np.log1p((chi_square(x) - 30.0) / MODEL_ERRORS)
+    assert log_evidence(cheap, 0.0, (30.0, 0.0)) <= likelihood
 
 
 def test_what_noise_alone_leaves_is_judged_at_the_fit() -> None:
