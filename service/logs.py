@@ -85,7 +85,6 @@ def configure(level: str = "info", form: Literal["console", "json"] = "console",
         _OneLine(
             foreign_pre_chain=shared,
             processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, _plain, _hide_by_name, *last],
-            keep_exc_info=True,
         )
     )
     root = logging.getLogger()
@@ -96,7 +95,7 @@ def configure(level: str = "info", form: Literal["console", "json"] = "console",
     root.setLevel(level.upper())
     for name, least in NOISY.items():
         logging.getLogger(name).setLevel(max(least, root.level))
-    for name in ("uvicorn", "uvicorn.error", "uvicorn.access", "dbos"):
+    for name in ("uvicorn", "uvicorn.error", "uvicorn.access"):
         own = logging.getLogger(name)  # these bring handlers of their own
         own.handlers.clear()
         own.propagate = True

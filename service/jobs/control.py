@@ -12,6 +12,7 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.jobs.context import Context
+from service.jobs.outage import Outage
 from service.storage import jobs
 
 POLL_S = 0.15
@@ -49,6 +50,7 @@ class Control:
         self._made: dict[str, str] = {}
         self._point = 0
         self._heard = time.monotonic()
+        self._outage = Outage(log, f"job {job_id}")
         self.cancel_requested = False
         self.superseded = False
         self._thread = threading.Thread(target=self._watch, name=f"control-{job_id}", daemon=True)
@@ -121,11 +123,12 @@ class Control:
                 with self._context.database.read() as session:
                     mine, cancelled = jobs.note(session, self._job_id, self._attempt)
         except SQLAlchemyError as error:  # the database is away: the job goes on, and tells later
-            log.warning("job %s: the database does not answer: %s", self._job_id, str(error).splitlines()[0])
+            self._outage.away(error)
             with self._lock:
                 self._pending = values | self._pending
             return
         self._heard = time.monotonic()
+        self._outage.over()
         if offset is not None:
             self._shipped = offset + len(content)
         self.superseded = self.superseded or not mine

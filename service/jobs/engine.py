@@ -6,12 +6,14 @@ a worker again. What a workflow is given is the id of the row, and the number of
 
 from __future__ import annotations
 
+import logging
 import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from service import logs, tracing
 from service.config import Settings
+from service.jobs.outage import Repeats
 from service.storage.database import sqlite_file, use_wal
 from service.storage.jobs import ON_RIG
 from service.storage.pooling import pool_options
@@ -84,7 +86,10 @@ def engine_config(settings: Settings) -> DBOSConfig:
 
 
 def quieten(engine: DBOS) -> None:
-    """Have the engine look once in `UNUSED_S` for what nobody here asks of it; before it is launched.
+    """Have the engine look once in `UNUSED_S` for what nobody here asks of it, and log as we do; before it is launched.
+
+    It brings a handler of its own, past the one form of our log and past the striking out of secrets, and repeats a
+    warning at every look.
 
     Every worker looked once a second for delayed workflows, for workflows past their deadline, and into the queue of
     workflows that have none: a third of what an idle worker cost. The engine has no setting for it.
@@ -93,6 +98,10 @@ def quieten(engine: DBOS) -> None:
 
     _workflow_commands._BACKGROUND_JOBS_INTERVAL_SEC = UNUSED_S
     engine._registry.get_internal_queue()._polling_interval_sec = UNUSED_S
+    its_log = logging.getLogger("dbos")
+    its_log.handlers.clear()
+    its_log.propagate = True
+    its_log.addFilter(Repeats())
 
 
 def _prepare(settings: Settings) -> None:

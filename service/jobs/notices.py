@@ -130,6 +130,19 @@ def attempt(delivery_id: str) -> float | None:
     return wait_s
 
 
+def give_up(delivery_id: str, error: Exception) -> None:
+    """Note that a message goes no further: the engine could not write down an attempt."""
+    log.error("message %s: the job engine failed", delivery_id, exc_info=error)
+
+    def note(session: Session) -> None:
+        row = session.get(WebhookRow, delivery_id)
+        if row is not None and row.state == PENDING:
+            row.state, row.updated_at = FAILED, now()
+            row.detail = f"the job engine could not write down an attempt: {str(error).splitlines()[0]}"[:500]
+
+    context().database.surely(note)
+
+
 def _post(url: str, message: webhook.Message, loopback: bool) -> tuple[int | None, str, float | None]:
     """Status, what went wrong, and how long the receiver asks to be left alone."""
     try:

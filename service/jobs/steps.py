@@ -13,6 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
 from service import logs, tracing
 from service.errors import JobError, StoppedError
 from service.jobs.context import Context, context
@@ -143,7 +146,7 @@ def finish(job_id: str, run: int, found: Outcome) -> None:
     """Write the end of a job to its row, and drop its work in progress."""
     worker = context()
 
-    def write(session: Any) -> None:
+    def write(session: Session) -> None:
         jobs.finish(session, job_id, run, found["state"], found["result"], found["title"], found["detail"])
         if found["state"] == jobs.DONE:
             jobs.drop_journal(session, job_id)
@@ -151,3 +154,32 @@ def finish(job_id: str, run: int, found: Outcome) -> None:
     worker.database.surely(write)
     if found["state"] == jobs.DONE:  # what failed or was cancelled may be tried again
         shutil.rmtree(worker.folder(job_id), ignore_errors=True)
+
+
+def give_up(job_id: str, run: int, error: Exception) -> None:
+    """Fail a job whose workflow the engine could not carry on; what it has made is kept, and it can be tried again.
+
+    A job of which another worker or another run has begun is left to it.
+    """
+    worker = context()
+    log.error("job %s: the job engine failed", job_id, exc_info=error)
+    why = (str(error).splitlines() or [type(error).__name__])[0]
+    detail = f"{worker.settings.worker} cannot write down a step: {why}; see to its disk and database, then try again"
+
+    def write(session: Session) -> None:
+        job = jobs.get(session, job_id)
+        if job.worker == worker.settings.worker:
+            state, title = (jobs.CANCELLED, "") if job.cancel_requested else (jobs.FAILED, "job engine failed")
+            given = {} if job.experiment_id is None else {"experiment": job.experiment_id}
+            made = given | results.made_by(session, job_id)
+            jobs.finish(session, job_id, run, state, made, title, detail if title else "")
+
+    _count("begun", 1)
+    try:
+        worker.database.surely(write, worker.stopping.is_set)
+    except SQLAlchemyError:
+        if not worker.stopping.is_set():
+            raise
+        park(job_id)  # the next worker repeats the step
+    finally:
+        _count("begun", -1)

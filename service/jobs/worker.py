@@ -24,6 +24,8 @@ from service.jobs import notices, steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
 from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, quieten, share_polls, shared_s
+from service.jobs.lost import Watch
+from service.jobs.outage import Outage
 from service.private import make_folders
 from service.storage import idempotency, jobs, workers
 from service.storage.blobs import Blobs
@@ -35,6 +37,8 @@ from service.storage.tables import JobRow
 log = logging.getLogger(__name__)
 
 BEAT_S = 2.0
+LOST_S = 5.0
+"""How often a worker looks for workflows of its own that have died."""
 GRACE_S = 10.0
 """Time that rigs have to stop when the worker ends."""
 KEPT = timedelta(days=30)
@@ -119,9 +123,11 @@ class Worker:
             (1.0, True, self._hand_over),
             (1.0, True, self._keep_schedules),
             (min(5.0, self.settings.worker_timeout_s / 3), False, self._take_over),
+            (LOST_S, False, Watch(self.context).settle),
             (3600.0, False, self._tidy),
         ]
         due = [time.monotonic()] * len(chores)
+        outages = [Outage(log) for _ in chores]
         while not self.context.stopping.wait(max(0.0, min(due) - time.monotonic())):
             for k, (period, shared, chore) in enumerate(chores):
                 if time.monotonic() >= due[k]:
@@ -129,10 +135,12 @@ class Worker:
                     try:
                         chore()
                     except SQLAlchemyError as error:
-                        log.warning("the database does not answer: %s", str(error).splitlines()[0])
+                        outages[k].away(error)
                         self._believes_silence_at = time.monotonic() + self.settings.worker_timeout_s
                     except Exception:
                         log.exception("a chore of the worker failed")
+                    else:
+                        outages[k].over()
         self._end()
 
     def beat_s(self) -> float:

@@ -6,14 +6,15 @@ The order of the steps of a kind may change only together with `service.jobs.eng
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 from dbos import DBOS
 
-from service.jobs import campaigns, checks, derived, notices, steps
+from service.jobs import campaigns, checks, derived, lost, notices, steps
 from service.jobs.context import Context
 from service.jobs.control import Control
-from service.jobs.engine import NOTICE, workflow_name
+from service.jobs.engine import NOTICE, workflow_id, workflow_name
 from service.jobs.progress import MEASURING, WHOLE
 from service.jobs.steps import Outcome, outcome
 from service.storage import jobs
@@ -27,7 +28,23 @@ Asked = dict[str, str]
 
 
 def _workflow(kind: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return DBOS.workflow(name=workflow_name(kind), max_recovery_attempts=None)
+    """A workflow of a kind of job; one that the engine cannot carry on fails its job, whose rig is free then."""
+
+    def registered(work: Callable[..., None]) -> Callable[..., None]:
+        @wraps(work)
+        def watched(job_id: str, run: int, asked: Asked | None = None) -> None:
+            with lost.running(workflow_id(job_id, run)):
+                try:
+                    work(job_id, run, asked)
+                except Exception as error:
+                    steps.give_up(job_id, run, error)
+                    if kind == "health":
+                        notices.begin_failed(job_id, run)
+                    raise
+
+        return DBOS.workflow(name=workflow_name(kind), max_recovery_attempts=None)(watched)
+
+    return registered
 
 
 @_workflow("experiment")
@@ -69,8 +86,13 @@ def health(job_id: str, run: int, asked: Asked | None = None) -> None:
 @DBOS.workflow(name=NOTICE, max_recovery_attempts=None)
 def notice(delivery_id: str) -> None:
     """Tell a webhook, again and again until it listens or it is too late."""
-    while (wait_s := DBOS.run_step({"name": "send"}, notices.attempt, delivery_id)) is not None:
-        DBOS.sleep(wait_s)
+    with lost.running(delivery_id):
+        try:
+            while (wait_s := DBOS.run_step({"name": "send"}, notices.attempt, delivery_id)) is not None:
+                DBOS.sleep(wait_s)
+        except Exception as error:
+            notices.give_up(delivery_id, error)
+            raise
 
 
 def _step(name: str, work: Work, job_id: str, run: int, asked: Asked | None) -> Outcome:

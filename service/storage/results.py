@@ -39,6 +39,15 @@ def keep(session: Session, row: Row) -> Row:
     return session.merge(row)
 
 
+def made_by(session: Session, job_id: str) -> dict[str, str]:
+    """What a job has made so far: ids by kind, as in its result."""
+    found = {
+        kind: session.scalar(select(table.id).where(table.job_id == job_id))
+        for kind, table in (("experiment", ExperimentRow), ("model", ModelRow), ("gap", GapRow), ("health", HealthRow))
+    }
+    return {kind: row_id for kind, row_id in found.items() if row_id is not None}
+
+
 def listed(
     session: Session,
     table: type[Row],

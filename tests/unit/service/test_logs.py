@@ -107,6 +107,8 @@ def test_an_exception_brings_its_trace_and_not_its_secret(restored, form):
     text = stream.getvalue()
     assert "RuntimeError" in text
     assert "test_logs.py" in text
+    assert text.count("Traceback") == 1
+    assert form == "console" or json.loads(text)["message"] == "failed"
     assert "hush" not in text
     assert SECRET not in text
 

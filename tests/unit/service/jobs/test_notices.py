@@ -357,3 +357,21 @@ def test_only_who_wants_to_know_is_told(told, receiver, alarm, on, heard):
     health = check(told.database, f"http://127.0.0.1:{receiver.server_port}/", alarm, new_secret(), on)
     notices.begin(health)
     assert len(told.handed) == heard
+
+
+def test_a_message_whose_attempt_cannot_be_written_down_is_told_as_failed_and_one_that_was_heard_stays_so(told):
+    waiting = check(told.database, "http://127.0.0.1:9/", alarm=True, on="always")
+    notices.begin(waiting)
+    delivery_id = told.handed[0]
+    notices.give_up(delivery_id, RuntimeError("database or disk is full\nand more"))
+
+    def row():
+        with told.database.read() as session:
+            return session.get(WebhookRow, delivery_id)
+
+    assert row().state == schedules.FAILED
+    assert "database or disk is full" in row().detail
+    with told.database.write() as session:
+        session.get(WebhookRow, delivery_id).state = schedules.DELIVERED
+    notices.give_up(delivery_id, RuntimeError("again"))
+    assert row().state == schedules.DELIVERED

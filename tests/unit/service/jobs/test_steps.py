@@ -50,3 +50,33 @@ def test_the_second_step_is_no_second_attempt_and_a_retry_is(worker, job, caplog
         jobs.finish(session, job, 1, jobs.FAILED, {})
         jobs.retry(session, job, "me", "local")
     assert "attempt 2" in told(2)
+
+
+class TestAnEngineThatFails:
+    @pytest.fixture
+    def begun(self, worker, job):
+        """What becomes of a job that this worker has begun: state, title and detail once the engine has failed."""
+        steps.guarded(lambda *_: {}, job, 1)
+
+        def after(run=1, **changes):
+            with worker.write() as session:
+                for name, value in changes.items():
+                    setattr(jobs.get(session, job), name, value)
+            steps.give_up(job, run, RuntimeError("database or disk is full\nand more"))
+            with worker.read() as session:
+                found = jobs.get(session, job)
+            return found.state, found.error_title, found.error_detail
+
+        return after
+
+    def test_fails_the_job_with_what_to_do(self, begun):
+        state, title, detail = begun()
+        assert (state, title) == ("failed", "job engine failed")
+        assert detail.startswith("w1 cannot write down a step: database or disk is full; see to its disk")
+
+    def test_ends_a_job_as_its_owner_wished(self, begun):
+        assert begun(cancel_requested=True) == ("cancelled", "", "")
+
+    @pytest.mark.parametrize("changes", [{"worker": "w2"}, {"run": 0}])
+    def test_leaves_a_job_alone_that_is_another_ones_now(self, begun, changes):
+        assert begun(**changes)[0] == "running"

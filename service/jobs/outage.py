@@ -1,0 +1,56 @@
+"""That a database does not answer is told once, and not at every try: the log may be on the disk that is full."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from sqlalchemy.exc import SQLAlchemyError
+
+
+class Outage:
+    """Tells once that the database does not answer, and once that it does again; again after another reason.
+
+    Parameters
+    ----------
+    who
+        Begins the lines: whose work it is that waits.
+    """
+
+    def __init__(self, log: logging.Logger, who: str = "") -> None:
+        self._log = log
+        self._who = f"{who}: " if who else ""
+        self._why = ""
+
+    def away(self, error: SQLAlchemyError) -> None:
+        """It did not answer."""
+        why = str(error).splitlines()[0]
+        if why != self._why:
+            self._log.warning("%sthe database does not answer: %s", self._who, why)
+            self._why = why
+
+    def over(self) -> None:
+        """It answered."""
+        if self._why:
+            self._log.warning("%sthe database answers again", self._who)
+            self._why = ""
+
+
+class Repeats(logging.Filter):
+    """Lets one of the warnings that begin alike through in a minute: the job engine's, which has no `Outage`."""
+
+    EVERY_S = 60.0
+    _BEGINNING = 60
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._told: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record is told."""
+        beginning = record.getMessage()[: self._BEGINNING]
+        at = time.monotonic()
+        if at - self._told.get(beginning, -self.EVERY_S) < self.EVERY_S:
+            return False
+        self._told = {key: told for key, told in self._told.items() if at - told < self.EVERY_S} | {beginning: at}
+        return True
