@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
+from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.starts.resonances import unlike_planes
+from service.gap.fitting.starts.splits import by_couplings, by_slopes
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.fitting.unknowns import TURNING, dormant_at_null
 from service.gap.which.one_more_effect import rough_beside, rough_stages
@@ -26,7 +28,7 @@ from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]
 
-SUPPORT = "support_resonance"
+SUPPORT, GYROSCOPIC = "support_resonance", "gyroscopic_coupling"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
 effect."""
@@ -61,6 +63,21 @@ def softer_in_one_plane(
         rough = rough_beside(null, ground)
         theta = null.fit.theta if rough != rough_stages(ground) else ground.theta
         yield Task(ground, (SUPPORT,), tuple(starts), theta, (*rough, EXACT))
+
+
+def on_modes_that_split(ground: Ground, found: Sequence[Candidate]) -> Iterator[Task]:
+    """Task to fit a gyroscopic moment by how far apart it splits the modes' peaks; none where none is in ``found``."""
+    effect = CATALOGUE[GYROSCOPIC].of(ground.nuisance.rig)
+    problem = Problem(ground, [effect])
+    for c in found:
+        if c.effects == (GYROSCOPIC,):
+            (own,) = c.fit.values
+            visible = {p.name: p.null + VISIBLE * (p.typical - p.null) for p in effect.parameters if p.strength}
+            faint = any(abs(own[name]) < abs(value) for name, value in visible.items())
+            starts = [by_slopes(problem, ground.theta, {**own, **at}) for at in ([{}, visible] if faint else [{}])]
+            starts.append(by_couplings(problem, ground.theta, own))
+            if split := tuple((start,) for start in starts if start):
+                yield Task(ground, c.effects, split, ground.theta, (*rough_stages(ground), EXACT))
 
 
 def with_all_parameters(task: Task) -> Task | None:

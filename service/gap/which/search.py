@@ -28,7 +28,11 @@ from service.gap.which.mixtures import (
     without_superfluous,
 )
 from service.gap.which.one_more_effect import GOOD_START, residuals, rough_beside, rough_stages, task_beside
-from service.gap.which.optional_parameters import softer_in_one_plane, with_optional_parameters
+from service.gap.which.optional_parameters import (
+    on_modes_that_split,
+    softer_in_one_plane,
+    with_optional_parameters,
+)
 from service.gap.which.plainest_law import plainer_law, weighed_plainly
 from service.gap.which.refits import (
     best_of_each,
@@ -178,6 +182,7 @@ class _Search:
         wider = [c for c in of if needed or differ_by_alias(c, best)]
         woken = with_optional_parameters(self.fitter, self.ground, wider)
         woken += self.fitter.run(softer_in_one_plane(self.ground, self.null, self.plain, wider))
+        woken += self.fitter.run(on_modes_that_split(self.ground, wider)) if needed else []
         uneven = with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else []
         self._add([*uneven, *woken])
         if needed and leaves_more_than_law_error(self.ground, self.order[0]):

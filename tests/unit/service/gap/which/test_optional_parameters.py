@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.candidates import Fitter, Task
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.which.explained import Explained
+from service.gap.which.optional_parameters import on_modes_that_split
 from service.gap.which.search import explain
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
@@ -25,15 +26,21 @@ def explained(
     effects: dict[str, dict[str, float]], polar_inertia_kgm2: float = 1.9, damper_ns_per_m: float = 0.0
 ) -> Explained:
     """The plant of a turning rig that has these effects, and perhaps dampers at its bearings."""
+    with Fitter(1) as fitter:
+        return explain(fitter, measured(effects, polar_inertia_kgm2, damper_ns_per_m))
+
+
+def measured(
+    effects: dict[str, dict[str, float]], polar_inertia_kgm2: float = 1.9, damper_ns_per_m: float = 0.0
+) -> Ground:
+    """What is measured of the plant of such a rig."""
     datasheet, truth = known_datasheet(seed=15)
     sheet, true = (replace(d, polar_inertia_kgm2=polar_inertia_kgm2) for d in (datasheet, truth))
     nu = nuisance(sheet)
     rig = with_effects(replace(true_rig(true), speed_rad_s=SPEED_RAD_S), effects)
     rig = replace(rig, seal_damping_ns_per_m=rig.seal_damping_ns_per_m + damper_ns_per_m * np.eye(2))
     o = observe(replace(sweep(rig, lines(14), 0.15, seed=1), speed_rad_s=SPEED_RAD_S), nu.rig)
-    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
-    with Fitter(1) as fitter:
-        return explain(fitter, ground)
+    return Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
 
 
 @pytest.mark.parametrize("imbalance", [1.0, -1.0])
@@ -130,3 +137,25 @@ def test_every_parameter_that_wakes_is_dormant_and_begins_inside_its_range() -> 
         assert p.dormant
         assert p.typical == p.null, "what a twin does not name is not there"
         assert all(p.low < at < p.high and at != p.null for at in p.wakes)
+
+
+@pytest.mark.parametrize(
+    "moment",
+    [
+        {"polar_inertia_kgm2": 1.2, "mode_coupling": -0.15},
+        {"polar_inertia_kgm2": 1.2, "mode_coupling": 0.2, "coupling_imbalance": 0.3},
+        {"polar_inertia_kgm2": 3.0, "mode1_slope_per_m_sqrt_kg": -0.8, "mode2_slope_per_m_sqrt_kg": 0.9},
+        {"polar_inertia_kgm2": -2.0, "mode1_slope_per_m_sqrt_kg": 0.4, "mode2_slope_per_m_sqrt_kg": 0.2},
+    ],
+    ids=["backward", "unlike modes", "disc", "disc of a rotor that turns from y to x"],
+)
+def test_peaks_that_are_split_by_many_of_their_widths_are_found_from_unsplit_ones(moment: dict[str, float]) -> None:
+    ground = measured({"gyroscopic_coupling": {"mode_coupling": 0.0, **moment}})
+    start = {p.name: p.null for p in CATALOGUE["gyroscopic_coupling"].parameters} | {"polar_inertia_kgm2": 0.4}
+    with Fitter(1) as fitter:
+        (plain_law,) = fitter.run([Task(ground, ("gyroscopic_coupling",), ((start,),), ground.theta)])
+        (best,) = fitter.run(on_modes_that_split(ground, [plain_law]))
+    assert plain_law.fit.chi_square > 100 * best.fit.n_residuals
+    assert best.fit.chi_square < 1.2 * best.fit.n_residuals
+    inertia = best.fit.values[0]["polar_inertia_kgm2"]
+    assert inertia == pytest.approx(moment["polar_inertia_kgm2"], rel=0.05)
