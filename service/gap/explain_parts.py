@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.gap.doubts.curved_signal import curved_signal
+from service.gap.doubts.still_ringing import hertz
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
@@ -44,7 +45,7 @@ def explain_parts(data: Observed, fitter: Fitter, progress: Progress) -> Found:
     """The explanations of every part of the loop."""
     main = PartsInTurn(fitter, data, (data.o,))
     main.explain_all(progress, (0.0, PERCENT_FITTED if data.lines_only else PERCENT_ONE_SWEEP))
-    of_main = Found(tuple(main.explained), main.fault, data.unseen, data.name)
+    of_main = Found(tuple(main.explained), main.fault, data.unseen, data.name, _left_out(main))
     if data.lines_only or main.fault:
         return of_main
     undecided = [e for e in main.explained if not _decided(e)]
@@ -55,14 +56,24 @@ def explain_parts(data: Observed, fitter: Fitter, progress: Progress) -> Found:
     halved = data.halves(next(iter(failing_line_hz.values()), None))
     if halved is None:
         note = "the twin fits the main sweep but not the other, which has too few lines to fit half of it too"
-        return replace(of_main, notes=(note,))
+        return replace(of_main, notes=(*of_main.notes, note))
     to_fit, unseen, name = halved
     failing |= {e.part.path: e for e in undecided if e.part.path in failing_line_hz}
     known = {e.part.path: e for e in main.explained if e.part.path not in failing}
     both = PartsInTurn(fitter, data, (data.o, to_fit), before=failing)
     both.explain_all(progress, (PERCENT_ONE_SWEEP, PERCENT_FITTED), known)
     note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
-    return Found(tuple(both.explained), both.fault, unseen, name, (note,))
+    return Found(tuple(both.explained), both.fault, unseen, name, (*_left_out(both), note))
+
+
+def _left_out(found: PartsInTurn) -> tuple[str, ...]:
+    """A note on lines without which the plant is explained."""
+    if not found.left_out_hz:
+        return ()
+    return (
+        f"the plant is explained without {hertz(found.left_out_hz)}, where the rig still rang from block to block: a "
+        "narrow resonance there needs a longer wait; measure those lines again",
+    )
 
 
 def _decided(e: Explained) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.gap.doubts.still_ringing import hertz, ringing_lines_hz
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.predict import at_speed_of, displacement, weight
 from service.gap.measured.observation import Observation
@@ -28,10 +29,6 @@ SCALED = 0.005
 """Change of the controller's gain from which a note asks to check the scale of the log."""
 PLAIN = 300.0
 """Least excess of a point that is noted, in squared residuals over their expectation."""
-RESTLESS = 0.01
-"""Change of a point from its first block to its last, relative to its size, from which it rings and is noted."""
-SHARE_OF_RESTLESS_LINES = 0.5
-"""Share of a part's excess that lines with such points must have to be noted."""
 SHARE_OF_ONE_POINT = 0.8
 """Share of a part's excess that one point must have to be noted."""
 
@@ -137,22 +134,10 @@ def _worst(z: Complex) -> int | None:
 
 
 def unsettled_lines(parts: Sequence[Explained]) -> list[str]:
-    """Lines with most of what the best twin leaves of a part, at which the rig still rang, in words.
-
-    What is left there may be the transient: of a narrow resonance that the plan did not know of no wait was long
-    enough, and blocks that are short beside its decay change by a small part of what is still to come.
-    """
-    lines: set[float] = set()
-    for e in parts:
-        o, power = e.ground.observations[0], np.abs(e.left[0]) ** 2 / 2
-        excess = np.maximum(power.sum(axis=(1, 2)) - np.count_nonzero(power, axis=(1, 2)), 0.0)
-        restless = np.isin(o.line, o.line[o.drifting & (o.drift > RESTLESS)])
-        if excess.sum() > PLAIN and excess[restless].sum() > SHARE_OF_RESTLESS_LINES * excess.sum():
-            lines |= {float(hz) for hz in o.points_hz[restless & (excess > 0.1 * excess.max())]}
-    if not lines:
+    """Lines with most of what the best twin leaves of a part, at which the rig still rang, in words."""
+    if not (lines := {hz for e in parts for hz in ringing_lines_hz(e)}):
         return []
-    at_hz = ", ".join(f"{hz:.4g}" for hz in sorted(lines))
     return [
-        f"most of what is left lies at {at_hz} Hz, where the rig still rang from block to block: a narrow resonance "
-        "there needs a longer wait; measure those lines again"
+        f"most of what is left lies at {hertz(lines)}, where the rig still rang from block to block: a narrow "
+        "resonance there needs a longer wait; measure those lines again"
     ]

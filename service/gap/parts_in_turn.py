@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.doubts.log import faint_log_fault, log_fault
+from service.gap.doubts.still_ringing import LARGEST_LEFT_OUT, ringing_lines_hz, without_lines
 from service.gap.fitting.amplifiers_uncertainty import inherited_from
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.part import Ground, Part, Values, driven_by_current, parts
 from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
 from service.gap.progress import Progress
+from service.gap.weighing.verdict import rejected
 from service.gap.which.explained import Explained
 from service.gap.which.one_more_effect import residuals
 from service.gap.which.plant_or_amplifiers import plant_or_amplifiers
@@ -40,6 +42,9 @@ class PartsInTurn:
     explained: list[Explained] = field(default_factory=list)
     fault: str | None = None
     """what is wrong with the log, in words"""
+
+    left_out_hz: list[float] = field(default_factory=list)
+    """lines of the main sweep without which the plant is explained, as the rig still rang there"""
 
     def __post_init__(self) -> None:
         self.fault = self.data.wrong_channels
@@ -74,6 +79,8 @@ class PartsInTurn:
             self.fault = faint_log_fault(self.fitter, self.explained, result, result.chosen)
         if ground.inherited is not None and not self.fault:
             result = self._shared_with_amplifiers(result)
+        if part.path == "plant" and not self.fault and not _accepted(result):
+            result = self._without_ringing_lines(result)
         self.explained.append(result)
 
     def _ground(self, part: Part) -> Ground:
@@ -116,6 +123,25 @@ class PartsInTurn:
         if self.explained[-1].chosen is amplifiers.chosen:
             return plant
         return explain(self.fitter, through(self.explained[-1].chosen))
+
+    def _without_ringing_lines(self, plant: Explained) -> Explained:
+        """The plant explained without a few lines at which the rig still rang, where that names an effect.
+
+        A resonance that the plan did not know of still shows beside them.
+        """
+        lines = ringing_lines_hz(plant)
+        if not 0 < len(lines) <= LARGEST_LEFT_OUT:
+            return plant
+        without = explain(self.fitter, without_lines(plant.ground, lines))
+        if not (_accepted(without) and without.chosen.effects):
+            return plant
+        self.left_out_hz = lines
+        return without
+
+
+def _accepted(e: Explained) -> bool:
+    """Whether the fitted sweeps do not reject the best explanation."""
+    return not rejected(e.order[0], e.remaining)
 
 
 def _found(c: Candidate) -> tuple[tuple[str, Values], ...]:
