@@ -37,12 +37,12 @@ def test_the_twin_is_tried_without_each_of_its_effects_and_without_all() -> None
     assert dict(twins_without_effects(twin(sheet, DELAY))) == {("loop_delay",): sheet}
 
 
+@LONG
 @pytest.mark.parametrize(
     ("on_the_rig", "named", "gone"),
     [
-        pytest.param({}, (DELAY,), {"loop_delay"}, id="one"),
-        pytest.param({}, (DELAY, HOUSING), {"loop_delay", "support_resonance"}, id="both", marks=LONG),
-        pytest.param(HOUSING, (HOUSING, DELAY), {"loop_delay"}, id="one of two", marks=LONG),
+        pytest.param({}, (DELAY, HOUSING), {"loop_delay", "support_resonance"}, id="both"),
+        pytest.param(HOUSING, (HOUSING, DELAY), {"loop_delay"}, id="one of two"),
     ],
 )
 def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
