@@ -100,7 +100,8 @@ def slewing(
     A = np.zeros((w.size, 3, 3))  # of i, v, and dv held
     A[:, 0, 1] = A[:, 0, 2] = 1.0
     A[:, 1] = np.stack([-(w**2), -damping, -damping * seen], axis=-1)
-    over = scipy.linalg.expm(A * dt[:, None, None, None])
+    own, of_point = np.unique(dt, return_inverse=True)  # every axis is driven at a line in turn
+    over = scipy.linalg.expm(A * own[:, None, None, None])[of_point]
     begin = np.zeros((2, *dt.shape, w.size))
     if opposed:
         t = np.arange(asked.shape[1])[:, None] * (dt / asked.shape[1])[:, None, None]
