@@ -70,7 +70,7 @@ def submit(
     options = _options(option or [], quick, excitation, kind)
     _must_have_or_not(experiment, kind)
     with client(url, key, ca) as ambit:
-        known = _rig(ambit, rig, controller, change)
+        known = _rig(ambit, rig, controller, change, moved=kind in (Kind.experiment, Kind.health))
         experiment_id = experiment
         if experiment is not None and not experiment.startswith("exp_"):
             experiment_id = ambit.experiments.upload(known.id, Path(experiment)).id
@@ -200,8 +200,10 @@ def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, k
     return options
 
 
-def _rig(ambit: Client, given: str, controller: str | None, change: bool) -> Rig:
+def _rig(ambit: Client, given: str, controller: str | None, change: bool, moved: bool) -> Rig:
     """The rig that is meant; a datasheet makes it known, or with ``change`` gives it a new version.
+
+    Without a controller, none is made known for a job by which its rotor is to be ``moved``.
 
     Two rigs of one make have datasheets of one name: the controller of one is not the other's by mistake.
 
@@ -223,6 +225,9 @@ def _rig(ambit: Client, given: str, controller: str | None, change: bool) -> Rig
     try:
         rig = ambit.rigs.named(name)
     except MissingError:
+        if moved and not controller:
+            words = f"the service does not know the rig {name!r} yet: say where its controller is"
+            raise typer.BadParameter(words, param_hint="--controller") from None
         return ambit.rigs.create(text, controller or "")
     url = rig.controller_url if controller is None else controller
     if (rig.datasheet, rig.controller_url) == (text, url):

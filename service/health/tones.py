@@ -105,7 +105,8 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
     if len(chosen) < FEWEST:
         least = first + float(np.sum(np.sort(seconds)[:FEWEST]))
         raise AmbError(
-            f"a health check of {budget_s:g} s holds only {len(chosen)} tones; allow at least {least * 1.3:.0f} s"
+            f"a health check of {budget_s:g} s (budget_s) holds only {len(chosen)} of the {FEWEST} tones that a "
+            f"comparison needs on this rig; allow at least {least * 1.3:.0f} s"
         )
     chosen = sorted(_exchanged(designs, seconds, chosen))
     frequencies = candidates[chosen]

@@ -118,7 +118,7 @@ class Calculator:
             raise
         self._give_back(child)
         if "error" in answer:
-            raise JobError(f"{function} failed", answer["error"])
+            raise JobError(f"{function.replace('_', ' ')} failed", answer["error"])
         if "defect" in answer:
             raise JobError(
                 "defect of the service",
