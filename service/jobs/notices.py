@@ -133,12 +133,13 @@ def attempt(delivery_id: str) -> float | None:
 def give_up(delivery_id: str, error: Exception) -> None:
     """Note that a message goes no further: the engine could not write down an attempt."""
     log.error("message %s: the job engine failed", delivery_id, exc_info=error)
+    why = (str(error).splitlines() or [type(error).__name__])[0]
 
     def note(session: Session) -> None:
         row = session.get(WebhookRow, delivery_id)
         if row is not None and row.state == PENDING:
             row.state, row.updated_at = FAILED, now()
-            row.detail = f"the job engine could not write down an attempt: {str(error).splitlines()[0]}"[:500]
+            row.detail = f"the job engine could not write down an attempt: {why}"[:500]
 
     context().database.surely(note)
 
