@@ -20,7 +20,7 @@ from service.errors import ConflictError, NotFoundError, StorageError
 from service.storage import audit, migrate, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now, sqlite_file
-from service.storage.jobs import CANCELLED, QUEUED, RUNNING
+from service.storage.jobs import CANCELLED, QUEUED, RUNNING, cancelled_as
 from service.storage.tables import Base, JobRow, WorkerRow
 from sim.wording import in_words
 
@@ -208,8 +208,8 @@ def _settle(database: Database, jobs_url: str, cancel: bool) -> None:
             return
         session.execute(
             unfinished.values(
-                state=CANCELLED, cancel_requested=True, ended_at=at, phase="cancelled",
-                error_detail=WHY, changes=JobRow.changes + 1,
+                state=CANCELLED, cancel_requested=True, ended_at=at, phase=cancelled_as(WHY),
+                changes=JobRow.changes + 1,
             )
         )  # fmt: skip
     _settle_engine(jobs_url)

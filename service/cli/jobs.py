@@ -38,7 +38,7 @@ def jobs(
     ca: Ca = None,
     as_json: Json = False,
 ) -> None:
-    """List jobs, newest first: what they are, how far, and why they failed."""
+    """List jobs, newest first: what they are, how far, and why they failed or were cancelled."""
     with client(url, key, ca) as ambit:
         rig_id = None if rig is None else ambit.rigs.named(rig).id
         wanted = ambit.jobs.list(None if state is None else state.value, None if kind is None else kind.value, rig_id)
@@ -73,4 +73,4 @@ def _progress(job: Job) -> str:
     if job.error is not None:
         return job.error.title
     words = PHASE_WORDS.get(job.progress.phase, job.progress.phase)
-    return f"{job.progress.percent:.0f} % {words}".rstrip() if job.state == "running" else ""
+    return f"{job.progress.percent:.0f} % {words}".rstrip() if job.state == "running" else job.why_cancelled

@@ -147,7 +147,8 @@ def must_be_done(job: Job) -> Job:
         return job
     if not job.ended:
         raise JobGoesOnError(f"the job {job.id} is still {job.state}; wait for it with: ambit watch {job.id}", job)
-    why = "" if job.error is None else f": {job.error.title}: {job.error.detail}".replace(": : ", ": ").rstrip(": ")
+    told = (job.why_cancelled,) if job.error is None else (job.error.title, job.error.detail)
+    why = "".join(f": {text}" for text in told if text)
     raise JobEndedError(f"the job {job.id} {'was cancelled' if job.state == 'cancelled' else job.state}{why}", job)
 
 

@@ -80,6 +80,11 @@ class Job(_Sent):
         """Whether it is done, failed or cancelled."""
         return self.state in ENDED
 
+    @property
+    def why_cancelled(self) -> str:
+        """Why it was cancelled, where it was not asked for by itself, as when its rig was stopped; empty otherwise."""
+        return self.progress.phase.partition(": ")[2] if self.state == "cancelled" else ""
+
 
 class Event(_Sent):
     """One event of a job that is watched."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from sqlalchemy import ColumnElement, CursorResult, delete, func, select, update
+from sqlalchemy import ColumnElement, CursorResult, case, delete, func, literal, select, update
 from sqlalchemy.orm import Session
 
 from service.errors import ConflictError
@@ -20,6 +20,12 @@ ENDED = (DONE, FAILED, CANCELLED)
 ON_RIG = ("experiment", "health")
 """Kinds that move a rotor."""
 KINDS = ("experiment", "identification", "gap", "health")
+_CANCELLED_AS = f"{CANCELLED}: "
+
+
+def cancelled_as(why: str) -> str:
+    """Phase of a job that was cancelled for a reason."""
+    return f"{_CANCELLED_AS}{why}"
 
 
 def submit(
@@ -134,7 +140,7 @@ def cancel_of_rig(session: Session, rig_id: str, why: str) -> list[JobRow]:
     Parameters
     ----------
     why
-        What whoever watches a waiting job is told.
+        What whoever watches a job is told, a waiting one at once, one under way once it has ended.
     """
     return _cancel_all(
         session,
@@ -165,7 +171,9 @@ def _cancel_all(session: Session, which: ColumnElement[bool], why: str) -> list[
     found = [cancel(session, job.id) for job in session.scalars(wanted)]
     for job in found:
         if job.state == CANCELLED:
-            job.phase = f"cancelled: {why}"
+            job.phase = cancelled_as(why)
+        else:
+            job.error_detail = why
     return found
 
 
@@ -271,8 +279,10 @@ def note(session: Session, job_id: str, attempt: int, **values: Any) -> tuple[bo
 def finish(
     session: Session, job_id: str, run: int, state: str, result: dict[str, Any], title: str = "", detail: str = ""
 ) -> None:
-    """The end of a run; a second time changes nothing."""
+    """The end of a run; a second time changes nothing. What was asked to end for a reason is cancelled with it."""
     values: dict[str, Any] = {"percent": 100.0, "time_left_s": 0.0} if state == DONE else {"time_left_s": None}
+    why = JobRow.error_detail
+    phase = case((why != "", literal(_CANCELLED_AS) + why), else_=CANCELLED) if state == CANCELLED else state
     session.execute(
         update(JobRow)
         .where(JobRow.id == job_id, JobRow.run == run, JobRow.state.in_((QUEUED, RUNNING)))
@@ -282,7 +292,7 @@ def finish(
             error_title=title,
             error_detail=detail,
             ended_at=now(),
-            phase=state,
+            phase=phase,
             changes=JobRow.changes + 1,
             **values,
         )

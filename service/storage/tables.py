@@ -285,6 +285,7 @@ class JobRow(Base):
     result: Mapped[Document]
     error_title: Mapped[str] = mapped_column(Text, default="")
     error_detail: Mapped[str] = mapped_column(Text, default="")
+    """Why it failed; of a job that is asked to end and still runs, why that is, if there is a reason."""
 
 
 class JournalPart(Base):

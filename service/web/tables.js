@@ -43,6 +43,7 @@ function cells(job, names, context) {
 export function progress(job) {
   if (job.state === "failed") return h("span", { title: job.error && job.error.detail }, job.error ? job.error.title : "");
   if (job.state === "done") return "in " + duration((new Date(job.ended_at) - new Date(job.started_at)) / 1000);
+  if (job.state === "cancelled") return job.progress.phase.replace(/^cancelled(: )?/, ""); // why, where there is a reason
   if (job.state !== "running") return "";
   const p = job.progress;
   const left = p.time_left_s ? duration(p.time_left_s) + " left" : "";

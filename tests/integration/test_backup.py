@@ -87,7 +87,7 @@ def test_a_service_comes_back_as_it_was(settings, tmp_path):
     with database.read() as session:
         states = {name: session.get(JobRow, made[name]).state for name in ("done", "queued", "running")}
         assert states == {"done": "done", "queued": "cancelled", "running": "cancelled"}
-        assert session.get(JobRow, made["queued"]).error_detail == WHY
+        assert {session.get(JobRow, made[name]).phase for name in ("queued", "running")} == {f"cancelled: {WHY}"}
         assert session.scalars(select(AuditRow).where(AuditRow.action == "service.restored")).one()
         row = key_rows.find(session, rules.id_of(made["key"]))
         assert rules.verify(made["key"], key_rows.record(row), now()).name == "laptop"

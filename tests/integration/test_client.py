@@ -302,6 +302,7 @@ def test_a_job_that_failed_says_why(service, ambit, rig, sent):
     [
         ({"state": job_rows.FAILED, "error_title": "No rotor", "error_detail": "it is gone"}, "failed: No rotor: it"),
         ({"state": job_rows.CANCELLED}, "was cancelled"),
+        ({"state": job_rows.CANCELLED, "phase": job_rows.cancelled_as("it was sold")}, "was cancelled: it was sold"),
         ({}, "is still queued; wait for it with: ambit watch"),
     ],
 )
@@ -319,6 +320,13 @@ def test_fetching_from_a_job_that_is_not_done_gets_what_there_is_and_fails(
     assert {p.name for p in tmp_path.iterdir()} == {"rig.toml", "experiment.h5", "a b.h5"}
     change(service, job.id, state=job_rows.DONE)
     assert run(words) == 0
+
+
+def test_a_list_says_why_a_job_was_cancelled(service, ambit, rig, sent, capsys):
+    job = ambit.jobs.submit("identification", rig.id, sent.id)
+    change(service, job.id, state=job_rows.CANCELLED, phase=job_rows.cancelled_as("sold"))
+    assert run(["jobs", "--limit", "1", "--url", service.url, "--key", service.operator]) == 0
+    assert "sold" in capsys.readouterr().out
 
 
 def test_a_wait_that_is_too_long_ends(service, ambit, rig, sent):

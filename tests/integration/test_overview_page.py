@@ -30,6 +30,8 @@ class Plant:
     oldest_job: str
     running: str
     """A job older than those that the overview lists."""
+    stopped: str
+    """A job that was cancelled with a reason."""
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +46,13 @@ def plant(tmp_path_factory):
             oldest, running = (jobs.submit(session, "gap", busy, 1, "x") for _ in range(2))
             oldest.state, running.state = jobs.FAILED, jobs.RUNNING
             oldest.error_title = "too few points"
-            for _ in range(120):
+            for _ in range(119):
                 jobs.submit(session, "identification", busy, 1, "x").state = jobs.CANCELLED
-            found = Plant(service, rare, busy, oldest.id, running.id)
+            stopped = jobs.submit(session, "experiment", busy, 1, "x")
+            jobs.claim(session, stopped.id, 1, "w1")
+            jobs.cancel_moving(session, busy, "the rig was stopped by hand")
+            jobs.finish(session, stopped.id, 1, jobs.CANCELLED, {})
+            found = Plant(service, rare, busy, oldest.id, running.id, stopped.id)
         yield found
 
 
@@ -113,6 +119,20 @@ def test_every_job_is_reached_from_the_overview_and_one_that_runs_is_on_it(plant
         page.until(f"document.querySelector('a[href=\"#/job/{plant.oldest_job}\"]')")
         assert not page.run("!!document.querySelector('a.more')")
         assert "too few points" in page.text()
+        assert page.complaints == []
+
+
+@needs_browser
+def test_a_job_that_was_cancelled_says_why_in_the_list_and_on_its_page(plant):
+    with tab() as page:
+        page.open(f"{plant.service.url}/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        line = f"document.querySelector('a[href=\"#/job/{plant.stopped}\"]').closest('tr').innerText"
+        assert page.run(line).split()[2:].count("cancelled") == 1
+        assert "the rig was stopped by hand" in page.run(line)
+        page.open(f"{plant.service.url}/#/job/{plant.stopped}")
+        page.until("document.querySelector('main p.lead')")
+        assert page.run("document.querySelector('main p.lead').innerText") == "cancelled the rig was stopped by hand"
         assert page.complaints == []
 
 

@@ -50,6 +50,11 @@ def test_a_stop_that_does_not_reach_the_controller_ends_what_would_go_on_or_begi
     line = api.get("/audit", params={"rig": rig}).json()["items"][0]
     assert line["action"] == "rotor.released"
     assert line["detail"]["cancelled"].split() == [running, waiting]
+    with service.services.database.write() as session:
+        rows.finish(session, running, 1, "cancelled", {})
+    told = [api.get(f"/jobs/{job}").json() for job in (running, waiting)]
+    assert [job["progress"]["phase"] for job in told] == ["cancelled: the rig was stopped by hand"] * 2
+    assert [job["error"] for job in told] == [None] * 2
 
 
 def test_a_rig_that_lives_inside_its_job_is_not_shown_as_another_one_and_no_stop_is_claimed(api, request):

@@ -98,6 +98,28 @@ def test_the_jobs_of_a_rig_are_cancelled_and_those_of_others_are_not(database, j
     assert asked == [True, False, False]
 
 
+def test_a_running_job_that_was_asked_to_end_tells_why_once_it_has(database, job):
+    with database.write() as session:
+        rig = rigs.create(session, "stopped", reference_sheet(), "", "", "me").id
+        stopped, by_hand, whole = (jobs.submit(session, "experiment", rig, 1, "me").id for _ in range(3))
+    with database.write() as session:
+        for each in (stopped, by_hand, whole):
+            jobs.claim(session, each, 1, "w1")
+        jobs.cancel(session, by_hand)
+        jobs.cancel_moving(session, rig, "it was stopped", but=[by_hand])
+        for each, state in ((stopped, "cancelled"), (by_hand, "cancelled"), (whole, "done")):
+            jobs.finish(session, each, 1, state, {})
+    assert now(database, stopped).phase == "cancelled: it was stopped"
+    assert now(database, by_hand).phase == "cancelled"
+    assert (now(database, whole).phase, now(database, whole).error_detail) == ("done", "")
+    with database.write() as session:
+        jobs.retry(session, stopped, "me")
+        jobs.claim(session, stopped, 2, "w1")
+        jobs.cancel(session, stopped)
+        jobs.finish(session, stopped, 2, "cancelled", {})
+    assert now(database, stopped).phase == "cancelled"  # the reason was that of the run before
+
+
 def test_what_has_ended_stays_ended(database, job):
     with database.write() as session:
         jobs.claim(session, job, 1, "w1")
