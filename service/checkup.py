@@ -65,6 +65,27 @@ def baseline_of(path: Path) -> Baseline:
     return Baseline(read_document(path, "amb-commissioning-result", ResultModel))
 
 
+def baseline_from(document: Any, name: str) -> Baseline:
+    """A baseline from the contents of its result.json; the errors of `baseline_of`, which call it by that name."""
+    from service.health.compare import Baseline
+    from service.identification.result.shape import ResultModel
+
+    return Baseline(whole(document, ResultModel, name))
+
+
+def must_suffice(baseline: Baseline, datasheet: Datasheet, budget_s: float) -> None:
+    """Refuse a budget in which no check of a rig fits, at once.
+
+    Raises
+    ------
+    JobError
+        It is too small; names the least that will do.
+    """
+    from service.health.tones import must_suffice
+
+    must_suffice(datasheet, baseline.document, budget_s)
+
+
 def plan_for(baseline: Baseline, datasheet: Datasheet, budget_s: float) -> ShortPlan:
     """The short experiment of a rig."""
     from service.health.tones import short_plan

@@ -46,13 +46,15 @@ def check(
     from service import bootstrap, checkup
     from service.cli.interrupt import asked_to_stop, kill_is_ctrl_c
     from service.cli.progress import campaign_progress
+    from service.errors import JobError
     from service.health.sequential import Policy
     from service.output import results_in
 
     then, datasheet = checkup.read_baseline(baseline)
     file = checkup.ready_history(history or baseline / checkup.HISTORY)
     with results_in(out):
-        plan = checkup.plan_for(then, datasheet, budget_s)
+        with value_of("--budget-s", JobError):
+            plan = checkup.plan_for(then, datasheet, budget_s)
         with value_of("--controller", AddressError), kill_is_ctrl_c():
             rig = bootstrap.connect(controller)
         try:
@@ -89,9 +91,11 @@ def compare(
 def plan(baseline: BaselineFolder, budget_s: Budget = BUDGET_S, as_json: Json = False) -> None:
     """Show which tones a check would take, and how well it would tell each figure."""
     from service import checkup
+    from service.errors import JobError
 
     then, datasheet = checkup.read_baseline(baseline)
-    found = checkup.plan_for(then, datasheet, budget_s)
+    with value_of("--budget-s", JobError):
+        found = checkup.plan_for(then, datasheet, budget_s)
     if as_json:
         print_json(found.document())
         return

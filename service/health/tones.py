@@ -10,6 +10,7 @@ is the one that matters, so the information is averaged over rigs whose modes ha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 
 from service.campaign.aims import Profile
 from service.campaign.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
+from service.errors import JobError
 from service.health.monitored import plane_figures
 from service.identification.arrays import Real
 from service.identification.measured.known import as_identified
@@ -28,7 +30,6 @@ from service.identification.result.saved import SavedPlane, saved_planes
 from service.identification.statistics.derivatives import central_differences
 from service.identification.synthetic import closed_loop_points
 from sim.datasheet import Datasheet
-from sim.errors import AmbError
 
 ACCURACY = 0.003
 """Relative standard deviation that every tone aims at."""
@@ -51,6 +52,7 @@ REPEATED = 1.75
 DRIFT, MODE_DRIFT, DAMPING_DRIFT = 0.3, 0.02, 2.0
 """Relative changes that may have come since the commissioning, one sigma: of any parameter, of a mode's frequency, of
 its damping. No baseline guides a check more closely than that."""
+TOO_SMALL = "budget too small"
 SCENARIOS = ((0.0, 1.0), (4e-3, 1.0), (-4e-3, 1.0), (0.0, 2.0), (0.0, 0.5))
 """Relative shift of every mode's frequency, and factor on its damping."""
 
@@ -87,30 +89,20 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
 
     Raises
     ------
+    JobError
+        The budget holds too few tones.
     AmbError
-        The budget holds too few tones, or the document has no parameters.
+        The document has no parameters.
     """
-    planes = saved_planes(baseline_document, datasheet)
-    datasheet = as_identified(datasheet, baseline_document)[0].datasheet
-    n_axes = datasheet.n_axes
-    designs = [_Design(s, datasheet) for s in planes.values()]
-    candidates = candidate_frequencies(planes, datasheet)
+    times = _Times(datasheet, baseline_document)
+    times.must_suffice(budget_s)
+    candidates, seconds = times.candidates, times.seconds
+    designs = [_Design(s, times.datasheet) for s in times.planes.values()]
     for design in designs:
         design.prepare(candidates)
-    settling = np.max([d.settling_s(candidates) for d in designs], axis=0)
-    coarse = np.interp(np.geomspace(candidates[0], candidates[-1], COARSE_POINTS), candidates, settling)
-    first = (OVERHEAD_S / 4 + REPEATED * float(np.sum(coarse + BLOCKS * BLOCK_S / 2 + RAMP_S))) * n_axes
-    seconds = n_axes * REPEATED * (settling + RAMP_S + BLOCKS * np.maximum(BLOCK_S, 1 / candidates))
-    chosen = _greedy(designs, seconds, budget_s - first)
-    if len(chosen) < FEWEST:
-        least = first + float(np.sum(np.sort(seconds)[:FEWEST]))
-        raise AmbError(
-            f"a health check of {budget_s:g} s (budget_s) holds only {len(chosen)} of the {FEWEST} tones that a "
-            f"comparison needs on this rig; allow at least {least * 1.3:.0f} s"
-        )
-    chosen = sorted(_exchanged(designs, seconds, chosen))
+    chosen = sorted(_exchanged(designs, seconds, _greedy(designs, seconds, budget_s - times.first)))
     frequencies = candidates[chosen]
-    total = first + float(seconds[chosen].sum())
+    total = times.first + float(seconds[chosen].sum())
     profile = Profile(
         accuracy=ACCURACY,
         points=len(frequencies),
@@ -123,10 +115,49 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
         rig_seconds=BLOCK_S * BLOCKS * 2 * 4 * (len(frequencies) + COARSE_POINTS / 2),
         peak_points=0,
         frequencies_hz=tuple(float(f) for f in frequencies),
-        settle_s=tuple(float(s) for s in settling[chosen]),
+        settle_s=tuple(float(s) for s in times.settling[chosen]),
     )
     std = {k: v for d in designs for k, v in d.std_percent(chosen).items()}
     return ShortPlan(profile, std, total)
+
+
+def must_suffice(datasheet: Datasheet, baseline_document: Mapping[str, Any], budget_s: float) -> None:
+    """Refuse a budget in which no check of a rig fits, long before its plan is made; parameters as of `short_plan`.
+
+    Raises
+    ------
+    JobError
+        It is too small; names the least that will do.
+    """
+    _Times(datasheet, baseline_document).must_suffice(budget_s)
+
+
+class _Times:
+    """Frequencies that a rig may be checked at, and the rig time that each of them takes."""
+
+    def __init__(self, datasheet: Datasheet, baseline_document: Mapping[str, Any]) -> None:
+        self.planes = saved_planes(baseline_document, datasheet)
+        self.datasheet = as_identified(datasheet, baseline_document)[0].datasheet
+        n_axes, law = self.datasheet.n_axes, _law(self.datasheet)
+        self.candidates = candidate_frequencies(self.planes, self.datasheet)
+        self.settling = np.max([_settling_s(s.model, law, self.candidates) for s in self.planes.values()], axis=0)
+        first, last = self.candidates[[0, -1]]
+        coarse = np.interp(np.geomspace(first, last, COARSE_POINTS), self.candidates, self.settling)
+        self.first = (OVERHEAD_S / 4 + REPEATED * float(np.sum(coarse + BLOCKS * BLOCK_S / 2 + RAMP_S))) * n_axes
+        """Of what comes before the tones, s."""
+        per_axis = self.settling + RAMP_S + BLOCKS * np.maximum(BLOCK_S, 1 / self.candidates)
+        self.seconds = n_axes * REPEATED * per_axis
+        """Of each candidate, s."""
+
+    def must_suffice(self, budget_s: float) -> None:
+        """Refuse a budget that holds too few tones, whichever they are."""
+        least = self.first + float(np.sum(np.sort(self.seconds)[:FEWEST]))
+        if budget_s < least:
+            raise JobError(
+                TOO_SMALL,
+                f"{budget_s:g} s of rig time hold no health check of this rig: its coarse sweep and {FEWEST} tones "
+                f"take {least:.0f} s; give a budget_s of at least {math.ceil(least)}",
+            )
 
 
 def candidate_frequencies(planes: Mapping[str, SavedPlane], datasheet: Datasheet) -> Real:
@@ -149,7 +180,7 @@ class _Design:
 
     def __init__(self, saved: SavedPlane, datasheet: Datasheet) -> None:
         self.saved = saved
-        self.controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+        self.controller = _law(datasheet)
         self.figures = plane_figures(saved, self.controller)
         self.values = self.figures.of(saved.model)
         self.models = [_moved(saved, shift, damping) for shift, damping in SCENARIOS]
@@ -180,28 +211,6 @@ class _Design:
             total = total + 2 * np.einsum("pca,pcb->pab", d.conj(), d).real
         return np.asarray(total)
 
-    def settling_s(self, frequencies_hz: Real) -> Real:
-        """Time, s, after which the closed loop's transient is small beside a tone, (candidates,).
-
-        The relative slope of the response peaks at every closed-loop pole with the pole's time constant. A ramp of
-        some tens of milliseconds wakes the poles within some ten hertz.
-        """
-        dense = np.arange(frequencies_hz[0], 1.1 * frequencies_hz[-1], 0.5)
-        omega = 2 * np.pi * dense
-        slope = np.zeros(len(omega))
-        for axis in range(2):
-            where, small = np.full(len(omega), axis), np.full(len(omega), 1e-6)
-            y, near = (
-                closed_loop_points(self.saved.model, self.controller, w, where, small, rounds=0)[2]
-                for w in (omega, omega * (1 + 1e-5))
-            )
-            change = np.linalg.norm(near - y, axis=1) / np.linalg.norm(y, axis=1) / (1e-5 * omega)
-            slope = np.maximum(slope, change)
-        poles = 1 + np.flatnonzero((slope[1:-1] > slope[:-2]) & (slope[1:-1] >= slope[2:]))
-        distance = (frequencies_hz[:, None] - dense[poles]) / WOKEN_HZ
-        waits = SETTLING * slope[poles] / (1 + distance**2)
-        return np.asarray(np.max(waits, axis=1, initial=0.03))
-
     def criterion(self, chosen: Real) -> Real:
         """Mean log variance of the figures for sums of information, (..., scenarios, n, n) -> (...)."""
         cov = np.linalg.inv(chosen + self.prior)
@@ -217,6 +226,33 @@ class _Design:
         g = self.gradients[0]
         std = np.sqrt(np.einsum("ka,ab,kb->k", g, cov, g))
         return {name: 100 * float(s) for name, s in zip(self.figures.ids, std, strict=True)}
+
+
+def _law(datasheet: Datasheet) -> tuple[Real, Real]:
+    """The controller, numerator and denominator."""
+    return np.array(datasheet.numerator), np.array(datasheet.denominator)
+
+
+def _settling_s(model: PlaneModel, controller: tuple[Real, Real], frequencies_hz: Real) -> Real:
+    """Time, s, after which the closed loop's transient is small beside a tone, (candidates,).
+
+    The relative slope of the response peaks at every closed-loop pole with the pole's time constant. A ramp of
+    some tens of milliseconds wakes the poles within some ten hertz.
+    """
+    dense = np.arange(frequencies_hz[0], 1.1 * frequencies_hz[-1], 0.5)
+    omega = 2 * np.pi * dense
+    slope = np.zeros(len(omega))
+    for axis in range(2):
+        where, small = np.full(len(omega), axis), np.full(len(omega), 1e-6)
+        y, near = (
+            closed_loop_points(model, controller, w, where, small, rounds=0)[2] for w in (omega, omega * (1 + 1e-5))
+        )
+        change = np.linalg.norm(near - y, axis=1) / np.linalg.norm(y, axis=1) / (1e-5 * omega)
+        slope = np.maximum(slope, change)
+    poles = 1 + np.flatnonzero((slope[1:-1] > slope[:-2]) & (slope[1:-1] >= slope[2:]))
+    distance = (frequencies_hz[:, None] - dense[poles]) / WOKEN_HZ
+    waits = SETTLING * slope[poles] / (1 + distance**2)
+    return np.asarray(np.max(waits, axis=1, initial=0.03))
 
 
 def _drift(model: PlaneModel) -> Real:
@@ -251,14 +287,17 @@ def _gradient(design: _Design, model: PlaneModel) -> Real:
 
 
 def _greedy(designs: list[_Design], seconds: Real, budget_s: float) -> list[int]:
-    """Frequencies one by one, each the one that lowers the criterion most per second, while the budget lasts."""
+    """Frequencies one by one, each the one that lowers the criterion most per second, while the budget lasts.
+
+    What leaves too little for the fewest tones is not chosen: a budget that holds them gives them.
+    """
     chosen: list[int] = []
     sums = [np.zeros_like(d.information[:, 0]) for d in designs]
     now = sum(float(d.criterion(s)) for d, s in zip(designs, sums, strict=True))
     while len(chosen) < MOST:
         after = sum(d.criterion(s + np.swapaxes(d.information, 0, 1)) for d, s in zip(designs, sums, strict=True))
         gain = (now - np.asarray(after)) / seconds
-        gain[seconds > budget_s] = -np.inf
+        gain[seconds + _reserve(seconds, chosen) > budget_s] = -np.inf
         gain[chosen] = -np.inf
         best = int(np.argmax(gain))
         if not np.isfinite(gain[best]) or gain[best] <= 0:
@@ -268,6 +307,19 @@ def _greedy(designs: list[_Design], seconds: Real, budget_s: float) -> list[int]
         sums = [s + d.information[:, best] for d, s in zip(designs, sums, strict=True)]
         now = float(np.asarray(after)[best])
     return chosen
+
+
+def _reserve(seconds: Real, chosen: list[int]) -> Real:
+    """Least rig time of the tones that a check still needs beside each candidate, once that one is chosen, too, s."""
+    missing = FEWEST - len(chosen) - 1
+    if missing <= 0:
+        return np.zeros(len(seconds))
+    left = np.setdiff1d(np.arange(len(seconds)), chosen)
+    cheapest = left[np.argsort(seconds[left], kind="stable")][: missing + 1]
+    # a candidate among the cheapest does not stand in for itself
+    among = np.isin(np.arange(len(seconds)), cheapest[:missing])
+    total = float(seconds[cheapest[:missing]].sum())
+    return np.where(among, total + seconds[cheapest[-1]] - seconds, total)
 
 
 def _exchanged(designs: list[_Design], seconds: Real, chosen: list[int]) -> list[int]:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from service.errors import JobError
 from service.jobs import calculations, slices
 from sim.errors import AmbError
 
@@ -52,6 +53,8 @@ def _answer(request: dict[str, Any], tell: calculations.Tell) -> dict[str, Any]:
     function: Callable[..., dict[str, Any]] = calculations.BY_NAME[request["function"]]
     try:
         return {"result": function(**request["arguments"], tell=tell)}
+    except JobError as error:
+        return {"error": str(error), "title": error.title}
     except AmbError as error:
         return {"error": str(error)}
     except MemoryError:

@@ -152,3 +152,10 @@ BY_NAME: dict[str, Callable[..., dict[str, Any]]] = {
     "health_plan": health_plan,
     "health_compare": health_compare,
 }
+WORDS = {
+    "identification": "identification",
+    "gap": "diagnosis",
+    "health_plan": "planning the check",
+    "health_compare": "comparing the check",
+}
+"""What each of them is to whoever is told that it failed."""

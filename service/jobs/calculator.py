@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import IO, Any
 
 from service.errors import JobError, StoppedError
-from service.jobs.calculations import Tell, silent
+from service.jobs.calculations import WORDS, Tell, silent
 
 _POLL_S = 0.25
 """With the job's own look for its cancellation, a calculation ends in about a second."""
@@ -118,11 +118,12 @@ class Calculator:
             raise
         self._give_back(child)
         if "error" in answer:
-            raise JobError(f"{function.replace('_', ' ')} failed", answer["error"])
+            raise JobError(answer.get("title", f"{WORDS[function]} failed"), answer["error"])
         if "defect" in answer:
             raise JobError(
                 "defect of the service",
-                f"{function} met an error that is none of the data's ({answer['defect']}); report it with the log",
+                f"{WORDS[function]} met an error that is none of the data's ({answer['defect']}); "
+                "report it with the log",
             )
         return dict(answer["result"])
 

@@ -251,3 +251,13 @@ def test_exports_and_what_they_hold(baseline, tmp_path, capsys):
     assert shown["inputs"] == measured["responses"][0]["inputs"] == ["u_xA", "u_xB"]
     assert run(["export", "model", str(baseline / "result.json"), str(tmp_path / "x.xls")]) == 2
     assert run(["export", "model", str(baseline / "result.json"), str(out), "--part", "rotor"]) == 2
+
+
+@pytest.mark.parametrize("command", [("plan",), ("check", "--controller", "simulated://", "--out", "out")])
+def test_a_budget_that_holds_no_check_is_told_with_the_option_and_the_least(baseline, tmp_path, capsys, command):
+    words = [str(tmp_path / word) if word == "out" else word for word in command]
+    assert run(["health", *words, "--baseline", str(baseline), "--budget-s", "20"]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "--budget-s" in told
+    assert "20 s of rig time hold no health check" in told
+    assert not (tmp_path / "out").exists()

@@ -9,8 +9,8 @@ from service.storage.tables import ExperimentRow, ModelRow
 from tests.support.serving import Serving
 
 
-def commissioned(service: Serving, rig: str) -> str:
-    """The experiment of a rig that has been commissioned."""
+def commissioned(service: Serving, rig: str, result: bytes | None = None) -> str:
+    """The experiment of a rig that has been commissioned, with this result.json where it is read."""
     with service.services.database.write() as session:
         row = ExperimentRow(
             id=rig.replace("rig_", "exp_"), rig_id=rig, rig_version=1, source="measured", purpose="commissioning",
@@ -22,7 +22,8 @@ def commissioned(service: Serving, rig: str) -> str:
         session.add(
             ModelRow(
                 id=rig.replace("rig_", "mod_"), rig_id=rig, rig_version=1, experiment_id=row.id,
-                result_sha256="0" * 64, report_sha256="0" * 64, plots_sha256="0" * 64,
+                result_sha256="0" * 64 if result is None else service.services.blobs.put(result),
+                report_sha256="0" * 64, plots_sha256="0" * 64,
                 summary={"planes": {"x": {"stiffness": {"kiA": {"value": 181.0}}, "modes": []}}},
                 created_at=now(), created_by="test",
             )

@@ -16,6 +16,7 @@ from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.once import Answer, once
 from service.api.problems import UnprocessableError, documented
 from service.api.resources import examples
+from service.api.resources.budgets import must_hold_a_check
 from service.api.resources.options import OF_A_JOB, checked_options
 from service.api.shapes import (
     IdempotencyKey,
@@ -211,6 +212,8 @@ def submit_job(
 ) -> Response:
     """Submit a job; it is done as soon as the rig and a worker are free."""
     options = checked_options(wanted.kind, wanted.options)
+    if wanted.kind == "health":
+        must_hold_a_check(api, wanted.rig, options)
     made: list[JobRow] = []
 
     def make(session: Session) -> Answer:

@@ -14,6 +14,7 @@ from service.api.auditing import audit
 from service.api.lists import Asked, Listed, OfRig, asked_by_number, asked_of
 from service.api.once import Answer, once
 from service.api.problems import documented
+from service.api.resources.budgets import must_hold_a_check
 from service.api.resources.options import checked_options
 from service.api.resources.schedule_shapes import (
     DeliveryShape,
@@ -32,7 +33,7 @@ from service.api.shapes import (
     ScheduleId,
     Viewer,
 )
-from service.api.state import Api
+from service.api.state import Api, Services
 from service.errors import ConflictError
 from service.health import schedule as cron
 from service.health import webhook
@@ -85,11 +86,18 @@ def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted, loopback:
     return made
 
 
+def _must_work(api: Services, wanted: ScheduleWanted) -> None:
+    """Refuse a schedule that is to run, and whose checks do not fit into their budget."""
+    if wanted.enabled:
+        must_hold_a_check(api, wanted.rig, checked_options("health", wanted.options))
+
+
 @router.post("", status_code=201, response_model=ScheduleShape, responses=documented(404, 409, 413, 415))
 def create_schedule(
     request: Request, wanted: ScheduleWanted, who: Operator, api: Api, idempotency_key: IdempotencyKey = None
 ) -> Response:
     """Have a rig's health checked by the clock."""
+    _must_work(api, wanted)
 
     def make(session: Session) -> Answer:
         rig = rigs.active(session, wanted.rig)
@@ -135,6 +143,7 @@ def change_schedule(
     if_match: IfMatch = None,
 ) -> Response:
     """Change a schedule; the webhook's secret stays when none is given."""
+    _must_work(api, wanted)
     with api.database.write() as session:
         row = schedules.get(session, schedule_id, for_update=True)
         etags.require_match(if_match, tag(row))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from service.campaign.frequencies import mains_harmonics
+from service.errors import JobError
 from service.health import tones
 from service.identification.result.saved import saved_planes
-from sim.errors import AmbError
 from tests.support.commissioned import SHEET, plan, result
 
 
@@ -51,5 +51,10 @@ def test_the_plan_says_how_well_it_will_tell():
 
 
 def test_too_small_a_budget_is_refused_with_the_least_that_will_do():
-    with pytest.raises(AmbError, match=r"allow at least \d+ s"):
+    with pytest.raises(JobError, match=r"budget_s of at least \d+$") as refused:
         tones.short_plan(SHEET, result(), 25.0)
+    assert refused.value.title == "budget too small"
+    least = float(str(refused.value).rpartition(" ")[2])
+    found = tones.short_plan(SHEET, result(), least)
+    assert len(found.profile.frequencies_hz) >= tones.FEWEST
+    assert found.expected_s <= 1.02 * least

@@ -1,5 +1,6 @@
 """Calculations in a process of their own: refused data, a stop, a child that dies, none left behind."""
 
+import json
 import os
 import signal
 import threading
@@ -10,6 +11,7 @@ import pytest
 from service.errors import JobError, StoppedError
 from service.experiment import file
 from service.jobs.calculator import Calculator
+from tests.support.commissioned import result
 from tests.support.measured import small_experiment
 
 
@@ -38,6 +40,20 @@ def test_data_that_do_not_allow_it_are_told_in_one_line(calculator, tmp_path):
         calculator.run("identification", arguments(tmp_path, tmp_path / "e.h5"), never)
     assert error.value.title == "identification failed"
     assert "\n" not in str(error.value)
+
+
+def test_a_check_that_its_budget_cannot_hold_is_told_as_that(calculator, tmp_path):
+    """In words, and not with the name of a function."""
+    asked = arguments(tmp_path, tmp_path / "result.json")
+    (tmp_path / "result.json").write_text(json.dumps(result()))
+    planned = {"baseline": asked["experiment"], "rig": asked["rig"], "budget_s": 25.0}
+    with pytest.raises(JobError, match=r"25 s .* budget_s of at least \d+") as error:
+        calculator.run("health_plan", planned, never)
+    assert error.value.title == "budget too small"
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(JobError, match=r"result\.json") as error:
+        calculator.run("health_plan", planned, never)
+    assert error.value.title == "planning the check failed"
 
 
 def test_it_tells_how_far_it_is_before_it_answers(calculator, tmp_path):
