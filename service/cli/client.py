@@ -44,7 +44,9 @@ class Kind(StrEnum):
 def submit(
     kind: Annotated[Kind, typer.Argument(help="What shall be done; experiment and health move the rotor.")],
     rig: Annotated[str, typer.Option(help="Name or id of the rig, or rig.toml: then it is made known.")],
-    controller: Annotated[str | None, typer.Option(help="Where the controller is; with rig.toml.")] = None,
+    controller: Annotated[
+        str | None, typer.Option(help="Where the controller is; with rig.toml. A rig whose rotor is to move needs one.")
+    ] = None,
     change: Annotated[
         bool, typer.Option("--change", help="Give a known rig this controller and datasheet in place of its own.")
     ] = False,
@@ -70,7 +72,7 @@ def submit(
     options = _options(option or [], quick, excitation, kind)
     _must_have_or_not(experiment, kind)
     with client(url, key, ca) as ambit:
-        known = _rig(ambit, rig, controller, change, moved=kind in (Kind.experiment, Kind.health))
+        known = _rig(ambit, rig, controller, change, kind)
         experiment_id = experiment
         if experiment is not None and not experiment.startswith("exp_"):
             experiment_id = ambit.experiments.upload(known.id, Path(experiment)).id
@@ -200,19 +202,21 @@ def _options(given: Iterable[str], quick: bool, excitation: Excitation | None, k
     return options
 
 
-def _rig(ambit: Client, given: str, controller: str | None, change: bool, moved: bool) -> Rig:
+def _rig(ambit: Client, given: str, controller: str | None, change: bool, kind: Kind) -> Rig:
     """The rig that is meant; a datasheet makes it known, or with ``change`` gives it a new version.
 
-    Without a controller, none is made known for a job by which its rotor is to be ``moved``.
-
-    Two rigs of one make have datasheets of one name: the controller of one is not the other's by mistake.
+    Two rigs of one make have datasheets of one name: the controller of one is not the other's by mistake. Nothing is
+    made or changed for a job that could not move its rotor then.
 
     Raises
     ------
     ConflictError
         The service knows the rig by another controller or datasheet, and ``change`` is not given.
+    NotFoundError
+        It does not know the rig whose health is to be checked.
     """
     from service.client import MissingError
+    from service.errors import NotFoundError
     from sim.rig_file import read
 
     path = Path(given)
@@ -225,16 +229,29 @@ def _rig(ambit: Client, given: str, controller: str | None, change: bool, moved:
     try:
         rig = ambit.rigs.named(name)
     except MissingError:
-        if moved and not controller:
-            words = f"the service does not know the rig {name!r} yet: say where its controller is"
-            raise typer.BadParameter(words, param_hint="--controller") from None
+        if kind is Kind.health:
+            raise NotFoundError(
+                f"the service knows no rig {name!r}, so there is nothing to compare its health with; "
+                f"commission it first: ambit submit experiment --rig {given} --controller URL"
+            ) from None
+        _must_be_reached(name, controller or "", kind)
         return ambit.rigs.create(text, controller or "")
     url = rig.controller_url if controller is None else controller
-    if (rig.datasheet, rig.controller_url) == (text, url):
-        return rig
-    if not change:
+    same = (rig.datasheet, rig.controller_url) == (text, url)
+    if not same and not change:
         _must_be_the_same(rig, given, text, url)
-    return ambit.rigs.change(rig, text, url)
+    _must_be_reached(name, url, kind)
+    return rig if same else ambit.rigs.change(rig, text, url)
+
+
+def _must_be_reached(name: str, url: str, kind: Kind) -> None:
+    """A rotor is moved by its controller; a calculation needs none."""
+    if not url and kind in (Kind.experiment, Kind.health):
+        raise typer.BadParameter(
+            f"the rig {name!r} has no controller yet, and {kind.value} moves its rotor; "
+            "give the controller's URL, as modbus://10.0.0.7:502?unit=1",
+            param_hint="--controller",
+        )
 
 
 def _must_be_the_same(rig: Rig, given: str, text: str, url: str) -> None:

@@ -21,7 +21,7 @@ from service.client import (
     RefusedError,
     UnreachableError,
 )
-from service.client.shapes import Job
+from service.client.shapes import Job, Rig
 from service.config import Settings
 from service.storage import jobs as job_rows
 from service.storage.database import now
@@ -169,6 +169,42 @@ def test_a_known_rig_is_given_no_other_controller_or_datasheet_by_mistake(servic
     assert not submit("--change")
     assert new in ambit.rigs.get(rig.id).datasheet
     assert ambit.rigs.get(rig.id).controller_url == second
+
+
+@pytest.fixture
+def new_sheet(tmp_path):
+    """The datasheet of a rig that the service does not know."""
+    sheet = tmp_path / "rig.toml"
+    sheet.write_text(SHEET.replace('"reference"', '"not known yet"', 1))
+    return sheet
+
+
+def submitted(service, capsys, kind: str, sheet, *more: str) -> tuple[int, str]:
+    """Exit status and error of ambit submit with a datasheet."""
+    words = ("submit", kind, "--rig", str(sheet), "--url", service.url, "--key", service.operator, *more)
+    status = run(list(words))
+    return status, " ".join(capsys.readouterr().err.replace("│", "").split())
+
+
+def test_what_moves_a_rotor_makes_no_rig_known_that_cannot_be_moved(service, ambit, new_sheet, capsys):
+    def known() -> list[Rig]:
+        return [rig for rig in ambit.rigs.list() if rig.name == "not known yet"]
+
+    status, told = submitted(service, capsys, "experiment", new_sheet)
+    assert status == 2
+    assert "--controller" in told
+    assert "the rig 'not known yet' has no controller yet" in told
+    status, told = submitted(service, capsys, "health", new_sheet, "--controller", "simulated://")
+    assert status == 1
+    assert "commission it first: ambit submit experiment" in told
+    assert known() == []
+    rig = ambit.rigs.create(new_sheet.read_text())
+    assert submitted(service, capsys, "experiment", new_sheet)[0] == 2
+    new_sheet.write_text(new_sheet.read_text() + "# as built\n")
+    assert submitted(service, capsys, "experiment", new_sheet, "--change")[0] == 2
+    assert [(found.id, found.version) for found in known()] == [(rig.id, 1)]
+    assert submitted(service, capsys, "experiment", new_sheet, "--change", "--controller", "simulated://") == (0, "")
+    assert submitted(service, capsys, "experiment", new_sheet) == (0, "")
 
 
 def test_errors_say_what_to_do(ambit):
