@@ -59,9 +59,11 @@ class Jobs:
         """A job as it is now."""
         return Job.model_validate(self._transport.get(_path(job_id)))
 
-    def list(self, state: str | None = None, kind: Kind | None = None, rig: str | None = None) -> Iterator[Job]:
-        """Jobs, newest first."""
-        return self._transport.pages("/jobs", Job.model_validate, state=state, kind=kind, rig=rig)
+    def list(
+        self, state: str | None = None, kind: Kind | None = None, rig: str | None = None, newest: bool | None = None
+    ) -> Iterator[Job]:
+        """Jobs, newest first; with ``newest`` only the last one of each rig, of that state and kind."""
+        return self._transport.pages("/jobs", Job.model_validate, state=state, kind=kind, rig=rig, newest=newest)
 
     def cancel(self, job_id: str) -> Job:
         """Cancel a job: an excitation ends within a second, and what was measured is kept."""

@@ -146,6 +146,8 @@ class HealthCheck(_Sent):
     zone: str = ""
     zone_calm: bool = True
     drifted: list[str] = Field(default_factory=list)
+    drifted_words: list[str] = Field(default_factory=list)
+    """The same in words, each figure with its change."""
     sentence: str = ""
     created_at: datetime | None = None
     document: dict[str, Any] = Field(default_factory=dict)

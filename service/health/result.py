@@ -8,6 +8,7 @@ from typing import Any
 
 from service.distributions import normal_above
 from service.health.monitored import Monitored
+from service.health.words import changed, unexplained
 from service.identification.arrays import Real
 from service.identification.loop.margins import zone
 from sim.datasheet import source_of
@@ -162,10 +163,10 @@ class HealthResult:
         state = f"sensitivity peak {self.peak:.2f}, zone {self.zone} of {source_of(self.zones)}"
         by_id = {c.monitored.id: c for c in self.changes}
         told = [
-            f"{by_id[d].monitored.words} {_percent(by_id[d].change_percent)} % "
+            f"{changed(by_id[d].monitored.words, by_id[d].change_percent)} "
             f"({abs(by_id[d].significance):.0f} standard deviations)"
             if d in by_id
-            else f"plane {d[0]} has a change that no parameter explains"
+            else unexplained(d[0])
             for d in self.drifted
         ]
         if not told:
@@ -210,12 +211,3 @@ class HealthResult:
             "left_out": [text for p in self.planes for text in p.left_out],
             "notes": list(self.notes),
         }
-
-
-def _percent(value: float) -> str:
-    """A change with its sign, to two digits.
-
-    >>> _percent(112.3), _percent(-2.04), _percent(0.00012)
-    ('+110', '-2', '+0.00012')
-    """
-    return f"{float(f'{value:.2g}'):+z.10g}"

@@ -86,10 +86,13 @@ def listed(
     rig_id: str | None = None,
     after: str | None = None,
     limit: int = 100,
+    newest: bool = False,
 ) -> Page[JobRow]:
-    """A page of jobs."""
+    """A page of jobs; with ``newest`` only the last one of each rig among those that are asked for."""
     wanted = ((JobRow.state, state), (JobRow.kind, kind), (JobRow.rig_id, rig_id))
-    conditions = [column == value for column, value in wanted if value is not None]
+    conditions: list[ColumnElement[bool]] = [column == value for column, value in wanted if value is not None]
+    if newest:
+        conditions.append(JobRow.id.in_(select(func.max(JobRow.id)).where(*conditions).group_by(JobRow.rig_id)))
     return page(session, JobRow, *conditions, after=after, limit=limit)
 
 

@@ -45,25 +45,41 @@ function told(error) {
 
 const BUSY_MS = 5000; // while a job waits or runs,
 const IDLE_MS = 30000; // and while none does: a schedule may begin one
+const TOLD = 3; // of what drifted, as in the sentence of a check
 
 async function overview(context) {
-  const [rigs, newest, running, checks] = await Promise.all([
+  const [rigs, newest, running, checks, failures] = await Promise.all([
     get("/rigs?limit=1000", context.signal), get("/jobs?limit=15", context.signal),
     get("/jobs?state=running&limit=15", context.signal), get("/health-checks?newest=true&limit=1000", context.signal),
+    get("/jobs?kind=health&state=failed&newest=true&limit=1000", context.signal),
   ]);
   const jobs = newest.items.concat(running.items.filter((job) => !newest.items.some((shown) => shown.id === job.id)));
   context.every(jobs.some(tables.active) ? BUSY_MS : IDLE_MS, context.refresh);
   const names = new Map(rigs.items.map((r) => [r.id, r.name]));
   const latest = new Map(checks.items.map((check) => [check.rig, check]));
-  const rows = rigs.items.map((r) => {
-    const check = latest.get(r.id);
-    const health = check ? h("span", {}, check.alarm ? state("alarm") : "", check.alarm ? " " : "", check.alarm ? check.drifted.join(", ") : "zone ", check.alarm ? "" : state(check.zone), " ", when(check.created_at)) : "not checked";
-    return [h("a", { href: "#/rig/" + r.id }, r.name), r.axes.join(" "), r.controller_url || "no controller", health];
-  });
+  const failed = new Map(failures.items.map((job) => [job.rig, job]));
+  const rows = rigs.items.map((r) => [
+    h("a", { href: "#/rig/" + r.id }, r.name), health(latest.get(r.id), failed.get(r.id)), r.axes.join(" "), r.controller_url || "no controller",
+  ]);
   return [
-    section("Rigs", rigs.items.length ? table(["rig", "axes", "controller", "health"], rows) : nothing("No rigs yet: POST /api/v1/rigs with a datasheet.")),
+    section("Rigs", rigs.items.length ? table(["rig", "health", "axes", "controller"], rows) : nothing("No rigs yet: POST /api/v1/rigs with a datasheet.")),
     section("Jobs", tables.jobs(jobs, names, context), newest.next ? more("#/jobs", "All jobs") : ""),
   ];
+}
+
+// How a rig is by its newest check, and that a later one failed: then nobody knows how it is by now.
+function health(check, failed) {
+  const known = check ? [...found(check), " ", when(check.created_at)] : ["not checked"];
+  if (!failed || (check && new Date(failed.ended_at) < new Date(check.created_at))) return h("div", { class: "told" }, known);
+  const why = h("a", { href: "#/job/" + failed.id, title: failed.error.detail }, failed.error.title);
+  return h("div", { class: "told" }, h("div", {}, known), h("div", {}, "newest check ", state("failed"), ": ", why, " ", when(failed.ended_at)));
+}
+
+function found(check) {
+  if (!check.alarm) return ["zone ", state(check.zone)];
+  const told = check.drifted_words.slice(0, TOLD);
+  const more = check.drifted_words.length - told.length;
+  return [state("alarm"), " ", told.join("; ") + (more ? " and " + more + " more" : "")];
 }
 
 // All jobs, a page at a time: "#/jobs", and "#/jobs/<id>" for those before that one.

@@ -32,13 +32,18 @@ class Plant:
     """A job older than those that the overview lists."""
     stopped: str
     """A job that was cancelled with a reason."""
+    new: str
+    """A rig that was never checked."""
+    made: dict[str, tuple[str, str]]
+    """Experiment and model of a rig."""
 
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
     with serving(Settings(home=tmp_path_factory.mktemp("overview") / "home", port=0)) as service:
         with service.services.database.write() as session:
-            rare, busy = (rigs.create(session, name, to_toml(SHEET), "", "", "x").id for name in ("rare", "busy"))
+            names = ("rare", "busy", "new")
+            rare, busy, new = (rigs.create(session, name, to_toml(SHEET), "", "", "x").id for name in names)
             made = {rig: _model(session, rig) for rig in (rare, busy)}
             _check(session, rare, made[rare], alarm=True)
             for _ in range(201):
@@ -52,7 +57,7 @@ def plant(tmp_path_factory):
             jobs.claim(session, stopped.id, 1, "w1")
             jobs.cancel_moving(session, busy, "the rig was stopped by hand")
             jobs.finish(session, stopped.id, 1, jobs.CANCELLED, {})
-            found = Plant(service, rare, busy, oldest.id, running.id, stopped.id)
+            found = Plant(service, rare, busy, oldest.id, running.id, stopped.id, new, made)
         yield found
 
 
@@ -75,7 +80,10 @@ def _model(session, rig: str) -> tuple[str, str]:
 def _check(session, rig: str, made: tuple[str, str], alarm: bool) -> str:
     row = HealthRow(
         id=new_id("hc"), rig_id=rig, rig_version=1, experiment_id=made[0], model_id=made[1], alarm=alarm,
-        document={"zone": "B", "drifted": ["x.kiA"] if alarm else [], "sentence": "", "parameters": {}},
+        document={
+            "zone": "B", "drifted": ["x.kiA", "y.unexplained"] if alarm else [], "sentence": "",
+            "parameters": {"x.kiA": {"description": "force-current factor of bearing xA", "change_percent": -3.04}},
+        },
         report_sha256="0" * 64, created_at=now(),
     )  # fmt: skip
     session.add(row)
@@ -101,9 +109,51 @@ def test_the_overview_has_the_newest_check_of_every_rig(plant):
         page.open(f"{plant.service.url}/")
         page.until("document.querySelectorAll('main section').length === 2")
         row = "[...document.querySelectorAll('tr')].find((r) => r.innerText.startsWith('rare')).innerText"
-        assert "x.kiA" in page.run(row)
-        assert "not checked" not in page.text()
+        told = page.run(row)
+        assert "force-current factor of bearing xA -3 %" in told
+        assert "plane y has a change that no parameter explains" in told
+        assert "x.kiA" not in told
         assert page.complaints == []
+
+
+@needs_browser
+def test_a_rig_whose_newest_check_failed_says_so_beside_what_was_known_before(plant):
+    def made(rig: str, state: str, title: str = "") -> str:
+        with plant.service.services.database.write() as session:
+            job = jobs.submit(session, "health", rig, 1, "x")
+            jobs.claim(session, job.id, 1, "w1")
+            jobs.finish(session, job.id, 1, state, {}, title, "why it did")
+            return job.id
+
+    overtaken = made(plant.busy, jobs.FAILED, "rig stopped")
+    with plant.service.services.database.write() as session:
+        _check(session, plant.busy, plant.made[plant.busy], alarm=False)
+    first, newest = (made(plant.rare, jobs.FAILED, title) for title in ("bus error", "controller tripped"))
+    never = made(plant.new, jobs.FAILED, "budget too small")
+    made(plant.rare, jobs.CANCELLED)
+    with tab() as page:
+        page.open(f"{plant.service.url}/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        cells = "[...document.querySelectorAll('section:first-of-type tr')].map((r) => r.innerText)"
+        rows = {row.split()[0]: row for row in page.run(cells)}
+        links = page.run("[...document.querySelectorAll('section:first-of-type a')].map((a) => a.getAttribute('href'))")
+        assert page.complaints == []
+    assert "force-current factor" in rows["rare"]
+    assert "controller tripped" in rows["rare"]
+    assert "bus error" not in rows["rare"]
+    assert "zone B" in rows["busy"]
+    assert "failed" not in rows["busy"]
+    assert "not checked" in rows["new"]
+    assert "budget too small" in rows["new"]
+    assert {job for job in (overtaken, first, newest, never) if f"#/job/{job}" in links} == {newest, never}
+
+
+def test_the_newest_job_of_each_rig_is_asked_for_among_those_of_a_kind_and_state(plant):
+    with httpx.Client(base_url=f"{plant.service.url}/api/v1") as api:
+        asked = {"kind": "gap", "newest": True}
+        assert [job["id"] for job in api.get("/jobs", params=asked).json()["items"]] == [plant.running]
+        failed = api.get("/jobs", params=asked | {"state": "failed"}).json()["items"]
+        assert [job["id"] for job in failed] == [plant.oldest_job]
 
 
 @needs_browser

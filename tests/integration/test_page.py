@@ -191,7 +191,7 @@ def test_the_overview_lists_rigs_and_jobs_and_reads_no_name_as_html(service, ids
         text = page.text()
         assert NAME in text
         assert "alarm" in text
-        assert "x.kiA" in text
+        assert "force-current factor of bearing x" in text
         assert "too few points" in text
         assert page.run("document.querySelectorAll('img').length") == 0
         assert page.run("document.title") == "ambit"

@@ -13,6 +13,7 @@ from service.api.lists import Asked, Listed, OfRig, asked_of
 from service.api.resources import examples
 from service.api.shapes import HealthId, IfNoneMatch, RigId, Shape, Time, Viewer
 from service.api.state import Api
+from service.health.words import drifted_words
 from service.health.zones import zone_is_calm
 from service.storage import results, rigs
 from service.storage.listing import LARGEST_PAGE
@@ -39,6 +40,7 @@ class HealthShape(Shape):
                     "zone": "A",
                     "zone_calm": True,
                     "drifted": [],
+                    "drifted_words": [],
                     "sentence": "compressor 3: nothing drifted; sensitivity peak 2.01, zone A of ISO 14839-3",
                     "created_at": examples.TIME,
                 }
@@ -58,6 +60,8 @@ class HealthShape(Shape):
     zone_calm: bool
     """Whether a rig may stay in that zone: as A and B of ISO 14839-3, the first two with a limit of the rig's table."""
     drifted: list[str]
+    drifted_words: list[str]
+    """The same in words, each figure with its change, as in the sentence."""
     sentence: str
     created_at: Time
 
@@ -118,6 +122,7 @@ def _values(row: HealthRow) -> dict[str, Any]:
         "zone": row.document["zone"],
         "zone_calm": zone_is_calm(row.document),
         "drifted": row.document["drifted"],
+        "drifted_words": drifted_words(row.document),
         "sentence": row.document["sentence"],
         "created_at": row.created_at,
     }

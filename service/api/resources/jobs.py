@@ -247,10 +247,13 @@ def list_jobs(
     state: Annotated[State | None, Query(description="Only in this state.")] = None,
     kind: Annotated[Kind | None, Query(description="Only of this kind.")] = None,
     rig: OfRig = None,
+    newest: Annotated[
+        bool, Query(description="Only the newest of each rig, of those in this state and of this kind.")
+    ] = False,
 ) -> Response:
     """All jobs, newest first."""
     with api.database.read() as session:
-        page = jobs.listed(session, state, kind, rig, asked.after, asked.limit)
+        page = jobs.listed(session, state, kind, rig, asked.after, asked.limit, newest)
     return asked.answer(Listed[JobShape], page, shape)
 
 

@@ -42,7 +42,7 @@ def test_every_parameter_that_is_described_is_known(service, operations):
 
 def test_a_misspelt_filter_beside_a_good_one_is_named_with_those_that_there_are(api):
     answer = api.get("/jobs", params={"state": "failed", "rigs": "rig_1", "limt": 3})
-    assert_problem(answer, 422, "'limt', 'rigs'", "after, kind, limit, rig, state")
+    assert_problem(answer, 422, "'limt', 'rigs'", "after, kind, limit, newest, rig, state")
 
 
 def test_a_method_that_there_is_not_is_told_as_that(api):
