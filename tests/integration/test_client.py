@@ -125,16 +125,6 @@ def test_a_change_whose_answer_was_lost_is_not_somebody_else_s(service, ambit):
             ambit.rigs.change(rig, SHEET, "simulated://?seed=3")
 
 
-@pytest.mark.parametrize("kind", ["experiment", "health"])
-def test_no_rig_is_made_known_without_the_controller_by_which_it_is_to_be_moved(service, ambit, tmp_path, capsys, kind):
-    sheet = tmp_path / "rig.toml"
-    sheet.write_text(SHEET.replace('"reference"', f'"unmoved {kind}"', 1))
-    assert run(["submit", kind, "--rig", str(sheet), "--url", service.url, "--key", service.operator]) == 2
-    assert "--controller" in capsys.readouterr().err
-    with pytest.raises(MissingError):
-        ambit.rigs.named(f"unmoved {kind}")
-
-
 def test_a_known_rig_is_given_no_other_controller_or_datasheet_by_mistake(service, ambit, tmp_path, capsys):
     """The controller of one rig is not that of another of its make, whose datasheet has the same name."""
     sheet = tmp_path / "rig.toml"
