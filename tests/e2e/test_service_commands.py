@@ -209,4 +209,5 @@ def test_what_cannot_be_done_is_one_line(ambit, running, sheet, tmp_path):
     assert "neither an HDF5 nor a MATLAB" in command.refusal(
         *("submit", "gap", "--rig", sheet, "--controller", running.rig.url, "--experiment", tmp_path / "x.h5")
     )
-    assert "controller_url" in command.refusal("submit", "health", "--rig", sheet, "--controller", "", "--change")
+    unreachable = ("submit", "health", "--rig", sheet, "--controller", "", "--change")
+    assert "has no controller yet" in command.refusal(*unreachable, status=2)

@@ -169,9 +169,9 @@ def new_sheet(tmp_path):
     return sheet
 
 
-def submitted(service, capsys, kind: str, sheet, *more: str) -> tuple[int, str]:
-    """Exit status and error of ambit submit with a datasheet."""
-    words = ("submit", kind, "--rig", str(sheet), "--url", service.url, "--key", service.operator, *more)
+def submitted(service, capsys, kind: str, rig, *more: str) -> tuple[int, str]:
+    """Exit status and error of ambit submit for a rig, or its datasheet."""
+    words = ("submit", kind, "--rig", str(rig), "--url", service.url, "--key", service.operator, *more)
     status = run(list(words))
     return status, " ".join(capsys.readouterr().err.replace("│", "").split())
 
@@ -190,6 +190,7 @@ def test_what_moves_a_rotor_makes_no_rig_known_that_cannot_be_moved(service, amb
     assert known() == []
     rig = ambit.rigs.create(new_sheet.read_text())
     assert submitted(service, capsys, "experiment", new_sheet)[0] == 2
+    assert "no controller_url" in submitted(service, capsys, "experiment", rig.name)[1]
     new_sheet.write_text(new_sheet.read_text() + "# as built\n")
     assert submitted(service, capsys, "experiment", new_sheet, "--change")[0] == 2
     assert [(found.id, found.version) for found in known()] == [(rig.id, 1)]
