@@ -187,7 +187,7 @@ class _SdoLink:
         """The whole in one transfer; on a bus on which that has failed, segment by segment, each with its own CRC."""
         if not self._in_segments:
             with suppress(BusError, RefusedError):
-                return self._block(self._objects.raw_index, size)
+                return self._block(self._objects.raw_index, size, between)
             self._in_segments = True
         if self._segments[0] != result:
             self._segments = (result, [])
@@ -219,8 +219,8 @@ class _SdoLink:
     def close(self) -> None:
         self._links.close()
 
-    def _block(self, index: int, size: int) -> bytes:
-        raw = self._transfer(index, lambda sdo: bytes(sdo.block_upload(index, 0)))
+    def _block(self, index: int, size: int, between: Callable[[], None] = go_on) -> bytes:
+        raw = self._transfer(index, lambda sdo: bytes(sdo.block_upload(index, 0, between)))
         if len(raw) != size:
             raise BusError(f"an SDO block transfer gave {len(raw)} bytes instead of {size}")
         return raw

@@ -16,6 +16,7 @@ from canopen import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.constants import (
     ABORT_CRC_ERROR,
+    ABORT_GENERAL_ERROR,
     ABORT_TIMED_OUT,
     BLOCK_TRANSFER_RESPONSE,
     CRC_SUPPORTED,
@@ -29,12 +30,18 @@ from canopen.sdo.constants import (
 )
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from drivers.link import go_on
+
 BLOCK_SEGMENTS = 127
 SEGMENT_BYTES = 7
 REMINDERS = 3
 """How often in a row a silent server is reminded,"""
 REMINDERS_IN_ALL = 50
 """and how often in one upload: a line that loses so much is better asked for smaller parts."""
+LOOK_S = 0.1
+"""How often whoever waits for an upload may give it up."""
+QUIET_S, LONGEST_PASSING_S = 0.05, 1.0
+"""Without a frame for so long, the block that a server was sending has passed; and how long that may take."""
 _COMMAND = 0xE0
 
 
@@ -152,8 +159,8 @@ class UploadingSdoClient(SdoClient):
         else:
             upload.take(bytes(data))
 
-    def block_upload(self, index: int, subindex: int) -> bytes:
-        """Content of an object.
+    def block_upload(self, index: int, subindex: int, between: Callable[[], None] = go_on) -> bytes:
+        """Content of an object; ``between`` is called meanwhile, and what it raises ends the upload.
 
         Raises
         ------
@@ -170,14 +177,14 @@ class UploadingSdoClient(SdoClient):
         upload = self._upload = BlockUpload(self.send_request)
         try:
             upload.start()
-            self._wait(upload)
+            self._wait(upload, between)
         finally:
             self._upload = None
         return upload.data
 
-    def _wait(self, upload: BlockUpload) -> None:
+    def _wait(self, upload: BlockUpload, between: Callable[[], None]) -> None:
         silent, received, reminders = 0, 0, 0
-        while not upload.over.wait(self.RESPONSE_TIMEOUT):
+        while not self._over(upload, between):
             silent = silent + 1 if upload.received == received else 0
             received = upload.received
             if silent > REMINDERS or reminders == REMINDERS_IN_ALL:
@@ -188,6 +195,27 @@ class UploadingSdoClient(SdoClient):
                 upload.remind()
         if upload.failure is not None:
             raise upload.failure
+
+    def _over(self, upload: BlockUpload, between: Callable[[], None]) -> bool:
+        """Whether it is over within the time that a server has for its next frames."""
+        until = time.monotonic() + self.RESPONSE_TIMEOUT
+        while not upload.over.wait(max(min(LOOK_S, until - time.monotonic()), 0.0)):
+            try:
+                between()
+            except BaseException:
+                self._give_up(upload)
+                raise
+            if time.monotonic() >= until:
+                return False
+        return True
+
+    def _give_up(self, upload: BlockUpload) -> None:
+        """End an upload, and let the block pass that is on its way: the next request would take it for its answer."""
+        upload.over.set()
+        self.send_request(_abort(ABORT_GENERAL_ERROR))  # type: ignore[no-untyped-call]
+        longest = time.monotonic() + LONGEST_PASSING_S
+        while (now := time.monotonic()) < longest and now - (self.heard_at or 0.0) < QUIET_S:
+            time.sleep(QUIET_S / 5)
 
 
 def _abort(code: int) -> bytes:

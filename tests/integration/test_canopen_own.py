@@ -160,7 +160,7 @@ def test_a_raw_record_that_was_given_up_goes_on_with_what_has_come(monkeypatch: 
         return record[number * SEGMENT_BYTES :][:size]
 
     monkeypatch.setattr("drivers.canopen.driver.SEGMENTS_S", 0.0)
-    monkeypatch.setattr(link, "_block", lambda index, size: (_ for _ in ()).throw(BusError("the whole never comes")))
+    monkeypatch.setattr(link, "_block", lambda *asked: (_ for _ in ()).throw(BusError("the whole never comes")))
     monkeypatch.setattr(link, "_segment", segment)
     with pytest.raises(BusError):
         link.raw_record(7, len(record))

@@ -1,17 +1,27 @@
-"""A serial line of 115200 baud: a raw record keeps it busy for far longer than a lease lasts."""
+"""Lines that a raw record keeps busy for long: serial of 115200 baud, for longer than a lease lasts, and CAN."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
 from drivers.controller import Tone
+from drivers.device.hub import CanHub
 from drivers.device.machine import RigDevice
 from drivers.device.modbus import RtuServer
-from drivers.device.serve import ModbusOptions, RtuOptions, Served, serve_modbus, serve_modbus_rtu
+from drivers.device.serve import (
+    CanOptions,
+    ModbusOptions,
+    RtuOptions,
+    Served,
+    serve_canopen,
+    serve_modbus,
+    serve_modbus_rtu,
+)
 from drivers.errors import CancelledError
 from drivers.url import connect
 from sim.reference import reference_rig
@@ -94,3 +104,33 @@ def test_a_stop_goes_between_two_blocks_of_a_raw_record_and_ends_it(line: Served
             assert controller.measure(TONE).tone == TONE
     finally:
         controller.close()
+
+
+def test_a_stop_ends_a_raw_record_in_the_middle_of_its_transfer_over_can() -> None:
+    """One block transfer, 15 s of a line of 500 kbit/s; the line serves others at once."""
+    record = replace(RECORD, samples=8000)
+    whole = 48 * record.samples / 7  # frames
+    hub = CanHub(bitrate=500_000)
+    served = serve_canopen(RigDevice(reference_rig(), seed=1), CanOptions(bus=f"socketcand/127.0.0.1:{hub.port}/can0"))
+    controller = connect(served.url)
+
+    def stop() -> None:
+        while hub.frames < 0.1 * whole:
+            time.sleep(0.001)
+        controller.stop()
+
+    stopper = threading.Thread(target=stop)
+    try:
+        with controller.lease("slow line"):
+            stopper.start()
+            with pytest.raises(CancelledError, match="the raw record was on its way; the excitation is off"):
+                controller.measure(record)
+            stopper.join()
+            assert hub.frames < 0.4 * whole, "it had to wait for the record"
+            asked = hub.frames
+            assert controller.measure(TONE).tone == TONE
+            assert hub.frames - asked < 0.1 * whole, "the record still came"
+    finally:
+        controller.close()
+        served.close()
+        hub.close()
