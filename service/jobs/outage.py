@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -37,10 +38,13 @@ class Outage:
 
 
 class Repeats(logging.Filter):
-    """Lets one of the warnings that begin alike through in a minute: the job engine's, which has no `Outage`."""
+    """Lets one of the warnings that are alike through in a minute: the job engine's, which has no `Outage`.
+
+    Alike are those whose first lines differ in numbers and ids alone, as of attempts and workflows.
+    """
 
     EVERY_S = 60.0
-    _BEGINNING = 60
+    _COUNTED = re.compile(r"[0-9a-f]*[0-9][0-9a-f.]*")
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,9 +52,9 @@ class Repeats(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether a record is told."""
-        beginning = record.getMessage()[: self._BEGINNING]
+        said = self._COUNTED.sub("", record.getMessage().partition("\n")[0])
         at = time.monotonic()
-        if at - self._told.get(beginning, -self.EVERY_S) < self.EVERY_S:
+        if at - self._told.get(said, -self.EVERY_S) < self.EVERY_S:
             return False
-        self._told = {key: told for key, told in self._told.items() if at - told < self.EVERY_S} | {beginning: at}
+        self._told = {key: told for key, told in self._told.items() if at - told < self.EVERY_S} | {said: at}
         return True

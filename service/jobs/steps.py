@@ -159,7 +159,8 @@ def finish(job_id: str, run: int, found: Outcome) -> None:
 def give_up(job_id: str, run: int, error: Exception) -> None:
     """Fail a job whose workflow the engine could not carry on; what it has made is kept, and it can be tried again.
 
-    A job of which another worker or another run has begun is left to it.
+    One that waits yet is its own as well: the engine failed before it was claimed. A job of which another worker or
+    another run has begun is left to it.
     """
     worker = context()
     log.error("job %s: the job engine failed", job_id, exc_info=error)
@@ -168,7 +169,7 @@ def give_up(job_id: str, run: int, error: Exception) -> None:
 
     def write(session: Session) -> None:
         job = jobs.get(session, job_id)
-        if job.worker == worker.settings.worker:
+        if job.state == jobs.QUEUED or job.worker == worker.settings.worker:
             state, title = (jobs.CANCELLED, "") if job.cancel_requested else (jobs.FAILED, "job engine failed")
             given = {} if job.experiment_id is None else {"experiment": job.experiment_id}
             made = given | results.made_by(session, job_id)

@@ -39,10 +39,11 @@ def test_what_is_repeated_is_told_once_in_a_minute_and_what_differs_at_once(cloc
         if repeats.filter(logging.LogRecord("dbos", logging.WARNING, "", 0, text, None, None)):
             told.append((clock[0], text))
 
+    same = "Exception in the workflow job_01ab{at}.1, try {at}: (sqlite3.OperationalError) full"
     for clock[0] in range(0, 130, 10):
-        say("Exception encountered in queue thread for rigs: (sqlite3.OperationalError) full")
+        say(same.format(at=clock[0]))
         if clock[0] == 30:
-            say("Exception finding work for queue cpu: (sqlite3.OperationalError) full")
-    assert [(at, text[10:20]) for at, text in told] == [
-        (0, "encountere"), (30, "finding wo"), (60, "encountere"), (120, "encountere")
+            say(same.format(at=30).replace("full", "disk I/O error"))
+    assert [(at, text.rpartition(") ")[2]) for at, text in told] == [
+        (0, "full"), (30, "disk I/O error"), (60, "full"), (120, "full")
     ]  # fmt: skip

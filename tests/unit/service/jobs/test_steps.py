@@ -77,6 +77,9 @@ class TestAnEngineThatFails:
     def test_ends_a_job_as_its_owner_wished(self, begun):
         assert begun(cancel_requested=True) == ("cancelled", "", "")
 
+    def test_fails_a_job_that_it_has_not_let_begin(self, begun):
+        assert begun(state="queued", worker="")[:2] == ("failed", "job engine failed")
+
     @pytest.mark.parametrize("changes", [{"worker": "w2"}, {"run": 0}])
     def test_leaves_a_job_alone_that_is_another_ones_now(self, begun, changes):
         assert begun(**changes)[0] == "running"
