@@ -67,12 +67,9 @@ async function overview(context) {
   ];
 }
 
-// How a rig is by its newest check, and that a later one failed: then nobody knows how it is by now.
 function health(check, failed) {
   const known = check ? [...found(check), " ", when(check.created_at)] : ["not checked"];
-  if (!failed || (check && new Date(failed.ended_at) < new Date(check.created_at))) return h("div", { class: "told" }, known);
-  const why = h("a", { href: "#/job/" + failed.id, title: failed.error.detail }, failed.error.title);
-  return h("div", { class: "told" }, h("div", {}, known), h("div", {}, "newest check ", state("failed"), ": ", why, " ", when(failed.ended_at)));
+  return h("div", { class: "told" }, h("div", {}, known), tables.failedCheck(check, failed));
 }
 
 function found(check) {

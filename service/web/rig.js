@@ -9,11 +9,11 @@ import * as tables from "./tables.js";
 export async function rig(id, context) {
   const signal = context.signal;
   const of = "?rig=" + encodeURIComponent(id);
-  const [found, jobs, models, gaps, checks, trend, schedules, experiments] = await Promise.all([
+  const [found, jobs, models, gaps, checks, trend, schedules, experiments, failures] = await Promise.all([
     get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&limit=1", signal),
     get("/gaps" + of + "&limit=1", signal), get("/health-checks" + of + "&limit=1", signal),
     get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
-    get("/experiments" + of + "&limit=200", signal),
+    get("/experiments" + of + "&limit=200", signal), get("/jobs" + of + "&kind=health&state=failed&limit=1", signal),
   ]);
   const names = new Map([[id, found.name]]);
   return [
@@ -24,7 +24,7 @@ export async function rig(id, context) {
     section("Jobs", tables.jobs(jobs.items, names, context)),
     section("Model", ...(await model(models.items[0], context))),
     section("Gap between rig and twin", ...(await gap(gaps.items[0], context)), diagnose(found, experiments.items, context)),
-    section("Health", ...health(checks.items[0], trend, context)),
+    section("Health", tables.failedCheck(checks.items[0], failures.items[0]), ...health(checks.items[0], trend, context)),
     section("Schedules", ...(await schedule(schedules.items, context))),
   ];
 }

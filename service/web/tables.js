@@ -40,6 +40,13 @@ function cells(job, names, context) {
   ];
 }
 
+// That a rig's newest check failed after the one that is told, and why: then nobody knows how it is by now.
+export function failedCheck(check, failed) {
+  if (!failed || (check && new Date(failed.ended_at) < new Date(check.created_at))) return "";
+  const why = h("a", { href: "#/job/" + failed.id, title: failed.error.detail }, failed.error.title);
+  return h("div", {}, "newest check ", state("failed"), ": ", why, " ", when(failed.ended_at));
+}
+
 export function progress(job) {
   if (job.state === "failed") return h("span", { title: job.error && job.error.detail }, job.error ? job.error.title : "");
   if (job.state === "done") return "in " + duration((new Date(job.ended_at) - new Date(job.started_at)) / 1000);

@@ -240,6 +240,24 @@ def test_one_check_is_told_in_figures_as_it_is_no_trend(service, ids):
 
 
 @needs_browser
+def test_a_rig_says_that_a_later_check_than_the_one_it_tells_of_failed(service, ids):
+    with service.services.database.write() as session:
+        failed = jobs.submit(session, "health", ids["second"], 1, "local")
+        jobs.claim(session, failed.id, 1, "w1")
+        jobs.finish(session, failed.id, 1, jobs.FAILED, {}, "controller tripped", "at 120 Hz")
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{ids['second']}")
+        page.until("document.querySelector('#changes')")
+        section = "[...document.querySelectorAll('section')].find((s) => s.innerText.startsWith('Health'))"
+        assert "newest check failed: controller tripped" in page.run(f"{section}.innerText")
+        assert page.run(f"{section}.querySelector('a').getAttribute('href')") == f"#/job/{failed.id}"
+        page.open(f"{service.url}/#/rig/{ids['rig']}")
+        page.until("document.querySelector('#trend')")
+        assert "newest check failed" not in page.text()
+        assert page.complaints == []
+
+
+@needs_browser
 def test_no_rotor_is_moved_before_somebody_has_confirmed_it(service, ids):
     def moving() -> list[JobRow]:
         with service.services.database.read() as session:
