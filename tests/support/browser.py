@@ -1,5 +1,6 @@
 """A page in a real browser without a network: what it drew, and what it complained about."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -54,5 +55,6 @@ def opened(page: Path) -> Opened:
             text=True,
             timeout=120,
             check=True,
+            env={**os.environ, "TMPDIR": profile},
         )
     return Opened(done.stdout, tuple(x for x in done.stderr.splitlines() if ":CONSOLE" in x))

@@ -148,6 +148,7 @@ def tab() -> Iterator[Tab]:
                 *(*OPTIONS, f"--user-data-dir={profile}"),
             ],
             pass_fds=(commands_in, answers_out),
+            env={**os.environ, "TMPDIR": profile},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
