@@ -1,6 +1,5 @@
 """What holds for every test."""
 
-import os
 import sys
 import threading
 from collections.abc import Generator
@@ -14,9 +13,6 @@ settings.load_profile("ambit")
 LONG = tuple(f"tests/{folder}/" for folder in ("e2e", "integration", "unit/service/gap", "unit/service/identification"))
 """Folders whose modules take longest."""
 
-CHILDREN = "COVERAGE_PROCESS_CONFIG"
-"""What has coverage measure the processes that a test starts."""
-
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What takes longest comes first: a long module that is begun last leaves the other workers idle.
@@ -29,7 +25,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _untraced(item: pytest.Item) -> Generator[None]:
     if not item.get_closest_marker("no_cover"):
         return (yield)
-    tracer, of_threads, of_children = sys.gettrace(), threading.gettrace(), os.environ.pop(CHILDREN, None)
+    tracer, of_threads = sys.gettrace(), threading.gettrace()
     sys.settrace(None)
     threading.settrace(None)
     try:
@@ -37,8 +33,6 @@ def _untraced(item: pytest.Item) -> Generator[None]:
     finally:
         sys.settrace(tracer)
         threading.settrace(of_threads)
-        if of_children is not None:
-            os.environ[CHILDREN] = of_children
 
 
 @pytest.hookimpl(wrapper=True, trylast=True)

@@ -11,10 +11,7 @@ import pytest
 from service.experiment import file
 from tests.support.command import Running, refusal, wait_until
 
-pytestmark = [
-    pytest.mark.no_cover,
-    pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux"),
-]  # other tests cover the lines; traced, its processes take half as long again
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux")
 
 
 def _started_by(pid: int) -> dict[int, str]:

@@ -60,7 +60,7 @@ def test_the_twin_with_the_effect_has_no_gap(diagnosed, tmp_path):
     assert "loop_delay" in done.stdout
     assert [name for name, _ in rig_file.read(twin).effects] == ["loop_delay"]
     words = ("gap", "diagnose", case / "experiment.h5", "--rig", twin, "--out", tmp_path, "--jobs", 1, "--json")
-    again = ambit(*words, timeout_s=280, traced=False)
+    again = ambit(*words, timeout_s=280)
     assert json.loads(again.stdout)["verdict"]["kind"] == "no_gap", again.stderr
     assert "already" in refusal("gap", "apply", out / "gap.json", "--rig", twin, "--out", tmp_path / "twice.toml")
     before = twin.read_bytes()
@@ -97,7 +97,7 @@ def test_ctrl_c_ends_all_workers_in_one_line(seconds, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_blind_trial_told_to_stop_ends_at_once_and_says_what_it_keeps(number, tmp_path):
     out = tmp_path / "trial"
-    run = Running("gap", "blind-trial", "--cases", 2, "--seed", 4, "--jobs", 2, "--out", out, traced=False)
+    run = Running("gap", "blind-trial", "--cases", 2, "--seed", 4, "--jobs", 2, "--out", out)
     try:
         wait_until(lambda: (out / "case-0001").exists() and (out / "case-0002").exists(), "both cases")
         run.process.send_signal(number)  # to the command alone, as a supervisor does
@@ -112,7 +112,7 @@ def test_a_blind_trial_can_be_checked_by_anyone(tmp_path):
     """Truth sealed behind the hash that was published, report and seal as they were, scores printed."""
     out = tmp_path / "trial"
     words = ("gap", "blind-trial", "--cases", 1, "--seed", 4, "--jobs", 1, "--out", out, "--json")
-    done = ambit(*words, timeout_s=280, traced=False)
+    done = ambit(*words, timeout_s=280)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["scores"]["cases"]["single"] == 1
     case = out / "case-0001"

@@ -14,8 +14,6 @@ from service.experiment import file
 from tests.support.command import Running, ambit, refusal, wait_until
 from tests.support.two_axes import true_and_known
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
-
 
 @pytest.fixture
 def rig(tmp_path):

@@ -10,8 +10,6 @@ from sim import rig_file
 from tests.support.browser import BROWSER, opened
 from tests.support.command import ambit
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
-
 TRUTH = {
     "x": {"kiA": 181.0, "kiB": 186.0, "ksA": 1.68e6, "ksB": 1.73e6},
     "y": {"kiA": 184.0, "kiB": 198.0, "ksA": 1.69e6, "ksB": 1.88e6},

@@ -6,11 +6,7 @@ import pytest
 
 from tests.support.command import Running, ambit, refusal
 
-pytestmark = [
-    pytest.mark.no_cover,
-    pytest.mark.slow,
-    pytest.mark.timeout(900),
-]  # other tests cover the lines; traced, its processes take half as long again
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 LAW = 72
 """A seed that withholds a law of no catalogue, in the log. A coarse log, in which the rotor seems to stand, would be
 measured many times as long."""
@@ -54,7 +50,7 @@ def test_what_was_withheld_is_opened_and_scored(diagnosed):
 
 def test_a_diagnosis_of_another_served_case_is_refused(diagnosed, tmp_path):
     out, _ = diagnosed
-    device = Running("rig", "serve", "--withheld", LAW + 1, "--sealed", tmp_path / "withheld.json", traced=False)
+    device = Running("rig", "serve", "--withheld", LAW + 1, "--sealed", tmp_path / "withheld.json")
     try:
         _, commitment = (device.first_line().removeprefix(p) for p in ("", "withheld: "))
     finally:

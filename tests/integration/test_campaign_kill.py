@@ -16,8 +16,6 @@ from service.cli import run
 from service.experiment.file import read
 from tests.support.campaigns import assert_same
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
-
 PROGRAM = """
 import sys
 from pathlib import Path

@@ -8,14 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 
 import httpx
-import pytest
 
 from service.api.app import THREADS
 from service.storage import workers
 from service.storage.database import Database
-from tests.support.processes import ENVIRONMENT, ROOT, environment, wait_for
-
-pytestmark = pytest.mark.no_cover
+from tests.support.processes import ENVIRONMENT, ROOT, wait_for
 
 HANGS = """
 import os, sys, threading
@@ -38,7 +35,7 @@ def started(tmp_path, *arguments, script=HANGS):
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
-            env=environment(ENVIRONMENT, traced=False),
+            env=ENVIRONMENT,
             cwd=ROOT,
         )
     try:

@@ -15,8 +15,6 @@ from tests.support.processes import ROOT, wait_for
 from tests.support.service import QUICK, SLOW, Running, free_port, reference_sheet, rig_device, service
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced, its processes take half as long again
-
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
 TINY = {**QUICK, "points": 6, "validation_points": 2, "amplifier_points": 2, "rig_seconds": 15}
 """For jobs of which only the beginning and the end matter."""

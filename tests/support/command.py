@@ -12,20 +12,19 @@ from pathlib import Path
 from unittest.mock import patch
 
 from service import cli
-from tests.support.processes import environment
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "COLUMNS": "100", "NO_COLOR": "1"}
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
 """The script that the installation put beside the interpreter."""
 
 
-def ambit(*arguments: object, timeout_s: float = 120.0, traced: bool = True) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end; ``traced`` as of `Running`."""
+def ambit(*arguments: object, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
     return subprocess.run(
         [*AMBIT, *map(str, arguments)],
         capture_output=True,
         text=True,
-        env=environment(ENVIRONMENT, traced),
+        env=ENVIRONMENT,
         timeout=timeout_s,
         check=False,
     )
@@ -53,18 +52,15 @@ def refusal(*arguments: object, status: int = 1) -> str:
 
 
 class Running:
-    """A command that runs, with what it has said on stderr so far.
+    """A command that runs, with what it has said on stderr so far."""
 
-    ``traced`` false: other tests cover its lines, and without a tracer it takes a third less.
-    """
-
-    def __init__(self, *arguments: object, traced: bool = True) -> None:
+    def __init__(self, *arguments: object) -> None:
         self.process = subprocess.Popen(
             [*AMBIT, *map(str, arguments)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=environment(ENVIRONMENT, traced),
+            env=ENVIRONMENT,
             start_new_session=True,
         )
         self.said: list[str] = []

@@ -19,7 +19,7 @@ from service.storage.ids import new_id
 from service.storage.tables import GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
 from sim.rig_file import to_toml
 from tests.support.measured import small_experiment
-from tests.support.processes import FOREIGN, ROOT
+from tests.support.processes import ENVIRONMENT, ROOT
 from tests.support.serving import Serving
 
 CHECKS = (
@@ -113,7 +113,7 @@ def tried(
             *("--no-shrink", "--continue-on-failure", "--suppress-health-check", "all", "--warnings", "off"),
             *("--no-color", "--output-truncate", "true", *which),
         ],
-        env=FOREIGN
+        env=ENVIRONMENT
         | {"SCHEMATHESIS_HOOKS": "tests.support.api_hooks", "AMBIT_TEST_IDS": json.dumps(ids), "PYTHONPATH": str(ROOT)},
         cwd=folder,
         capture_output=True,

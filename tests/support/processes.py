@@ -13,26 +13,12 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 ROOT = Path(__file__).parents[2]
 
 
-def untraced(environment: dict[str, str]) -> dict[str, str]:
-    """An environment whose processes are not measured, and so do not cost a tracer."""
-    return {name: value for name, value in environment.items() if not name.startswith("COVERAGE_PROCESS")}
-
-
-FOREIGN = untraced(ENVIRONMENT)
-"""For programs that run no line of this repository, and where other tests measure those that they run."""
-
-
-def environment(base: dict[str, str], traced: bool = True) -> dict[str, str]:
-    """Of a process that a test starts: measured only where the test itself is, which the variable tells."""
-    return base if traced and "COVERAGE_PROCESS_CONFIG" in os.environ else untraced(base)
-
-
 class Process:
     """A Python process whose first line of output says that it is ready."""
 
     def __init__(self, *arguments: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, *arguments], stdout=subprocess.PIPE, env=environment(ENVIRONMENT), cwd=ROOT, text=True
+            [sys.executable, *arguments], stdout=subprocess.PIPE, env=ENVIRONMENT, cwd=ROOT, text=True
         )
         assert self._process.stdout is not None
         self.said = self._process.stdout.readline().strip()

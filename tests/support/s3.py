@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.support.processes import FOREIGN
+from tests.support.processes import ENVIRONMENT
 from tests.support.service import free_port
 
 _SIGNED = "AWS4-HMAC-SHA256 Credential=test/20260101/us-east-1/s3/aws4_request"
@@ -27,7 +27,7 @@ class Server:
             [program, "-H", "127.0.0.1", "-p", str(port)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env=FOREIGN,
+            env=ENVIRONMENT,
         )
         try:
             self._wait()

@@ -15,7 +15,6 @@ from typing import Any
 
 import httpx
 
-from tests.support import processes
 from tests.support.processes import ENVIRONMENT, ROOT, read_events
 
 AMBIT = [str(Path(sys.executable).with_name("ambit"))]
@@ -36,18 +35,13 @@ ENDED = ("done", "failed", "cancelled")
 
 
 class Running:
-    """A command that runs; its stdout is read line by line, its stderr is kept in a file.
+    """A command that runs; its stdout is read line by line, its stderr is kept in a file."""
 
-    ``traced`` as of `tests.support.command.Running`.
-    """
-
-    def __init__(
-        self, log: Path, *arguments: object, environment: dict[str, str] | None = None, traced: bool = True
-    ) -> None:
+    def __init__(self, log: Path, *arguments: object, environment: dict[str, str] | None = None) -> None:
         self.arguments = [*AMBIT, *map(str, arguments)]
         self.log = log
         self._environment = {
-            **processes.environment(ENVIRONMENT, traced),
+            **ENVIRONMENT,
             "AMBIT_LOG_FORMAT": "json",
             **(environment or {}),
         }
@@ -123,7 +117,6 @@ class Service:
     home: Path
     environment: dict[str, str] = field(default_factory=dict)
     flags: tuple[str, ...] = ()
-    traced: bool = True
     workers: dict[str, Running] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -135,7 +128,6 @@ class Service:
             self.home,
             *(self.flags if "--port" in self.flags else ("--port", 0, *self.flags)),
             environment=self.environment,
-            traced=self.traced,
         )
         self.client = httpx.Client(base_url=self.api.said, timeout=30)
 
@@ -143,7 +135,7 @@ class Service:
         """A worker beside."""
         log = self.home / f"{name}.log"
         words = ("worker", "--home", self.home, "--name", name)
-        started = Running(log, *words, environment=self.environment, traced=self.traced)
+        started = Running(log, *words, environment=self.environment)
         self.workers[name] = started
         return started
 
@@ -224,7 +216,7 @@ def rig_device(folder: Path, name: str = "rig", *options: str) -> Rig:
     events = folder / f"{name}.events.jsonl"
     events.touch()
     arguments = ("rig", "serve", "--protocol", "modbus", "--events", events, *options)
-    device = Running(folder / f"{name}.device.log", *arguments, traced=False)
+    device = Running(folder / f"{name}.device.log", *arguments)
     return Rig(device, device.said, events)
 
 
@@ -252,6 +244,6 @@ def service(home: Path, database: str = "sqlite", *flags: str, **settings: objec
             from tests.support.postgres import empty_database
 
             environment["AMBIT_DATABASE_URL"] = stack.enter_context(empty_database())
-        found = Service(home, environment, flags, traced=database == "sqlite")  # the same lines on either
+        found = Service(home, environment, flags)
         stack.callback(found.end)
         yield found

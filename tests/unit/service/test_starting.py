@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.support.processes import FOREIGN
+from tests.support.processes import ENVIRONMENT
 
 SLOW = {"scipy.signal", "scipy.stats", "scipy.interpolate", "plotly", "control"}
 """Each takes a third of a second or more; the first three load one another."""
@@ -24,5 +24,5 @@ HEAVY = {"scipy.optimize", "numba", "service.identification.fit"}
 )
 def test_what_starts_often_loads_no_slow_library(begins_with: str, never: set[str]) -> None:
     code = f"{begins_with}; import sys; print(*sorted({never} & sys.modules.keys()))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=FOREIGN, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, check=True)
     assert done.stdout.split() == []
