@@ -11,7 +11,9 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
+import can
 from canopen import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.constants import (
@@ -40,7 +42,7 @@ REMINDERS_IN_ALL = 50
 """and how often in one upload: a line that loses so much is better asked for smaller parts."""
 LOOK_S = 0.1
 """How often whoever waits for an upload may give it up."""
-QUIET_S, LONGEST_PASSING_S = 0.05, 1.0
+QUIET_S, LONGEST_PASSING_S = 0.05, 2.0
 """Without a frame for so long, the block that a server was sending has passed; and how long that may take."""
 _COMMAND = 0xE0
 
@@ -178,6 +180,10 @@ class UploadingSdoClient(SdoClient):
         try:
             upload.start()
             self._wait(upload, between)
+        except BaseException:
+            if not upload.over.is_set():  # by whoever waits, and not by the server or the line
+                self._give_up(upload)
+            raise
         finally:
             self._upload = None
         return upload.data
@@ -188,6 +194,7 @@ class UploadingSdoClient(SdoClient):
             silent = silent + 1 if upload.received == received else 0
             received = upload.received
             if silent > REMINDERS or reminders == REMINDERS_IN_ALL:
+                upload.over.set()
                 self.send_request(_abort(ABORT_TIMED_OUT))  # type: ignore[no-untyped-call]
                 raise SdoCommunicationError("the server fell silent in a block upload")
             if silent:
@@ -200,11 +207,7 @@ class UploadingSdoClient(SdoClient):
         """Whether it is over within the time that a server has for its next frames."""
         until = time.monotonic() + self.RESPONSE_TIMEOUT
         while not upload.over.wait(max(min(LOOK_S, until - time.monotonic()), 0.0)):
-            try:
-                between()
-            except BaseException:
-                self._give_up(upload)
-                raise
+            between()
             if time.monotonic() >= until:
                 return False
         return True
@@ -212,7 +215,8 @@ class UploadingSdoClient(SdoClient):
     def _give_up(self, upload: BlockUpload) -> None:
         """End an upload, and let the block pass that is on its way: the next request would take it for its answer."""
         upload.over.set()
-        self.send_request(_abort(ABORT_GENERAL_ERROR))  # type: ignore[no-untyped-call]
+        with suppress(can.CanError, OSError, RuntimeError):  # why it is given up is what is told
+            self.send_request(_abort(ABORT_GENERAL_ERROR))  # type: ignore[no-untyped-call]
         longest = time.monotonic() + LONGEST_PASSING_S
         while (now := time.monotonic()) < longest and now - (self.heard_at or 0.0) < QUIET_S:
             time.sleep(QUIET_S / 5)

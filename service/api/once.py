@@ -40,6 +40,7 @@ def once(
     key: str | None,
     content: str,
     make: Callable[[Session], Answer],
+    before: Callable[[], None] = lambda: None,
 ) -> tuple[Answer, bool]:
     """Do what a request asks for, in one transaction with the note that it was done.
 
@@ -49,6 +50,8 @@ def once(
         What the request is, beyond its address: the same key with another content is refused.
     make
         Does it.
+    before
+        Refuses what is not to be done, by what takes longer than a transaction should.
 
     Returns
     -------
@@ -61,6 +64,7 @@ def once(
         The key was used for another request.
     """
     if key is None:
+        before()
         with database.write() as session:
             return make(session), False
     digest = sha256(f"{request.method} {request.url.path}\n{content}".encode()).hexdigest()
@@ -71,6 +75,7 @@ def once(
             if found.request_sha256 != digest:
                 raise UnprocessableError(f"the Idempotency-Key {key!r} was used for another request; take a new one")
             return Answer(found.status, found.location, found.body), True
+        before()
         try:
             with database.write() as session:
                 answer = make(session)

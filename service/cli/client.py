@@ -43,7 +43,7 @@ class Kind(StrEnum):
 
 def submit(
     kind: Annotated[Kind, typer.Argument(help="What shall be done; experiment and health move the rotor.")],
-    rig: Annotated[str, typer.Option(help="Name or id of the rig, or rig.toml: then it is made known.")],
+    rig: Annotated[str, typer.Option(help="Name or id of the rig, or rig.toml: made known unless for health.")],
     controller: Annotated[
         str | None, typer.Option(help="Where the controller is; with rig.toml. A rig whose rotor is to move needs one.")
     ] = None,

@@ -10,6 +10,7 @@ import typer
 
 from service.cli.console import Json, print_json, stdout
 from service.cli.usage import value_of
+from service.health import budget
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,9 +18,8 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Short checks of a commissioned rig: what drifted, and how sure that is.")
 
 BaselineFolder = Annotated[Path, typer.Option(help="Folder of the commissioning: result.json and rig.toml.")]
-BUDGET_S = 90.0
 STOPPING = "stopping: any excitation ramps to zero, what was measured is kept"
-Budget = Annotated[float, typer.Option(help="Rig time of the check, s.", min=20.0, max=3600.0)]
+Budget = Annotated[float, typer.Option(help="Rig time of the check, s.", min=budget.SMALLEST_S, max=budget.LARGEST_S)]
 PerYear = Annotated[
     float, typer.Option(help="False alarms a year that are accepted, over all figures.", min=1e-6, max=1.0)
 ]
@@ -36,7 +36,7 @@ def check(
     ],
     baseline: BaselineFolder,
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
-    budget_s: Budget = BUDGET_S,
+    budget_s: Budget = budget.USUAL_S,
     false_alarms_per_year: PerYear = ALLOWANCE,
     history: History = None,
     as_json: Json = False,
@@ -88,7 +88,7 @@ def compare(
 
 
 @app.command()
-def plan(baseline: BaselineFolder, budget_s: Budget = BUDGET_S, as_json: Json = False) -> None:
+def plan(baseline: BaselineFolder, budget_s: Budget = budget.USUAL_S, as_json: Json = False) -> None:
     """Show which tones a check would take, and how well it would tell each figure."""
     from service import checkup
     from service.errors import JobError

@@ -62,7 +62,7 @@ class Jobs:
     def list(
         self, state: str | None = None, kind: Kind | None = None, rig: str | None = None, newest: bool | None = None
     ) -> Iterator[Job]:
-        """Jobs, newest first; with ``newest`` only the last one of each rig, of that state and kind."""
+        """Jobs, newest first; with ``newest`` one of each rig, of that state and kind: which ended last."""
         return self._transport.pages("/jobs", Job.model_validate, state=state, kind=kind, rig=rig, newest=newest)
 
     def cancel(self, job_id: str) -> Job:

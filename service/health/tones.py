@@ -20,6 +20,7 @@ import numpy as np
 from service.campaign.aims import Profile
 from service.campaign.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
 from service.errors import JobError
+from service.health import budget
 from service.health.monitored import plane_figures
 from service.identification.arrays import Real
 from service.identification.measured.known import as_identified
@@ -30,6 +31,7 @@ from service.identification.result.saved import SavedPlane, saved_planes
 from service.identification.statistics.derivatives import central_differences
 from service.identification.synthetic import closed_loop_points
 from sim.datasheet import Datasheet
+from sim.errors import AmbError
 
 ACCURACY = 0.003
 """Relative standard deviation that every tone aims at."""
@@ -53,6 +55,8 @@ DRIFT, MODE_DRIFT, DAMPING_DRIFT = 0.3, 0.02, 2.0
 """Relative changes that may have come since the commissioning, one sigma: of any parameter, of a mode's frequency, of
 its damping. No baseline guides a check more closely than that."""
 TOO_SMALL = "budget too small"
+ROUNDING = 1e-9
+"""Relative error of a sum of times, by which its order may not decide."""
 SCENARIOS = ((0.0, 1.0), (4e-3, 1.0), (-4e-3, 1.0), (0.0, 2.0), (0.0, 0.5))
 """Relative shift of every mode's frequency, and factor on its damping."""
 
@@ -77,7 +81,9 @@ class ShortPlan:
         }
 
 
-def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budget_s: float = 90.0) -> ShortPlan:
+def short_plan(
+    datasheet: Datasheet, baseline_document: Mapping[str, Any], budget_s: float = budget.USUAL_S
+) -> ShortPlan:
     """Plan of a health check.
 
     Parameters
@@ -92,7 +98,7 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
     JobError
         The budget holds too few tones.
     AmbError
-        The document has no parameters.
+        The document has no parameters, or no tones of which they can be told.
     """
     times = _Times(datasheet, baseline_document)
     times.must_suffice(budget_s)
@@ -100,7 +106,10 @@ def short_plan(datasheet: Datasheet, baseline_document: Mapping[str, Any], budge
     designs = [_Design(s, times.datasheet) for s in times.planes.values()]
     for design in designs:
         design.prepare(candidates)
-    chosen = sorted(_exchanged(designs, seconds, _greedy(designs, seconds, budget_s - times.first)))
+    found = _greedy(designs, seconds, budget_s - times.first)
+    if len(found) < FEWEST:
+        raise AmbError(f"the baseline tells of only {len(found)} tones that a check could learn from; commission anew")
+    chosen = sorted(_exchanged(designs, seconds, found))
     frequencies = candidates[chosen]
     total = times.first + float(seconds[chosen].sum())
     profile = Profile(
@@ -148,15 +157,19 @@ class _Times:
         per_axis = self.settling + RAMP_S + BLOCKS * np.maximum(BLOCK_S, 1 / self.candidates)
         self.seconds = n_axes * REPEATED * per_axis
         """Of each candidate, s."""
+        self.least = self.first + float(np.sum(np.sort(self.seconds)[:FEWEST]))
+        """Of a check of the fewest tones, whichever they are, s."""
 
     def must_suffice(self, budget_s: float) -> None:
-        """Refuse a budget that holds too few tones, whichever they are."""
-        least = self.first + float(np.sum(np.sort(self.seconds)[:FEWEST]))
-        if budget_s < least:
+        """Refuse a budget that holds too few tones."""
+        if budget_s < self.least * (1 - ROUNDING):
+            remedy = f"give a budget_s of at least {math.ceil(self.least)}"
+            if self.least > budget.LARGEST_S:
+                remedy = f"that is more than the {budget.LARGEST_S:g} s of any check: commission it anew instead"
             raise JobError(
                 TOO_SMALL,
                 f"{budget_s:g} s of rig time hold no health check of this rig: its coarse sweep and {FEWEST} tones "
-                f"take {least:.0f} s; give a budget_s of at least {math.ceil(least)}",
+                f"take {self.least:.0f} s; {remedy}",
             )
 
 
@@ -297,7 +310,7 @@ def _greedy(designs: list[_Design], seconds: Real, budget_s: float) -> list[int]
     while len(chosen) < MOST:
         after = sum(d.criterion(s + np.swapaxes(d.information, 0, 1)) for d, s in zip(designs, sums, strict=True))
         gain = (now - np.asarray(after)) / seconds
-        gain[seconds + _reserve(seconds, chosen) > budget_s] = -np.inf
+        gain[seconds + _reserve(seconds, chosen) > budget_s * (1 + ROUNDING)] = -np.inf
         gain[chosen] = -np.inf
         best = int(np.argmax(gain))
         if not np.isfinite(gain[best]) or gain[best] <= 0:

@@ -10,6 +10,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.campaign.aims import Profile
+from service.health import budget
 from service.jobs import calculations, campaigns
 from service.jobs.context import Context
 from service.jobs.control import Control
@@ -20,7 +21,6 @@ from service.storage.ids import derived_id
 from service.storage.tables import HealthRow, JobRow, ModelRow
 
 YEAR = timedelta(days=365)
-BUDGET_S = 90.0
 
 
 def _baseline(worker: Context, job: JobRow) -> tuple[ModelRow, str]:
@@ -38,7 +38,7 @@ def measure(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
     _, baseline = _baseline(worker, job)
     _, rig = datasheet_file(worker, job)
     Part(control, PLANNING_CHECK).tell("planning", 0.0)
-    arguments = {"baseline": baseline, "rig": str(rig), "budget_s": job.options.get("budget_s", BUDGET_S)}
+    arguments = {"baseline": baseline, "rig": str(rig), "budget_s": job.options.get("budget_s", budget.USUAL_S)}
     found = worker.calculator.run("health_plan", arguments, control.stopped)
     profile = Profile(**{**found, "frequencies_hz": tuple(found["frequencies_hz"])})
     return campaigns.measure(worker, job, control, profile, "health", MEASURING_CHECK)

@@ -40,11 +40,11 @@ class Outage:
 class Repeats(logging.Filter):
     """Lets one of the warnings that are alike through in a minute: the job engine's, which has no `Outage`.
 
-    Alike are those whose first lines differ in numbers and ids alone, as of attempts and workflows.
+    Alike are those whose first lines differ in words with digits alone: ids of jobs, attempts, times.
     """
 
     EVERY_S = 60.0
-    _COUNTED = re.compile(r"[0-9a-f]*[0-9][0-9a-f.]*")
+    _COUNTED = re.compile(r"\w*\d[\w.:-]*")
 
     def __init__(self) -> None:
         super().__init__()

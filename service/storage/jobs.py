@@ -88,11 +88,17 @@ def listed(
     limit: int = 100,
     newest: bool = False,
 ) -> Page[JobRow]:
-    """A page of jobs; with ``newest`` only the last one of each rig among those that are asked for."""
+    """A page of jobs; with ``newest`` of those that are asked for only one of each rig, which ended last.
+
+    One that has not ended comes before those that have. When a job was submitted says nothing: it may be tried again.
+    """
     wanted = ((JobRow.state, state), (JobRow.kind, kind), (JobRow.rig_id, rig_id))
     conditions: list[ColumnElement[bool]] = [column == value for column, value in wanted if value is not None]
     if newest:
-        conditions.append(JobRow.id.in_(select(func.max(JobRow.id)).where(*conditions).group_by(JobRow.rig_id)))
+        latest = (JobRow.ended_at.is_not(None), JobRow.ended_at.desc(), JobRow.id.desc())
+        place = func.row_number().over(partition_by=JobRow.rig_id, order_by=latest)
+        placed = select(JobRow.id, place.label("place")).where(*conditions).subquery()
+        conditions.append(JobRow.id.in_(select(placed.c.id).where(placed.c.place == 1)))
     return page(session, JobRow, *conditions, after=after, limit=limit)
 
 
@@ -170,13 +176,16 @@ def _moving(rig_id: str) -> ColumnElement[bool]:
 
 
 def _cancel_all(session: Session, which: ColumnElement[bool], why: str) -> list[JobRow]:
-    wanted = select(JobRow).where(which).order_by(JobRow.id).with_for_update()
-    found = [cancel(session, job.id) for job in session.scalars(wanted)]
-    for job in found:
+    """Cancel jobs, and say why to those that nobody had asked to end yet."""
+    wanted = select(JobRow.id, JobRow.cancel_requested).where(which).order_by(JobRow.id).with_for_update()
+    found = []
+    for job_id, asked_before in session.execute(wanted).all():
+        job = cancel(session, job_id)
         if job.state == CANCELLED:
             job.phase = cancelled_as(why)
-        else:
+        elif not asked_before:
             job.error_detail = why
+        found.append(job)
     return found
 
 

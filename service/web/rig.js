@@ -13,7 +13,7 @@ export async function rig(id, context) {
     get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&limit=1", signal),
     get("/gaps" + of + "&limit=1", signal), get("/health-checks" + of + "&limit=1", signal),
     get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
-    get("/experiments" + of + "&limit=200", signal), get("/jobs" + of + "&kind=health&state=failed&limit=1", signal),
+    get("/experiments" + of + "&limit=200", signal), get("/jobs" + of + "&kind=health&state=failed&newest=true", signal),
   ]);
   const names = new Map([[id, found.name]]);
   return [

@@ -149,7 +149,19 @@ def test_a_rig_whose_newest_check_failed_says_so_beside_what_was_known_before(pl
 
 
 def test_the_newest_job_of_each_rig_is_asked_for_among_those_of_a_kind_and_state(plant):
+    """It is the one that ended last: a job that is tried again ends after those that were submitted later."""
+    with plant.service.services.database.write() as session:
+        rig = rigs.create(session, "tried again", to_toml(SHEET), "", "", "x").id
+        tried, later = (jobs.submit(session, "health", rig, 1, "x").id for _ in range(2))
+    for job, run in ((tried, 1), (later, 1), (tried, 2)):
+        with plant.service.services.database.write() as session:
+            if run > 1:
+                jobs.retry(session, job, "x")
+            jobs.claim(session, job, run, "w1")
+            jobs.finish(session, job, run, jobs.FAILED, {}, "bus error", f"in run {run}")
     with httpx.Client(base_url=f"{plant.service.url}/api/v1") as api:
+        asked = {"kind": "health", "state": "failed", "rig": rig, "newest": True}
+        assert [job["id"] for job in api.get("/jobs", params=asked).json()["items"]] == [tried]
         asked = {"kind": "gap", "newest": True}
         assert [job["id"] for job in api.get("/jobs", params=asked).json()["items"]] == [plant.running]
         failed = api.get("/jobs", params=asked | {"state": "failed"}).json()["items"]

@@ -212,9 +212,11 @@ def submit_job(
 ) -> Response:
     """Submit a job; it is done as soon as the rig and a worker are free."""
     options = checked_options(wanted.kind, wanted.options)
-    if wanted.kind == "health":
-        must_hold_a_check(api, wanted.rig, options)
     made: list[JobRow] = []
+
+    def must_work() -> None:
+        if wanted.kind == "health":
+            must_hold_a_check(api, wanted.rig, options)
 
     def make(session: Session) -> Answer:
         version = check(session, wanted, options)
@@ -233,7 +235,7 @@ def submit_job(
         made[:] = [job]
         return Answer(202, f"/api/v1/jobs/{job.id}", shape(job).model_dump(mode="json"))
 
-    answer, replayed = once(api.database, who, request, idempotency_key, wanted.model_dump_json(), make)
+    answer, replayed = once(api.database, who, request, idempotency_key, wanted.model_dump_json(), make, must_work)
     if not replayed:
         hand_over(api.database, api.dispatcher, made[0])
     return answer.response(replayed)
@@ -248,7 +250,7 @@ def list_jobs(
     kind: Annotated[Kind | None, Query(description="Only of this kind.")] = None,
     rig: OfRig = None,
     newest: Annotated[
-        bool, Query(description="Only the newest of each rig, of those in this state and of this kind.")
+        bool, Query(description="Only one of each rig, of those in this state and of this kind: which ended last.")
     ] = False,
 ) -> Response:
     """All jobs, newest first."""

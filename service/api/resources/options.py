@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 from service.api.problems import UnprocessableError
 from service.campaign.aims import Profile
 from service.campaign.multisine.plan import MultisineProfile
+from service.health import budget
 
 PRIORS = "Whether the datasheet's values count as priors, as wide as its tolerances."
 _BAND = "band"
@@ -217,7 +218,12 @@ class HealthOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    budget_s: float = Field(90.0, ge=20.0, le=3600.0, description="Time of the rig that the check may take, s.")
+    budget_s: float = Field(
+        budget.USUAL_S,
+        ge=budget.SMALLEST_S,
+        le=budget.LARGEST_S,
+        description="Time of the rig that the check may take, s.",
+    )
     false_alarms_per_year: float = Field(
         0.2, ge=1e-6, le=1.0, description="False alarms of the rig a year that are accepted, over all figures."
     )

@@ -97,7 +97,6 @@ def create_schedule(
     request: Request, wanted: ScheduleWanted, who: Operator, api: Api, idempotency_key: IdempotencyKey = None
 ) -> Response:
     """Have a rig's health checked by the clock."""
-    _must_work(api, wanted)
 
     def make(session: Session) -> Answer:
         rig = rigs.active(session, wanted.rig)
@@ -108,7 +107,8 @@ def create_schedule(
         audit(session, request, who, Action.schedule_created, row.id, rig=rig.id, cron=row.cron)
         return Answer(201, f"/api/v1/schedules/{row.id}", shape(row, secret).model_dump(mode="json"))
 
-    answer, replayed = once(api.database, who, request, idempotency_key, wanted.model_dump_json(), make)
+    content = wanted.model_dump_json()
+    answer, replayed = once(api.database, who, request, idempotency_key, content, make, lambda: _must_work(api, wanted))
     return answer.response(replayed)
 
 
@@ -143,15 +143,22 @@ def change_schedule(
     if_match: IfMatch = None,
 ) -> Response:
     """Change a schedule; the webhook's secret stays when none is given."""
+    with api.database.read() as session:
+        _must_be_changed(schedules.get(session, schedule_id), wanted, if_match)
     _must_work(api, wanted)
     with api.database.write() as session:
         row = schedules.get(session, schedule_id, for_update=True)
-        etags.require_match(if_match, tag(row))
-        if wanted.rig != row.rig_id:
-            raise ConflictError(f"the schedule is for the rig {row.rig_id}, and stays so; make another one")
+        _must_be_changed(row, wanted, if_match)
         secret = _apply(session, row, wanted, api.settings.webhooks_to_itself)
         audit(session, request, who, Action.schedule_changed, row.id, rig=row.rig_id, cron=row.cron)
     return etags.document(shape(row, secret), None, tag(row))
+
+
+def _must_be_changed(row: ScheduleRow, wanted: ScheduleWanted, if_match: str | None) -> None:
+    """Refuse to change a schedule that has changed, or to make it another rig's."""
+    etags.require_match(if_match, tag(row))
+    if wanted.rig != row.rig_id:
+        raise ConflictError(f"the schedule is for the rig {row.rig_id}, and stays so; make another one")
 
 
 @router.delete("/{schedule_id}", status_code=204, response_class=Response, responses=documented(404))

@@ -44,12 +44,27 @@ def test_a_schedule_of_such_checks_is_refused_but_may_be_switched_off(api, check
     assert api.put(place, json=off, headers=tag).status_code == 200
 
 
-def test_what_is_not_known_yet_is_left_to_the_check(api, rig, service):
+@pytest.mark.parametrize("damaged", [None, b"no JSON", b"{}"])
+def test_what_is_not_known_yet_is_left_to_the_check(api, rig, service, damaged):
     """Before its commissioning a rig may have a schedule; a result that cannot be read is the job's to tell."""
     small = {"options": {"budget_s": 25}}
     assert api.post("/schedules", json={"rig": rig, **BY_THE_CLOCK, **small}).status_code == 201
-    commissioned(service, rig)
+    commissioned(service, rig, damaged)
     assert api.post("/jobs", json={"rig": rig, "kind": "health", **small}).status_code == 202
+
+
+def test_what_was_made_before_is_told_again_to_whoever_sends_the_request_again(api, rig, service):
+    """A schedule was made, its answer was lost, and meanwhile the rig has a baseline by which it would be refused."""
+    wanted = {"rig": rig, **BY_THE_CLOCK, "options": {"budget_s": 25}}
+    key = {"Idempotency-Key": "lost"}
+    made = api.post("/schedules", json=wanted, headers=key)
+    commissioned(service, rig, json.dumps(result()).encode())
+    again = api.post("/schedules", json=wanted, headers=key)
+    assert (again.status_code, again.json()) == (201, made.json())
+    assert_problem(api.post("/schedules", json=wanted), 422, *TOLD)
+    assert api.put("/schedules/sch_0", json=wanted, headers={"If-Match": '"1"'}).status_code == 404
+    place = f"/schedules/{made.json()['id']}"
+    assert api.put(place, json=wanted, headers={"If-Match": '"stale"'}).status_code == 412
 
 
 def test_a_command_names_the_option(api, service, checked, capsys):

@@ -4,6 +4,7 @@ import struct
 from contextlib import suppress
 from types import SimpleNamespace
 
+import can
 import numpy as np
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen.dictionary import object_dictionary
-from drivers.canopen.upload import BlockUpload
+from drivers.canopen.upload import BlockUpload, UploadingSdoClient
 from drivers.device.canopen import BlockSdoServer
 
 
@@ -102,3 +103,29 @@ def test_abort_of_the_server_ends_it() -> None:
     upload.take(bytes([0x80, 0x01, 0x22, 0x00]) + (0x08000024).to_bytes(4, "little"))
     assert upload.over.is_set()
     assert isinstance(upload.failure, SdoAbortedError)
+
+
+@pytest.mark.parametrize("off", [False, True])
+@pytest.mark.parametrize("ends", ["between two looks", "in the wait"])
+def test_an_upload_that_is_given_up_is_aborted_and_says_why_even_if_the_bus_is_off(
+    monkeypatch: pytest.MonkeyPatch, ends: str, off: bool
+) -> None:
+    sent: list[bytes] = []
+
+    def send(cob_id: int, frame: bytes) -> None:
+        sent.append(bytes(frame))
+        if off and frame[0] == 0x80:
+            raise can.CanError("the bus is off")
+
+    client = UploadingSdoClient(5, object_dictionary(5))
+    client.network = SimpleNamespace(send_message=send)
+    monkeypatch.setattr(client, "request_response", lambda request: bytes([0xC6, *request[1:4], 0, 0, 0, 0]))
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    if ends == "in the wait":
+        monkeypatch.setattr(client, "_wait", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        client.block_upload(0x2201, 0, interrupt)
+    assert sent[-1][0] == 0x80

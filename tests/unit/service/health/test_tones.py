@@ -58,3 +58,13 @@ def test_too_small_a_budget_is_refused_with_the_least_that_will_do():
     found = tones.short_plan(SHEET, result(), least)
     assert len(found.profile.frequencies_hz) >= tones.FEWEST
     assert found.expected_s <= 1.02 * least
+    exact = tones._Times(SHEET, result()).least
+    assert least - 1 < exact <= least
+    for budget_s in (exact, exact * (1 - 1e-12)):  # by rounding alone it holds fewer
+        assert len(tones.short_plan(SHEET, result(), budget_s).profile.frequencies_hz) >= tones.FEWEST
+
+
+def test_a_rig_that_no_permitted_budget_holds_is_not_told_to_take_a_larger_one(monkeypatch):
+    monkeypatch.setattr(tones, "REPEATED", 500.0)
+    with pytest.raises(JobError, match="more than the 3600 s of any check: commission it anew"):
+        tones.must_suffice(SHEET, result(), 3600.0)

@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from service.jobs.outage import Outage, Repeats
+from service.storage.ids import new_id
 
 FULL = OperationalError("INSERT", {}, Exception("database or disk is full"))
 GONE = OperationalError("INSERT", {}, Exception("connection refused"))
@@ -39,11 +40,12 @@ def test_what_is_repeated_is_told_once_in_a_minute_and_what_differs_at_once(cloc
         if repeats.filter(logging.LogRecord("dbos", logging.WARNING, "", 0, text, None, None)):
             told.append((clock[0], text))
 
-    same = "Exception in the workflow job_01ab{at}.1, try {at}: (sqlite3.OperationalError) full"
+    same = "Exception in the workflow {id}.1, try {at}: (sqlite3.OperationalError) full"
     for clock[0] in range(0, 130, 10):
-        say(same.format(at=clock[0]))
+        said = same.format(id=new_id("job"), at=clock[0])
+        say(said)
         if clock[0] == 30:
-            say(same.format(at=30).replace("full", "disk I/O error"))
+            say(said.replace("full", "disk I/O error"))
     assert [(at, text.rpartition(") ")[2]) for at, text in told] == [
         (0, "full"), (30, "disk I/O error"), (60, "full"), (120, "full")
     ]  # fmt: skip

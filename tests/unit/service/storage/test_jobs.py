@@ -98,7 +98,7 @@ def test_the_jobs_of_a_rig_are_cancelled_and_those_of_others_are_not(database, j
     assert asked == [True, False, False]
 
 
-def test_a_running_job_that_was_asked_to_end_tells_why_once_it_has(database, job):
+def test_a_running_job_that_was_asked_to_end_tells_the_first_reason_once_it_has(database, job):
     with database.write() as session:
         rig = rigs.create(session, "stopped", reference_sheet(), "", "", "me").id
         stopped, by_hand, whole = (jobs.submit(session, "experiment", rig, 1, "me").id for _ in range(3))
@@ -106,7 +106,8 @@ def test_a_running_job_that_was_asked_to_end_tells_why_once_it_has(database, job
         for each in (stopped, by_hand, whole):
             jobs.claim(session, each, 1, "w1")
         jobs.cancel(session, by_hand)
-        jobs.cancel_moving(session, rig, "it was stopped", but=[by_hand])
+        jobs.cancel_moving(session, rig, "it was stopped")
+        jobs.cancel_of_rig(session, rig, "it was retired")
         for each, state in ((stopped, "cancelled"), (by_hand, "cancelled"), (whole, "done")):
             jobs.finish(session, each, 1, state, {})
     assert now(database, stopped).phase == "cancelled: it was stopped"
