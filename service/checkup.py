@@ -66,7 +66,13 @@ def baseline_of(path: Path) -> Baseline:
 
 
 def baseline_from(document: Any, name: str) -> Baseline:
-    """A baseline from the contents of its result.json; the errors of `baseline_of`, which call it by that name."""
+    """A baseline from the contents of its result.json.
+
+    Raises
+    ------
+    DocumentError
+        It is no whole result; the message calls it by ``name``.
+    """
     from service.health.compare import Baseline
     from service.identification.result.shape import ResultModel
 
