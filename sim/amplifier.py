@@ -48,15 +48,20 @@ def hold(omega_rad_s: Array, sample_time_s: float) -> Complex:
     return np.asarray(np.exp(-1j * half) * np.sinc(half / np.pi))
 
 
-def _step_response(amplifiers: Amplifiers, t: Array) -> Array:
-    """Response to a unit step at t = 0, zero before; t of shape (..., n). Partial fractions of A(s) / s."""
-    p, after = poles(amplifiers), np.maximum(t, 0.0)
-    response = np.ones_like(after) + 0j
-    for k in range(len(p)):
-        others = [p[j] for j in range(len(p)) if j != k]
-        weight = -np.prod([-q / (p[k] - q) for q in others], axis=0) if others else -1.0
-        response = response + weight * np.exp(p[k] * after)
-    return np.asarray(amplifiers.gain * np.where(t > 0, response.real, 0.0))
+def _step_response(gain: Array, own: Complex, t: Array) -> Array:
+    """Response to a unit step at t = 0, zero before; t of shape (K, n). Partial fractions of A(s) / s.
+
+    ``own`` are the poles, (order, n).
+    """
+    after = np.maximum(t, 0.0)
+    response = np.ones(t.shape, dtype=complex)
+    for k, pole in enumerate(own):
+        weight = -np.ones(own.shape[1], dtype=complex)
+        for j, other in enumerate(own):
+            if j != k:
+                weight = weight * -other / (pole - other)
+        response += weight * np.exp(pole * after)
+    return np.asarray(gain * np.where(t > 0, response.real, 0.0))
 
 
 @remembered(16)
@@ -66,18 +71,19 @@ def sampled(amplifiers: Amplifiers, omega_rad_s: Array, sample_time_s: float, de
     The step response at the samples, g(kT - delay), follows a recursion of the amplifier's order after its first
     samples, so its z-transform is a ratio of polynomials exactly, whatever the fraction of a sample in the delay.
     """
-    z = np.exp(1j * np.asarray(omega_rad_s) * sample_time_s)[:, None]
-    discrete = np.exp(poles(amplifiers) * sample_time_s)
+    own = poles(amplifiers)
+    angle = np.asarray(omega_rad_s)[:, None] * sample_time_s
+    back = np.exp(-1j * angle)  # a sample of delay, z^-1
     whole = np.floor(delay_s / sample_time_s + 1e-9)
     fraction = delay_s / sample_time_s - whole
     # Impulse response of the held system h_k = g(kT - d) - g((k-1)T - d), two taps more than poles.
-    taps = len(discrete) + 2
-    g = np.stack([_step_response(amplifiers, (k - fraction) * sample_time_s) for k in range(taps)])
-    h = np.diff(g, axis=0, prepend=0.0)
-    denominator = [np.ones_like(discrete[0])]
-    for p in discrete:
-        denominator = [a - p * b for a, b in zip([*denominator, 0 * p], [0 * p, *denominator], strict=True)]
-    numerator = [sum(denominator[j] * h[k - j] for j in range(min(k, len(discrete)) + 1)) for k in range(taps)]
-    top = sum(c * z**-k for k, c in enumerate(numerator))
-    bottom = sum(c * z**-k for k, c in enumerate(denominator))
-    return np.asarray(top / bottom * z**-whole)
+    taps = np.arange(len(own) + 2)[:, None]
+    numerator = np.diff(_step_response(amplifiers.gain, own, (taps - fraction) * sample_time_s), axis=0, prepend=0.0)
+    bottom = np.ones((len(back), len(whole)), dtype=complex)
+    for pole in np.exp(own * sample_time_s):
+        numerator = numerator - pole * np.concatenate([np.zeros_like(numerator[:1]), numerator[:-1]])
+        bottom *= 1 - pole * back
+    top = np.zeros_like(bottom)
+    for coefficient in numerator[::-1]:
+        top = top * back + coefficient
+    return np.asarray(top / bottom * np.exp(-1j * angle * whole))

@@ -17,8 +17,9 @@ import numpy as np
 from sim import amplifier, magnetic_force, sensor, slew_limit
 from sim.actuator import OperatingPoint
 from sim.alternating import Complex, Index, amplitudes, period_samples
+from sim.at_points import responses
 from sim.rig import Array, Rig
-from sim.twin import LinearModel, linear_model
+from sim.twin import LinearModel, linear_model, small_signal
 
 RESPONSE = (0, 1, 2, 3)
 """Harmonics of the force that are computed, logged or not: through the nonlinearity, the mean and the second harmonic
@@ -33,11 +34,6 @@ class Answer:
 
     I: Complex
     Y: Complex
-
-
-def _times(matrices: Complex, x: Complex) -> Complex:
-    """Matrices (P, H, a, b) times amplitudes (P, H, b) -> (P, H, a)."""
-    return np.asarray((matrices @ x[..., None])[..., 0])
 
 
 class Responder:
@@ -70,7 +66,7 @@ class Responder:
         self._omega = 2 * np.pi * grid
         # A logging offset does not act in the rig: the logged control signal is corrected first.
         in_loop = replace(rig, logging_offset_samples=0.0) if rig.logging_offset_samples else rig
-        self._model: LinearModel = linear_model(in_loop, grid)
+        self._model: LinearModel = linear_model(small_signal(in_loop), grid)
         self._point: OperatingPoint = self._model.point
         late = np.exp(-1j * self._omega * rig.controller.sample_time_s * rig.logging_offset_samples)
         self._log_phase: Complex = late.reshape(len(self.harmonics), -1)[:, line].T[..., None]  # (P, H, 1)
@@ -83,13 +79,16 @@ class Responder:
         self._slews = bool(np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)))
 
     def _of_points(self, matrices: Complex) -> Complex:
-        """Matrices of each harmonic's lines, (H F, a, b) -> those of the points, (P, H, a, b)."""
-        per_harmonic = matrices.reshape(len(self.harmonics), -1, *matrices.shape[1:])
-        return np.asarray(per_harmonic.swapaxes(0, 1)[self.line])
+        """Values of each harmonic's lines, (H F, ...) -> those of the points, (P, H, ...)."""
+        return np.asarray(self._by_harmonic(matrices).swapaxes(0, 1)[self.line])
+
+    def _by_harmonic(self, matrices: Complex) -> Complex:
+        """(H F, ...) -> (H, F, ...)."""
+        return matrices.reshape(len(self.harmonics), -1, *matrices.shape[1:])
 
     def _at_points(self, matrices: Complex, x: Complex) -> Complex:
-        """Matrices of each harmonic's lines, (H F, a, b), times amplitudes (P, H, b) -> (P, H, a)."""
-        return _times(self._of_points(matrices), x)
+        """Matrices of each harmonic's lines, (H F, a, b) or (H, F, a, b), times amplitudes (P, H, b) -> (P, H, a)."""
+        return responses(self._by_harmonic(matrices) if matrices.ndim == 3 else matrices, self.line, x)
 
     def answer(
         self, U: Complex, rounds: int | None = None, seen: Complex | None = None, seen_current: Complex | None = None
@@ -115,6 +114,13 @@ class Responder:
         if self._slews:
             effective = self._current(effective, self._padded(seen_current))[1]
         return self._displacement(effective, rounds, self._padded(seen))
+
+    def beyond_linear(self, U: Complex, seen: Complex | None = None, seen_current: Complex | None = None) -> Complex:
+        """`displacement` less what small signals make of the fundamental, (P, H, n)."""
+        out, f = self.displacement(U, None, seen, seen_current), self.harmonics.index(1)
+        of_fundamental = self._by_harmonic(self._model.y_per_u)[f]
+        out[:, self._known.index(f)] -= responses(of_fundamental, self.line, self._control_in_loop(U)[:, f])
+        return out
 
     def current(self, U: Complex, seen: Complex | None = None) -> Complex:
         """Sampled coil current for logged control amplitudes U, (P, H, n): the amplifiers alone.
@@ -142,47 +148,45 @@ class Responder:
         whole[:, self._known] = X
         return whole
 
-    def _closed_loop_responses(self, sensed: Complex) -> tuple[Complex, Complex, Complex]:
-        """Displacements at bearings and sensors, and control signal, per force, at harmonics that were not logged.
+    def _per_force(self) -> tuple[Complex, Complex, Complex | None]:
+        """Displacements at bearings and at sensors per force, and the control signal where forces change it.
 
-        In closed loop, (P, H, n, n) each. At logged harmonics the control signal is given, and the loop is open.
+        Of each harmonic's lines, (H, F, n, n) each. At logged harmonics the control signal is given, and the loop is
+        open; it is closed at those that were not logged. None where all were.
         """
-        m, k = self._model, self._unknown
-        H, n = len(self.harmonics), sensed.shape[-1]
-        omega = self._omega.reshape(H, -1)[:, self.line].T[:, k]
-        C = self._of_points(m.controllers)[:, k]
-        C = np.where((omega * self.rig.controller.sample_time_s < np.pi)[..., None], C, 0.0)[..., None]
-        y = np.linalg.solve(np.eye(n) + C * self._of_points(m.y_per_u)[:, k], sensed[:, k])
-        u = -C * y
-        x = self._of_points(m.bearing_per_force)[:, k] + self._of_points(m.bearing_per_u)[:, k] @ u
-        return np.asarray(x), np.asarray(y), np.asarray(u)
+        m, k, by_harmonic = self._model, self._unknown, self._by_harmonic
+        x, y = by_harmonic(m.bearing_per_force), by_harmonic(m.y_per_force)
+        if not k:
+            return x, y, None
+        below = self._omega.reshape(len(self.harmonics), -1)[k] * self.rig.controller.sample_time_s < np.pi
+        C = np.where(below[..., None], by_harmonic(m.controllers)[k], 0.0)[..., None]
+        x, y, u = x.copy(), y.copy(), np.zeros_like(y)
+        y[k] = np.linalg.solve(np.eye(y.shape[-1]) + C * by_harmonic(m.y_per_u)[k], y[k])
+        u[k] = -C * y[k]
+        x[k] += by_harmonic(m.bearing_per_u)[k] @ u[k]
+        return x, y, u
 
     def _displacement(self, U: Complex, rounds: int | None, seen: Complex | None) -> Complex:
         """Sensor signal, (P, H, n), for the control signal U of linear amplifiers."""
         m = self._model
         x_linear, Y_linear = self._at_points(m.bearing_per_u, U), self._at_points(m.y_per_u, U)
-        bearing, sensed = self._of_points(m.bearing_per_force), self._of_points(m.y_per_force)
-        currents, fed = self._effective_currents(self._at_points(m.flux_per_u, U)), None
-        if self._unknown:
-            fed = np.zeros_like(sensed)
-            bearing[:, self._unknown], sensed[:, self._unknown], fed[:, self._unknown] = self._closed_loop_responses(
-                sensed
-            )
+        bearing, sensed, fed = self._per_force()
+        if seen is not None:  # where the rotor was, x + (seen - Y) at the bearings; Y and x change with the force
+            x_linear = x_linear + self._from_sensors(seen - Y_linear)
+            bearing = bearing - self._rigid_bearing_per_sensor() @ sensed
+        currents, means = self._effective_currents(self._at_points(m.flux_per_u, U)), self._means(seen)
 
-        means = self._means(seen)
-
-        def force_at(x: Complex, Y: Complex) -> Complex:
-            at = x if seen is None else x + self._from_sensors(seen - Y)
+        def force_at(x: Complex) -> Complex:
             if means is not None:
-                at[:, 0] = means
-            return self._beyond_linear(currents, at)
+                x[:, 0] = means
+            return self._beyond_linear(currents, x)
 
-        force = force_at(x_linear, Y_linear)
+        force = force_at(x_linear.copy())
         for _ in range((rounds or (3 if seen is not None else 6 if self._strongly_nonlinear else 3)) - 1):
             if fed is not None:
-                currents = self._effective_currents(self._at_points(m.flux_per_u, U + _times(fed, force)))
-            force = force_at(x_linear + _times(bearing, force), Y_linear + _times(sensed, force))
-        return self._static_real(Y_linear + _times(sensed, force))[:, self._known]
+                currents = self._effective_currents(self._at_points(m.flux_per_u, U + self._at_points(fed, force)))
+            force = force_at(x_linear + self._at_points(bearing, force))
+        return self._static_real(Y_linear + self._at_points(sensed, force))[:, self._known]
 
     def _means(self, seen: Complex | None) -> Complex | None:
         """Mean displacement at the bearings, (P, n), from rest, where stops need it as it was measured; or None.
@@ -193,9 +197,9 @@ class Responder:
         """
         if seen is None or self.rig.contact is None or 0 not in self._known:
             return None
-        own, to_bearings = self._sensed
+        own, to_bearings = bearings_per_sensors(self.rig, self._omega[:1])
         mean = seen[:, 0].real
-        return np.asarray(((mean - np.median(mean, axis=0)) * own[:, 0]) @ to_bearings)
+        return np.asarray(((mean - np.median(mean, axis=0)) * own) @ to_bearings)
 
     def _from_sensors(self, Y: Complex) -> Complex:
         """Displacement at the bearings, (P, H, n), of a rigid rotor with sensor signals Y.
@@ -204,16 +208,22 @@ class Responder:
         The mean is left to the model, as a sensor's zero is not known, and so are harmonics that were not logged.
         """
         own, to_bearings = self._sensed
-        at_sensor = Y * own
-        at_sensor[:, [0, *self._unknown]] = 0.0
+        at_sensor = Y * own[:, self.line].swapaxes(0, 1)
         # one product for all points is six times as fast as one of each
         return np.asarray((at_sensor.reshape(-1, len(to_bearings)) @ to_bearings).reshape(at_sensor.shape))
 
+    def _rigid_bearing_per_sensor(self) -> Complex:
+        """The same as matrices of each harmonic's lines, (H, F, n, n)."""
+        own, to_bearings = self._sensed
+        return np.asarray(to_bearings.T * own[:, :, None, :])
+
     @cached_property
     def _sensed(self) -> tuple[Complex, Array]:
-        """Displacement per signal of each sensor, (P, H, n), and displacements at the sensors -> at the bearings."""
+        """Displacement per signal of each sensor, (H, F, n), 0 where `_from_sensors` corrects nothing; to bearings."""
         own, to_bearings = bearings_per_sensors(self.rig, self._omega)
-        return own.reshape(len(self.harmonics), -1, self.rig.n_axes)[:, self.line].transpose(1, 0, 2), to_bearings
+        own = own.reshape(len(self.harmonics), -1, self.rig.n_axes)
+        own[[0, *self._unknown]] = 0.0
+        return own, to_bearings
 
     @staticmethod
     def _static_real(X: Complex) -> Complex:
@@ -273,11 +283,11 @@ def respond_to_excitation(responder: Responder, R: Complex, rounds: int = 6) -> 
     """
     m, known = responder._model, responder._known
     controller = responder._of_points(m.controllers)[:, known]  # (P, H, n)
-    sensitivity, late = responder._of_points(m.sensitivity)[:, known], responder._log_phase[:, known]
-    U = _times(sensitivity, R)
+    sensitivity, late = responder._by_harmonic(m.sensitivity)[known], responder._log_phase[:, known]
+    U = responses(sensitivity, responder.line, R)
     for _ in range(rounds):
         residual = R - controller * responder.displacement(U / late) - U
-        U = U + _times(sensitivity, residual)
+        U = U + responses(sensitivity, responder.line, residual)
         if 0 in responder.harmonics and (mean := responder.harmonics.index(0)) in known:
             U[:, known.index(mean)] = U[:, known.index(mean)].real  # a static signal has no phase
     logged = U / late

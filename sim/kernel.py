@@ -33,7 +33,7 @@ def _add_product(weights, s, v, out):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _magnet(law, a, i, x):  # type: ignore[no-untyped-def]
-    """Force of the differential pair of axis ``a``; rows of ``law`` are named in `sim.loop.Loop._law_rows`."""
+    """Force of the differential pair of axis ``a``; rows of ``law`` are named in `sim.magnetic_force.law_rows`."""
     p, q = law[2, a] - x - law[3, a], law[2, a] + x + law[3, a]
     upper, lower = max(law[1, a] + i, 0.0) * q, max(law[1, a] - i, 0.0) * p
     return law[0, a] * (upper - lower) * (upper + lower) / (p * p * q * q)
@@ -49,6 +49,44 @@ def _saturating_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
     top = upper**2 / (1.0 + (per_flux * upper) ** n)
     bottom = lower**2 / (1.0 + (per_flux * lower) ** n)
     return law[0, a] * (1.0 + share**n) * (top - bottom)
+
+
+@_compiled
+def _quartic_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
+    """The same where n is 4, as in all but a few rigs: a power of any number takes longer than all the rest."""
+    share = law[11, a]
+    upper = max(law[1, a] + i, 0.0) / (law[2, a] - x - law[3, a])
+    lower = max(law[1, a] - i, 0.0) / (law[2, a] + x + law[3, a])
+    per_flux = share * law[2, a] / law[1, a]
+    of_upper, of_lower = (per_flux * upper) ** 2, (per_flux * lower) ** 2
+    top, bottom = upper**2 / (1.0 + of_upper * of_upper), lower**2 / (1.0 + of_lower * of_lower)
+    return law[0, a] * (1.0 + share**4) * (top - bottom)
+
+
+@_compiled
+def excess_force(law, drifted, i_t, effective_t, x_t):  # type: ignore[no-untyped-def]
+    """Force of each magnet beyond ki i + ks x, before it turns, of samples in time (n, P, T).
+
+    ``drifted`` are factors of the force and, of position stiffness beside that, summands, (2, n, P).
+    """
+    out = np.empty_like(x_t)
+    for a in range(x_t.shape[0]):
+        saturates, ki, ks, rest = law[11, a] > 0.0, law[4, a], law[5, a], law[10, a]
+        for p in range(x_t.shape[1]):
+            # a loop of its own for each law: so the compiler makes several samples at once
+            if saturates and law[12, a] == 4.0:
+                for t in range(x_t.shape[2]):
+                    out[a, p, t] = _quartic_magnet(law, a, effective_t[a, p, t], x_t[a, p, t])
+            elif saturates:
+                for t in range(x_t.shape[2]):
+                    out[a, p, t] = _saturating_magnet(law, a, effective_t[a, p, t], x_t[a, p, t])
+            else:
+                for t in range(x_t.shape[2]):
+                    out[a, p, t] = _magnet(law, a, effective_t[a, p, t], x_t[a, p, t])
+            factor, more = drifted[0, a, p], drifted[1, a, p] * ks - ks
+            for t in range(x_t.shape[2]):
+                out[a, p, t] = factor * out[a, p, t] + more * x_t[a, p, t] - ki * (i_t[a, p, t] - rest)
+    return out
 
 
 @_compiled
@@ -117,7 +155,12 @@ def corrections(  # type: ignore[no-untyped-def]
             i = total
         if law[7, a] < NONE:
             i = law[7, a] * math.tanh(i / law[7, a])
-        force = _saturating_magnet(law, a, i, x) if law[11, a] > 0.0 else _magnet(law, a, i, x)
+        if law[11, a] == 0.0:
+            force = _magnet(law, a, i, x)
+        elif law[12, a] == 4.0:
+            force = _quartic_magnet(law, a, i, x)
+        else:
+            force = _saturating_magnet(law, a, i, x)
         f[a] = scale[0, a] * force + (scale[1, a] - scale[0, a]) * law[5, a] * x
         if slews:
             rate = now[at + 2 * n + a]

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim import actuator, control_law
+from sim import actuator, control_law, magnetic_force
 from sim.actuator import force_rotation
 from sim.errors import LevitationError
 from sim.kernel import NONE, advance, corrections, plain_corrections
@@ -42,8 +42,8 @@ class Loop:
         self._point = actuator.operating_point(rig)
         self._ss = state_space(rig, self._point)
         self._b, self._a = control_law.transposed_forms(rig.controller, rig.n_axes)
-        self._play_strength, self._play_weights, self._play_widths = actuator.plays(rig.magnets)
-        self._law = self._law_rows()
+        _, self._play_weights, self._play_widths = actuator.plays(rig.magnets)
+        self._law = magnetic_force.law_rows(rig.magnets, self._point)
         self._rotation = force_rotation(rig)
         m, c, d = rig.magnets, rig.contact, rig.drift
         self._contact = np.array([np.full(rig.n_axes, np.inf), np.zeros(rig.n_axes), np.zeros(rig.n_axes)])
@@ -80,27 +80,6 @@ class Loop:
         rate = [self._asked.per_state] if self._slews else []
         sensor = [ss.sensor] if np.any(self._lag_steps > 0) else []
         return np.vstack([ss.flux, ss.bearing, *rate, *sensor])
-
-    def _law_rows(self) -> Array:
-        """Rows k, i0, s0, offset, ki, ks, load, i_s, i_max, alpha, i at rest, B0/Bs, n of the force law, (13, n)."""
-        m, p = self.rig.magnets, self._point
-        return np.vstack(
-            [
-                m.ki * m.gap_m**2 / (4 * m.bias_current_a),
-                m.bias_current_a,
-                m.gap_m,
-                m.offset_m,
-                p.ki,
-                p.ks,
-                p.load_n,
-                np.minimum(m.saturation_current_a, NONE),
-                np.full(self.n_axes, m.current_limit_a),
-                self._play_strength,
-                p.current_a,
-                m.flux_share,
-                np.full(self.n_axes, m.flux_power),
-            ]
-        )
 
     def levitate(self) -> None:
         """Put the rotor at rest at its operating point, time zero."""

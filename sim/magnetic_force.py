@@ -6,8 +6,31 @@ import numpy as np
 
 from sim import actuator, loops, periodic
 from sim.actuator import OperatingPoint
+from sim.kernel import NONE, excess_force
 from sim.rig import Array, Magnets, Rig
 from sim.twin import force_rotation
+
+
+def law_rows(m: Magnets, point: OperatingPoint) -> Array:
+    """Rows k, i0, s0, offset, ki, ks, load, i_s, i_max, alpha, i at rest, B0/Bs, n of the force law, (13, n)."""
+    n = len(m.ki)
+    return np.vstack(
+        [
+            m.ki * m.gap_m**2 / (4 * m.bias_current_a),
+            m.bias_current_a,
+            m.gap_m,
+            m.offset_m,
+            point.ki,
+            point.ks,
+            point.load_n,
+            np.minimum(m.saturation_current_a, NONE),
+            np.full(n, m.current_limit_a),
+            actuator.plays(m)[0],
+            point.current_a,
+            m.flux_share,
+            np.full(n, m.flux_power),
+        ]
+    )
 
 
 def effective(m: Magnets, i_t: Array, many_turns: bool = False) -> Array:
@@ -43,15 +66,19 @@ def beyond_linear(
     passed
         Share of the campaign at which each was measured, (P, 1, 1), for rigs that drift.
     """
-    total = actuator.pull(rig.magnets, effective_t, x_t)
+    n, points = rig.n_axes, x_t.shape[0]
+    drifted = np.stack([np.ones((n, points)), np.zeros((n, points))])
     if rig.drift and passed is not None:
-        gone = rig.drift.progress(passed)
-        ki, ks = 1 + rig.drift.ki_change * gone, rig.drift.ks_change * gone
-        total = ki * total + (ks - (ki - 1)) * point.ks * x_t
-    excess = total - point.ki * (i_t - point.current_a) - point.ks * x_t
+        gone = rig.drift.progress(passed.ravel())
+        ki, ks = (np.outer(change, gone) for change in (rig.drift.ki_change, rig.drift.ks_change))
+        drifted = np.stack([1 + ki, ks - ki])
+    law = law_rows(rig.magnets, point)
+    by_axis = (np.ascontiguousarray(v.transpose(2, 0, 1)) for v in (i_t, effective_t, x_t))
+    excess = excess_force(law, drifted, *by_axis).transpose(1, 2, 0)
     if np.any(rig.magnets.cross_coupling_rad) or np.any(rig.magnets.cross_coupling_symmetric):
         excess = excess @ force_rotation(rig).T
-    excess = excess + point.load_n
+    if np.any(point.load_n):
+        excess = excess + point.load_n
     if rig.contact:
         above, below = actuator.stop_stiffness(rig.contact)
         depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +108,10 @@ def with_effects(rig: Rig, effects: Mapping[str, Mapping[str, float]]) -> Rig:
 
 @dataclass(frozen=True, kw_only=True)
 class LinearModel:
-    """Small-signal responses of a rig at F frequencies; matrices are (F, output, input)."""
+    """Small-signal responses of a rig at F frequencies; matrices are (F, output, input).
+
+    What few ask for is computed when it is first asked for, and kept.
+    """
 
     rig: Rig
     point: OperatingPoint
@@ -115,22 +119,45 @@ class LinearModel:
     omega_rad_s: Array
     y_per_u: Complex
     """Sampled sensor signal per held control signal, m/A."""
-    plant: Complex
-    """Continuous y per coil current, m/A."""
-    baseband: Complex
-    """Component of the coil current at the excited frequency (not its samples) per u, A/A."""
-    controllers: Complex
-    """C from -y to u of each axis, (F, n)."""
-    flux_per_u: Complex
-    """Component at the excited frequency of the current that makes flux, after eddy currents, per u, A/A."""
-    bearing_per_u: Complex
-    """Displacement at the bearings, relative to the housing, per u, m/A."""
-    bearing_per_force: Complex
-    """Displacement at the bearings per force there, the magnets' stiffness closed, m/N."""
     y_per_force: Complex
     """Sensor signal per force at the bearings, the magnets' stiffness closed, m/N."""
+    bearing_per_force: Complex
+    """Displacement at the bearings per force there, the magnets' stiffness closed, m/N."""
+    held: Complex
+    """Component at the excited frequency of each axis's coil current (not its samples) per control signal that
+    crosstalk has mixed, A/A, (F, n)."""
+    flux: Complex
+    """Current that makes flux per coil current, after eddy currents, (F, n)."""
     log_phase: Complex
     """exp(-j w T n) of a log whose u is n samples early, in ``i_per_u`` and ``y_per_u``, (F,)."""
+
+    @cached_property
+    def plant(self) -> Complex:
+        """Continuous y per coil current, m/A."""
+        per_current = _mixed(self.y_per_force, force_rotation(self.rig)) * (self.point.ki * self.flux)[:, None, :]
+        return _shared(per_current)
+
+    @cached_property
+    def baseband(self) -> Complex:
+        """Component of the coil current at the excited frequency (not its samples) per u, A/A."""
+        return _shared(self.held[:, :, None] * self.rig.amplifiers.crosstalk)
+
+    @cached_property
+    def flux_per_u(self) -> Complex:
+        """Component at the excited frequency of the current that makes flux, after eddy currents, per u, A/A."""
+        return _shared(self.flux[:, :, None] * self.baseband)
+
+    @cached_property
+    def bearing_per_u(self) -> Complex:
+        """Displacement at the bearings, relative to the housing, per u, m/A."""
+        per_control = (self.point.ki * self.flux * self.held)[:, None, :]
+        per_magnet = _mixed(self.bearing_per_force, force_rotation(self.rig))
+        return _shared(_mixed(per_magnet * per_control, self.rig.amplifiers.crosstalk))
+
+    @cached_property
+    def controllers(self) -> Complex:
+        """C from -y to u of each axis, (F, n)."""
+        return _shared(control_law.responses(self.rig.controller, self.omega_rad_s, self.rig.n_axes))
 
     @property
     def controller(self) -> Complex:
@@ -139,10 +166,8 @@ class LinearModel:
 
     @cached_property
     def i_per_u(self) -> Complex:
-        """Sampled coil current per held control signal, A/A; it is what takes longest, and few ask for it."""
-        out = _current_per_control(self.rig, self.omega_rad_s)
-        out.flags.writeable = False  # shared, as the model is remembered
-        return out
+        """Sampled coil current per held control signal, A/A."""
+        return _shared(current_per_control(self.rig, self.omega_rad_s / (2 * np.pi)))
 
     @property
     def y_per_i(self) -> Complex:
@@ -163,21 +188,50 @@ class LinearModel:
         return np.asarray(np.linalg.inv(loop))
 
 
+def _shared(response: Complex) -> Complex:
+    """Read-only, as the model that it is of is remembered."""
+    response.flags.writeable = False
+    return response
+
+
 def _transposed(a: Complex) -> Complex:
     return np.swapaxes(a, -1, -2)
 
 
 def current_per_control(rig: Rig, frequency_hz: Array) -> Complex:
     """Sampled coil current per held, logged control signal, A/A, (F, n, n): `LinearModel.i_per_u` alone."""
-    return _current_per_control(rig, 2 * np.pi * np.asarray(frequency_hz, dtype=float))
+    return np.asarray(axis_current_per_control(rig, frequency_hz)[:, :, None] * rig.amplifiers.crosstalk)
 
 
-def _current_per_control(rig: Rig, omega: Array) -> Complex:
-    period = rig.controller.sample_time_s
+def axis_current_per_control(rig: Rig, frequency_hz: Array) -> Complex:
+    """The same of each axis's own amplifier, (F, n), for the control signal that crosstalk has mixed."""
+    omega, period = 2 * np.pi * np.asarray(frequency_hz, dtype=float), rig.controller.sample_time_s
     delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
-    logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)
-    own = amplifier.sampled(rig.amplifiers, omega, period, delay) * logged_early[:, None]
-    return np.asarray(own[:, :, None] * rig.amplifiers.crosstalk)
+    own = amplifier.sampled(rig.amplifiers, omega, period, delay)
+    if not rig.logging_offset_samples:
+        return own
+    return np.asarray(own * np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None])
+
+
+def small_signal(rig: Rig) -> Rig:
+    """The rig without what small signals do not meet, so that rigs which differ in that alone share a `linear_model`.
+
+    Saturation counts where the magnets carry a load, or sit off their centre.
+    """
+    m, unlimited = rig.magnets, np.full(rig.n_axes, np.inf)
+    if rig.contact is not None or rig.drift is not None:
+        rig = replace(rig, contact=None, drift=None)
+    if np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)):
+        free = replace(rig.amplifiers, slew_limit_a_per_s=unlimited, slew_seen=0.0, slope_noise_share=0.0)
+        rig = replace(rig, amplifiers=free)
+    bent: dict[str, Any] = {}
+    if np.any(m.hysteresis_rad):
+        bent |= {"hysteresis_rad": np.zeros(rig.n_axes)}
+        bent |= {"hysteresis_narrowest_a": 0.0, "hysteresis_widest_inverse_per_a": 0.0}
+    centred = not rig.gravity_m_per_s2 and rig.static_current_a is None and not np.any(m.offset_m)
+    if centred and np.any(np.isfinite(m.saturation_current_a)):
+        bent |= {"saturation_current_a": unlimited}
+    return replace(rig, magnets=replace(m, **bent)) if bent else rig
 
 
 @remembered(16)
@@ -191,7 +245,6 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
     period = rig.controller.sample_time_s
     delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
-    cross = rig.amplifiers.crosstalk
     mechanics = rotor.mechanics(rig)
     at_bearings, at_sensors = rotor.receptances(mechanics, omega)
     point, rotation, n = actuator.operating_point(rig), force_rotation(rig), rig.n_axes
@@ -211,28 +264,23 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     stiffness = _mixed_from(rotation, point.ks[:, None] * at_bearings)
     closed = np.linalg.inv(np.eye(n) - stiffness)  # all bearing force per external force
     y_per_force = seen[0, :, :, None] * (at_sensors @ closed)
-    bearing_per_force = at_bearings @ closed
     y_per_magnet = _mixed(y_per_force, rotation)
     y_per_u = y_per_magnet * per_control[0, :, None, :]
     limit = mechanics.high_frequency @ rotation
     for k in (1, 2):
         gain = seen[k] / -(w[k] ** 2)[:, None]
         y_per_u += limit * gain[:, :, None] * per_control[k, :, None, :]
-    base = own[0, :, :, None] * cross
-    logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)[:, None, None]
+    logged_early = np.exp(-1j * omega * period * rig.logging_offset_samples)
     return LinearModel(
         rig=rig,
         point=point,
         omega_rad_s=omega,
-        y_per_u=_mixed(y_per_u, cross) * logged_early,
-        plant=y_per_magnet * per_current[0, :, None, :],
-        baseband=base,
-        controllers=control_law.responses(rig.controller, omega, n),
-        flux_per_u=eddy[0, :, :, None] * base,
-        bearing_per_u=_mixed(_mixed(bearing_per_force, rotation) * per_control[0, :, None, :], cross),
-        bearing_per_force=bearing_per_force,
+        y_per_u=_mixed(y_per_u, rig.amplifiers.crosstalk) * logged_early[:, None, None],
         y_per_force=y_per_force,
-        log_phase=logged_early[:, 0, 0],
+        bearing_per_force=at_bearings @ closed,
+        held=own[0],
+        flux=eddy[0],
+        log_phase=logged_early,
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.nuisance import Nuisance
 from service.gap.measured.observation import Observation
 from sim import actuator, amplifier, rotor, sensor
+from sim.at_points import responses
 from sim.rig import Amplifiers, Rig
 from sim.twin import force_rotation, linear_model
 
@@ -72,7 +73,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
 
     m, point, rotation = rotor.mechanics(rig), model.point, force_rotation(rig)
     early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
-    base = (model.baseband[o.line] @ U[..., None])[..., 0]
+    base = responses(model.baseband, o.line, U)
     eddy = actuator.eddy_factor(rig.magnets, omega)[o.line]
     magnetic = point.ki * eddy * base * early  # (P, n) force of the current alone
     motion = _motion(rig, m, magnetic, o)
@@ -97,7 +98,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
             [per_magnet * (per_base * change[o.line])[:, None, :] for change in changes], axis=2
         )
     axes = np.arange(n)
-    columns[:, axes, 5 * n + axes] = (model.y_per_u[o.line] @ U[..., None])[..., 0]
+    columns[:, axes, 5 * n + axes] = responses(model.y_per_u, o.line, U)
     magnets = rotation * point.ks + rotor.pull_along_turned_axes(rig)
     _mechanical_columns(nuisance, rig, m, motion, magnets, columns)
     return _per_unit(columns, nuisance.per_unit)
@@ -126,8 +127,9 @@ def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> 
     omega = 2 * np.pi * o.frequency_hz
     point, rotation, s = actuator.operating_point(rig), force_rotation(rig), 1j * omega
     stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
-    closed = np.linalg.inv(m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness))
-    q = (closed[o.line] @ (magnetic @ rotation.T @ m.force_map.T)[..., None])[..., 0]
+    dynamic = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness)
+    closed = np.asarray(np.linalg.inv(dynamic), dtype=complex)
+    q = responses(closed, o.line, magnetic @ rotation.T @ m.force_map.T)
     at_bearing = q @ m.bearing_map.T
     total = (magnetic + point.ks * at_bearing) @ rotation.T + at_bearing @ rotor.pull_along_turned_axes(rig).T
     response = sensor.response(rig.sensors, omega)[o.line]
@@ -163,7 +165,7 @@ def swing_of(rig: Rig, o: Observation, mode: int) -> Swing:
 def _magnetic(rig: Rig, o: Observation) -> Complex:
     """Force of the coil currents alone at each bearing, (P, n)."""
     omega = 2 * np.pi * o.frequency_hz
-    base = (linear_model(rig, o.frequency_hz).baseband[o.line] @ o.U[:, o.fundamental, :, None])[..., 0]
+    base = responses(linear_model(rig, o.frequency_hz).baseband, o.line, o.U[:, o.fundamental])
     early = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)[o.line, None]
     return np.asarray(
         actuator.operating_point(rig).ki * actuator.eddy_factor(rig.magnets, omega)[o.line] * base * early

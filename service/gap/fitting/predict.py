@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from service.gap.measured.observation import Observation
 from sim import control_law
+from sim.at_points import responses
 from sim.harmonic_balance import STATIC_HZ, Responder
 from sim.rig import Rig
-from sim.twin import current_per_control, linear_model
+from sim.twin import axis_current_per_control, linear_model
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,41 +35,47 @@ def answer(rig: Rig, o: Observation) -> Complex:
     """Twin's response [i, y] to the measured control signal, all harmonics, (P, H, 2 n)."""
     if o.together:
         return np.concatenate([current(rig, o), whole_displacement(rig, o)], axis=2)
-    a = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress).answer(
-        o.U, seen=o.Y, seen_current=o.I
-    )
+    a = _plant(rig, o).answer(o.U, seen=o.Y, seen_current=o.I)
     return np.concatenate([a.I, a.Y], axis=2)
 
 
 def whole_displacement(rig: Rig, o: Observation) -> Complex:
     """y of `answer` alone, (P, H, n), in half the time."""
     if o.together:
-        added = o.together.displacement(at_speed_of(rig, o), o.points_hz, o.axis)
-        return (displacement(rig, o) + added)[:, None]
-    responder = Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress)
-    return responder.displacement(o.U, seen=o.Y, seen_current=o.I)
+        return displacement(rig, o)[:, None] + beyond_linear(rig, o)
+    return _plant(rig, o).displacement(o.U, seen=o.Y, seen_current=o.I)
+
+
+def beyond_linear(rig: Rig, o: Observation) -> Complex:
+    """y of `answer` less its small-signal fundamental, (P, H, n)."""
+    if o.together:
+        return o.together.displacement(at_speed_of(rig, o), o.points_hz, o.axis)[:, None]
+    return _plant(rig, o).beyond_linear(o.U, seen=o.Y, seen_current=o.I)
+
+
+def _plant(rig: Rig, o: Observation) -> Responder:
+    return Responder(at_speed_of(rig, o), o.frequency_hz, o.line, o.harmonics, o.progress)
 
 
 def linear_answer(rig: Rig, o: Observation) -> Complex:
     """Small-signal [i, y] at the fundamental, (P, 2 n): the cheap part of `answer`."""
     model = linear_model(at_speed_of(rig, o), o.frequency_hz)
-    U = o.U[:, o.fundamental, :, None]
-    return np.concatenate([(model.i_per_u[o.line] @ U)[..., 0], (model.y_per_u[o.line] @ U)[..., 0]], axis=1)
+    return np.concatenate([responses(G, o.line, o.U[:, o.fundamental]) for G in (model.i_per_u, model.y_per_u)], axis=1)
 
 
 def displacement(rig: Rig, o: Observation) -> Complex:
     """Small-signal y at the fundamental, (P, n)."""
     model = linear_model(at_speed_of(rig, o), o.frequency_hz)
-    return np.asarray((model.y_per_u[o.line] @ o.U[:, o.fundamental, :, None])[..., 0])
+    return responses(model.y_per_u, o.line, o.U[:, o.fundamental])
 
 
 def current(rig: Rig, o: Observation) -> Complex:
     """Twin's coil current for the measured control signal, all harmonics, (P, H, n)."""
     if np.any(np.isfinite(rig.amplifiers.slew_limit_a_per_s)):
         return Responder(rig, o.frequency_hz, o.line, o.harmonics).current(o.U, o.I)
-    per_harmonic = [current_per_control(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))[o.line] for h in o.harmonics]
-    answers = [(G @ o.U[:, k, :, None])[..., 0] for k, G in enumerate(per_harmonic)]
-    return np.stack(answers, axis=1)
+    grid = np.maximum(np.outer(o.harmonics, o.frequency_hz), STATIC_HZ)
+    own = axis_current_per_control(rig, grid.ravel()).reshape(*grid.shape, rig.n_axes)
+    return np.asarray(own[:, o.line].swapaxes(0, 1) * (o.U @ rig.amplifiers.crosstalk.T))
 
 
 def control(rig: Rig, o: Observation) -> Complex:

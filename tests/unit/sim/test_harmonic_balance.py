@@ -122,3 +122,17 @@ def test_a_drifting_rig_answers_as_of_the_time_of_each_point():
     for k, rig in enumerate((QUIET, end)):
         model = linear_model(rig, np.array([150.0]))
         np.testing.assert_allclose(answer.Y[k, 1], model.y_per_u[0, :, 0] * 1e-3, rtol=2e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize("harmonics", [(0, 1, 2, 3), (1,), (1, 3)])
+@pytest.mark.parametrize("name", ["off_centre_rotor", "amplifier_voltage_limit", "logging_offset"])
+def test_what_is_beyond_the_linear_answer_is_all_but_that(name, harmonics):
+    rig, rng = effect(name).on(QUIET), np.random.default_rng(3)
+    U, Y = (scale * (rng.normal(size=(6, 4, 4)) + 1j * rng.normal(size=(6, 4, 4))) for scale in (0.3, 1e-6))
+    frequency_hz, line = np.array([40.0, 700.0]), np.array([0, 1, 0, 1, 1, 0])
+    U, Y = U[:, list(harmonics)], Y[:, list(harmonics)]
+    of = Responder(rig, frequency_hz, line, harmonics)
+    linear = (linear_model(rig, frequency_hz).y_per_u[line] @ U[:, harmonics.index(1), :, None])[..., 0]
+    expected = of.displacement(U, seen=Y)
+    expected[:, harmonics.index(1)] -= linear
+    np.testing.assert_allclose(of.beyond_linear(U, seen=Y), expected, rtol=1e-9, atol=1e-12 * np.abs(linear).max())

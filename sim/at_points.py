@@ -1,0 +1,54 @@
+"""Responses at many points of a few lines, compiled: numpy would copy a line's matrix for each of its points.
+
+>>> import numpy as np
+>>> responses(np.array([[[2j]], [[3j]]]), np.array([1, 1, 0]), np.ones((3, 1), dtype=complex))[:, 0].imag
+array([3., 3., 2.])
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Complex = NDArray[np.complex128]
+Index = NDArray[np.int64]
+
+
+def responses(matrices: Complex, line: Index, x: Complex) -> Complex:
+    """Matrices of lines times the amplitudes at each point of theirs.
+
+    Parameters
+    ----------
+    matrices : (F, a, b), or (H, F, a, b) of each harmonic
+    line : (P,) index of each point's line
+    x : (P, b), or (P, H, b)
+
+    Returns
+    -------
+    (P, a), or (P, H, a)
+    """
+    if matrices.ndim == 3:
+        return np.asarray(responses(matrices[None], line, x[:, None])[:, 0])
+    return np.asarray(_responses(_as_read_only(matrices), _as_read_only(line), _as_read_only(x)))
+
+
+def _as_read_only(a: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Of one kind, so that one function is compiled for all."""
+    out = np.ascontiguousarray(a).view()
+    out.flags.writeable = False
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _responses(matrices, line, x):  # type: ignore[no-untyped-def]  # pragma: no cover (compiled)
+    harmonics, _, rows, columns = matrices.shape
+    out = np.zeros((len(line), harmonics, rows), dtype=np.complex128)
+    for p in range(len(line)):
+        for h in range(harmonics):
+            for a in range(rows):
+                total = 0j
+                for b in range(columns):
+                    total += matrices[h, line[p], a, b] * x[p, h, b]
+                out[p, h, a] = total
+    return out
