@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from types import TracebackType
 from typing import TypeVar
 
@@ -195,32 +196,31 @@ class Fitter:
         return [c for c in self.each(tasks) if c is not None]
 
     def each(self, tasks: Iterable[Task]) -> list[Candidate | None]:
-        """The same, task by task, with None for what cannot be fitted."""
-        tasks = list(tasks)
-        # the longest first, so that no process waits for a last long one
-        order = sorted(range(len(tasks)), key=lambda k: -_labour(tasks[k]))
-        mapped = self._mapped([tasks[k] for k in order])
-        found: dict[int, Candidate | None] = {}
-        for k in order:
-            found[k] = next(mapped)
+        """The same, task by task, with None for what cannot be fitted.
+
+        Tasks are begun as they come, while others are still made; so long ones should come first (`slow_first`).
+        """
+        effects, pending = [], []
+        for task in tasks:
+            effects.append(task.effects)
+            pending.append(self._begun(task))
+        found = []
+        for result in pending:
+            found.append(result())
             self._fitted()
-        self.lost |= {t.effects for k, t in enumerate(tasks) if found[k] is None}
-        return [found[k] for k in range(len(tasks))]
+        self.lost |= {e for e, one in zip(effects, found, strict=True) if one is None}
+        return found
 
     def over(self, function: Callable[[Argument], Result], arguments: Iterable[Argument]) -> Iterator[Result]:
         """Results of a pure function on the same processes, which begin at once; with one process, lazily."""
         return iter(self._pool.map(function, arguments)) if self._pool else map(function, arguments)
 
-    def _mapped(self, tasks: Sequence[Task]) -> Iterator[Candidate | None]:
+    def _begun(self, task: Task) -> Callable[[], Candidate | None]:
+        """What waits for the result of a fit; with one process, what fits."""
         # Fits of the controller take no longer than sending them to another process.
-        if self._pool and any(t.ground.part.path != "controller" for t in tasks):
-            return iter(self._pool.map(_fitted_or_none, tasks))
-        return map(_fitted_or_none, tasks)
-
-
-def _labour(task: Task) -> int:
-    """Rough relative duration of a fit."""
-    return len(task.starts) * (5 if any(map(slow_to_compute, task.effects)) else 1)
+        if self._pool and task.ground.part.path != "controller":
+            return self._pool.submit(_fitted_or_none, task).result
+        return partial(_fitted_or_none, task)
 
 
 def _fitted_or_none(task: Task) -> Candidate | None:

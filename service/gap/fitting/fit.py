@@ -25,10 +25,9 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
-CHORD = 4
-"""Steps for which the derivatives with respect to the datasheet's values, and to inherited ones, are reused."""
-RENEWED = 4
-"""First steps after each of which the magnets' nonlinearity is recomputed, for effects that hardly change it."""
+RENEWED, NOT_CHANGED = 4, 0.1
+"""First steps after each of which the magnets' nonlinearity is recomputed, for effects that hardly change it, until
+that changes the cost by less than this share of the decrease from which the pass has converged."""
 SETTLING = 3
 """Gauss-Newton steps of the datasheet's values alone, before the parameters of a force law are fitted."""
 TRIALS, TRIALS_WITH_REUSED = 7, 2
@@ -60,8 +59,9 @@ class Problem:
         For an impossible rig it raises what the model does (`sim.errors.AmbError`, `numpy.linalg.LinAlgError`).
         """
         objective, damping, status = Objective(self.model, stage), DAMPING, OUT_OF_STEPS
-        state, derivatives = objective.fresh_state(x), _Derivatives(objective)
-        curvature = np.zeros((len(x), len(x)))
+        state = objective.state(x, self.model.rough_nonlinearity) if stage.closed else objective.fresh_state(x)
+        derivatives, curvature = _Derivatives(objective), np.zeros((len(x), len(x)))
+        renews = RENEWED if self.model.signal == "y" and not self.model.nonlinear and not stage.closed else 0
         for iteration in range(stage.iterations):
             curvature, gradient = derivatives.normal_equations(state)
             trials = TRIALS if derivatives.new else TRIALS_WITH_REUSED
@@ -75,9 +75,10 @@ class Problem:
                 continue
             damping = max(damping / 10, LEAST_DAMPING)
             drop, state = state.cost - found.cost, found
-            plant = self.model.signal == "y" and not self.model.nonlinear
-            if plant and not stage.closed and iteration < RENEWED:
+            if iteration < renews:
                 state = objective.fresh_state(state.x)
+                if abs(state.cost - found.cost) < NOT_CHANGED * stage.negligible(state.cost, objective.noise):
+                    renews = 0
             if objective.within_floor(state) or drop < stage.negligible(state.cost, objective.noise):
                 status = "converged"
                 break
@@ -184,14 +185,14 @@ class Problem:
 
 
 class _Derivatives:
-    """Derivatives along a fit; those with respect to nuisance and inherited values are reused for `CHORD` steps."""
+    """Derivatives along a fit; those with respect to nuisance and inherited values are reused for a stage's chord."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective, n_own = objective, objective.unknowns.n_own
         self._own, self._inherited = range(n_own), range(n_own, len(objective.unknowns.scale))
         self._nuisance_rows: list[Real] = []
         self._inherited_columns: list[Complex] = []
-        self._age = CHORD
+        self._age = objective.stage.chord
 
     @property
     def new(self) -> bool:
@@ -200,11 +201,11 @@ class _Derivatives:
 
     def renew(self) -> None:
         """Recompute all at the next call."""
-        self._age = CHORD
+        self._age = self._objective.stage.chord
 
     def normal_equations(self, state: State) -> tuple[Real, Real]:
         """J^T J, (a + e, a + e), and J^T r, (a + e,)."""
-        if self._age >= CHORD:
+        if self._age >= self._objective.stage.chord:
             self._nuisance_rows, self._age = self._objective.nuisance_rows(state.rig), 0
             self._inherited_columns = self._objective.effect_columns(state, self._inherited)
         self._age += 1

@@ -17,8 +17,8 @@ from sim.rig import Rig
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-WITHIN_FLOOR = 0.02
-"""Cost per residual below which a stage with a floor of its own is done: residuals of 0.14 of the floor, rms."""
+WITHIN_FLOOR = 0.05
+"""Cost per residual below which a stage with a floor of its own is done: residuals of 0.22 of the floor, rms."""
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.jacobian import current_jacobian, displacement_jacobian
-from service.gap.fitting.predict import at_speed_of, control, current, displacement, whole_displacement
+from service.gap.fitting.predict import at_speed_of, beyond_linear, control, current, displacement, whole_displacement
 from service.gap.fitting.unknowns import Unknowns, slow_to_compute
 from service.gap.measured.observation import Observation
+from sim.at_points import responses
 from sim.rig import Rig
 from sim.twin import LinearModel, linear_model
 
@@ -51,7 +53,7 @@ class PartModel:
         out = self.beyond_linear(rig, o) if nonlinearity is None else nonlinearity.copy()
         if closed:
             model = linear_model(at_speed_of(rig, o), o.frequency_hz)
-            out[:, f] += (model.y_per_u[o.line] @ self._closed_control(o, model)[..., None])[..., 0]
+            out[:, f] += responses(model.y_per_u, o.line, self._closed_control(o, model))
         else:
             out[:, f] += displacement(rig, o)
         return out
@@ -60,13 +62,16 @@ class PartModel:
         """The nonlinearity of each sweep, for `predict`; None where a fitted effect changes it at every step."""
         return [None if self.nonlinear else self.beyond_linear(rig, o) for o in self.observations]
 
+    @cached_property
+    def rough_nonlinearity(self) -> Nonlinearity:
+        """The nonlinearity of the twin that all fits of the part begin from, for stages that allow an error."""
+        return self.nonlinearity(self.ground.rig(self.ground.theta))
+
     def beyond_linear(self, rig: Rig, o: Observation) -> Complex:
         """Displacement less its small-signal fundamental, (P, H, n); of other parts than the plant it is empty."""
         if self.signal != "y":
             return np.zeros((*o.U.shape[:2], 0), dtype=complex)
-        out = whole_displacement(rig, o)
-        out[:, o.fundamental] -= displacement(rig, o)
-        return out
+        return beyond_linear(rig, o)
 
     def nuisance_columns(self, rig: Rig, o: Observation, closed: bool) -> Complex:
         """Derivative of the fundamental with respect to the nuisance values that are fitted, (P, n, a)."""
@@ -113,4 +118,4 @@ class PartModel:
         f = o.fundamental
         C, late = model.controllers[o.line], model.log_phase[o.line, None]
         excitation = late * o.U[:, f] + C * o.Y[:, f]
-        return np.asarray((model.u_per_r[o.line] @ excitation[..., None])[..., 0])
+        return responses(model.u_per_r, o.line, excitation)

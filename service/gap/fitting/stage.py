@@ -13,7 +13,8 @@ class Stage:
     an error that is allowed beside the noise, relative to the largest signal of a point; ``tolerance`` is the relative
     decrease of the cost from which the pass has converged. With a ``smallest_drop``, a chi-square, it is relative to
     what the cost is above noise, and no smaller than that: where most of the cost is noise, fits would else end along a
-    flat direction, several units above the optimum.
+    flat direction, several units above the optimum. The derivatives with respect to the datasheet's values, and to
+    inherited ones, are reused for ``chord`` steps: near the optimum they change little, far from it they soon mislead.
     """
 
     closed: bool
@@ -21,6 +22,7 @@ class Stage:
     iterations: int
     tolerance: float
     smallest_drop: float | None = None
+    chord: int = 4
 
     def negligible(self, cost: float, noise: float) -> float:
         """Decrease of the cost up to which a pass has converged; ``noise`` is what noise alone is expected to cost."""
@@ -29,7 +31,7 @@ class Stage:
         return max(self.tolerance * (cost - noise), self.smallest_drop)
 
 
-COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3)
+COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3, chord=1)
 MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3, smallest_drop=0.5)
 PROBE = Stage(closed=False, relative_floor=0.0, iterations=4, tolerance=5e-3)
 EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4, smallest_drop=0.5)

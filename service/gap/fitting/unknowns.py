@@ -6,7 +6,7 @@ freely between their bounds.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,8 @@ class Unknowns:
         self.high: Real = np.array([high for _, high in ranges], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else LONGEST for _, p in self.parameters])
         self.prior, self.prior_mean = self._priors()
+        self._without_own: tuple[bytes, Rig] | None = None
+        """contents of the last vector but for the effects' own parameters, and its rig without them"""
 
     def bounds(self) -> tuple[Real, Real, Real]:
         """Lowest and highest values, and the longest steps, of all unknowns, (a + e,) each."""
@@ -151,7 +153,11 @@ class Unknowns:
     def build(self, x: Real) -> Rig:
         """The rig at a vector of deviations and effect parameters, (a + e,)."""
         values, n = self.values(x[self.n_nuisance :]), len(self.effects)
-        rig = self.ground.rig(self.theta(x), values[n:])
+        # derivatives move the effects' own parameters alone, one after another
+        without = np.delete(x, slice(self.n_nuisance, self.n_nuisance + self.n_own)).tobytes()
+        if self._without_own is None or self._without_own[0] != without:
+            self._without_own = without, self.ground.rig(self.theta(x), values[n:])
+        rig = self._without_own[1]
         for effect, own in zip(self.effects, values[:n], strict=True):
             rig = effect.on(rig, **own)
         return rig
@@ -192,6 +198,15 @@ def dormant_at_null(
 def slow_to_compute(name: str) -> bool:
     """Whether an effect is evaluated in the time domain, which is slow: nonlinear, or changing during a sweep."""
     return CATALOGUE[name].nonlinear or name in CHANGING
+
+
+def slow_first(names: Iterable[str]) -> list[str]:
+    """Effects in the order in which fits of them are begun, so that no process waits for a last long one.
+
+    >>> slow_first(["sensor_lag", "magnetic_hysteresis"])
+    ['magnetic_hysteresis', 'sensor_lag']
+    """
+    return sorted(names, key=lambda name: not slow_to_compute(name))
 
 
 def _scale(p: Parameter) -> float:

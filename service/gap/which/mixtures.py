@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT, PROBE
+from service.gap.fitting.unknowns import slow_first
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
@@ -170,7 +171,7 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
     """Tasks of mixtures of one effect more: the base with another effect, and pairs of the best single effects."""
     best, null = extension.base.candidate, next(r.candidate for r in order if not r.candidate.effects)
     tried, rough, left = set(), rough_beside(best, ground), residuals(ground, best)
-    for name in extension.beside:
+    for name in slow_first(extension.beside):
         tried.add(frozenset((*best.effects, name)))
         task = task_beside(name, best, null, left, ground, best.fit.theta, rough)
         yield task

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT, PROBE
-from service.gap.fitting.unknowns import slow_to_compute
+from service.gap.fitting.unknowns import slow_first, slow_to_compute
 from service.gap.measured.observation import GapError
 from service.gap.weighing.ranking import Ranked, noise_levels, ranked
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVERAL
@@ -150,7 +150,7 @@ class _Search:
         known = {} if before is None else {r.candidate.effects: r.candidate for r in before.order}
         rough = rough_beside(self.null, self.ground)
         near = rough != rough_stages(self.ground)
-        for name in names:
+        for name in slow_first(names):
             if (name,) in known and not CATALOGUE[name].nonlinear:
                 c = known[name,]
                 yield Task(self.ground, (name,), (c.fit.values,), c.fit.theta, (PROBE,))
