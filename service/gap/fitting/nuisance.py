@@ -6,6 +6,7 @@ unit-normal prior; the root of the correlation matrix turns it into deviations.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -122,6 +123,11 @@ class Nuisance:
         if self.stated:
             return float(theta @ theta)
         return float((ASSUMED_DOF + 1) * np.log1p(theta**2 / ASSUMED_DOF).sum())
+
+    def surprise(self, theta: Real, of: Sequence[int]) -> float:
+        """Chi-square of some of the deviations, with their correlation, whatever the others are."""
+        correlation, off = (self.root @ self.root)[np.ix_(of, of)], self.off(theta)[list(of)]
+        return float(off @ np.linalg.solve(correlation, off))
 
     def far_off(self, theta: Real, least: float = FAR_OFF) -> list[str]:
         """Values of the datasheet that are off by more than ``least`` of their tolerances, in words, farthest first."""

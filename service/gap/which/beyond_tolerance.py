@@ -30,7 +30,7 @@ ONE_MORE = 4.0
 OFF_TOLERANCES = 1.0
 """Tolerances from which a value may belong to the effect. It is low, as only the ratio of the two sensor gains of a
 plane is observed (a common gain is an alias of the magnets'): the plain twin moves each by half of the error."""
-ERRORS_OF_STATED_VALUES = ("sensor_gain", "sensor_position", "rotor_inertia")
+ERRORS_OF_STATED_VALUES = ("sensor_gain", "sensor_position", "rotor_inertia", "modal_damping")
 """Effects that are errors of values that a datasheet states, each within a tolerance."""
 SET_THE_SCALE = frozenset({"magnetic_saturation", "magnetic_hysteresis", "touchdown_contact"})
 """Nonlinear effects beside which no such error is named. The current or displacement at which their law bends gives the
@@ -70,11 +70,13 @@ def _as_effect(fitter: Fitter, ground: Ground, order: Sequence[Ranked], name: st
     """
     best, null = order[0].candidate, next(r.candidate for r in order if not r.candidate.effects)
     places, theta = _places(name, ground), best.fit.theta
-    off = {p: float(ground.nuisance.off(theta)[at]) for p, at in places.items()}
+    all_off, sigma = ground.nuisance.off(theta), ground.nuisance.sigma
+    off = {p: float(all_off[at].mean()) for p, at in places.items()}
     far = [p for p in places if abs(off[p]) > OFF_TOLERANCES]
-    if sum(off[p] ** 2 for p in far) < BELIEVED**2 or (best.effects and others_strained(best, far, off)):
+    price = ground.nuisance.surprise(theta, [k for p in far for k in places[p]])
+    if price < BELIEVED**2 or (best.effects and others_strained(best, sum(len(places[p]) for p in far), price)):
         return None
-    changes = {p: off[p] * float(ground.nuisance.sigma[at]) for p, at in places.items()}
+    changes = {p: off[p] * float(sigma[at[0]]) for p, at in places.items()}
     choices = [[p] for p in far] + ([far] if len(far) > 1 else [])
     fits = fitter.each([_task(name, ground, best, changes, freed) for freed in choices])
     costs = [c.fit.cost + ONE_MORE * (len(freed) - 1) for c, freed in zip(fits, choices, strict=True) if c is not None]
@@ -87,7 +89,7 @@ def _as_effect(fitter: Fitter, ground: Ground, order: Sequence[Ranked], name: st
     (r,) = (r for r in ranked(null, [*(r.candidate for r in order), fits[-1]]) if r.candidate is fits[-1])
     *others, sds = fits[-1].standard_deviations
     # a value that is not freed is as uncertain as its tolerance
-    deviations = {p: sds[p] if p in far or p not in places else float(ground.nuisance.sigma[places[p]]) for p in sds}
+    deviations = {p: sds[p] if p in far or p not in places else float(sigma[places[p][0]]) for p in sds}
     return replace(
         r,
         candidate=replace(fits[-1], standard_deviations=(*others, deviations)),
@@ -95,20 +97,20 @@ def _as_effect(fitter: Fitter, ground: Ground, order: Sequence[Ranked], name: st
     )
 
 
-def others_strained(best: Candidate, far: Sequence[str], off: Mapping[str, float]) -> bool:
+def others_strained(best: Candidate, far: int, price: float) -> bool:
     """Whether the datasheet's other values are off by more than chance, too: then the error is one of an effect's law.
 
-    Such an error draws values of all kinds off.
+    Such an error draws values of all kinds off. Of the penalty ``price`` is that of the ``far`` values.
     """
-    others = len(best.fit.active) - len(far)
-    left = best.fit.penalty - sum(off[p] ** 2 for p in far)
+    others = len(best.fit.active) - far
+    left = best.fit.penalty - price
     return bool(left > others + STRAINED * np.sqrt(2 * others))
 
 
 def _task(name: str, ground: Ground, best: Candidate, changes: Mapping[str, float], freed: Sequence[str]) -> Task:
     """Task to fit the parameters ``freed`` of an effect beside ``best``, from its changes and from twice these."""
     parameters, moved = [p.name for p in CATALOGUE[name].parameters], best.fit.theta.copy()
-    moved[list(_places(name, ground).values())] = 0.0
+    moved[[k for at in _places(name, ground).values() for k in at]] = 0.0
     starts = [
         (*best.fit.values, {p: _stated(p, share * changes[p]) if p in freed else 0.0 for p in parameters})
         for share in (1, 2)
@@ -117,24 +119,31 @@ def _task(name: str, ground: Ground, best: Candidate, changes: Mapping[str, floa
     return Task(ground, (*best.effects, name), tuple(starts), moved, (EXACT,), nulled=held)
 
 
-def _places(name: str, ground: Ground) -> dict[str, int]:
-    """By parameter of an effect, the index of the nuisance value that it changes."""
+def _places(name: str, ground: Ground) -> dict[str, list[int]]:
+    """By parameter of an effect, the indices of the nuisance values that it changes: of a mode one in each plane."""
     names = ground.nuisance.names
     values = {p.name: value for p in CATALOGUE[name].parameters if (value := _value(p.name)) is not None}
-    return {parameter: names.index(value) for parameter, value in values.items() if value in names}
+    found = {p: [names.index(n) for n in (value, *_of_planes(value)) if n in names] for p, value in values.items()}
+    return {parameter: at for parameter, at in found.items() if at}
+
+
+def _of_planes(value: str) -> list[str]:
+    return [f"{value}_{plane}" for plane in "xy"]
 
 
 def _stated(parameter: str, change: float) -> float:
     """A change of a nuisance value, logarithmic or in m, in the unit of the effect's parameter."""
-    return change if parameter.endswith("_m") else float(np.expm1(change))
+    return change if parameter.endswith(("_m", "_log_ratio")) else float(np.expm1(change))
 
 
 def _value(parameter: str) -> str | None:
-    """Name of the nuisance value that a parameter changes; None of one that shapes the change.
+    """Name of the nuisance value that a parameter changes, of a mode without its plane; None of one that shapes it.
 
-    >>> [_value(name) for name in ("gain_change_xA", "shift_B_m", "mass_change", "inertia_change")]
-    ['sensor_gain_xA', 'sensor_position_B', 'mass', 'transverse_inertia']
+    >>> [_value(name) for name in ("gain_change_xA", "shift_B_m", "mass_change", "inertia_change", "mode1_log_ratio")]
+    ['sensor_gain_xA', 'sensor_position_B', 'mass', 'transverse_inertia', 'mode1_damping']
     """
+    if parameter.endswith("_log_ratio"):
+        return parameter.replace("_log_ratio", "_damping")
     known = {"mass_change": "mass", "inertia_change": "transverse_inertia"}
     for before, after in (("gain_change_", "sensor_gain_"), ("shift_", "sensor_position_")):
         if parameter.startswith(before):
