@@ -33,6 +33,15 @@ for _name in ("canopen", "can"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)
 
 
+def has_a_line(address: str) -> bool:
+    """Whether frames of a bus go over a line with a bit rate; those of a network or of this process do not.
+
+    >>> [has_a_line(address) for address in ("socketcan/can0", "virtual/rig")]
+    [True, False]
+    """
+    return address.partition("/")[0] in ("socketcan", "socketcand")
+
+
 def bus_arguments(address: str, bitrate: int = 1_000_000) -> dict[str, Any]:
     """Arguments of `can.Bus` for an address.
 

@@ -13,7 +13,7 @@ import can
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
 
-from drivers.canopen.bus import open_network
+from drivers.canopen.bus import has_a_line, open_network
 from drivers.canopen.codec import Progress, beat_bytes, progress_of, stop_bytes
 from drivers.canopen.dictionary import object_dictionary
 from drivers.canopen.map import DEFAULT_MAP, SEGMENT_BYTES, WHOLE_INDEX, ObjectMap
@@ -35,6 +35,8 @@ SILENT_S = 5.0
 """A node that was heard within this time is on: what does not come from it was lost."""
 BLOCK_BYTES = 56
 """From this size on a block upload needs fewer frames than a segmented one."""
+RECORD_SHARE = 0.45
+"""Of a line's bits, those that are a raw record's: seven bytes of a frame that has some 123 with its stuffing."""
 STOP_COPIES = 3
 """A stop has no answer; it may be said more than once."""
 _OUT_OF_STEP = (0x0503, 0x0504)
@@ -61,7 +63,7 @@ class CanopenLinks:
         self._lock = threading.RLock()
         self._network: canopen.Network | None = None
         self._node: Any = None
-        self.raw_bytes_per_s: float | None = None
+        self.raw_bytes_per_s = RECORD_SHARE * bitrate / 8 if has_a_line(address) else None
         self.changed = threading.Event()
         self.progress: Progress | None = None
         self.heard_at: float | None = None

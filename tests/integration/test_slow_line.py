@@ -82,6 +82,23 @@ def test_how_long_a_raw_record_takes_is_known_beforehand(line: Served) -> None:
     assert waits[1] == 0.0, "nobody waits for a network"
 
 
+def test_how_long_a_raw_record_takes_over_can_is_known_beforehand() -> None:
+    hub = CanHub(bitrate=500_000)
+    served = serve_canopen(RigDevice(reference_rig(), seed=1), CanOptions(bus=f"socketcand/127.0.0.1:{hub.port}/can0"))
+    controller = connect(f"{served.url}&bitrate=500000")
+    try:
+        told = controller.capabilities().record_wait_s(RECORD.samples)
+        with controller.lease("slow line"):
+            before = hub.bits
+            controller.measure(RECORD)
+            on_the_line = (hub.bits - before) / 500_000
+        assert 0.8 * on_the_line < told < 1.2 * on_the_line
+    finally:
+        controller.close()
+        served.close()
+        hub.close()
+
+
 def test_a_stop_goes_between_two_blocks_of_a_raw_record_and_ends_it(line: Served, blocks: list[bytes]) -> None:
     controller = connect(line.url)
     heard: list[int] = []
