@@ -25,7 +25,7 @@ def law_rows(m: Magnets, point: OperatingPoint) -> Array:
             point.load_n,
             np.minimum(m.saturation_current_a, NONE),
             np.full(n, m.current_limit_a),
-            actuator.plays(m)[0],
+            actuator.rayleigh_coefficient(m),
             point.current_a,
             m.flux_share,
             np.full(n, m.flux_power),
