@@ -59,7 +59,8 @@ def _canopen(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.canopen.driver import CanopenLinks
 
     objects = canopen_map.read_map(Path(query["map"])) if "map" in query else canopen_map.DEFAULT_MAP
-    return CanopenLinks(url.netloc + url.path, int(query["node"]), int(query.get("bitrate", 1_000_000)), objects)
+    bitrate = int(query["bitrate"]) if "bitrate" in query else None
+    return CanopenLinks(url.netloc + url.path, int(query["node"]), bitrate, objects)
 
 
 def _replay(url: SplitResult, query: Query) -> LinkFactory:
@@ -91,7 +92,8 @@ def connect(url: str, rig: Rig | None = None) -> Controller:
     ============================================================ ==============================================
 
     Modbus and CANopen take ``map=map.toml``, a rig's own registers or objects; every bus takes
-    ``transcript=session.jsonl``, which records the session.
+    ``transcript=session.jsonl``, which records the session. A CAN interface has its bit rate already: ``bitrate`` says
+    which it is, so that how long a raw record takes is known.
 
     Raises
     ------

@@ -27,15 +27,23 @@ def responses(matrices: Complex, line: Index, x: Complex) -> Complex:
     Returns
     -------
     (P, a), or (P, H, a)
+
+    Raises
+    ------
+    IndexError
+        No such line.
+    ValueError
+        Other numbers of points or harmonics.
     """
     if matrices.ndim == 3:
         return np.asarray(responses(matrices[None], line, x[:, None])[:, 0])
-    return np.asarray(_responses(_as_read_only(matrices), _as_read_only(line), _as_read_only(x)))
+    given = _as_read_only(matrices, complex), _as_read_only(line, np.int64), _as_read_only(x, complex)
+    return np.asarray(_responses(*given))
 
 
-def _as_read_only(a: NDArray[np.generic]) -> NDArray[np.generic]:
+def _as_read_only(a: NDArray[np.generic], dtype: type[complex] | type[np.int64]) -> NDArray[np.generic]:
     """Of the one kind that the function is compiled for."""
-    out = np.ascontiguousarray(a).view()
+    out = np.ascontiguousarray(a, dtype=dtype).view()
     out.flags.writeable = False
     return out
 
@@ -44,7 +52,8 @@ def _kind(dtype: numba.types.Type, dimensions: int) -> numba.types.Type:
     return numba.types.Array(dtype, dimensions, "C", readonly=True)
 
 
-# Made ready as the module is loaded: processes that begin as copies of one that has loaded it share what takes 0.4 s.
+# Made ready as the module is loaded, and numba with it, which takes 0.4 s: processes that begin as copies of one that
+# has loaded it share that.
 _RESULT = numba.types.Array(numba.complex128, 3, "C")
 
 
@@ -52,7 +61,11 @@ _RESULT = numba.types.Array(numba.complex128, 3, "C")
     _RESULT(_kind(numba.complex128, 4), _kind(numba.int64, 1), _kind(numba.complex128, 3)), cache=True, nogil=True
 )
 def _responses(matrices, line, x):  # type: ignore[no-untyped-def]  # pragma: no cover (compiled)
-    harmonics, _, rows, columns = matrices.shape
+    harmonics, lines, rows, columns = matrices.shape
+    if x.shape != (len(line), harmonics, columns):
+        raise ValueError("amplitudes of other numbers of points, harmonics or axes than lines and matrices have")
+    if len(line) and not (line.min() >= 0 and line.max() < lines):
+        raise IndexError("a point on a line of which there is no matrix")
     out = np.zeros((len(line), harmonics, rows), dtype=np.complex128)
     for p in range(len(line)):
         for h in range(harmonics):

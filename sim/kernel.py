@@ -41,13 +41,13 @@ def _magnet(law, a, i, x):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _saturating_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
-    """The same of poles that saturate by their flux."""
+    """The same of poles that saturate by their flux; beyond a pole, where no rotor is, by its size alone."""
     share, n = law[11, a], law[12, a]
     upper = max(law[1, a] + i, 0.0) / (law[2, a] - x - law[3, a])
     lower = max(law[1, a] - i, 0.0) / (law[2, a] + x + law[3, a])
     per_flux = share * law[2, a] / law[1, a]
-    top = upper**2 / (1.0 + (per_flux * upper) ** n)
-    bottom = lower**2 / (1.0 + (per_flux * lower) ** n)
+    top = upper**2 / (1.0 + (per_flux * abs(upper)) ** n)
+    bottom = lower**2 / (1.0 + (per_flux * abs(lower)) ** n)
     return law[0, a] * (1.0 + share**n) * (top - bottom)
 
 
@@ -71,7 +71,7 @@ def excess_force(law, drifted, i_t, effective_t, x_t):  # type: ignore[no-untype
     """
     out = np.empty_like(x_t)
     for a in range(x_t.shape[0]):
-        saturates, ki, ks, rest = law[11, a] > 0.0, law[4, a], law[5, a], law[10, a]
+        saturates, ki, ks, rest = law[11, a] != 0.0, law[4, a], law[5, a], law[10, a]
         for p in range(x_t.shape[1]):
             # a loop of its own for each law: so the compiler makes several samples at once
             if saturates and law[12, a] == 4.0:

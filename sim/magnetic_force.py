@@ -69,7 +69,7 @@ def beyond_linear(
     n, points = rig.n_axes, x_t.shape[0]
     drifted = np.stack([np.ones((n, points)), np.zeros((n, points))])
     if rig.drift and passed is not None:
-        gone = rig.drift.progress(passed.ravel())
+        gone = rig.drift.progress(np.broadcast_to(passed.ravel(), points))
         ki, ks = (np.outer(change, gone) for change in (rig.drift.ki_change, rig.drift.ks_change))
         drifted = np.stack([1 + ki, ks - ki])
     law = law_rows(rig.magnets, point)

@@ -24,6 +24,7 @@ _LOCK = threading.Lock()
 def remembered(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Keep a function's last ``size`` results by the contents of its arguments: numbers, arrays, dataclasses of them.
 
+    Numbers that are equal are the same, whatever their type.
     Arrays of a result are made read-only, as callers share them, and so are those of a dataclass that is asked for. For
     functions that cost far more than reading their arguments, some 50 us for a whole rig.
     """
@@ -49,7 +50,7 @@ class _Call:
 
     def __init__(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
         self.args, self.kwargs = args, kwargs
-        self._contents = tuple(map(_contents, (*args, *kwargs, *kwargs.values())))
+        self._contents = tuple(map(_contents, args)), tuple(kwargs), tuple(map(_contents, kwargs.values()))
         self._hash = hash(self._contents)
 
     def __hash__(self) -> int:
@@ -79,7 +80,7 @@ def _read(value: Any, freeze: bool) -> Hashable:
     if kind is np.ndarray:
         if freeze:
             value.flags.writeable = False
-        return value.dtype.char, value.shape, value.tobytes()
+        return value.dtype.str, value.shape, value.tobytes()
     if kind in _PLAIN:
         return value  # type: ignore[no-any-return]  # as every plain value is
     if kind is tuple:

@@ -36,13 +36,13 @@ for _name in ("canopen", "can"):
 def has_a_line(address: str) -> bool:
     """Whether frames of a bus go over a line with a bit rate; those of a network or of this process do not.
 
-    >>> [has_a_line(address) for address in ("socketcan/can0", "virtual/rig")]
-    [True, False]
+    >>> [has_a_line(address) for address in ("socketcan/can0", "socketcand/host/can0", "virtual/rig")]
+    [True, True, False]
     """
     return address.partition("/")[0] in ("socketcan", "socketcand")
 
 
-def bus_arguments(address: str, bitrate: int = 1_000_000) -> dict[str, Any]:
+def bus_arguments(address: str) -> dict[str, Any]:
     """Arguments of `can.Bus` for an address.
 
     >>> bus_arguments("socketcan/can0")
@@ -72,7 +72,7 @@ def bus_arguments(address: str, bitrate: int = 1_000_000) -> dict[str, Any]:
     return {"interface": interface, "channel": host, "port": number}
 
 
-def open_network(address: str, bitrate: int = 1_000_000) -> canopen.Network:
+def open_network(address: str) -> canopen.Network:
     """Network on a bus.
 
     Raises
@@ -80,7 +80,7 @@ def open_network(address: str, bitrate: int = 1_000_000) -> canopen.Network:
     BusError
         The bus cannot be opened.
     """
-    arguments = bus_arguments(address, bitrate)
+    arguments = bus_arguments(address)
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.05  # how long leaving the bus may take
     network.listeners.append(_KeepsQuiet())  # type: ignore[arg-type]

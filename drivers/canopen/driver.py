@@ -51,19 +51,23 @@ class CanopenLinks:
     ----------
     address
         As in `drivers.canopen.bus`.
+    bitrate
+        Of the line, where it is known: it tells how long a raw record takes.
     objects
         Where the node's objects are.
     """
 
-    def __init__(self, address: str, node_id: int, bitrate: int = 1_000_000, objects: ObjectMap = DEFAULT_MAP) -> None:
+    def __init__(
+        self, address: str, node_id: int, bitrate: int | None = None, objects: ObjectMap = DEFAULT_MAP
+    ) -> None:
         self.objects = objects
         self.description = f"canopen://{address}?node={node_id}"
         self.node_id = node_id
-        self._address, self._bitrate = address, bitrate
+        self._address = address
         self._lock = threading.RLock()
         self._network: canopen.Network | None = None
         self._node: Any = None
-        self.raw_bytes_per_s = RECORD_SHARE * bitrate / 8 if has_a_line(address) else None
+        self.raw_bytes_per_s = RECORD_SHARE * bitrate / 8 if bitrate and has_a_line(address) else None
         self.changed = threading.Event()
         self.progress: Progress | None = None
         self.heard_at: float | None = None
@@ -77,7 +81,7 @@ class CanopenLinks:
         """Remote node on the open network."""
         with self._lock:
             if self._network is None:
-                network = open_network(self._address, self._bitrate)
+                network = open_network(self._address)
                 node = canopen.RemoteNode(self.node_id, object_dictionary(self.node_id, self.objects))
                 node.sdo = UploadingSdoClient(self.node_id, node.object_dictionary)
                 node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S

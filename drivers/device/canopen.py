@@ -118,11 +118,10 @@ class CanopenNode:
         front: DeviceFront,
         address: str,
         node_id: int,
-        bitrate: int = 1_000_000,
         objects: ObjectMap = DEFAULT_MAP,
     ) -> None:
         self._front = front
-        self._address, self._node_id, self._bitrate, self._objects = address, node_id, bitrate, objects
+        self._address, self._node_id, self._objects = address, node_id, objects
         self._subs = {(s.index, s.subindex): s for s in objects.subs}
         self._last = {g.name: objects.of(g.name)[-1] for g in GROUPS}
         self._staged: dict[str, dict[str, Any]] = {}
@@ -145,7 +144,7 @@ class CanopenNode:
 
     def _joined(self) -> canopen.Network:
         """The bus, with this node on it."""
-        network = open_network(self._address, self._bitrate)
+        network = open_network(self._address)
         node = canopen.LocalNode(self._node_id, object_dictionary(self._node_id, self._objects))
         node.sdo = BlockSdoServer(0x600 + self._node_id, 0x580 + self._node_id, node)
         node.add_read_callback(self._read)  # type: ignore[no-untyped-call]

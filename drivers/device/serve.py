@@ -201,7 +201,7 @@ def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
         hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None, spoil)
         address = f"socketcand/{hub.host}:{hub.port}/can0"
     try:
-        node = CanopenNode(DeviceFront(device, "little"), address, options.node, options.bitrate, objects)
+        node = CanopenNode(DeviceFront(device, "little"), address, options.node, objects)
     except ControllerError:
         if hub is not None:
             hub.close()

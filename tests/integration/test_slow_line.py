@@ -93,6 +93,9 @@ def test_how_long_a_raw_record_takes_over_can_is_known_beforehand() -> None:
             controller.measure(RECORD)
             on_the_line = (hub.bits - before) / 500_000
         assert 0.8 * on_the_line < told < 1.2 * on_the_line
+        unknown = connect(served.url.partition("&")[0])
+        assert unknown.capabilities().record_wait_s(RECORD.samples) == 0.0, "nobody knows the line's rate"
+        unknown.close()
     finally:
         controller.close()
         served.close()

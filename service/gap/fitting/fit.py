@@ -1,8 +1,9 @@
 """Maximum a posteriori fit of one part of the loop, with chosen effects, to observations: Levenberg-Marquardt.
 
 Every candidate is fitted beside the datasheet's uncertain values, each under its tolerance as a unit-normal prior; an
-effect's own parameters range freely between their bounds. The derivatives with respect to the datasheet's values change
-little from step to step, so they are reused until a step fails with them (the chord method).
+effect's own parameters range freely between their bounds. Near the optimum the derivatives with respect to the
+datasheet's values change little from step to step, so a stage may reuse them until a step fails with them (the chord
+method).
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 RENEWED, NOT_CHANGED = 4, 0.1
-"""First steps after each of which the magnets' nonlinearity is recomputed, for effects that hardly change it, until
-that changes the cost by less than this share of the decrease from which the pass has converged."""
+"""First steps after each of which the magnets' nonlinearity is recomputed, for effects that hardly change it, but for
+those no longer than one that changed the cost so by less than this share of what ends the pass."""
 SETTLING = 3
 """Gauss-Newton steps of the datasheet's values alone, before the parameters of a force law are fitted."""
 TRIALS, TRIALS_WITH_REUSED = 7, 2
@@ -59,8 +60,9 @@ class Problem:
         For an impossible rig it raises what the model does (`sim.errors.AmbError`, `numpy.linalg.LinAlgError`).
         """
         objective, damping, status = Objective(self.model, stage), DAMPING, OUT_OF_STEPS
-        state = objective.state(x, self.model.rough_nonlinearity) if stage.closed else objective.fresh_state(x)
+        state = objective.state(x, self.model.rough_nonlinearity(x)) if stage.closed else objective.fresh_state(x)
         derivatives, curvature = _Derivatives(objective), np.zeros((len(x), len(x)))
+        still, renewed_at = 0.0, x  # a move that changed the nonlinearity by nothing that counts
         renews = RENEWED if self.model.signal == "y" and not self.model.nonlinear and not stage.closed else 0
         for iteration in range(stage.iterations):
             curvature, gradient = derivatives.normal_equations(state)
@@ -75,10 +77,11 @@ class Problem:
                 continue
             damping = max(damping / 10, LEAST_DAMPING)
             drop, state = state.cost - found.cost, found
-            if iteration < renews:
-                state = objective.fresh_state(state.x)
+            moved = float(np.abs(state.x - renewed_at).max())
+            if iteration < renews and moved > still:
+                state, renewed_at = objective.fresh_state(state.x), state.x
                 if abs(state.cost - found.cost) < NOT_CHANGED * stage.negligible(state.cost, objective.noise):
-                    renews = 0
+                    still = moved
             if objective.within_floor(state) or drop < stage.negligible(state.cost, objective.noise):
                 status = "converged"
                 break

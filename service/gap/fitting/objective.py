@@ -33,7 +33,7 @@ class State:
     predictions: list[Complex]
     """(P, H, n) per sweep"""
     nonlinearity: Nonlinearity
-    """of the magnets, as it is in the predictions; it may be of another vector nearby"""
+    """of the magnets, as it is in the predictions; it may be of another vector nearby, in a rough stage of its start"""
     cost: float
     """chi-square of the residuals and penalty of the unknowns"""
 

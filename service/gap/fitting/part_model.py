@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +34,14 @@ class PartModel:
         self.unknowns, self.ground = unknowns, unknowns.ground
         self.observations, self.signal = self.ground.observations, self.ground.part.signal
         self.nonlinear = any(slow_to_compute(e.id) for e in unknowns.effects)
+        self._rough: Nonlinearity | None = None
 
     def predict(self, rig: Rig, o: Observation, closed: bool, nonlinearity: Complex | None = None) -> Complex:
         """The part's output for its measured input, (P, H, n) in the unit of the signal.
 
         With ``closed`` the input is what the twin's own loop makes of the excitation. ``nonlinearity`` is what the
         magnets' nonlinearity adds to the small-signal displacement, (P, H, n); it hardly changes while a linear effect
-        is fitted, so it is computed once a stage.
+        is fitted, so it is computed once for all rough stages of a fit, and a few times in the last one.
         """
         if self.signal == "u":
             return control(rig, o)
@@ -62,10 +62,14 @@ class PartModel:
         """The nonlinearity of each sweep, for `predict`; None where a fitted effect changes it at every step."""
         return [None if self.nonlinear else self.beyond_linear(rig, o) for o in self.observations]
 
-    @cached_property
-    def rough_nonlinearity(self) -> Nonlinearity:
-        """The nonlinearity of the twin that all fits of the part begin from, for stages that allow an error."""
-        return self.nonlinearity(self.ground.rig(self.ground.theta))
+    def rough_nonlinearity(self, x: Real) -> Nonlinearity:
+        """The nonlinearity for stages that allow an error: with the datasheet's values of the first ``x``, (a + e,).
+
+        Without the part's own effects, which all starts of a fit have otherwise.
+        """
+        if self._rough is None:
+            self._rough = self.nonlinearity(self.ground.rig(self.unknowns.theta(x)))
+        return self._rough
 
     def beyond_linear(self, rig: Rig, o: Observation) -> Complex:
         """Displacement less its small-signal fundamental, (P, H, n); of other parts than the plant it is empty."""

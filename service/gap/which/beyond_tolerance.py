@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
-from service.gap.fitting.part import Ground
+from service.gap.fitting.part import STANDSTILL, Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.weighing.ranking import Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.which.mixtures import STRAINED
@@ -23,8 +23,9 @@ from sim.effects import CATALOGUE
 Real = NDArray[np.float64]
 
 BELIEVED = 3.35
-"""Tolerances from which a value is more likely an effect: among eight values, a normal error gets there in 0.6 % of the
-rigs. If one in 25 rigs has such an effect, uniform over a tenth of the value, that is as likely there."""
+"""Tolerances from which a value is more likely an effect: among ten values, a normal error gets there in 0.8 % of the
+rigs. If one in 25 rigs has such an effect, uniform over a tenth of the value, or a mode's damping over a factor of a
+thousand, that is about as likely there. A mode's damping in both planes is one value."""
 ONE_MORE = 4.0
 """Chi-square that every further value of the same effect must explain."""
 OFF_TOLERANCES = 1.0
@@ -56,10 +57,15 @@ def beyond_tolerance(fitter: Fitter, ground: Ground, order: Sequence[Ranked], mo
 
 
 def _possible(ground: Ground, beside: Sequence[str]) -> list[str]:
-    """Errors of stated values that can be named beside some effects."""
+    """Errors of stated values that can be named beside some effects.
+
+    Not the damping of a rotor that turns: there the shaft's own damping is another effect, which has its own law.
+    """
     if not SET_THE_SCALE.isdisjoint(beside):
         return []
-    return [name for name in ERRORS_OF_STATED_VALUES if name in ground.part.effects and name not in beside]
+    of_part = ground.part.effects
+    possible = [name for name in ERRORS_OF_STATED_VALUES if name in of_part and name not in beside]
+    return [name for name in possible if STANDSTILL.get(name) not in of_part]
 
 
 def _as_effect(fitter: Fitter, ground: Ground, order: Sequence[Ranked], name: str) -> Ranked | None:

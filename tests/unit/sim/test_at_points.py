@@ -24,3 +24,19 @@ def test_each_point_has_the_matrix_of_its_line(harmonics, turned):
         expected = (matrices.swapaxes(0, 1)[line] @ x[..., None])[..., 0]
     x.flags.writeable = False
     np.testing.assert_allclose(responses(matrices, line, x), expected, rtol=1e-12)
+    real = responses(matrices.real, line.astype(np.int32), x.real)
+    np.testing.assert_allclose(real, responses(matrices.real + 0j, line, x.real + 0j), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "x", "error"),
+    [
+        (np.array([0, 5]), np.ones((2, 4)), IndexError),
+        (np.array([0, -1]), np.ones((2, 4)), IndexError),
+        (np.array([0, 1]), np.ones((3, 4)), ValueError),
+        (np.array([0, 1]), np.ones((2, 3)), ValueError),
+    ],
+)
+def test_points_that_no_matrix_is_for_are_refused(line, x, error):
+    with pytest.raises(error):
+        responses(np.ones((5, 2, 4), dtype=complex), line, x)

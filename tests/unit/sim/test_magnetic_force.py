@@ -30,9 +30,10 @@ OFF_CENTRE = {"offset_xA_m": 30e-6, "offset_yB_m": -20e-6}
     ids=["plain", "off centre", "by current", "by flux", "by flux, another power", "loaded", "turned", "drifting"],
 )
 def test_the_compiled_force_is_the_law_less_its_linear_part(rig: Rig) -> None:
-    """In a coil that is asked for a current below none, too."""
+    """In a coil that is asked for a current below none, too, and beyond a pole, where a fit may try to put a rotor."""
     rng = np.random.default_rng(2)
     i, x = rng.uniform(-4.0, 4.0, (3, 8, 4)), rng.uniform(-5e-5, 5e-5, (3, 8, 4))
+    x[2, -1] = 1.3 * rig.magnets.gap_m
     point, passed = actuator.operating_point(rig), np.array([0.0, 0.4, 1.0])[:, None, None]
     effective = magnetic_force.effective(rig.magnets, i)
     force = actuator.pull(rig.magnets, effective, x)

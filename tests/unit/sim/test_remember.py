@@ -27,6 +27,29 @@ def test_equal_contents_are_computed_once_and_others_anew():
     assert len(calls) == 3
 
 
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ((np.zeros(4),), (np.zeros((2, 2)),)),
+        ((np.zeros(2),), (np.zeros(2, dtype=np.int64),)),
+        (((1.0, 2.0), 3.0), (1.0, (2.0, 3.0))),
+        ((reference_rig().sensors,), (reference_rig().amplifiers,)),
+        ((None,), (0.0,)),
+    ],
+    ids=["shape", "type of the values", "nesting", "class", "none"],
+)
+def test_arguments_that_differ_are_other_questions(one, other):
+    calls = []
+
+    @remembered(8)
+    def asked(*what, **named) -> int:
+        calls.append(what)
+        return len(calls)
+
+    assert [asked(*one), asked(*other), asked(*one), asked(*other)] == [1, 2, 1, 2]
+    assert [asked(1.0, "x", 2.0), asked(1.0, x=2.0), asked(1.0, y=2.0)] == [3, 4, 5]
+
+
 def test_a_kept_response_cannot_be_written_to():
     model = linear_model(reference_rig(), np.array([10.0, 100.0]))
     with pytest.raises(ValueError, match="read-only"):

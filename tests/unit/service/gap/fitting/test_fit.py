@@ -7,13 +7,13 @@ import pytest
 
 from service.gap.fitting.candidates import Fitter, Task
 from service.gap.fitting.nuisance import nuisance
-from service.gap.fitting.part import Ground, parts
+from service.gap.fitting.part import Ground, Inherited, parts
 from service.gap.fitting.stage import COARSE, EXACT
 from service.gap.fitting.unknowns import Unknowns
 from service.gap.measured.observation import observe
 from sim.effect import Effect, End
 from sim.effects import CATALOGUE
-from sim.twin import with_effects
+from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
 
@@ -32,6 +32,28 @@ def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> No
     for bound in (unknowns.low, unknowns.high, 2 * unknowns.low, 2 * unknowns.high):
         (values,) = unknowns.values(bound)
         assert all(p.low <= values[p.name] <= p.high for p in effect.of(ground.nuisance.rig).parameters)
+
+
+def test_a_rig_is_that_of_its_own_vector_whichever_was_built_before(ground: Ground) -> None:
+    """Derivatives move one value after another, the effect's own, another part's, or the datasheet's."""
+    gains = np.flatnonzero([name.startswith("amplifier_gain") for name in ground.nuisance.names])
+    known = len(gains) + len(CATALOGUE["loop_delay"].parameters)
+    other = Inherited((), gains, (("loop_delay", {"delay_s": 2e-5}),), np.zeros(known), np.eye(known))
+    both = replace(ground, inherited=other)
+
+    def unknowns() -> Unknowns:
+        return Unknowns(both, [CATALOGUE["sensor_lag"]])
+
+    u, f = unknowns(), np.array([50.0, 900.0])
+    x = np.concatenate([np.zeros(u.n_nuisance), u.scaled(({"time_constant_s": 1e-5},))])
+    before = linear_model(u.build(x), f).y_per_u
+    for k in range(len(x)):
+        moved = x.copy()
+        moved[k] += 0.01
+        answer = linear_model(u.build(moved), f).y_per_u
+        np.testing.assert_array_equal(answer, linear_model(unknowns().build(moved), f).y_per_u)
+        free = k < u.n_nuisance or u.low[k - u.n_nuisance] < u.high[k - u.n_nuisance]
+        assert np.array_equal(answer, before) != free
 
 
 def test_it_is_told_at_which_end_of_its_range_a_parameter_is(ground: Ground) -> None:

@@ -46,6 +46,16 @@ def test_errors_with_one_cause_cost_less_together_than_apart(
     assert differing > 1.5 * alone
 
 
+def test_what_some_values_surprise_by_is_what_they_cost_at_least() -> None:
+    """Alone, as correlated values are, and whatever all others are."""
+    both = vector(NU, {"mode1_damping_x": 3.0, "mode1_damping_y": 3.0, "mass": 1.0})
+    of = [NU.names.index(f"mode1_damping_{plane}") for plane in "xy"]
+    assert NU.surprise(both, of[:1]) == pytest.approx(9.0)
+    assert 9.0 < NU.surprise(both, of) < 18.0  # one cause for both, not two
+    assert NU.surprise(both, of) == pytest.approx(NU.price(both) - 1.0)
+    assert NU.surprise(both, []) == 0.0
+
+
 def test_one_value_off_moves_that_value_of_the_rig_and_is_told_alone() -> None:
     rig = NU.at(vector(NU, {"mode1_frequency_y": 3.0, "ki_xA": -4.0}))
     t = DATASHEET.tolerance
