@@ -229,7 +229,8 @@ def test_however_many_ask_for_a_controller_that_hangs_other_rigs_and_jobs_are_se
     rig, asked = hanging
     body = {"datasheet": SHEET, "controller_url": tripping.url, "name": f"{request.node.name}, another"}
     other = api.post("/rigs", json=body).json()["id"]
-    with httpx.Client(base_url=api.base_url, timeout=30) as many, ThreadPoolExecutor(135) as lookers:
+    own = httpx.Limits(max_connections=None, max_keepalive_connections=0)  # threads that share connections lose some
+    with httpx.Client(base_url=api.base_url, timeout=30, limits=own) as many, ThreadPoolExecutor(135) as lookers:
         ways = [(many.get, "status"), (many.post, "stop"), (many.post, "acknowledge")] * 45
         looks = [lookers.submit(way, f"/rigs/{rig}/{what}") for way, what in ways]
         while len(asked) < 2:
