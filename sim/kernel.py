@@ -65,9 +65,10 @@ def _quartic_magnet(law, a, i, x):  # type: ignore[no-untyped-def]
 
 @_compiled
 def excess_force(law, drifted, i_t, effective_t, x_t):  # type: ignore[no-untyped-def]
-    """Force of each magnet beyond ki i + ks x, before it turns, of samples in time (n, P, T).
+    """Force of each magnet beyond ki i + ks x, N, before it turns, of samples in time (n, P, T).
 
-    ``drifted`` are factors of the force and, of position stiffness beside that, summands, (2, n, P).
+    ``i_t`` is the current that makes flux and ``effective_t`` what of it is effective, A, ``x_t`` the displacement, m;
+    ``drifted`` are factors of the force and, of position stiffness beside that, summands over ks, (2, n, P).
     """
     out = np.empty_like(x_t)
     for a in range(x_t.shape[0]):

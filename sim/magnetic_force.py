@@ -12,7 +12,11 @@ from sim.twin import force_rotation
 
 
 def law_rows(m: Magnets, point: OperatingPoint) -> Array:
-    """Rows k, i0, s0, offset, ki, ks, load, i_s, i_max, alpha, i at rest, B0/Bs, n of the force law, (13, n)."""
+    """Rows of the force law as compiled code takes it, (13, n), in SI units.
+
+    k (N m2/A2), i0 (A), s0 and offset (m), ki (N/A), ks (N/m), load (N), i_s and i_max (A), alpha (1/A), i at rest (A),
+    B0/Bs and the power n (1); as of `sim.rig.Magnets`, ki and ks at the operating point.
+    """
     n = len(m.ki)
     return np.vstack(
         [

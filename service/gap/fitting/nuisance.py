@@ -125,7 +125,10 @@ class Nuisance:
         return float((ASSUMED_DOF + 1) * np.log1p(theta**2 / ASSUMED_DOF).sum())
 
     def surprise(self, theta: Real, of: Sequence[int]) -> float:
-        """Chi-square of some of the deviations, with their correlation, whatever the others are."""
+        """Chi-square of some of the deviations at ``theta``, (k,), with their correlation, whatever the others are.
+
+        ``of`` are their indices.
+        """
         correlation, off = (self.root @ self.root)[np.ix_(of, of)], self.off(theta)[list(of)]
         return float(off @ np.linalg.solve(correlation, off))
 
