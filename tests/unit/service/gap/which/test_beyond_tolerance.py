@@ -25,13 +25,15 @@ TOLERANCE_M = 1e-3
 FIT = Fit(("eddy_currents",), np.zeros(40), (), reference_rig(), (), 0.0, np.arange(40), np.eye(40), "converged")
 
 
-def weighed(effects: dict[str, dict[str, float]], stated: bool = True) -> list[Ranked]:
-    """The plain twin of such a rig, and what is said beside it."""
+def weighed(effects: dict[str, dict[str, float]], stated: bool = True, turns: bool = False) -> list[Ranked]:
+    """The plain twin of such a rig, and what is said beside it; of one that ``turns`` with the shaft's own damping."""
     datasheet, truth = known_datasheet(seed=4)
     tolerance = replace(datasheet.tolerance, sensor_position_m=TOLERANCE_M, sensor_gain=0.01)
     nu = nuisance(replace(datasheet, tolerance=tolerance, tolerance_stated=stated))
     o = observe(sweep(with_effects(true_rig(truth), effects), lines(30), 0.4, 3), nu.rig)
-    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    part = parts(nu, (o,))[-1]
+    part = replace(part, effects=(*part.effects, "internal_damping")) if turns else part
+    ground = Ground(nu, part, (o,), np.zeros(len(nu)))
     with Fitter(1) as fitter:
         null, _ = plain_twin(fitter, ground)
         return beyond_tolerance(fitter, ground, ranked(null, []), most=3)
@@ -80,6 +82,12 @@ def test_damping_that_both_planes_show_far_off_is_named(log_ratio: float) -> Non
     within = 3 * deviations["mode1_log_ratio"] + 0.5  # the datasheet itself is off by up to a tolerance
     assert values["mode1_log_ratio"] == pytest.approx(log_ratio, abs=within)
     assert values["mode2_log_ratio"] == 0.0
+
+
+def test_damping_of_a_rotor_that_turns_is_left_to_effects_with_a_law_of_their_own() -> None:
+    """There the shaft's damping is no alias, and is weighed as every effect is."""
+    ratios = {"mode1_log_ratio": 2.0, "mode2_log_ratio": 0.0}
+    assert [r.candidate.effects for r in weighed({"modal_damping": ratios}, turns=True)] == [()]
 
 
 @pytest.mark.parametrize("log_ratio", [-1.0, 1.0])
