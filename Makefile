@@ -1,6 +1,7 @@
 # Everything sets itself up: a fresh machine needs Python 3.11 and make, no root and no activated environment.
 #   make demo    the main job on a simulated rig
-#   make test    every test and doctest, with branch coverage
+#   make test    the tests and doctests, with branch coverage
+#   make long    the tests marked slow: whole diagnoses, fits and campaigns
 #   make check   style, types and import arrows
 #   make bench   every benchmark, one after another
 # Another interpreter: make test PYTHON=/path/to/python3
@@ -16,7 +17,7 @@ JOBS   ?= $(shell expr $$(nproc 2>/dev/null || echo 1) + 1)
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench clean
+.PHONY: help demo test long check bench clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -25,8 +26,13 @@ help: ## list the targets
 demo: $(VENV)/.demo ## commission a simulated rig, from nothing to result.json and a report
 	$(BIN)/ambit demo
 
-test: $(VENV)/.dev ## every test and doctest, with branch coverage
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder --cov --cov-report=term $(ARGS)
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder
+
+test: $(VENV)/.dev ## the tests and doctests, with branch coverage
+	$(PYTEST) -m "not slow" --cov --cov-report=term $(ARGS)
+
+long: $(VENV)/.dev ## the tests marked slow: whole diagnoses, fits and campaigns
+	$(PYTEST) -m slow $(ARGS)
 
 check: $(VENV)/.dev ## ruff, mypy (strict but for benchmarks), import-linter
 	$(BIN)/ruff check .

@@ -74,7 +74,6 @@ class Terse(RigDevice):
         return replace(super().capabilities(), raw_records=False)
 
 
-@pytest.mark.no_cover  # other tests cover the lines; traced it takes half as long again
 def test_experiment_over_canopen_equals_the_one_in_process(tmp_path: Path) -> None:
     reference = campaign(SimulatedController(Terse(reference_rig(), SEED)), tmp_path / "in process")
     served = serve_canopen(Terse(reference_rig(), SEED), CanOptions())

@@ -8,7 +8,6 @@ import sys
 import time
 
 import numpy as np
-import pytest
 
 from service.campaign import journal
 from service.campaign.run import recover
@@ -62,7 +61,6 @@ def killed_after(folder, points, delay):
     return reported
 
 
-@pytest.mark.slow
 def test_kill_9_at_any_instant(tmp_path, capsys):
     rng = np.random.default_rng(0)
     points = 0

@@ -21,9 +21,6 @@ from tests.support.measured import small_experiment
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take half as long again
-
-
 MEASURED, PLANE = one_plane(*small_experiment())
 """One plane of the rig: the other one would be calculated in the same way."""
 

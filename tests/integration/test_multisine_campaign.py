@@ -23,7 +23,7 @@ from tests.support.campaigns import Faulty, assert_same
 from tests.support.synthetic import known_datasheet, true_rig
 from tests.support.two_axes import sheet_of_one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take half as long again
+pytestmark = pytest.mark.slow
 
 RIG, SHEET = reference_rig(), reference_datasheet()
 PLANE = sheet_of_one_plane(known_datasheet()[1])

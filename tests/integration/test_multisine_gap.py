@@ -23,7 +23,7 @@ from tests.support.synthetic import experiment as tone_by_tone
 from tests.support.synthetic import known_datasheet, true_rig
 from tests.support.two_axes import sheet_of_one_plane
 
-pytestmark = [pytest.mark.no_cover, pytest.mark.timeout(600)]  # numbers; other tests cover the lines
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 ALL_AXES = known_datasheet(seed=71)
 ONE_PLANE = tuple(map(sheet_of_one_plane, ALL_AXES))

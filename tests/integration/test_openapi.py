@@ -14,7 +14,7 @@ from service.config import Settings
 from tests.support.described import UNLIMITED, filled, tried
 from tests.support.serving import serving
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take half as long again
+pytestmark = pytest.mark.slow
 
 EXAMPLES = 1
 """Random requests of each operation, beside those that look at its borders; `benchmarks/openapi.py` makes many."""

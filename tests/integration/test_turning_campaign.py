@@ -15,7 +15,7 @@ from sim.reference import reference_datasheet, reference_rig
 from sim.twin import with_effects
 from tests.support.command import ambit, refusal
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 POLAR, COUPLING, SPEED = 2.4, 0.03, 300.0
 PROFILE = Profile(

@@ -12,7 +12,7 @@ from service.identification.plane.combine import levitated_frequencies
 from service.identification.statistics.estimate import Estimate
 from tests.support.rotors import KINDS, drawn_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 AN_END = 0.2
 """Share of the draws that are one of the ends."""

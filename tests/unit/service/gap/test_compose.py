@@ -12,7 +12,7 @@ from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def test_an_alternative_of_the_amplifiers_keeps_its_own_values() -> None:

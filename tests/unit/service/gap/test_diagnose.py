@@ -72,7 +72,7 @@ def test_a_withheld_effect_is_named_measured_and_closed(
     assert left_open == [None] * len(left_open) != []
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_a_line_near_a_mode_that_few_lines_tell_of_does_not_speak_against_an_effect() -> None:
     """One sweep of 18 lines, nine to fit: of the shape at the mode only an unseen line tells."""
     datasheet, truth = known_datasheet(seed=5)
@@ -107,7 +107,7 @@ def test_an_effect_that_could_not_be_fitted_is_said_not_to_have_been_weighed(mon
     assert sum("not weighed" in note for note in report["notes"]) == 1
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:
     datasheet, truth = known_datasheet(seed=4)
     rig = with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 2e-5}})
@@ -143,7 +143,7 @@ def test_one_sweep_is_cross_validated_and_says_so() -> None:
     assert any("weaker" in note for note in d.notes)
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_without_the_current_it_says_what_is_lost() -> None:
     datasheet, truth = known_datasheet(seed=7)
     full = experiment(with_effects(true_rig(truth), {"support_resonance": {"frequency_hz": 300.0}}))
@@ -161,7 +161,7 @@ def test_axes_that_do_not_match_are_refused() -> None:
         diagnose(replace(measured, axes=("xA", "yA", "xB", "yB")), datasheet)
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     datasheet, truth = known_datasheet(seed=8)
     rig = true_rig(truth)
@@ -177,7 +177,7 @@ def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     assert found.effects == ("loop_delay", "support_resonance")
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.0, 2.6])
 def test_what_a_datasheet_without_tolerances_says_is_no_proof_of_an_effect_where_it_is_far_off(factor: float) -> None:
     """Magnets of a design sheet, much stronger than they are: all of them, and that is told."""
@@ -198,7 +198,7 @@ def test_what_a_datasheet_without_tolerances_says_is_no_proof_of_an_effect_where
     assert len(document["datasheet_off"]) >= 2
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [1.0, 2.0], ids=["the same controller", "another controller, too"])
 def test_the_datasheet_of_another_rig_is_said_to_be_one(gain: float) -> None:
     datasheet, truth = known_datasheet(seed=9)

@@ -26,7 +26,7 @@ from sim.twin import rig_from_datasheet
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 SHEET, TRUTH = known_datasheet(seed=61)
 MEASURED = experiment(true_rig(TRUTH))

@@ -68,7 +68,7 @@ def test_a_rotor_that_is_even_itself_may_have_such_a_mode() -> None:
     assert "as a support does" not in note
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_ends_that_move_against_each_other_are_no_less_so_in_two_planes(seed: int) -> None:
     """Noise decides in each plane which of them is the larger, and so which is said to be positive."""

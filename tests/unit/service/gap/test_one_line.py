@@ -25,7 +25,7 @@ from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 MAIN_HZ = np.geomspace(12.0, 800.0, 12)

@@ -18,9 +18,6 @@ from tests.support.two_axes import one_plane
 DELAY = {"loop_delay": {"delay_s": 3.5e-5}}
 HOUSING = {"support_resonance": {"inverse_mass_per_kg": 1 / 900, "frequency_hz": 430.0, "damping_ratio": 0.01}}
 
-LONG = pytest.mark.no_cover
-"""Of tests whose lines others cover: traced they take a third longer."""
-
 
 def twin(sheet: Datasheet, *effects: dict[str, dict[str, float]]) -> Datasheet:
     return replace(sheet, effects=tuple((name, tuple(v.items())) for one in effects for name, v in one.items()))
@@ -37,7 +34,7 @@ def test_the_twin_is_tried_without_each_of_its_effects_and_without_all() -> None
     assert dict(twins_without_effects(twin(sheet, DELAY))) == {("loop_delay",): sheet}
 
 
-@LONG
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("on_the_rig", "named", "gone"),
     [
@@ -70,7 +67,7 @@ def test_what_was_mended_on_the_rig_is_taken_out_of_the_twin(
     assert diagnose(measured, mended).verdict.kind == "no_gap"
 
 
-@LONG
+@pytest.mark.slow
 def test_an_effect_beside_those_that_the_twin_names_rightly_is_named() -> None:
     sheet, truth = known_datasheet(seed=2)
     rig = with_effects(true_rig(truth), DELAY | {"magnetic_saturation": {"saturation_inverse_per_a": 0.6}})
@@ -80,7 +77,7 @@ def test_an_effect_beside_those_that_the_twin_names_rightly_is_named() -> None:
     assert verdict.outdated == ()
 
 
-@LONG
+@pytest.mark.slow
 def test_more_of_an_effect_than_the_twin_names_is_that_effect_and_less_is_another_twin() -> None:
     """What is missing can be added to the twin; what is too much cannot."""
     sheet, truth = known_datasheet(seed=2)

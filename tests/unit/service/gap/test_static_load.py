@@ -72,7 +72,7 @@ def test_a_hanging_rotor_has_none() -> None:
     assert not any("static load" in note for note in data.notes)
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_a_rotor_off_its_centre_that_an_integrator_holds_is_told() -> None:
     """Without a load its mean current takes the pull off: ki and ks gain 1/(1 - xi^2), a third and a sixth as much."""
     off = {"offset_xA_m": 4.5e-5, "offset_xB_m": -3e-5, "offset_yA_m": 0.0, "offset_yB_m": 0.0}

@@ -10,7 +10,7 @@ from service.gap.diagnose import diagnose
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 LOW_HZ = np.geomspace(10.0, 300.0, 16)
 

@@ -69,7 +69,7 @@ def test_a_hum_is_named_beside_an_effect_and_alone_where_there_is_none() -> None
     assert (alone.kind, alone.effects, alone.probability) == ("effect", ("mains_interference",), 0.8)
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_the_datasheet_of_another_rig_is_told_as_one_beside_a_hum() -> None:
     datasheet, truth = known_datasheet(seed=9)
     other = replace(

@@ -174,7 +174,7 @@ def test_points_that_cannot_be_used_are_left_out_and_listed(experiment: Experime
     assert result.planes["x"].stiffness["kiA"].value == pytest.approx(181, rel=5e-4)
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 @pytest.mark.parametrize("step_m", [1e-7, 1e-5])
 def test_a_log_of_coarse_steps_costs_the_points_that_read_nothing_and_is_said_not_to_fit(
     experiment: Experiment, datasheet: Datasheet, step_m: float
@@ -242,7 +242,7 @@ def test_a_plane_that_was_not_excited_is_skipped_with_a_word(experiment: Experim
     assert any("plane y is not excited" in w for w in result.warnings)
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_a_wrong_model_is_flagged_and_its_intervals_widened(
     experiment: Experiment, datasheet: Datasheet, result: CommissioningResult
 ) -> None:

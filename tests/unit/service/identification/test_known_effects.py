@@ -31,7 +31,7 @@ from sim.stepping import Simulation
 from sim.twin import linear_model, rig_from_datasheet
 from tests.support.synthetic import experiment, known_datasheet
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 SHEET, TRUTH = known_datasheet()

@@ -18,7 +18,7 @@ KI = (181.0, 186.0, 184.0, 198.0)
 KS = (1.68e6, 1.73e6, 1.69e6, 1.88e6)
 pytestmark = [
     pytest.mark.skipif(not PRACTICE.is_dir(), reason="practice cases are not beside the repository"),
-    pytest.mark.no_cover,  # other tests cover the lines; traced they take a third longer
+    pytest.mark.slow,
 ]
 
 

@@ -26,7 +26,7 @@ from sim.twin import linear_model
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 CUBIC_PER_M2 = 4e6

@@ -15,7 +15,7 @@ from sim.twin import linear_model, with_effects
 from tests.support.plant import plant_of
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def stronger_beyond(rig: Rig, s: Sweep, current_a: float, most: float) -> Sweep:

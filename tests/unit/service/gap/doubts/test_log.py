@@ -12,7 +12,7 @@ from sim.effects import CATALOGUE
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 DISPLACEMENT = "the logged displacement is not the one that the controller used"
 CURRENT = "the logged coil current is not the one that moves the rotor"

@@ -92,7 +92,7 @@ def test_a_rig_with_two_axes_has_no_other_plane() -> None:
     np.testing.assert_array_equal(one.root[-12:], np.eye(len(one))[-12:])
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_dampings_that_a_datasheet_has_wrong_by_what_it_allows_are_no_effect() -> None:
     """One statement for both planes, three times too low under a tolerance of a half, is one error and not two."""
     modes = tuple(replace(m, damping_ratio=m.damping_ratio / f) for m, f in zip(DATASHEET.modes, (3, 3), strict=True))
@@ -100,7 +100,7 @@ def test_dampings_that_a_datasheet_has_wrong_by_what_it_allows_are_no_effect() -
     assert d.verdict.kind == "no_gap"
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_a_shaft_stiffer_in_one_plane_than_in_the_other_is_not_what_one_datasheet_describes() -> None:
     """By four tolerances, which errors of their own would hold: two of either plane's."""
     rig = true_rig(TRUTH)

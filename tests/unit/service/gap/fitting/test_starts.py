@@ -17,7 +17,7 @@ from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def test_a_mode_between_two_lines_begins_near_its_frequency_and_shape() -> None:

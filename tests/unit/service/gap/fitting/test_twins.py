@@ -16,7 +16,7 @@ from sim.twin import rig_from_datasheet, with_effects
 from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -110,6 +110,7 @@ STEEPEST, OTHER = 15, 11
 """Lines of the other sweep: that in which currents are steepest, and one in which they are not."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "line", "axes", "kind", "named"),
     [

@@ -42,7 +42,7 @@ def test_blocks_too_few_for_a_trend_tell_nothing() -> None:
     assert not drifting(two)[0].any()
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_a_rig_that_did_not_settle_is_said_to_be_one_and_nothing_is_named() -> None:
     rig = true_rig(TRUTH)
     sweeps = (sweep(rig, np.geomspace(10, 950, 14), 0.15, 4), sweep(rig, np.geomspace(13, 900, 10), 0.3, 5))
@@ -57,7 +57,7 @@ def test_a_rig_that_did_not_settle_is_said_to_be_one_and_nothing_is_named() -> N
     assert any("had not settled" in note for note in report["notes"])
 
 
-@pytest.mark.no_cover
+@pytest.mark.slow
 def test_no_gap_is_not_said_of_a_rig_that_did_not_settle() -> None:
     """All signals still grow, in proportion, so that the twin fits their mean."""
 

@@ -20,7 +20,7 @@ from service.gap.proposal.separation import Predicted, left_over, separations
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 SHEET, TRUTH = known_datasheet(seed=1)
 NU = nuisance(TRUTH)
 LAG = {"sensor_lag": {"time_constant_s": 5e-7, "delay_s": 9.9e-6}}

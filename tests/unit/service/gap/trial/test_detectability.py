@@ -14,7 +14,7 @@ from sim.reference import reference_rig
 from sim.rig import Rig
 from sim.stepping import Simulation
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 RIG = reference_rig()
 BLOCKS = 6

@@ -20,7 +20,7 @@ from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 TOLERANCE_M = 1e-3
 FIT = Fit(("eddy_currents",), np.zeros(40), (), reference_rig(), (), 0.0, np.arange(40), np.eye(40), "converged")
 

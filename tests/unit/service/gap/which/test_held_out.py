@@ -9,7 +9,7 @@ from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def test_magnets_that_drift_are_told_from_one_sweep_alone() -> None:

@@ -21,7 +21,7 @@ from tests.support.plant import plant_of
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 RIG = reference_rig()

@@ -16,7 +16,7 @@ from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 SPEED_RAD_S = 250.0
 OF_A_DISC = ("mode_coupling", "mode1_slope_per_m_sqrt_kg", "mode2_slope_per_m_sqrt_kg")

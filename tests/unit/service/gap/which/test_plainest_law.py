@@ -15,7 +15,7 @@ from service.gap.which.search import explain
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def fitted(

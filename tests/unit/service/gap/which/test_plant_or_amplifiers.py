@@ -24,7 +24,7 @@ from service.gap.which.search import explain
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def noisy_currents(measured: Experiment, sd_a: float, seed: int = 5) -> Experiment:

@@ -13,7 +13,7 @@ from sim.rig import Rig
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def explained(path: str, effect: str, values: dict[str, float], amplitude_a: float = 0.15) -> tuple[Explained, Rig]:

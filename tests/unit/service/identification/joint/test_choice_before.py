@@ -21,7 +21,7 @@ from service.identification.steps.start import joint_start, with_modes
 from sim.datasheet import Datasheet
 from tests.support.planes import synthetic_sweep
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from tests.support.commissioned import LAW
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.two_axes import sheet_of_one_plane
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines
+pytestmark = pytest.mark.slow
 
 SHEET = sheet_of_one_plane(commissioned.SHEET)  # sweeps are chosen for all planes alike
 AXES = SHEET.axes

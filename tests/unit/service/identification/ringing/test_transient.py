@@ -20,7 +20,7 @@ from service.identification.ringing.transient_size import Source, Taken
 from tests.support.planes import synthetic_experiment, synthetic_sweep
 from tests.support.ringing import AXES, BLOCKS, CONTROLLER, HZ, RATE, SHEET, TRUTH, late, run, sheet
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ from tests.support import turning
 from tests.support.planes import plane_model_of
 from tests.support.turning import COUPLING, HZ, INTERNAL, PERIOD_S, POLAR, SPEEDS, rig_at, sweep_at, told_the_noise
 
-pytestmark = pytest.mark.no_cover  # other tests cover the lines; traced they take a third longer
+pytestmark = pytest.mark.slow
 
 
 def true_model(rig: Rig) -> RotatingModel:
