@@ -12,7 +12,8 @@ from service.gap.doubts.log import faint_log_fault, log_fault
 from service.gap.doubts.still_ringing import LARGEST_LEFT_OUT, ringing_lines_hz, without_lines
 from service.gap.fitting.amplifiers_uncertainty import inherited_from
 from service.gap.fitting.candidates import Candidate, Fitter
-from service.gap.fitting.part import Ground, Part, Values, driven_by_current, parts
+from service.gap.fitting.part import Ground, Part, Values, parts
+from service.gap.fitting.plant_input import LawError
 from service.gap.measured.observation import Observation
 from service.gap.observed import Observed
 from service.gap.progress import Progress
@@ -91,9 +92,10 @@ class PartsInTurn:
         if part.path != "plant" or amplifiers is None:
             return ground
         if _understood(amplifiers):
-            return _through(ground, amplifiers, amplifiers.chosen)
-        driven = tuple(driven_by_current(ground.rig(theta), o) for o in self.observations)
-        return replace(ground, observations=driven, from_current=True)
+            ground = _through(replace(ground, law_error=_law_error(amplifiers)), amplifiers, amplifiers.chosen)
+        else:
+            ground = replace(ground, from_current=True)
+        return replace(ground, observations=tuple(map(ground.as_input, self.observations)))
 
     def _so_far(self) -> tuple[Real, tuple[tuple[str, Values], ...]]:
         """The nuisance vector, and the effects with their parameters, as found in the parts so far."""
@@ -107,8 +109,8 @@ class PartsInTurn:
         """
         theta, found = self._so_far()
         ground = replace(e.ground, theta=theta, found=found, inherited=None)
-        if ground.from_current:
-            ground = replace(ground, observations=(driven_by_current(ground.rig(theta), self.data.o),))
+        if ground.part.path == "plant":
+            ground = replace(ground, observations=(ground.as_input(self.data.o),))
         plain, left = (residuals(ground, c) for c in (e.null.candidate, e.order[0].candidate))
         return replace(e, ground=ground, plain=plain, left=left)
 
@@ -156,6 +158,14 @@ def _through(ground: Ground, amplifiers: Explained, candidate: Candidate) -> Gro
     fixed = tuple((name, values) for name, values in _found(candidate) if name not in uncertain)
     found = (*amplifiers.ground.found, *fixed)
     return replace(ground, theta=candidate.fit.theta, found=found, inherited=inherited)
+
+
+def _law_error(amplifiers: Explained) -> LawError | None:
+    """What the amplifiers' effects leave of their gap, if anything."""
+    best = amplifiers.order[0]
+    if not best.candidate.effects or best.unexplained <= 0:
+        return None
+    return LawError(amplifiers.null.candidate.fit.rig, best.candidate.fit.rig, min(best.unexplained, 1.0))
 
 
 def _understood(amplifiers: Explained) -> bool:

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.nuisance import Nuisance
+from service.gap.fitting.plant_input import LawError, driven_by_current
 from service.gap.measured.observation import Observation
 from sim.effect import Effect
 from sim.effects import CATALOGUE
-from sim.harmonic_balance import STATIC_HZ
 from sim.rig import Rig
-from sim.twin import linear_model
 
 Real = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -83,6 +82,14 @@ class Ground:
     """whether the plant is driven by the measured current, as no model of the amplifiers predicts it"""
     inherited: Inherited | None = None
     """another part's values that are fitted again; its effects are not among ``found``"""
+    law_error: LawError | None = None
+    """how far the amplifiers' effects may miss the current that drives the plant"""
+
+    def as_input(self, o: Observation) -> Observation:
+        """A sweep as fits of this part take it, with what drives the part and how well that is known."""
+        if self.from_current:
+            return driven_by_current(self.rig(self.theta), o)
+        return o if self.law_error is None else self.law_error.on(o)
 
     def rig(self, theta: Real, inherited: Sequence[Values] | None = None) -> Rig:
         """The rig at deviations ``theta`` with the effects of other parts.
@@ -140,19 +147,3 @@ def parts(nuisance: Nuisance, observations: Sequence[Observation]) -> list[Part]
     if any(o.I is None for o in observations):
         return [controller, part("plant", np.ones_like(amplifier), ("amplifier", "plant"), from_control=True)]
     return [controller, part("amplifier", amplifier, ("amplifier",)), part("plant", ~amplifier, ("plant",))]
-
-
-def driven_by_current(rig: Rig, o: Observation) -> Observation:
-    """The observation with u replaced by the one from which ``rig`` would make the measured current.
-
-    Fitting y to it is fitting the plant alone, whatever the amplifiers do. The noise of the current then adds to that
-    of y, so where a model explains the amplifiers it is better to predict the current from u, which has no noise.
-    """
-    assert o.I is not None
-    U, sd_y = o.U.copy(), o.sd_y.copy()
-    for k, h in enumerate(o.harmonics):
-        model = linear_model(rig, np.maximum(h * o.frequency_hz, STATIC_HZ))
-        U[:, k] = np.linalg.solve(model.i_per_u[o.line], o.I[:, k, :, None])[..., 0]
-        of_current = np.abs(model.y_per_i[o.line]) ** 2 @ (o.sd_i[:, k, :, None] ** 2)
-        sd_y[:, k] = np.sqrt(o.sd_y[:, k] ** 2 + of_current[..., 0])
-    return replace(o, U=U, sd_y=sd_y)

@@ -11,7 +11,6 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.evidence import log_likelihood, prior_precision
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.jacobian import stacked
-from service.gap.fitting.part import driven_by_current
 from service.gap.measured.observation import Observation
 from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import mean_power, overall, significance
@@ -23,10 +22,8 @@ Complex = NDArray[np.complex128]
 
 def on_sweep(e: Explained, candidate: Candidate, o: Observation) -> tuple[Observation, Complex]:
     """A sweep with the input of the part as its fits have it, and a candidate's weighted residuals there, (P, H, n)."""
-    ground = e.ground
-    if ground.from_current:
-        o = driven_by_current(ground.rig(ground.theta), o)
-    there = Problem.of(replace(ground, observations=(o,)), candidate.fit)
+    o = e.ground.as_input(o)
+    there = Problem.of(replace(e.ground, observations=(o,)), candidate.fit)
     return o, there.residuals(candidate.fit)[0]
 
 
