@@ -262,7 +262,11 @@ def _demodulated(
         raise d.fail(
             "R", f"is zero in the excited axis of point {point}; set amplitude_a to 0 where nothing is excited"
         )
-    # another time origin is no loss: move it where the contract wants it
+    # neither another order of harmonics nor another time origin is a loss: all that follows has them in its own
+    order = sorted(range(len(harmonics)), key=harmonics.__getitem__)
+    harmonics = tuple(harmonics[k] for k in order)
+    values = {k: None if v is None else v[:, :, order] for k, v in values.items()}
+    R = values["R"]
     origin = np.empty((*R.shape[:3], 1), dtype=np.complex128)
     for k in range(d.n_axes):
         origin[axis == k] = time_origin(R[axis == k], harmonics, k)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.experiment.data import Complex, Sweep
 from sim.errors import AmbError
@@ -36,11 +37,41 @@ def require_live_channels(sweep: Sweep, axes: tuple[str, ...], name: str) -> Non
                 continue
             unit, what = ("m", "the sensor") if signal == "y" else ("A", "its measurement")
             if reads := _dead(blocks[own, :, h, k], unit):
+                if (other := _swapped_with(sweep, blocks[:, :, h], k)) is not None:
+                    raise AmbError(
+                        f"{name}: {signal} of {axis} answers to what excites {axes[other]}, and {signal} of "
+                        f"{axes[other]} to what excites {axis}: these channels are swapped; swap them back in the log"
+                    )
                 rest = ", or leave i out of the file" if signal == "i" else ""
                 raise AmbError(
                     f"{name}: {signal} of {axis} {reads} at the {int(own.sum())} points that excite {axis}: {what} or "
                     f"the channel of the log is dead; mend it and measure again{rest}"
                 )
+
+
+def dropped(sweep: Sweep) -> NDArray[np.bool_]:
+    """Points at which u, i or y of the excited axis is exactly zero in every block: the log was interrupted, (P,)."""
+    if 1 not in sweep.harmonics:
+        return np.zeros(sweep.n_points, dtype=bool)
+    h, points = sweep.harmonic(1), np.arange(sweep.n_points)
+    signals = [x for x in (sweep.U, sweep.I, sweep.Y) if x is not None]
+    silent = [np.all(x[points, :, h, sweep.axis] == 0, axis=1) for x in signals]
+    return np.asarray(np.any(silent, axis=0) & (sweep.amplitude_a > 0))
+
+
+def _swapped_with(sweep: Sweep, fundamental: Complex, k: int) -> int | None:
+    """The axis whose channel answers to the excitation of axis ``k``, as that of ``k`` does to its own; or None.
+
+    ``fundamental`` has shape (P, B, n).
+    """
+    excited = sweep.amplitude_a > 0
+    for other in range(fundamental.shape[2]):
+        own, theirs = (excited & (sweep.axis == axis) for axis in (k, other))
+        if other == k or theirs.sum() < FEWEST or not _dead(fundamental[theirs, :, other], ""):
+            continue
+        if not _dead(fundamental[own, :, other], "") and not _dead(fundamental[theirs, :, k], ""):
+            return other
+    return None
 
 
 def _dead(blocks: Complex, unit: str) -> str:

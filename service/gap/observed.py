@@ -24,6 +24,7 @@ from service.gap.measured.pair import Pair
 from service.gap.measured.settling import NOTED_DRIFTING_SHARE
 from service.gap.measured.sweeps import (
     halves,
+    interrupted,
     notes_on,
     other_rate,
     silent_axes,
@@ -101,12 +102,14 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     ((main_name, main), *others), copied = _sweeps(experiment, datasheet)
     notes = [
         *incomplete(experiment),
+        *_of_another_rig(experiment, datasheet),
         *changed_speed(experiment),
         *odd_rotor(datasheet),
         *odd_tolerances(datasheet),
         *stated_amplitudes(experiment),
         *copied,
         *notes_on(main, bool(others), datasheet),
+        *interrupted([(main_name, main), *others]),
         *silent_axes([(main_name, main), *others], experiment.axes),
     ]
     if rate_note := other_rate(main, datasheet):
@@ -178,10 +181,21 @@ def _sweeps(experiment: Experiment, datasheet: Datasheet) -> tuple[list[tuple[st
         )
     must_be_in_si(experiment, datasheet)
     sweeps, notes = without_copies(sweeps_for(experiment))
+    for name, sweep in sweeps:
+        require_live_channels(sweep, tuple(experiment.axes), name)
     main_name, main = sweeps[0]
-    require_live_channels(main, tuple(experiment.axes), main_name)
     _require_lines(main_name, usable(main).frequency_hz)
     return sweeps, notes
+
+
+def _of_another_rig(experiment: Experiment, datasheet: Datasheet) -> list[str]:
+    """A note where the datasheet has another name than the rig that was measured: it may be another rig's."""
+    if experiment.rig == datasheet.name or not experiment.rig or not datasheet.name:
+        return []
+    return [
+        f"the experiment is of rig {experiment.rig}, the datasheet of rig {datasheet.name}: if these are two rigs, "
+        "what differs between them is told as the gap; give the datasheet of the rig that was measured"
+    ]
 
 
 def _require_lines(name: str, frequency_hz: NDArray[np.float64], of_which: str = "usable") -> None:

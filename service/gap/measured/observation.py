@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.experiment.dead import dropped
 from service.gap.measured.coherent import PATTERNS, beside_hum, left_in_mean, slow_leaks, without_hum
 from service.gap.measured.excited_together import Together
 from service.gap.measured.leak import leaked, periods
@@ -131,7 +132,7 @@ class Observation:
 
 
 def usable(sweep: Sweep) -> Sweep:
-    """The excited, finite points of a sweep.
+    """The excited, finite points of a sweep at which the log was not interrupted.
 
     Raises
     ------
@@ -139,7 +140,9 @@ def usable(sweep: Sweep) -> Sweep:
         Nothing is left, or the blocks are too few to tell noise from signal.
     """
     arrays = [sweep.R, sweep.U, sweep.Y] + ([] if sweep.I is None else [sweep.I])
-    good = (sweep.amplitude_a > 0) & np.all([np.isfinite(a).all(axis=(1, 2, 3)) for a in arrays], axis=0)
+    good = (
+        (sweep.amplitude_a > 0) & ~dropped(sweep) & np.all([np.isfinite(a).all(axis=(1, 2, 3)) for a in arrays], axis=0)
+    )
     if sweep.Y.shape[1] < 2:
         raise GapError(f"sweep {sweep.comment!r} has {sweep.Y.shape[1]} block; record at least 2 blocks a point")
     if good.sum() < 8:

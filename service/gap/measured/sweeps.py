@@ -8,7 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from service.experiment.data import Experiment, Sweep
+from service.experiment.data import Complex, Experiment, Sweep
+from service.experiment.dead import dropped
 from service.gap.measured.condition import conditions_of
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.identification.measured.block_length import block_samples
@@ -23,10 +24,15 @@ ELSEWHERE = ("amplifier", "preliminary")
 SAME_RATE = 0.01
 """Relative difference of two sample rates below which they are the same."""
 
+MOST_NAMED = 5
+"""Frequencies of points that are named."""
 MOST = 0.5
 """Share of points from which it is most of them."""
 COPY_SHARE = 1e-9
 """Largest difference of blocks, relative to the signal, at which they are copies of one another (rounding)."""
+COPY_WITHIN = 3e-7
+"""Largest difference of two measurements of a point, relative to the signal, at which one is a copy of the other, as
+single precision rounds it; noise makes a hundred times as much."""
 
 
 def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
@@ -45,13 +51,15 @@ def without_copies(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tuple[str,
     A copy has the noise of what it was copied from: as data that no fit has seen, or as one point more, it confirms
     whatever was fitted.
     """
-    seen: set[bytes] = set()
+    seen: dict[tuple[str, int], list[Complex]] = {}
     left, notes = [], []
     for name, sweep in sweeps:
-        values = (sweep.frequency_hz, sweep.axis, sweep.U, sweep.Y)
-        own = [b"".join(v[k].tobytes() for v in values) for k in range(sweep.n_points)]
-        new = np.array([point not in seen and own.index(point) == k for k, point in enumerate(own)])
-        seen |= set(own)
+        new = np.ones(sweep.n_points, dtype=bool)
+        for k in range(sweep.n_points):
+            earlier = seen.setdefault((f"{sweep.frequency_hz[k]:.6g}", int(sweep.axis[k])), [])
+            point = np.stack([sweep.U[k], sweep.Y[k]])
+            new[k] = not any(_alike(point, one) for one in earlier)
+            earlier.append(point)
         if new.any():
             left.append((name, sweep if new.all() else sweep.select(new)))
         if lost := int(np.count_nonzero(~new)):
@@ -61,6 +69,28 @@ def without_copies(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tuple[str,
                 "for a copy tells nothing new"
             )
     return left, notes
+
+
+def _alike(point: Complex, other: Complex) -> bool:
+    """Whether u and y of two points, (2, B, H, n), are the same but for rounding."""
+    if point.shape != other.shape:
+        return False
+    within = COPY_WITHIN * np.abs(point).max(axis=(1, 2, 3), keepdims=True)
+    return bool(np.all(np.abs(point - other) <= within))
+
+
+def interrupted(sweeps: Sequence[tuple[str, Sweep]]) -> list[str]:
+    """Points at which the log reads exactly zero though something was excited, a sentence for each sweep."""
+    told = []
+    for name, sweep in sweeps:
+        if (lost := dropped(sweep)).any():
+            hz = ", ".join(f"{f:.4g}" for f in np.unique(sweep.frequency_hz[lost])[:MOST_NAMED])
+            more = ", ..." if len(np.unique(sweep.frequency_hz[lost])) > MOST_NAMED else ""
+            told.append(
+                f"{name}: u, i or y of the excited axis reads exactly zero at {int(lost.sum())} points ({hz}{more} "
+                "Hz): the log was interrupted; they are left out, measure them again"
+            )
+    return told
 
 
 def silent_axes(sweeps: Sequence[tuple[str, Sweep]], axes: Sequence[str]) -> list[str]:
@@ -139,6 +169,11 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
         notes.append(
             "blocks of a point are copies of one another: their noise is not known, and what is left of a gap may be "
             "noise that all of them share; log the blocks that were measured, not copies of them or of their mean"
+        )
+    if not set(main.harmonics) - {0, 1}:
+        notes.append(
+            "the file holds no harmonics of the tones: what only they show, as of a rotor off centre, magnets that "
+            "saturate a little or a stop that is hardly touched, stays unseen; log harmonics 2 and 3"
         )
     if main.I is None:
         notes.append("the coil current was not logged: amplifier and plant cannot be told apart, alias classes grow")

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -32,6 +33,19 @@ def test_what_is_written_is_read_back(tmp_path, experiment):
         for name in (*per_point, "R", "U", "I", "Y"):
             np.testing.assert_array_equal(getattr(new, name), getattr(old, name), err_msg=name)
         assert (new.kind, new.comment, new.flags, new.harmonics) == (old.kind, old.comment, old.flags, old.harmonics)
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2, 3), (3, 2, 1, 0), (0, 2, 1, 3)])
+def test_harmonics_in_another_order_are_the_same_experiment(tmp_path, experiment, order):
+    """The twin answers in ascending order: as they came, a rig without a gap differed by 82 %."""
+    sweep = experiment.main
+    assert sweep.harmonics == (0, 1, 2, 3)
+    signals = {name: getattr(sweep, name)[:, :, list(order)] for name in ("R", "U", "I", "Y")}
+    write(tmp_path / "e.h5", replace(experiment, sweeps=(replace(sweep, harmonics=order, **signals),)))
+    again = read(tmp_path / "e.h5").main
+    assert again.harmonics == (0, 1, 2, 3)
+    for name in signals:
+        np.testing.assert_allclose(getattr(again, name), getattr(sweep, name), rtol=1e-12, err_msg=name)
 
 
 def test_writing_leaves_no_other_file(tmp_path, experiment):

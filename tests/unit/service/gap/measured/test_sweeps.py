@@ -80,11 +80,24 @@ def test_a_copy_of_a_sweep_is_no_data_that_no_fit_has_seen() -> None:
 
 def test_points_that_are_copies_are_left_out_and_those_that_were_measured_again_are_not() -> None:
     twice = MAIN.select(np.concatenate([np.arange(MAIN.n_points), np.arange(6)]))
-    again = replace(MAIN, Y=MAIN.Y * (1 + 1e-6))
+    again = replace(MAIN, Y=MAIN.Y * (1 + 1e-5))
     ((name, one), (_, other)), (told,) = without_copies([("sweeps/0", twice), ("sweeps/1", again)])
     assert (name, one.n_points, other.n_points) == ("sweeps/0", MAIN.n_points, MAIN.n_points)
     assert told.startswith(f"6 of {twice.n_points} points of sweeps/0 are copies")
     assert without_copies([("sweeps/0", MAIN), ("sweeps/1", LOUDER)])[1] == []
+
+
+def test_a_copy_in_single_precision_is_one() -> None:
+    single = replace(MAIN, U=MAIN.U.astype(np.complex64).astype(complex), Y=MAIN.Y.astype(np.complex64).astype(complex))
+    left, (told,) = without_copies([("sweeps/0", MAIN), ("sweeps/1", single)])
+    assert [name for name, _ in left] == ["sweeps/0"]
+    assert told.startswith("all points of sweeps/1 are copies")
+
+
+def test_without_harmonics_it_is_told_what_cannot_be_seen() -> None:
+    one = replace(MAIN, harmonics=(0, 1), **{name: getattr(MAIN, name)[:, :, :2] for name in ("R", "U", "I", "Y")})
+    (told,) = set(notes_on(one, True, known_datasheet()[0])) - set(notes_on(MAIN, True, known_datasheet()[0]))
+    assert "holds no harmonics" in told
 
 
 def test_axes_that_are_never_excited_are_told() -> None:
