@@ -25,6 +25,8 @@ APART = 5.0
 of them near the centre of gravity may look so, both of them not."""
 
 
+AIR_GAP_M = (5e-6, 2e-2)
+"""Air gaps that magnets have: from those of micromachines, tens of um, to a few mm."""
 LOOSE, TIGHT = 1.0, 1e-6
 """Relative tolerance from which a value may be anything, and below which no maker of a rig knows it."""
 
@@ -82,6 +84,24 @@ def odd_rotor(datasheet: Datasheet) -> list[str]:
         f"the datasheet's {of_mass}, do not go with bearings {bearings_m:.3g} m and sensors {sensors_m:.3g} m from the "
         "centre of gravity: is one of them in g, t or kg mm², or are bearing_from_cog_m and sensor_from_cog_m in mm or "
         "cm?"
+    ]
+
+
+def odd_air_gap(datasheet: Datasheet) -> list[str]:
+    """What the magnets' factors of a datasheet tell together, where no magnet has them; a sentence.
+
+    A differential pair has the air gap i0 ki / ks (Schweitzer and Maslen, Magnetic Bearings, 2009, eq. 4.10 and 4.11).
+    """
+    factors = zip(
+        datasheet.bias_current_a, datasheet.current_stiffness_n_per_a, datasheet.position_stiffness_n_per_m, strict=True
+    )
+    gap_m = float(np.median([i0 * ki / abs(ks) for i0, ki, ks in factors]))
+    if AIR_GAP_M[0] < gap_m < AIR_GAP_M[1]:
+        return []
+    return [
+        f"the datasheet's magnets would have an air gap of {gap_m:.3g} m (bias_current_a times "
+        "current_stiffness_n_per_a over position_stiffness_n_per_m), which no bearing has: is one of them in another "
+        "unit, as a stiffness in N/mm or N/µm or a current in mA?"
     ]
 
 

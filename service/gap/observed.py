@@ -13,10 +13,10 @@ from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
-from service.experiment.units import must_be_in_si, odd_rotor, odd_tolerances
+from service.experiment.units import must_be_in_si, odd_air_gap, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference, told_apart
-from service.gap.measured.cabling import other_law, wrong_channels
+from service.gap.measured.cabling import odd_scales, other_law, wrong_channels
 from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic, ringing_in_words
 from service.gap.measured.observation import GapError, Observation, usable
@@ -105,6 +105,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         *_of_another_rig(experiment, datasheet),
         *changed_speed(experiment),
         *odd_rotor(datasheet),
+        *odd_air_gap(datasheet),
         *odd_tolerances(datasheet),
         *stated_amplitudes(experiment),
         *copied,
@@ -122,6 +123,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
     for name, sweep in ((main_name, main), *others):
         wrong = wrong or wrong_channels(usable(sweep), nu.rig, experiment.axes, name)
         notes += other_law(usable(sweep), nu.rig, experiment.axes, name)
+        notes += odd_scales(usable(sweep), nu.rig, experiment.axes, name)
     pair, unused = Pair.of(main_name, main, others, nu.rig)
     notes += unused
     if (resting := resting_current(pair.main, nu.rig)) is not None:

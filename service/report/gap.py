@@ -113,13 +113,15 @@ def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tup
         [
             p["path"] + ("" if p.get("logged", True) else " (amplifier included)"),
             _percent(p["gap"], 3),
-            fixed(p["significance"], 1),
+            _deviations(p["significance"]),
         ]
         for p in where["paths"]
     ]
     words = [_depends(where[f"{condition}_dependent"], condition) for condition in ("amplitude", "speed")]
     if (change := where["dependence_significance"]) is not None:
-        words.append(f"Between the two sweeps the relative error changes by {fixed(change, 1)} standard deviations.")
+        words.append(f"Between the two sweeps the relative error changes by {_deviations(change)} standard deviations.")
+        if where["amplitude_dependent"] and change <= SIGNIFICANT:
+            words.append("That it depends on the amplitude is told by harmonics of the excitation.")
     return [
         table(["block of the loop", "gap by itself", "significance, standard deviations"], rows),
         paragraph(" ".join(words)),
@@ -246,11 +248,15 @@ def _next(document: dict[str, Any]) -> list[Part]:
     found = document["next_experiment"]
     if not found:
         left = document["verdict"]["indistinguishable"]
-        text = (
-            "No affordable experiment is likely to tell apart what is left together."
-            if left
-            else "Nothing is left that an experiment would have to tell apart."
-        )
+        if left:
+            text = "No affordable experiment is likely to tell apart what is left together."
+        elif document["verdict"]["kind"] == "none_of_these":
+            text = (
+                "None is proposed, as no effects of the catalogue are left to be told apart. Put right what the first "
+                "sentence names, or look at the residuals above, then diagnose again."
+            )
+        else:
+            text = "Nothing is left that an experiment would have to tell apart."
         return [paragraph(text)]
     a, b = (in_words(x) for x in found["separates"])
     parts: list[Part] = [
@@ -279,6 +285,11 @@ def _next(document: dict[str, Any]) -> list[Part]:
     submit = table(["sweep", "axis", "Hz", "r, A"], tones)
     parts.append(f"<details><summary>{count(len(tones), 'tone')}</summary>{submit}</details>")
     return parts
+
+
+def _deviations(significance: float | None) -> str:
+    """Standard deviations; beyond a thousand of them, that they are more."""
+    return "over 1000" if significance is not None and significance >= 1000 else fixed(significance, 1)
 
 
 def _percent(share: float | None, digits: int = 3) -> str:

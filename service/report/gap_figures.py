@@ -249,7 +249,7 @@ def candidate_figure(d: Diagnosis, document: Mapping[str, Any], most: int = 8) -
     if not best:
         return None
     names = [_in_lines([in_words(e) for e in c["effect"].split("+")]) for c in best]
-    height = 96 + 36 * len(best)
+    height = 96 + max(36, 4 + 16 * max(name.count("<br>") + 1 for name in names)) * len(best)
     fig = Figure("candidates", 1, 2, height, titles=["probability", "closure on unseen data"], legend=False)
     fig.layout["margin"]["l"] = 210
     probability = np.array([100 * c["probability"] for c in best])

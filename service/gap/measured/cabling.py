@@ -33,6 +33,10 @@ ALIKE = (0.5, 2.0)
 """Ratio of two factors within which they are one."""
 PRESENT = 0.01
 """Share of the power of u that r, or what the controller makes of y, must have to be told by it."""
+OFF = 0.01
+"""Relative error from which a scale is off: a controller computes, and converters are calibrated better than that."""
+TINY = 1e-300
+"""Power of a signal that is none, as a divisor."""
 SAMPLES_OFF = range(-3, 4)
 """Samples that a logged u may be late."""
 FEWEST = 8
@@ -70,6 +74,16 @@ def other_law(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[st
         f"{name}: u of no axis is near what the datasheet's controller makes of r and y ({100 * min(left):.0f} % of "
         "its power is left): check frequency_hz, and the datasheet's sample_time_s, numerator and denominator"
     ]
+
+
+def odd_scales(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[str]:
+    """Channels that a factor brings in line with the law that they miss, a sentence each.
+
+    An effect misses it otherwise at each frequency; a controller's gain alone looks like the scale of y.
+    """
+    if sweep.n_points < FEWEST:
+        return []
+    return [f"{name}: {words}" for words in _scales(_log(sweep, rig, axes))]
 
 
 def _log(sweep: Sweep, rig: Rig, axes: Sequence[str]) -> _Log:
@@ -155,6 +169,42 @@ def _wrong(log: _Log) -> Iterator[str]:
                 f"i of {axis} is {factor:.2g} times what the amplifier makes of u: is one of them in mA? Both hold A, "
                 "and the datasheet's amplifier.gain is in A/A"
             )
+
+
+def _scales(log: _Log) -> Iterator[str]:
+    """Which factors, of r and y in u or of what the amplifier makes of u, bring which axis in line, in words."""
+    for k, axis in enumerate(log.axes):
+        (of_r, of_y), left = log.by_controller(k, k, k)
+        made = np.stack([log.r[:, k], log.controllers[:, k] * log.y[:, k]], axis=1)
+        missed = _missed(log.late * log.u[:, k], made.sum(axis=1))
+        off = max(abs(of_r - 1), abs(of_y - 1))
+        if left < FAR_BETTER * missed and OFF < off < UNIT:
+            yield (
+                f"u of {axis} has {of_r:.3g} times the excitation r in it and {of_y:.3g} times what the datasheet's "
+                f"controller makes of y: check the scales of {_whose(of_r, of_y)} of {axis} in the log, and "
+                "controller.numerator"
+            )
+    if log.i is None:
+        return
+    for k, axis in enumerate(log.axes):
+        factor, left = log.by_amplifier(k, k)
+        if left < FAR_BETTER * _missed(log.i[:, k], log.amplifiers[:, k] * log.u[:, k]) and abs(factor - 1) > OFF:
+            yield (
+                f"i of {axis} is {factor:.3g} times what the amplifier makes of u: check the scale of i of {axis} in "
+                "the log, and amplifier.gain"
+            )
+
+
+def _missed(x: Complex, made: Complex) -> float:
+    """Share of the power of a signal that a law leaves."""
+    return float(np.sum(np.abs(x - made) ** 2) / max(float(np.sum(np.abs(x) ** 2)), TINY))
+
+
+def _whose(of_r: float, of_y: float) -> str:
+    """The signals whose scale may be off: u where r and y are by the same factor."""
+    if abs(of_r / of_y - 1) < OFF:
+        return "u"
+    return "r" if abs(of_y - 1) < OFF else "y" if abs(of_r - 1) < OFF else "r, u and y"
 
 
 def _conjugates(log: _Log) -> str | None:

@@ -15,6 +15,7 @@ from service.gap.fitting.starts import drifts, resonances, slews, stops
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from sim import imbalance
 from sim.effect import Effect
+from sim.errors import EffectError
 
 Start = dict[str, float]
 Search = Callable[[Effect, Start, SweepResiduals], list[Start]]
@@ -26,7 +27,8 @@ FAINT = 0.2
 def starts(effect: Effect, residuals: SweepResiduals) -> list[Start]:
     """Starts of a fit, all of the effect's parameters by name, the best first.
 
-    ``residuals`` are those that the effect is to explain, of the part that it acts in.
+    ``residuals`` are those that the effect is to explain, of the part that it acts in. Where the fitted twin cannot
+    have what a search tries on it, as its air gap is another than the datasheet's, the default start is the only one.
     """
     effect = effect.of(residuals.ground.nuisance.rig)
     base = {
@@ -34,7 +36,12 @@ def starts(effect: Effect, residuals: SweepResiduals) -> list[Start]:
         for p in effect.parameters
     }
     search = SEARCHES.get(effect.id)
-    return [base] if search is None else search(effect, base, residuals)
+    if search is None:
+        return [base]
+    try:
+        return search(effect, base, residuals)
+    except EffectError:
+        return [base]
 
 
 def _sides(_: Effect, base: Start, residuals: SweepResiduals) -> list[Start]:

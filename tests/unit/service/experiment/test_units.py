@@ -7,7 +7,7 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.experiment.errors import ExperimentFileError
-from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness, odd_tolerances
+from service.experiment.units import must_be_in_si, odd_air_gap, odd_rotor, odd_stiffness, odd_tolerances
 from sim.datasheet import Tolerance
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
@@ -91,3 +91,15 @@ def test_a_tolerance_that_says_all_or_nothing_is_told(field, value, said):
     (told,) = odd_tolerances(off)
     assert said in told
     assert odd_tolerances(replace(off, tolerance_stated=False)) == []
+
+
+@pytest.mark.parametrize(
+    ("field", "factor"),
+    [("position_stiffness_n_per_m", 1e-3), ("current_stiffness_n_per_a", 1e-3), ("bias_current_a", 1e3)],
+)
+def test_magnets_whose_factors_no_air_gap_makes_are_told(field, factor):
+    assert odd_air_gap(SHEET) == []
+    twice = replace(SHEET, current_stiffness_n_per_a=tuple(2 * k for k in SHEET.current_stiffness_n_per_a))
+    assert odd_air_gap(twice) == []
+    (told,) = odd_air_gap(replace(SHEET, **{field: tuple(factor * v for v in getattr(SHEET, field))}))
+    assert field in told

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Complex, Sweep
-from service.gap.measured.cabling import other_law, wrong_channels
+from service.gap.measured.cabling import odd_scales, other_law, wrong_channels
 from service.gap.observed import observed
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
@@ -132,3 +132,47 @@ def test_a_law_that_no_axis_shows_is_asked_about_with_the_lines_that_may_be_wron
     assert "check frequency_hz" in told
     one_wrong = replace(MAIN, Y=np.where(np.arange(4) == 0, MAIN.Y[..., ::-1], MAIN.Y))
     assert other_law(one_wrong, RIG, MEASURED.axes, "sweeps/0") == []
+
+
+SCALED: dict[str, tuple[Callable[[], Sweep], tuple[str, ...]]] = {
+    "a sensor": (
+        lambda: replace(MAIN, Y=times(MAIN.Y, 1.07, 1)),
+        ("xB has 1 times", "0.935 times", "scales of y"),
+    ),
+    "a control": (
+        lambda: replace(MAIN, U=times(MAIN.U, 1.06, 2), I=times(current(), 1.06, 2)),
+        ("u of yA has 1.06 times", "1.06 times", "scales of u"),
+    ),
+    "a current": (lambda: replace(MAIN, I=times(current(), 0.94, 3)), ("i of yB is 0.94 times", "scale of i")),
+}
+
+
+@pytest.mark.parametrize("what", SCALED)
+def test_one_channel_of_another_scale_is_named_with_its_factor(what: str) -> None:
+    sweep, said = SCALED[what]
+    (told,) = odd_scales(sweep(), RIG, MEASURED.axes, "sweeps/0")
+    for words in said:
+        assert words in told
+
+
+def test_the_scale_of_all_excitation_is_told_of_each_axis() -> None:
+    told = odd_scales(replace(MAIN, R=times(MAIN.R, 1.2)), RIG, MEASURED.axes, "sweeps/0")
+    assert len(told) == 4
+    assert all("0.833 times the excitation" in one and "scales of r" in one for one in told)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"loop_delay": {"delay_s": 3e-5}},
+        {"amplifier_bandwidth": {"frequency_change": -0.2}},
+        {"controller_mismatch": {"lag_samples": 0.3}},
+        {"sensor_gain": {"gain_change_xA": 0.1}},
+        {"magnetic_saturation": {"saturation_inverse_per_a": 0.6}},
+    ],
+    ids=str,
+)
+def test_what_differs_otherwise_at_each_frequency_is_no_scale(effects: dict[str, dict[str, float]]) -> None:
+    for sweep in experiment(with_effects(true_rig(TRUTH), effects)).sweeps:
+        assert odd_scales(sweep, RIG, MEASURED.axes, "sweeps/0") == []
