@@ -29,10 +29,11 @@ def verdict_path(d: Diagnosis) -> str:
 def _blamed(d: Diagnosis) -> str:
     """All blocks of the loop that hold an effect of the verdict, in words."""
     paths = dict.fromkeys(CATALOGUE[effect].path for effect in d.verdict.effects)
-    return " and the ".join(map(_path_in_words, paths))
+    return " and the ".join(map(path_in_words, paths))
 
 
-def _path_in_words(path: str) -> str:
+def path_in_words(path: str) -> str:
+    """Where in the loop something acts."""
     return "signals" if path == "additive" else path
 
 
@@ -226,7 +227,7 @@ def sentence(d: Diagnosis) -> str:
         return f"The twin is out of date: the rig differs from it by {gap}, and {v.reasons[0]} ({sure}){closes}."
     if v.kind == "none_of_these":
         why = f" ({v.reasons[0]})" if v.reasons else ""
-        where = _path_in_words(verdict_path(d))
+        where = path_in_words(verdict_path(d))
         return (
             f"The rig differs from its twin by {gap}, and what is wrong in the {where} no known effect explains{why}, "
             f"{sure}."

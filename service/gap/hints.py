@@ -61,6 +61,8 @@ def hints(
                 f"({near[0]:.4g} Hz): check that mode's frequency, damping and shape, and that its values at A and B "
                 "have the signs of one direction"
             )
+    if "sensor_gain" in named:
+        notes.append(_ratios(chosen.fit.rig))
     gain = named.get("controller_mismatch", {}).get("gain_change", 0.0)
     if abs(gain) > SCALED:
         notes.append(
@@ -68,6 +70,19 @@ def hints(
             "the same, the plant's stiffnesses making up for the rest: check the scale of the log"
         )
     return notes
+
+
+def _ratios(rig: Rig) -> str:
+    """What is measured of sensor gains, in words: a common one is told from ki by its tolerance alone."""
+    gains, axes = rig.sensors.gain, rig.axes
+    of_planes = " and ".join(
+        f"{axes[a + 1]} reads {gains[a + 1] / gains[a]:.3g} times what {axes[a]} does"
+        for a in range(0, len(axes) - 1, 2)
+    )
+    return (
+        f"of sensor gains only ratios within a plane are measured ({of_planes}); what both sensors of a plane have in "
+        "common trades against its magnets' ki, so calibrate one of them before either is corrected"
+    )
 
 
 def _turning(chosen: Candidate, datasheet: Rig, sweeps: Sequence[Observation], stated_kgm2: float | None) -> list[str]:

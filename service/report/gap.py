@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from service.gap.diagnosis import Diagnosis
-from service.gap.document import alike, gap_document, likeliest, parameters_used
+from service.gap.document import alike, gap_document, likeliest, parameters_used, path_in_words
 from service.gap.measured.observation import MODEL_FLOOR
 from service.gap.weighing.significance import SIGNIFICANT
 from service.report import gap_figures as draw
@@ -127,14 +127,17 @@ def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tup
         paragraph(" ".join(words)),
         Captioned(
             draw.ratio_figure(fitted, path, axes),
-            "The excited axis's own signal in the blamed block, measured over the twin before; bars are 99 %. "
+            f"The excited axis's own signal in the {path_in_words(path)}, measured over the twin before; bars are 99 %. "
             + ("The blue line is what the verdict's effect makes of it." if fitted.changed else ""),
         ),
         Captioned(
             draw.heat_figure(fitted, axes),
             "Residual over noise (rms) by signal and band, on the fitted sweep. One is noise.",
         ),
-        Captioned(draw.channel_figure(fitted, path, axes), "The same in the blamed block by output and excited axis."),
+        Captioned(
+            draw.channel_figure(fitted, path, axes),
+            f"The same in the {path_in_words(path)} by output and excited axis.",
+        ),
     ]
 
 
@@ -226,7 +229,7 @@ def _amplitude(
     parts: list[Part] = [
         Captioned(
             draw.amplitude_figure(cases, path),
-            "Difference from the twin in the blamed block against the current of the excited axis. A gap that grows "
+            f"Difference from the twin in the {path_in_words(path)} against the current of the excited axis. A gap that grows "
             "with the current at a given frequency is a nonlinear one.",
         )
     ]

@@ -140,6 +140,21 @@ def test_a_resonance_where_the_datasheet_has_a_mode_has_that_mode_asked_about(of
     assert all(f"({SHEET.modes[0].frequency_hz:.4g} Hz): check that mode's frequency" in text for text in told)
 
 
+def test_of_sensor_gains_the_ratios_are_told() -> None:
+    """The gain of both sensors of a plane trades against ki: 7 % of one came out as 21 and 13 % of both."""
+    rig, effect = rig_from_datasheet(SHEET), CATALOGUE["sensor_gain"]
+    values = {
+        "gain_change_xA": 0.13,
+        "gain_change_xB": 0.13 + 1.13 * 0.07,
+        "gain_change_yA": 0.0,
+        "gain_change_yB": 0.0,
+    }
+    found = effect.on(rig, **values)
+    fit = Fit((effect.id,), np.zeros(1), (values,), found, (), 0.0, np.arange(1), np.eye(1), "")
+    (told,) = hints(Candidate(fit.effects, fit, 0.0, ({},)), rig, (observe(MEASURED.sweeps[0], rig),))
+    assert "xB reads 1.07 times what xA does and yB reads 1 times what yA does" in told
+
+
 def test_a_current_that_one_sweep_lacks_is_used_in_neither() -> None:
     measured, sheet = one_plane(MEASURED, SHEET)
     main, other = measured.sweeps
