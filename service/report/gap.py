@@ -127,8 +127,8 @@ def _where(document: dict[str, Any], fitted: draw.Compared, path: str, axes: tup
         paragraph(" ".join(words)),
         Captioned(
             draw.ratio_figure(fitted, path, axes),
-            f"The excited axis's own signal in the {path_in_words(path)}, measured over the twin before; bars are 99 %. "
-            + ("The blue line is what the verdict's effect makes of it." if fitted.changed else ""),
+            f"The excited axis's own signal in the {path_in_words(path)}, measured over the twin before; bars are "
+            "99 %. " + ("The blue line is what the verdict's effect makes of it." if fitted.changed else ""),
         ),
         Captioned(
             draw.heat_figure(fitted, axes),
@@ -229,8 +229,8 @@ def _amplitude(
     parts: list[Part] = [
         Captioned(
             draw.amplitude_figure(cases, path),
-            f"Difference from the twin in the {path_in_words(path)} against the current of the excited axis. A gap that grows "
-            "with the current at a given frequency is a nonlinear one.",
+            f"Difference from the twin in the {path_in_words(path)} against the current of the excited axis. A gap "
+            "that grows with the current at a given frequency is a nonlinear one.",
         )
     ]
     harmonics = draw.harmonic_figure(d)
