@@ -172,39 +172,41 @@ def _wrong(log: _Log) -> Iterator[str]:
 
 
 def _scales(log: _Log) -> Iterator[str]:
-    """Which factors, of r and y in u or of what the amplifier makes of u, bring which axis in line, in words."""
+    """Which factors, of r and y in u or of what the amplifier makes of u, bring which axes in line, in words."""
+    told: dict[tuple[str, str, str], list[str]] = {}
+    """axes by signal, factors and remedy"""
     for k, axis in enumerate(log.axes):
         (of_r, of_y), left = log.by_controller(k, k, k)
         made = np.stack([log.r[:, k], log.controllers[:, k] * log.y[:, k]], axis=1)
         missed = _missed(log.late * log.u[:, k], made.sum(axis=1))
-        off = max(abs(of_r - 1), abs(of_y - 1))
-        if left < FAR_BETTER * missed and OFF < off < UNIT:
-            yield (
-                f"u of {axis} has {of_r:.3g} times the excitation r in it and {of_y:.3g} times what the datasheet's "
-                f"controller makes of y: check the scales of {_whose(of_r, of_y)} of {axis} in the log, and "
-                "controller.numerator"
-            )
-    if log.i is None:
-        return
-    for k, axis in enumerate(log.axes):
+        if left < FAR_BETTER * missed and OFF < max(abs(of_r - 1), abs(of_y - 1)) < UNIT:
+            factors, remedy = _in_words(of_r, of_y)
+            told.setdefault(("u", factors, remedy), []).append(axis)
+        if log.i is None:
+            continue
         factor, left = log.by_amplifier(k, k)
-        if left < FAR_BETTER * _missed(log.i[:, k], log.amplifiers[:, k] * log.u[:, k]) and abs(factor - 1) > OFF:
-            yield (
-                f"i of {axis} is {factor:.3g} times what the amplifier makes of u: check the scale of i of {axis} in "
-                "the log, and amplifier.gain"
-            )
+        missed = _missed(log.i[:, k], log.amplifiers[:, k] * log.u[:, k])
+        if left < FAR_BETTER * missed and abs(factor - 1) > OFF:
+            factors = f"is {factor:.3g} times what the amplifier makes of u"
+            told.setdefault(("i", factors, "the scale of i, and amplifier.gain"), []).append(axis)
+    for (signal, factors, remedy), axes in told.items():
+        yield f"{signal} of {', '.join(axes)} {factors}: check in the log and in the datasheet {remedy}"
+
+
+def _in_words(of_r: float, of_y: float) -> tuple[str, str]:
+    """What u has of r and of what the controller makes of y, and what to check."""
+    if abs(of_r / of_y - 1) < OFF:
+        return f"is {of_r:.3g} times C(z) (-y) + r", "the scale of u"
+    terms = [(of_r, "the excitation r"), (of_y, "what the datasheet's controller makes of y")]
+    has = " and ".join(f"{factor:.3g} times {term}" for factor, term in terms if abs(factor - 1) > OFF)
+    if abs(of_y - 1) < OFF:
+        return f"has {has} in it", "the scale of r"
+    return f"has {has} in it", f"the scale of y{'' if abs(of_r - 1) < OFF else ' and r'}, and controller.numerator"
 
 
 def _missed(x: Complex, made: Complex) -> float:
     """Share of the power of a signal that a law leaves."""
     return float(np.sum(np.abs(x - made) ** 2) / max(float(np.sum(np.abs(x) ** 2)), TINY))
-
-
-def _whose(of_r: float, of_y: float) -> str:
-    """The signals whose scale may be off: u where r and y are by the same factor."""
-    if abs(of_r / of_y - 1) < OFF:
-        return "u"
-    return "r" if abs(of_y - 1) < OFF else "y" if abs(of_r - 1) < OFF else "r, u and y"
 
 
 def _conjugates(log: _Log) -> str | None:
