@@ -42,6 +42,8 @@ SIGNAL_OF = {"controller": 0, "amplifier": 1, "plant": 2, "additive": 2}
 HEAT = [[0.0, "#f4f7fa"], [0.25, "#cfe0ee"], [0.5, "#7fb2d6"], [0.75, "#e08a4f"], [1.0, "#a8261c"]]
 LARGEST_SIGMA = 1000.0
 """Where the colours of the heat maps end."""
+SHARP = 2.0
+"""Times what nearly all values stay below, from which the largest is a sharp peak, or a bad point, and may be cut."""
 LONGEST_BAR = 60.0
 """Standard deviations where the bars of harmonics end."""
 
@@ -167,7 +169,9 @@ def _reach(values: list[list[Real]], least: float) -> float:
     for group, share in zip(values, (0.95, 0.97), strict=True):
         every = np.abs(np.concatenate(group))
         every = every[np.isfinite(every)]
-        out = max(out, float(np.quantile(every, share)) if len(every) else 0.0)
+        if len(every):
+            most, largest = float(np.quantile(every, share)), float(every.max())
+            out = max(out, largest if largest < SHARP * most else most)
     return 1.15 * out
 
 
