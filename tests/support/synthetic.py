@@ -115,6 +115,18 @@ def experiment(rig: Rig, seed: int = 1, noise: float = 1.0, amplitude_a: float =
     )
 
 
+def noisy_currents(measured: Experiment, sd_a: float, seed: int = 5) -> Experiment:
+    """The experiment with noise in the logged currents that does not move the rig."""
+    rng = np.random.default_rng(seed)
+
+    def heard(I: np.ndarray) -> np.ndarray:
+        e = sd_a * (rng.standard_normal(I.shape) + 1j * rng.standard_normal(I.shape))
+        e[:, :, 0] = e[:, :, 0].real
+        return I + e
+
+    return replace(measured, sweeps=tuple(replace(s, I=heard(s.I)) for s in measured.sweeps))
+
+
 def true_rig(truth: Datasheet) -> Rig:
     """The rig of a true datasheet."""
     return rig_from_datasheet(truth)

@@ -12,7 +12,7 @@ from service.gap.fitting.predict import displacement
 from service.gap.measured.observation import Observation, observe
 from sim.rig import Rig
 from sim.twin import axis_current_per_control, linear_model, with_effects
-from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
+from tests.support.synthetic import experiment, known_datasheet, lines, noisy_currents, sweep, true_rig
 
 PLAIN = true_rig(known_datasheet()[1])
 SLOWER = {"amplifier_bandwidth": {"frequency_change": -0.15}}
@@ -82,17 +82,6 @@ def of_another_law(measured: Experiment, share: float) -> Experiment:
         R[:, :, f] += model.controllers[:, None] * moved  # so that u stays as it was
         sweeps.append(replace(s, R=R, I=I, Y=Y))
     return replace(measured, sweeps=tuple(sweeps))
-
-
-def noisy_currents(measured: Experiment, sd_a: float) -> Experiment:
-    rng = np.random.default_rng(5)
-
-    def heard(I: np.ndarray) -> np.ndarray:
-        e = sd_a * (rng.standard_normal(I.shape) + 1j * rng.standard_normal(I.shape))
-        e[:, :, 0] = e[:, :, 0].real
-        return I + e
-
-    return replace(measured, sweeps=tuple(replace(s, I=heard(s.I)) for s in measured.sweeps))
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.experiment.data import Experiment
 from service.gap.diagnose import diagnose
 from service.gap.fitting.amplifiers_uncertainty import inherited_from
 from service.gap.fitting.candidates import Candidate, Fitter
@@ -22,20 +21,9 @@ from service.gap.which.one_more_effect import residuals
 from service.gap.which.plant_or_amplifiers import Exchange
 from service.gap.which.search import explain
 from sim.twin import with_effects
-from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.synthetic import experiment, known_datasheet, noisy_currents, true_rig
 
 pytestmark = pytest.mark.slow
-
-
-def noisy_currents(measured: Experiment, sd_a: float, seed: int = 5) -> Experiment:
-    rng = np.random.default_rng(seed)
-
-    def heard(I: np.ndarray) -> np.ndarray:
-        e = sd_a * (rng.standard_normal(I.shape) + 1j * rng.standard_normal(I.shape))
-        e[:, :, 0] = e[:, :, 0].real
-        return I + e
-
-    return replace(measured, sweeps=tuple(replace(s, I=heard(s.I)) for s in measured.sweeps))
 
 
 def test_a_delay_that_noisy_currents_hardly_show_is_not_laid_to_the_plant() -> None:
