@@ -79,7 +79,9 @@ def with_datasheet_off(verdict: Verdict, away: str, relative_gap: float) -> Verd
     ``relative_gap`` is that of the plain twin, over the part's output.
     """
     if relative_gap >= STRANGE and not verdict.nonlinear:
-        reason = f"the datasheet seems to be of another rig; {away}: check it"
+        reason = (
+            f"the datasheet seems to be of another rig, or a law that no effect has acts in this one; {away}: check it"
+        )
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (reason,), another_rig=True)
     if not verdict.effects:
         return replace(verdict, reasons=(*verdict.reasons, f"beside that, {away}: check the datasheet"))
