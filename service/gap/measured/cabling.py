@@ -79,7 +79,8 @@ def other_law(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[st
 def odd_scales(sweep: Sweep, rig: Rig, axes: Sequence[str], name: str) -> list[str]:
     """Channels that a factor brings in line with the law that they miss, a sentence each.
 
-    An effect misses it otherwise at each frequency; a controller's gain alone looks like the scale of y.
+    An effect misses it otherwise at each frequency; a controller's gain alone looks like the scale of y. Factors that
+    only a unit or a sign makes are for `wrong_channels`.
     """
     if sweep.n_points < FEWEST:
         return []
@@ -179,14 +180,15 @@ def _scales(log: _Log) -> Iterator[str]:
         (of_r, of_y), left = log.by_controller(k, k, k)
         made = np.stack([log.r[:, k], log.controllers[:, k] * log.y[:, k]], axis=1)
         missed = _missed(log.late * log.u[:, k], made.sum(axis=1))
-        if left < FAR_BETTER * missed and OFF < max(abs(of_r - 1), abs(of_y - 1)) < UNIT:
+        off = max(abs(of_r - 1), abs(of_y - 1)) > OFF and all(1 / UNIT < f < UNIT for f in (of_r, of_y))
+        if off and left < FAR_BETTER * missed:
             factors, remedy = _in_words(of_r, of_y)
             told.setdefault(("u", factors, remedy), []).append(axis)
         if log.i is None:
             continue
         factor, left = log.by_amplifier(k, k)
         missed = _missed(log.i[:, k], log.amplifiers[:, k] * log.u[:, k])
-        if left < FAR_BETTER * missed and abs(factor - 1) > OFF:
+        if left < FAR_BETTER * missed and abs(factor - 1) > OFF and 1 / UNIT < factor < UNIT:
             factors = f"is {factor:.3g} times what the amplifier makes of u"
             told.setdefault(("i", factors, "the scale of i, and amplifier.gain"), []).append(axis)
     for (signal, factors, remedy), axes in told.items():

@@ -140,9 +140,8 @@ def usable(sweep: Sweep) -> Sweep:
         Nothing is left, or the blocks are too few to tell noise from signal.
     """
     arrays = [sweep.R, sweep.U, sweep.Y] + ([] if sweep.I is None else [sweep.I])
-    good = (
-        (sweep.amplitude_a > 0) & ~dropped(sweep) & np.all([np.isfinite(a).all(axis=(1, 2, 3)) for a in arrays], axis=0)
-    )
+    finite = np.all([np.isfinite(a).all(axis=(1, 2, 3)) for a in arrays], axis=0)
+    good = (sweep.amplitude_a > 0) & ~dropped(sweep) & finite
     if sweep.Y.shape[1] < 2:
         raise GapError(f"sweep {sweep.comment!r} has {sweep.Y.shape[1]} block; record at least 2 blocks a point")
     if good.sum() < 8:

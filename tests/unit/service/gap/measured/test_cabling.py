@@ -155,6 +155,11 @@ def test_one_channel_of_another_scale_is_named_with_its_factor(what: str) -> Non
         assert words in told
 
 
+def test_what_only_a_unit_or_a_sign_makes_is_no_scale() -> None:
+    for what in ("one sensor in mm", "u in mA", "r in mA", "a sensor's sign", "u ahead of r", "one current in mA"):
+        assert odd_scales(WRONG[what][0](), RIG, MEASURED.axes, "sweeps/0") == []
+
+
 def test_the_scale_of_all_excitation_is_told_once() -> None:
     (told,) = odd_scales(replace(MAIN, R=times(MAIN.R, 1.2)), RIG, MEASURED.axes, "sweeps/0")
     assert "u of xA, xB, yA, yB has 0.833 times the excitation r in it" in told
