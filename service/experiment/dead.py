@@ -50,13 +50,13 @@ def require_live_channels(sweep: Sweep, axes: tuple[str, ...], name: str) -> Non
 
 
 def dropped(sweep: Sweep) -> NDArray[np.bool_]:
-    """Points at which u, i or y of the excited axis is exactly zero in every block: the log was interrupted, (P,)."""
+    """Points at which u, i and y of the excited axis are exactly zero in every block: the log was interrupted, (P,)."""
     if 1 not in sweep.harmonics:
         return np.zeros(sweep.n_points, dtype=bool)
     h, points = sweep.harmonic(1), np.arange(sweep.n_points)
     signals = [x for x in (sweep.U, sweep.I, sweep.Y) if x is not None]
     silent = [np.all(x[points, :, h, sweep.axis] == 0, axis=1) for x in signals]
-    return np.asarray(np.any(silent, axis=0) & (sweep.amplitude_a > 0))
+    return np.asarray(np.all(silent, axis=0) & (sweep.amplitude_a > 0))
 
 
 def _swapped_with(sweep: Sweep, fundamental: Complex, k: int) -> int | None:

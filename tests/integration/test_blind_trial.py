@@ -20,7 +20,7 @@ from sim.rig_file import read
 from sim.withheld.case import draw
 from sim.withheld.seal import SealError, opened, seal
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 SHORT = replace(PROFILE, points=12, validation_points=4, amplifier_points=4, coarse_points=8, rig_seconds=30.0)
 """A campaign whose points nobody diagnoses."""

@@ -87,8 +87,8 @@ def interrupted(sweeps: Sequence[tuple[str, Sweep]]) -> list[str]:
             hz = ", ".join(f"{f:.4g}" for f in np.unique(sweep.frequency_hz[lost])[:MOST_NAMED])
             more = ", ..." if len(np.unique(sweep.frequency_hz[lost])) > MOST_NAMED else ""
             told.append(
-                f"{name}: u, i or y of the excited axis reads exactly zero at {int(lost.sum())} points ({hz}{more} "
-                "Hz): the log was interrupted; they are left out, measure them again"
+                f"{name}: u, i and y of the excited axis are exactly zero at {int(lost.sum())} points ({hz}{more} Hz): "
+                "the log was interrupted; they are left out, measure them again"
             )
     return told
 

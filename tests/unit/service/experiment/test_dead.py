@@ -84,6 +84,8 @@ def test_points_at_which_the_log_was_interrupted_are_left_out_and_told() -> None
     assert len(data.o.line) == len(whole.o.line) - 3
     assert any("exactly zero at 3 points" in note for note in data.notes)
     assert not any("exactly zero" in note for note in whole.notes)
+    y_alone = replace(EXPERIMENT, sweeps=(replace(main, Y=silent["Y"]), *EXPERIMENT.sweeps[1:]))
+    assert len(observed(y_alone, SHEET).o.line) == len(whole.o.line), "one channel may read zero, as a coarse one does"
 
 
 def test_the_datasheet_of_another_rig_is_told_by_its_name() -> None:

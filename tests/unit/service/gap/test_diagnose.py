@@ -92,6 +92,7 @@ def test_a_line_near_a_mode_that_few_lines_tell_of_does_not_speak_against_an_eff
     assert d.shrinkage.closure < 0.7  # else the line asks nothing
 
 
+@pytest.mark.slow
 def test_an_effect_that_could_not_be_fitted_is_said_not_to_have_been_weighed(monkeypatch: pytest.MonkeyPatch) -> None:
     def without(task: Task) -> Candidate:
         if "off_centre_rotor" in task.effects:
@@ -118,6 +119,7 @@ def test_the_twin_with_its_effect_applied_has_no_gap_left() -> None:
     assert diagnose(measured, twin).verdict.kind == "no_gap"
 
 
+@pytest.mark.slow
 def test_an_unknown_law_is_not_explained_away() -> None:
     """The logged displacement of one axis saturates softly: in the log only, so no part of the rig does it."""
     datasheet, truth = known_datasheet(seed=5)
@@ -134,6 +136,7 @@ def test_an_unknown_law_is_not_explained_away() -> None:
     assert gap_document(d)["where"]["path"] in ("controller", "plant")
 
 
+@pytest.mark.slow
 def test_one_sweep_is_cross_validated_and_says_so() -> None:
     datasheet, truth = known_datasheet(seed=6)
     rig = with_effects(true_rig(truth), {"loop_delay": {"delay_s": 3e-5}})

@@ -15,6 +15,7 @@ from tests.support.two_axes import one_plane
 SHEET, TRUTH = known_datasheet()
 
 
+@pytest.mark.slow
 def test_a_coupling_of_the_planes_makes_no_further_modes_of_the_rotor() -> None:
     """Through it the other plane's closed loop shows, resonant beside each mode."""
     coupled = with_effects(rig_from_datasheet(TRUTH), {"magnetic_cross_coupling": {"rotation_rad": 0.05}})
@@ -92,6 +93,7 @@ def test_a_support_that_the_twin_names_is_no_mode_of_the_rotor_as_well() -> None
     assert "as a support does" not in note
 
 
+@pytest.mark.slow
 def test_sensors_elsewhere_do_not_move_a_mode_from_bearings_to_sensors() -> None:
     """Data show the product of both; the ratio follows the stiffness at work, and whatever is not in the model."""
     sheet, truth = known_datasheet(seed=8)

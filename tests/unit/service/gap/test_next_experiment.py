@@ -42,6 +42,7 @@ DAMPED = explanation(0.0, modal_damping={"mode1_log_ratio": 1.5, "mode2_log_rati
 ALIASES = Verdict("effect", ("modal_damping",), (("modal_damping", "internal_damping"),), 0.9, ())
 
 
+@pytest.mark.slow
 def test_an_exact_alias_is_constructed_and_only_speed_tells_it_apart() -> None:
     """At rest nothing but the log could; what adds an amplifier's limit to the chosen effect is no rival of it."""
     damping = dict(zip(DAMPED.candidate.effects, DAMPED.candidate.fit.values, strict=True))
@@ -71,6 +72,7 @@ def test_what_contains_the_chosen_explanation_is_no_rival_and_what_does_not_is()
     assert pair_to_separate([chosen, rival], Verdict("none_of_these", (), (), 0.9, ())) is None
 
 
+@pytest.mark.slow
 def test_what_nothing_affordable_separates_gets_no_proposal() -> None:
     a = explanation(0.0, sensor_lag={"time_constant_s": 2e-5, "delay_s": 0.0})
     b = explanation(-1.0, sensor_lag={"time_constant_s": 2e-5 + 1e-12, "delay_s": 0.0})

@@ -98,6 +98,7 @@ def test_a_model_with_an_error_that_had_to_be_allowed_for_is_not_told_by_residua
     assert "error of the model that had to be allowed for" in text
 
 
+@pytest.mark.slow
 def test_a_rotor_of_other_distances_is_told_before_what_follows_from_it(measured):
     experiment, datasheet = measured
     a, b = datasheet.bearing_from_cog_m
@@ -106,6 +107,7 @@ def test_a_rotor_of_other_distances_is_told_before_what_follows_from_it(measured
     assert not any("not beside each other" in other for other in others)
 
 
+@pytest.mark.slow
 def test_a_wrong_model_is_not_said_to_have_converged(measured):
     """In result.json: the search converges on a wrong model, too."""
     experiment, datasheet = measured

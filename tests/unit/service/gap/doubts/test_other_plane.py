@@ -23,6 +23,7 @@ from tests.unit.service.gap.where.test_dependence import plant
 DATASHEET, TRUTH = known_datasheet(seed=3)
 
 
+@pytest.mark.slow
 def test_a_coupling_of_the_planes_is_among_the_causes_that_one_plane_cannot_tell_apart() -> None:
     coupled = with_effects(true_rig(TRUTH), {"magnetic_cross_coupling": {"rotation_rad": 0.04}})
     report = gap_document(diagnose(*one_plane(experiment(coupled), DATASHEET)))

@@ -52,6 +52,7 @@ def at_harmonics(o: Observation) -> float:
     return max(significance(left[:, [o.harmonics.index(h)]], o, bound=np.inf) for h in (2, 3))
 
 
+@pytest.mark.slow
 def test_a_clean_rig_whose_integrator_has_not_settled_shows_no_harmonics(monkeypatch: pytest.MonkeyPatch) -> None:
     restless = low_lines(0.3, 0.05)
     assert at_harmonics(observe(restless, RIG)) < 2
