@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from service.experiment.data import Experiment
 from service.experiment.errors import ExperimentFileError
 from sim.datasheet import Datasheet
+from sim.rig import Magnets
 
 BEYOND = 5.0
 """Times a rig's own limit that no amplitude reaches: of y the stops, of i the supply would have ended it before."""
@@ -88,14 +89,14 @@ def odd_rotor(datasheet: Datasheet) -> list[str]:
 
 
 def odd_air_gap(datasheet: Datasheet) -> list[str]:
-    """What the magnets' factors of a datasheet tell together, where no magnet has them; a sentence.
-
-    A differential pair has the air gap i0 ki / ks (Schweitzer and Maslen, Magnetic Bearings, 2009, eq. 4.10 and 4.11).
-    """
-    factors = zip(
-        datasheet.bias_current_a, datasheet.current_stiffness_n_per_a, datasheet.position_stiffness_n_per_m, strict=True
+    """What the magnets' factors of a datasheet tell together, where no magnet has them; a sentence."""
+    magnets = Magnets.plain(
+        ki=np.array(datasheet.current_stiffness_n_per_a),
+        ks=np.array(datasheet.position_stiffness_n_per_m),
+        bias_current_a=np.array(datasheet.bias_current_a),
+        current_limit_a=datasheet.current_limit_a,
     )
-    gap_m = float(np.median([i0 * ki / abs(ks) for i0, ki, ks in factors]))
+    gap_m = float(np.median(magnets.gap_m))
     if AIR_GAP_M[0] < gap_m < AIR_GAP_M[1]:
         return []
     return [

@@ -19,6 +19,7 @@ from service.gap.weighing.verdict import Verdict
 from service.gap.where.dependence import Dependence
 from service.gap.where.where import PathGap, Where
 from service.report.gap import gap_page
+from service.report.gap_figures import candidate_figure
 from sim.effects import CATALOGUE, effect
 from sim.reference import reference_rig
 from tests.support.browser import BROWSER
@@ -295,6 +296,28 @@ def test_nothing_to_add_shows_one_twin(diagnosis):
     assert {t["name"] for t in figure(page, "gap")["data"]} == {"noise floor", "twin"}
     assert len(figure(page, "residuals")["data"]) == 1
     assert "nothing fits" in page
+    assert "Put right what the first sentence names" in page
+    assert "Nothing is left that an experiment" not in page
+
+
+@pytest.mark.parametrize(("change", "told"), [(0.4, True), (9.0, False)])
+def test_what_tells_a_dependence_on_the_amplitude_is_said(diagnosis, change, told):
+    """Harmonics at one amplitude do where the two sweeps do not differ."""
+    where = replace(diagnosis.where, depends=Dependence(amplitude=True, speed=None, significance=change))
+    page = gap_page(replace(diagnosis, where=where))
+    assert f"changes by {change} standard deviations" in page
+    assert ("is told by harmonics" in page) is told
+
+
+def test_labels_of_three_effects_have_room(diagnosis):
+    rig, found = diagnosis.order[0].candidate.fit.rig, {"delay_s": DELAY_S}
+    names = ("loop_delay", "magnetic_cross_coupling", "amplifier_voltage_limit")
+    three = replace(diagnosis.order[0], candidate=candidate(rig, *names, values=(found, {}, {})))
+    heights = [
+        candidate_figure(d, gap_document(d)).layout["height"]
+        for d in (diagnosis, replace(diagnosis, order=(three, *diagnosis.order[1:])))
+    ]
+    assert heights[1] > heights[0]
 
 
 def test_without_currents_the_amplifier_has_no_panel(diagnosis):

@@ -86,7 +86,7 @@ def of_another_law(measured: Experiment, share: float) -> Experiment:
 
 @pytest.mark.slow
 def test_amplifiers_of_another_law_are_no_effect_of_the_plant_beside_them() -> None:
-    """The displacement shows a tenth of what their currents' noise hides: 11 in log evidence for another resonance."""
+    """The displacement shows what the noise of their currents hides: a resonance was named beside them, with 99 %."""
     datasheet, truth = known_datasheet(seed=41)
     measured = of_another_law(experiment(with_effects(true_rig(truth), SLOWER), seed=7, noise=0.1), 0.05)
     d = diagnose(noisy_currents(measured, 5e-4), datasheet)

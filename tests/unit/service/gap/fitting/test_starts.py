@@ -150,6 +150,19 @@ def test_a_disc_is_found_with_the_way_in_which_each_mode_tilts_it() -> None:
         assert best.fit.values[0][name] == pytest.approx(value, rel=0.05, abs=0.003), name
 
 
+def test_a_stop_that_the_fitted_twin_cannot_have_begins_as_typical() -> None:
+    """A datasheet with its stiffness in N/mm: the fitted magnets have another air gap, and their stops other places."""
+    sheet, truth = known_datasheet(seed=12)
+    in_n_per_mm = replace(sheet, position_stiffness_n_per_m=tuple(1e-3 * k for k in sheet.position_stiffness_n_per_m))
+    nu, rig = nuisance(in_n_per_mm), true_rig(truth)
+    o = observe(sweep(rig, lines(14), 0.15, seed=1), rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    left = residual(rig, o)[..., 2 * rig.n_axes :]
+    effect = CATALOGUE["touchdown_contact"]
+    (only,) = starts(effect, SweepResiduals(rig, left, o, ground))
+    assert only["stiffness_n_per_m"] == next(p for p in effect.of(nu.rig).parameters).typical
+
+
 def test_every_search_is_of_an_effect() -> None:
     """A name that is none would never be searched, and its effect start anywhere."""
     assert SEARCHES.keys() <= CATALOGUE.keys()
