@@ -98,7 +98,8 @@ class RigDevice:
         self._state_lock = threading.Lock()
         self._playing = False
         self._play_token = 0
-        self._stop = threading.Event()
+        # a plain flag: the lock of an Event is taken in Python code, where Ctrl-C can leave it taken for ever
+        self._stop_asked = False
         self._stops = Stops()
         self._last_token = NO_TOKEN
         self._trip: Interruption | None = None
@@ -107,7 +108,7 @@ class RigDevice:
         self._events: deque[Event] = deque(maxlen=1000)
         self._event_numbers = itertools.count(1)
         self._on_event = on_event
-        self._closed = threading.Event()
+        self._closed = False
         self.boot_id = secrets.randbelow(2**31 - 1) + 1
         self._log("levitated")
         if real_time:
@@ -244,7 +245,7 @@ class RigDevice:
         """Reserve the rig for the excitation that the holder of a lease is about to play."""
         lease = self._leases.require(token)
         with self._state_lock:
-            if self._closed.is_set():
+            if self._closed:
                 raise ControllerError("the controller is switched off")
             if self._trip is not None:
                 raise TripError(
@@ -258,7 +259,7 @@ class RigDevice:
             self._stops.known()
             self._playing = True
             self._play_token = lease.token
-            self._stop.clear()
+            self._stop_asked = False
             self._gauges.state = State.ARMED
             # After a gap on the bus, the command may come before the next heartbeat does.
             self._leases.feed(token)
@@ -329,7 +330,7 @@ class RigDevice:
         """
         with self._state_lock:
             if self._playing:
-                self._stop.set()
+                self._stop_asked = True
             if token == NO_TOKEN or token != self._last_token:
                 self._stops.say(token)
         self._log("stop")
@@ -354,21 +355,21 @@ class RigDevice:
     def fault(self, message: str) -> None:
         """Latch a trip from outside the loop: a part of the device failed."""
         with self._state_lock:
-            self._stop.set()
+            self._stop_asked = True
         self._wait_until_quiet()
         self._latch(Interruption(TripCause.FAULT, message))
 
     def close(self) -> None:
         """Stop and switch off; safe twice."""
-        self._closed.set()
-        self._stop.set()
+        self._closed = True
+        self._stop_asked = True
         self._wait_until_quiet()
         self._gauges.state = State.OFF
 
     # ---- inside
 
     def _guard(self) -> Interruption | None:
-        if self._stop.is_set():
+        if self._stop_asked:
             return Interruption(TripCause.NONE, "stopped; the excitation is off")
         if not self._leases.holds(self._play_token):
             return Interruption(TripCause.HOST, "the lease ran out while a tone was playing; the excitation is off")
@@ -390,7 +391,7 @@ class RigDevice:
             self._rig_lock.release()
 
     def _levitate(self) -> None:
-        while not self._closed.is_set():
+        while not self._closed:
             with self._rig_lock:
                 self._player.idle(self._pace.chunk_samples)
             time.sleep(0)

@@ -12,7 +12,6 @@ import base64
 import json
 import os
 import zlib
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.campaign.difference import difference
+from service.campaign.platter import Platter
 from service.experiment.errors import ExperimentFileError, JournalError
 from sim.errors import reason
 
@@ -126,8 +126,7 @@ class Journal:
         """Entries that it holds."""
         self.header: Entry = {}
         """As the file has it: of the run that began it, where this one goes on."""
-        self._disk = ThreadPoolExecutor(1, thread_name_prefix="journal")
-        self._forcing: Future[None] | None = None
+        self._platter = Platter(self._descriptor)
         try:
             self.found = self._recover(header)
             self.count = len(self.found)
@@ -167,27 +166,21 @@ class Journal:
         """
         data = memoryview(line(entry))
         try:
-            self._forced()
+            self._platter.wait()
             while data:
                 data = data[os.write(self._descriptor, data) :]
         except OSError as error:
             raise ExperimentFileError(f"cannot write {self.path}: {reason(error)}; free space and resume") from error
         self.count += 1
-        self._forcing = self._disk.submit(os.fsync, self._descriptor)
-
-    def _forced(self) -> None:
-        """Wait until what was written is on the platter."""
-        if self._forcing is not None:
-            forcing, self._forcing = self._forcing, None
-            forcing.result()
+        self._platter.force()
 
     def close(self) -> None:
         """Close the file; it stays on disk. Safe twice."""
         if self._descriptor < 0:
             return
         with suppress(OSError):
-            self._forced()
-        self._disk.shutdown()
+            self._platter.wait()
+        self._platter.close()
         os.close(self._descriptor)
         self._descriptor = -1
 

@@ -347,7 +347,7 @@ def test_a_stop_that_is_refused_for_a_while_is_said_until_it_is_heard(refusing) 
         with pytest.raises(KeyboardInterrupt):
             controller.measure(LONG)
         while bus.front.exciting():
-            assert bus.front.device._stop.is_set(), "it was not told to stop"
+            assert bus.front.device._stop_asked, "it was not told to stop"
             time.sleep(0.001)
 
 
@@ -430,7 +430,7 @@ def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[_Bus,
 
     yield make
     for bus in made:
-        bus.front.device._stop.set()
+        bus.front.device._stop_asked = True
         bus.front.close()
         bus.front.device.close()
 
@@ -471,7 +471,7 @@ def test_a_tone_that_nothing_ends_is_told_as_that(stuck) -> None:
     with controller.lease("job"):
         with pytest.raises(StopRefusedError, match=told):
             controller.measure(SHORT)
-        bus.front.device._stop.set()
+        bus.front.device._stop_asked = True
 
 
 # ---- a lease that was taken, and an interruption before that is noted

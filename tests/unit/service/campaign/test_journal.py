@@ -1,6 +1,8 @@
 """The journal: every whole line survives, a torn end is cut off, another campaign is refused."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -178,3 +180,50 @@ def test_a_line_is_plain_text():
     text = line(entry(1)).decode("ascii")
     assert json.loads(text[9:])["k"] == 1
     assert entries(text.encode())[1] == len(text)
+
+
+INTERRUPTED_EVERYWHERE = """
+import itertools, sys
+from pathlib import Path
+from service.campaign.journal import Journal, read
+
+def interrupted(journal, at):
+    # whether Ctrl-C came, at the given instruction of Python code
+    passed = 0
+
+    def trace(frame, event, argument):
+        nonlocal passed
+        frame.f_trace_opcodes = True
+        passed += event == "opcode"
+        if passed == at:
+            raise KeyboardInterrupt
+        return trace
+
+    sys.settrace(trace)
+    try:
+        journal.append({"phase": "main"})
+        journal.append({"phase": "main"})
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(None)
+    return False
+
+for at in itertools.count(1):
+    path = Path(sys.argv[1], f"{at}.journal")
+    journal = Journal(path, {"rig": "r"})
+    came = interrupted(journal, at)
+    journal.close()
+    assert read(path)[1] in ([{"phase": "main"}] * n for n in range(3)), path.read_bytes()
+    path.unlink()
+    if not came:
+        break
+print(at)
+"""
+
+
+def test_an_interruption_at_any_instant_leaves_a_journal_that_closes_and_reads(tmp_path):
+    command = [sys.executable, "-c", INTERRUPTED_EVERYWHERE, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100
