@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from service.experiment.data import Sweep
 from service.gap.fitting.candidates import LAW_ERROR
@@ -20,6 +21,7 @@ from service.gap.measured.coherent import (
     PATTERNS,
     beside_hum,
     coherence,
+    hum_frequency,
     hum_power,
     resolution_hz,
 )
@@ -46,6 +48,10 @@ LOUD_RATIO = 1.8
 """Ratio of the variance near to the variance far from which an interference is detected by its size..."""
 CERTAIN = 8.0
 """... and the normal deviate that this ratio must have."""
+NEIGHBOURS = 0.25
+"""Relative distance of frequencies that leak into one another's neighbourhood: 50 and 60 Hz, 100 and 120 Hz."""
+FLANK = 0.4
+"""Relative distance from them up to which the scatter's fall is compared."""
 SCATTERS = 0.95
 """Least share of the values that scatter at all: with a converter coarser than the noise the scatter is no measure."""
 IN_PHASE = 8.0
@@ -76,6 +82,8 @@ class Interference:
     """i or y, to which it is added"""
     shape: tuple[float, ...] = ()
     """mean variance ratio over `DISTANCE_BINS`; empty where it was detected by its phase"""
+    frequency_std_hz: float = 0.0
+    """standard deviation of the frequency, by its size no better than `NEAR_HUM`; runout has the rotor's"""
     heard_hz: tuple[float, ...] = ()
     """frequencies at which it was detected by its phase; empty where by its size"""
     aliases: tuple[str, ...] = ()
@@ -95,12 +103,35 @@ def interference(sweep: Sweep, rig: Rig) -> list[Interference]:
     found = []
     for effect, frequencies in wanted.items():
         for signal, variance in signals.items():  # i first: what moves the current moves the rotor, too
-            detected = [_by_size(sweep, rig, effect, f, signal, variance) for f in frequencies]
-            loud = [one for one in detected if one is not None]
+            measured = [_by_size(sweep, rig, effect, f, signal, variance) for f in frequencies]
+            audible = [one for one in measured if one is not None]
+            loud = [one for one in audible if one.ratio >= LOUD_RATIO and one.significance >= CERTAIN]
             if loud:
-                found.append(max(loud, key=lambda one: one.level))
+                loudest = max(loud, key=lambda one: one.level)
+                alike = [one for one in audible if abs(one.frequency_hz / loudest.frequency_hz - 1) < NEIGHBOURS]
+                found.append(_most_central(sweep, rig, variance, alike))
                 break
     return found
+
+
+def _most_central(sweep: Sweep, rig: Rig, variance: Real, measured: Sequence[Interference]) -> Interference:
+    """The one from whose frequency on the scatter falls to both sides; the loudest may be a neighbour with more lines.
+
+    What a hum leaks falls with the distance in hertz, by a law that depends on the blocks' unknown length. So the
+    frequency is taken for which the log of the variance is explained best by any function that does not rise.
+    """
+    if len(measured) == 1:
+        return measured[0]
+    lowest, *_, highest = sorted(one.frequency_hz for one in measured)
+    at = sweep.frequency_hz[:, None] * np.array(sweep.harmonics)
+    cells = quiet_cells(sweep, rig) & (at > (1 - FLANK) * lowest) & (at < (1 + FLANK) * highest)
+    level = np.log(np.maximum(variance[cells], 1e-300)).mean(axis=1)
+
+    def left(one: Interference) -> float:
+        order = np.argsort(np.abs(at[cells] - one.frequency_hz), kind="stable")
+        return float(np.var(level[order] - isotonic_regression(level[order], increasing=False).x))
+
+    return min(measured, key=left)
 
 
 def _all_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]]) -> list[Interference]:
@@ -208,17 +239,22 @@ def measured_by(source: Interference, sweep: Sweep, rig: Rig) -> Interference:
 
     Feedback makes most of a hum, so the signal's own part is only as accurate as the model of the loop.
     """
-    amplitude, deviation, _ = _amplitude(usable(sweep), rig, source.signal, source.frequency_hz)
+    sweep = usable(sweep)
+    amplitude, deviation, _ = _amplitude(sweep, rig, source.signal, source.frequency_hz)
     if not amplitude:
         return source
-    parameters = _parameters(source.effect, source.frequency_hz, source.signal, amplitude)
-    return replace(source, parameters=parameters, std=float(np.hypot(deviation, LAW_ERROR * amplitude)))
+    f, f_deviation = source.frequency_hz, 0.0
+    if source.effect != "runout":  # whose frequency is the rotor's, and no parameter
+        f, f_deviation = hum_frequency(sweep, sweep.Y if sweep.I is None or source.signal == "y" else sweep.I, f)
+    parameters = _parameters(source.effect, f, source.signal, amplitude)
+    deviation = float(np.hypot(deviation, LAW_ERROR * amplitude))
+    return replace(source, parameters=parameters, std=deviation, frequency_std_hz=f_deviation)
 
 
 def _by_size(
     sweep: Sweep, rig: Rig, effect: str, frequency_hz: float, signal: str, variance: Real
 ) -> Interference | None:
-    """The interference at a frequency, detected by the size of the scatter near it; None without.
+    """The interference at a frequency as the size of the scatter near it has it; None where too few lines are near.
 
     ``variance`` is that of the signal's means, (P, H, n).
     """
@@ -233,8 +269,6 @@ def _by_size(
     # The log of a variance of B blocks scatters by about 1 / sqrt(B - 1); channels count as one, as they may share it.
     deviation = float(np.sqrt((1 / near.sum() + 1 / far.sum()) / (blocks - 1)))
     log_ratio = float((level - floor).mean())
-    if log_ratio < np.log(LOUD_RATIO) or log_ratio / deviation < CERTAIN:
-        return None
     ratio = variance / np.exp(floor)
     shape = tuple(
         float(ratio[inside].mean()) if (inside := quiet & (away >= low) & (away < high)).any() else 1.0
@@ -251,6 +285,7 @@ def _by_size(
         log_ratio / deviation,
         signal,
         shape,
+        frequency_std_hz=NEAR_HUM * frequency_hz,
     )
 
 

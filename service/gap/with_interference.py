@@ -87,7 +87,10 @@ def with_interference(whole: Composition, effects: Sequence[str], sources: Seque
         rig = CATALOGUE[s.effect].on(rig, **s.parameters)
     values = (*c.fit.values, *(dict(s.parameters) for s in sources))
     deviations = tuple(
-        {name: s.std if v and name.startswith("amplitude") else 0.0 for name, v in s.parameters.items()}
+        {
+            name: s.frequency_std_hz if name == "frequency_hz" else s.std if v else 0.0
+            for name, v in s.parameters.items()
+        }
         for s in sources
     )
     fit = replace(c.fit, effects=together, values=values, rig=rig)

@@ -8,11 +8,13 @@ with three patterns: a constant (the response), and the hum's phasor turning for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import softmax
 
 from service.experiment.data import Sweep
 from service.gap.measured.estimate import Estimate, plain_mean
@@ -26,6 +28,8 @@ MAIN_LOBE, LOBES = 1.0, 3.0
 its amplitude is estimated."""
 STRONG_LEAKAGE = (0.5, 0.75, 0.95)
 """Shares of the main lobe within which leakage is strong; the narrowest one that has points is used."""
+MAINS_OFF = 0.01
+"""Relative distance from its nominal frequency within which the mains is nearly always (EN 50160)."""
 PATTERNS = 3
 """Patterns fitted to the blocks of a point: the response, and the hum turning forward and backward."""
 LEAST_ADVANCE_RAD = 1.0
@@ -74,6 +78,50 @@ def coherence(sweep: Sweep, signal: Complex, frequency_hz: float, by: Estimate |
     variance = of_noise * (1 - of_noise) / (dof + 1)
     excess = float((x - of_noise).sum())
     return float(x.mean()), excess / float(np.sqrt(variance.sum()))
+
+
+def hum_frequency(sweep: Sweep, signal: Complex, about_hz: float) -> tuple[float, float]:
+    """Frequency of a hum near a nominal one, and its standard deviation, Hz, by how its phase turns.
+
+    The most likely one, where the blocks of each cell that is near are a response, a hum that turns forward and
+    backward, and noise of any variance; channels count as one, as they do in `coherence`. Lines of one block length
+    leave several frequencies, which the standard deviation then spans.
+    """
+    cells, farthest = _near(sweep, about_hz, MAIN_LOBE), MAINS_OFF * about_hz
+    used = cells.any(axis=1)
+    blocks, cells, block_s = signal[used], cells[used], _block_s(sweep)[used]
+    dof = blocks.shape[1] - PATTERNS
+    if not used.any() or dof < 1:
+        return about_hz, farthest
+
+    def surprise(f: float) -> float:
+        """Negative log-likelihood."""
+        basis = np.linalg.qr(_turning(block_s, blocks.shape[1], f))[
+            0
+        ]  # the space of two patterns that are nearly alike, too
+        rest = blocks - np.einsum("pbk,pck,pchn->pbhn", basis, basis.conj(), blocks)
+        return float(dof * np.log(np.maximum((np.abs(rest) ** 2).sum(axis=(1, 3)), 1e-300)[cells]).sum())
+
+    step = 1 / (4 * float(block_s.max()) * blocks.shape[1])
+    grid = about_hz + np.arange(-farthest - step, farthest + 2 * step, step)
+    on_grid = np.array([surprise(f) for f in grid])
+    lowest = np.flatnonzero((on_grid[1:-1] <= on_grid[:-2]) & (on_grid[1:-1] <= on_grid[2:])) + 1
+    minima = [_minimum(surprise, float(grid[k]), step) for k in lowest] or [(about_hz, farthest)]
+    likelihood = np.array([-surprise(f) + np.log(deviation) for f, deviation in minima])
+    share = softmax(likelihood)
+    best = minima[int(np.argmax(share))][0]
+    spread = float(np.sqrt(sum(w * (s**2 + (f - best) ** 2) for w, (f, s) in zip(share, minima, strict=True))))
+    return best, min(spread, farthest)
+
+
+def _minimum(surprise: Callable[[float], float], about: float, step: float) -> tuple[float, float]:
+    """A minimum of a negative log-likelihood within a step, and the standard deviation by its curvature."""
+    found = minimize_scalar(
+        surprise, bounds=(about - step, about + step), method="bounded", options={"xatol": step / 1e3}
+    )
+    f, h = float(found.x), step / 5
+    curvature = (surprise(f + h) - 2 * surprise(f) + surprise(f - h)) / h**2
+    return f, float(1 / np.sqrt(max(curvature, 1 / step**2)))
 
 
 def hum_power(sweep: Sweep, signal: Complex, frequency_hz: float) -> Real:
@@ -184,7 +232,11 @@ def deviation(blocks: Complex) -> Complex:
 
 def _patterns(sweep: Sweep, frequency_hz: float) -> Complex:
     """Regressors of a point's blocks, (P, B, 3): a constant (the response), the hum turning forward and backward."""
-    phase = 2 * np.pi * frequency_hz * _block_s(sweep)[:, None] * np.arange(sweep.Y.shape[1])
+    return _turning(_block_s(sweep), sweep.Y.shape[1], frequency_hz)
+
+
+def _turning(block_s: Real, blocks: int, frequency_hz: float) -> Complex:
+    phase = 2 * np.pi * frequency_hz * block_s[:, None] * np.arange(blocks)
     return np.stack([np.ones_like(phase), np.exp(1j * phase), np.exp(-1j * phase)], axis=-1)
 
 

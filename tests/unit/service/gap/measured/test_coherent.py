@@ -7,7 +7,15 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.gap.interference import interference, told_apart
-from service.gap.measured.coherent import beside_hum, coherence, hum_power, left_in_mean, slow_leaks, without_hum
+from service.gap.measured.coherent import (
+    beside_hum,
+    coherence,
+    hum_frequency,
+    hum_power,
+    left_in_mean,
+    slow_leaks,
+    without_hum,
+)
 from service.gap.measured.scatter import mean_scatter
 from service.gap.measured.settling import UNSETTLED, drifting
 from service.gap.measured.sweeps import timed
@@ -51,6 +59,40 @@ def test_a_hum_is_heard_where_it_is_and_as_loud_as_it_is(hum_hz: float) -> None:
     assert deviate > 8
     heard = np.sqrt(np.mean(hum_power(loud, loud.Y, hum_hz)))
     assert heard == pytest.approx(5e-9, rel=0.15)
+
+
+@pytest.mark.parametrize(("hum_m", "block_s", "at_most_hz"), [(2e-7, 0.05, 0.01), (5e-9, 0.05, 0.1), (2e-8, 0.2, 0.05)])
+def test_the_frequency_of_a_hum_is_measured_and_so_is_how_well(hum_m: float, block_s: float, at_most_hz: float) -> None:
+    """Of a mains that is off its nominal frequency, by more than the deviation that is stated."""
+    deviates = []
+    for seed, hum_hz in enumerate(np.linspace(49.6, 50.4, 9)):
+        loud, _ = played(hum_m, hum_hz, seed, block_s)
+        found_hz, deviation_hz = hum_frequency(loud, loud.Y, 50.0)
+        assert deviation_hz < at_most_hz
+        deviates.append((found_hz - hum_hz) / deviation_hz)
+    assert np.abs(deviates).max() < 3.0
+
+
+def test_lines_of_one_block_length_leave_the_frequency_of_a_hum_open() -> None:
+    """It turns forward as fast as another one backward."""
+    loud, _ = played(2e-8, 49.7, seed=3, block_s=1.0)
+    found_hz, deviation_hz = hum_frequency(loud, loud.Y, 50.0)
+    assert abs(found_hz - 49.7) < 2 * deviation_hz
+    assert deviation_hz > 0.1
+
+
+@pytest.mark.parametrize("hum_hz", [49.9, 50.0, 60.0, 60.1])
+@pytest.mark.parametrize("without", [(0, 0), (44, 53), (54, 66)], ids=["all lines", "none near 50", "none near 60"])
+def test_a_hum_of_blocks_whose_length_is_not_known_is_named_by_where_the_scatter_is_highest(
+    hum_hz: float, without: tuple[float, float]
+) -> None:
+    """Not by where there are most lines: 50 and 60 Hz leak into one another's neighbourhood."""
+    loud, _ = played(2e-7, hum_hz, seed=1)
+    sweep = replace(loud, I=None, block_samples=None)
+    low, high = without
+    heard = interference(sweep.select((sweep.frequency_hz < low) | (sweep.frequency_hz > high)), reference_rig())
+    assert [(s.effect, s.frequency_hz) for s in heard] == [("mains_interference", 10 * round(hum_hz / 10))]
+    assert heard[0].frequency_std_hz > abs(heard[0].frequency_hz - hum_hz)
 
 
 def test_a_hum_between_the_lines_is_as_loud_as_it_is_too() -> None:
