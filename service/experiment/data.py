@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,18 @@ class Sweep:
             phase_rad=None if self.phase_rad is None else self.phase_rad[index],
             kurtosis=self.kurtosis,
             point_speed_rad_s=None if self.point_speed_rad_s is None else self.point_speed_rad_s[index],
+        )
+
+    def with_blocks(self, blocks: Sequence[int]) -> Sweep:
+        """The sweep with some blocks of each point, in order."""
+        index = list(blocks)
+        return replace(
+            self,
+            R=self.R[:, index],
+            U=self.U[:, index],
+            I=None if self.I is None else self.I[:, index],
+            Y=self.Y[:, index],
+            phase_rad=None if self.phase_rad is None else self.phase_rad[:, index],
         )
 
 

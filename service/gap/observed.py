@@ -30,6 +30,7 @@ from service.gap.measured.sweeps import (
     silent_axes,
     span_s,
     sweeps_for,
+    without_copied_blocks,
     without_copies,
 )
 from service.gap.modes import with_identified_modes
@@ -183,11 +184,12 @@ def _sweeps(experiment: Experiment, datasheet: Datasheet) -> tuple[list[tuple[st
         )
     must_be_in_si(experiment, datasheet)
     sweeps, notes = without_copies(sweeps_for(experiment))
+    sweeps, copied = without_copied_blocks(sweeps)
     for name, sweep in sweeps:
         require_live_channels(sweep, tuple(experiment.axes), name)
     main_name, main = sweeps[0]
     _require_lines(main_name, usable(main).frequency_hz)
-    return sweeps, notes
+    return sweeps, notes + copied
 
 
 def _of_another_rig(experiment: Experiment, datasheet: Datasheet) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 
@@ -77,6 +76,51 @@ def _alike(point: Complex, other: Complex) -> bool:
         return False
     within = COPY_WITHIN * np.abs(point).max(axis=(1, 2, 3), keepdims=True)
     return bool(np.all(np.abs(point - other) <= within))
+
+
+def without_copied_blocks(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tuple[str, Sweep]], list[str]]:
+    """The sweeps without blocks that are copies of earlier ones, as of a point's mean, and what is said of these.
+
+    Raises
+    ------
+    GapError
+        No sweep has two blocks that were measured: then the noise is not known, and whatever is left of a gap may be
+        noise that all copies share.
+    """
+    left, notes = [], []
+    for name, sweep in sweeps:
+        measured = _distinct_blocks(sweep)
+        if len(measured) == sweep.Y.shape[1]:
+            left.append((name, sweep))
+        elif len(measured) > 1:
+            left.append((name, sweep.with_blocks(measured)))
+            notes.append(
+                f"{name}: of {sweep.Y.shape[1]} blocks of a point {len(measured)} were measured, the others are copies "
+                "of them and are left out; log every block, for a copy tells nothing of the noise"
+            )
+        else:
+            notes.append(
+                f"{name}: the blocks of a point are copies of one another, so that its noise is not known; it is left "
+                "out: log the blocks that were measured, not their mean"
+            )
+    if not left:
+        raise GapError(
+            "the blocks of every point are copies of one another: how much of the data is noise is not known, and no "
+            "gap can be told from it; log the blocks that were measured, not copies of them or of their mean (a "
+            "simulation needs noise, too)"
+        )
+    return left, notes
+
+
+def _distinct_blocks(sweep: Sweep) -> list[int]:
+    """Blocks that are no copies of earlier ones at most points, all of their channels."""
+    alike_within = COPY_SHARE * np.abs(sweep.Y).max()
+    distinct: list[int] = []
+    for b in range(sweep.Y.shape[1]):
+        apart = (np.abs(sweep.Y[:, a] - sweep.Y[:, b]).max(axis=(1, 2)) for a in distinct)
+        if not any(np.mean(x <= alike_within) > MOST for x in apart):
+            distinct.append(b)
+    return distinct
 
 
 def interrupted(sweeps: Sequence[tuple[str, Sweep]]) -> list[str]:
@@ -165,11 +209,6 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
         notes.append(
             "one sweep only: closure is cross-validated over its lines, which is weaker than another condition"
         )
-    if _copied_blocks(main):
-        notes.append(
-            "blocks of a point are copies of one another: their noise is not known, and what is left of a gap may be "
-            "noise that all of them share; log the blocks that were measured, not copies of them or of their mean"
-        )
     if not set(main.harmonics) - {0, 1}:
         notes.append(
             "the file holds no harmonics of the tones: what only they show, as of a rotor off centre, magnets that "
@@ -188,14 +227,6 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
     if not datasheet.tolerance_stated:
         notes.append("the datasheet states no tolerances: this product's defaults are assumed")
     return notes
-
-
-def _copied_blocks(sweep: Sweep) -> bool:
-    """Whether two blocks of most points are alike, all of their signals."""
-    alike_within = COPY_SHARE * np.abs(sweep.Y).max()
-    pairs = combinations(range(sweep.Y.shape[1]), 2)
-    apart = (np.abs(sweep.Y[:, a] - sweep.Y[:, b]).max(axis=(1, 2)) for a, b in pairs)
-    return any(np.mean(x < alike_within) > MOST for x in apart)
 
 
 def other_rate(sweep: Sweep, datasheet: Datasheet) -> str | None:

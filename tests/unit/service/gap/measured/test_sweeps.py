@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from service.campaign.points import SWEEPS
-from service.gap.measured.observation import observe
+from service.gap.measured.observation import GapError, observe
 from service.gap.measured.sweeps import (
     best_check,
     halves,
@@ -13,6 +14,7 @@ from service.gap.measured.sweeps import (
     other_rate,
     silent_axes,
     sweeps_for,
+    without_copied_blocks,
     without_copies,
 )
 from service.gap.observed import observed
@@ -61,13 +63,26 @@ def test_a_log_at_another_rate_than_the_datasheets_controller_is_told() -> None:
     assert "sample_time_s" in told
 
 
-def test_blocks_that_are_copies_of_their_mean_or_of_each_other_are_told() -> None:
-    datasheet = known_datasheet()[0]
-    mean = np.broadcast_to(MAIN.Y.mean(axis=1, keepdims=True), MAIN.Y.shape)
-    for blocks in (mean, np.concatenate([MAIN.Y[:, :3], MAIN.Y[:, :3]], axis=1)):
-        copied = replace(MAIN, Y=blocks)
-        (told,) = set(notes_on(copied, True, datasheet)) - set(notes_on(MAIN, True, datasheet))
-        assert "noise is not known" in told
+def test_blocks_that_are_copies_of_one_another_are_left_out() -> None:
+    twice = MAIN.with_blocks([0, 0, 1, 1, 2, 2])
+    ((_, left), _), (told,) = without_copied_blocks([("sweeps/0", twice), ("sweeps/1", LOUDER)])
+    np.testing.assert_array_equal(left.Y, MAIN.Y[:, :3])
+    np.testing.assert_array_equal(left.U, MAIN.U[:, :3])
+    assert "sweeps/0: of 6 blocks of a point 3 were measured" in told
+    assert without_copied_blocks([("sweeps/0", MAIN), ("sweeps/1", LOUDER)])[1] == []
+
+
+def test_a_sweep_of_means_is_no_check_and_an_experiment_of_means_no_ground_for_any_verdict() -> None:
+    """What is left of a gap may be noise that all copies of a mean share."""
+    main, louder = (
+        replace(s, **{name: np.repeat(getattr(s, name).mean(axis=1, keepdims=True), 6, axis=1) for name in "RUIY"})
+        for s in (MAIN, LOUDER)
+    )
+    data = observed(replace(MEASURED, sweeps=(MAIN, louder)), known_datasheet()[0])
+    assert data.lines_only
+    assert any("sweeps/1: the blocks of a point are copies" in note for note in data.notes)
+    with pytest.raises(GapError, match="copies of one another: how much of the data is noise is not known"):
+        observed(replace(MEASURED, sweeps=(main, louder)), known_datasheet()[0])
 
 
 def test_a_copy_of_a_sweep_is_no_data_that_no_fit_has_seen() -> None:
