@@ -25,9 +25,10 @@ APART = 5.0
 """Distance of a bearing over that of its sensor, or the other way round, from which they are not beside each other; one
 of them near the centre of gravity may look so, both of them not."""
 
-
 AIR_GAP_M = (5e-6, 2e-2)
 """Air gaps that magnets have: from those of micromachines, tens of um, to a few mm."""
+DAMPED = 0.05
+"""Damping ratio that no flexible mode of a shaft has: 1e-4 to 1e-3 for steel, some 0.01 with shrunk laminations."""
 LOOSE, TIGHT = 1.0, 1e-6
 """Relative tolerance from which a value may be anything, and below which no maker of a rig knows it."""
 
@@ -103,6 +104,18 @@ def odd_air_gap(datasheet: Datasheet) -> list[str]:
         f"the datasheet's magnets would have an air gap of {gap_m:.3g} m (bias_current_a times "
         "current_stiffness_n_per_a over position_stiffness_n_per_m), which no bearing has: is one of them in another "
         "unit, as a stiffness in N/mm or N/µm or a current in mA?"
+    ]
+
+
+def odd_modes(datasheet: Datasheet) -> list[str]:
+    """Flexible modes of a datasheet that are damped as no shaft is; a sentence."""
+    damped = [(m.frequency_hz, m.damping_ratio) for m in datasheet.modes if m.damping_ratio > DAMPED]
+    if not damped:
+        return []
+    told = ", ".join(f"{ratio:.3g} at {hz:.4g} Hz" for hz, ratio in damped)
+    return [
+        f"the datasheet's modes have a damping_ratio of {told}, which no shaft has, and what a mode lacks of it looks "
+        "like an effect: is it in per cent? A ratio is 0.001 for 0.1 %"
     ]
 
 

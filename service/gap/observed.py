@@ -13,7 +13,7 @@ from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
 from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
-from service.experiment.units import must_be_in_si, odd_air_gap, odd_rotor, odd_tolerances
+from service.experiment.units import must_be_in_si, odd_air_gap, odd_modes, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
 from service.gap.interference import Interference, hums_hz, interference, told_apart
 from service.gap.measured.cabling import odd_scales, other_law, wrong_channels
@@ -107,6 +107,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         *changed_speed(experiment),
         *odd_rotor(datasheet),
         *odd_air_gap(datasheet),
+        *odd_modes(datasheet),
         *odd_tolerances(datasheet),
         *stated_amplitudes(experiment),
         *copied,

@@ -7,10 +7,11 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.experiment.errors import ExperimentFileError
-from service.experiment.units import must_be_in_si, odd_air_gap, odd_rotor, odd_stiffness, odd_tolerances
+from service.experiment.units import must_be_in_si, odd_air_gap, odd_modes, odd_rotor, odd_stiffness, odd_tolerances
 from sim.datasheet import Tolerance
 from sim.reference import reference_datasheet, reference_rig
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
+from tests.support.synthetic import known_datasheet
 
 SHEET = reference_datasheet()
 
@@ -103,3 +104,14 @@ def test_magnets_whose_factors_no_air_gap_makes_are_told(field, factor):
     assert odd_air_gap(twice) == []
     (told,) = odd_air_gap(replace(SHEET, **{field: tuple(factor * v for v in getattr(SHEET, field))}))
     assert field in told
+
+
+def test_a_damping_that_no_shaft_has_is_told_with_its_mode() -> None:
+    sheet = known_datasheet()[0]
+    assert sheet.modes
+    assert odd_modes(sheet) == []
+    per_cent = replace(sheet, modes=tuple(replace(m, damping_ratio=100 * m.damping_ratio) for m in sheet.modes))
+    (told,) = odd_modes(per_cent)
+    for m in per_cent.modes:
+        assert f"{m.damping_ratio:.3g} at {m.frequency_hz:.4g} Hz" in told
+    assert "per cent" in told
