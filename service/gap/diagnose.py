@@ -15,7 +15,7 @@ from service.gap.explain_parts import PERCENT_FITTED, Found, explain_parts
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.predict import at_speed_of
 from service.gap.hints import hints, one_point, unsettled_lines
-from service.gap.interference import Interference, measured_by
+from service.gap.interference import Interference, at_speed, measured_by
 from service.gap.loop import drawn_twins, loop_figures
 from service.gap.lost_loop import LIMIT, LostLoop, with_limit
 from service.gap.next_experiment import Proposal
@@ -143,8 +143,12 @@ def _fitted(found: Found, effect: str) -> bool:
 
 def _measured_sources(data: Observed, whole: Composition) -> list[Interference]:
     """Interference with the amplitudes that follow from the best twin's loop."""
-    fitted = at_speed_of(whole.order[0].candidate.fit.rig, data.o)
-    return [measured_by(s, data.main, fitted) if s.heard_hz else s for s in data.sources]
+    best, measured = whole.order[0].candidate.fit.rig, []
+    for source in data.sources:
+        # runout of a rotor that stood still in the main sweep is heard in the other
+        sweep, o = (data.main, data.o) if at_speed([source], data.main.speed_rad_s) else (data.other, data.unseen)
+        measured.append(measured_by(source, sweep, at_speed_of(best, o)) if source.heard_hz else source)
+    return measured
 
 
 def _shrinkages(

@@ -168,6 +168,22 @@ def _no_overtones(
     return tuple(f for f in frequencies_hz if not any(deviate(g) > deviate(f) for g in near[f]))
 
 
+def heard_at_speed(sources: Sequence[Interference], main: Sweep, other: Sweep, rig: Rig) -> tuple[Interference, ...]:
+    """The sources of a main sweep at standstill, with the runout that only the other sweep can have, at its speed.
+
+    What turns at the mains' frequency is no mains where that is not heard at standstill.
+    """
+    if main.speed_rad_s or not other.speed_rad_s or not other.in_sequence:
+        return tuple(sources)
+    heard = [one for one in interference(other, rig) if "runout" in (one.effect, *one.aliases)]
+    mains = any(s.effect == "mains_interference" for s in sources)
+    if not heard or (heard[0].aliases and mains):
+        return tuple(sources)
+    at_turns = (once_a_turn_hz(other.speed_rad_s),)
+    runout = heard[0] if heard[0].effect == "runout" else _by_phase(usable(other), rig, "runout", at_turns)
+    return tuple(sources) if runout is None else (*sources, replace(runout, aliases=()))
+
+
 def told_apart(sources: Sequence[Interference], main: Sweep, other: Sweep, rig: Rig) -> tuple[Interference, ...]:
     """The sources of the main sweep, those of a rotor that turns at a multiple of the mains named by the other sweep.
 

@@ -15,7 +15,7 @@ from service.experiment.speeds import changed_speed
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_air_gap, odd_modes, odd_rotor, odd_tolerances
 from service.gap.fitting.nuisance import Nuisance, nuisance
-from service.gap.interference import Interference, hums_hz, interference, told_apart
+from service.gap.interference import Interference, heard_at_speed, hums_hz, interference, told_apart
 from service.gap.measured.cabling import odd_scales, other_law, wrong_channels
 from service.gap.measured.condition import same_condition
 from service.gap.measured.erratic import Erratic, ringing_in_words
@@ -141,6 +141,7 @@ def observed(experiment: Experiment, datasheet: Datasheet) -> Observed:
         _require_lines(main_name, np.concatenate([s.frequency_hz for s in fitted]), "repeating")
     sources = tuple(interference(pair.main, nu.rig)) if pair.main.in_sequence else ()
     sources = told_apart(sources, pair.main, pair.other, nu.rig)
+    sources = heard_at_speed(sources, pair.main, pair.other, nu.rig)
     tone = unlisted_tone(sources, pair.main, pair.other, nu.rig)
     span = span_s(pair.main, pair.other)
     nu, undated = _with_drift_over(nu, span)

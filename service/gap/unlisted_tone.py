@@ -74,7 +74,7 @@ def unlisted_tone(sources: Sequence[Interference], main: Sweep, other: Sweep, ri
     main, other = usable(main), usable(other)
     if not main.in_sequence or main.block_samples is None or main.Y.shape[1] < FEWEST_BLOCKS:
         return None
-    here = _Heard.of(main, rig, sources)
+    here = _Heard.of(main, rig, at_speed(sources, main.speed_rad_s))
     step = resolution_hz(main) / COARSE
     searched = np.arange(resolution_hz(main), here.at_hz.max(initial=0.0), step)
     searched = searched[~_listed(searched, sources, (main, other), resolution_hz(main))]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.experiment.data import Sweep
-from service.gap.interference import interference, told_apart
+from service.gap.interference import heard_at_speed, interference, told_apart
 from service.gap.measured.coherent import (
     beside_hum,
     coherence,
@@ -202,6 +202,25 @@ def test_another_speed_tells_what_turns_from_what_stays(
         assert (s.effect, s.frequency_hz, s.aliases) == told
         assert s.parameters["amplitude_m"] == pytest.approx(1e-6, rel=0.2)
     assert told_apart(heard, main, replace(other, block_samples=None), rig) == heard
+
+
+@pytest.mark.parametrize("turns_hz", [43.0, 50.0])
+def test_runout_of_a_rotor_that_turned_in_the_other_sweep_alone_is_heard_there(turns_hz: float) -> None:
+    """Also at the mains' frequency: at standstill nothing is heard of that."""
+    (_, main), (other, quiet), rig = played(0.0, turns_hz, 1), played(2e-7, turns_hz, 2), reference_rig()
+    turning = {"speed_rad_s": 2 * np.pi * turns_hz}
+    (heard,) = heard_at_speed((), main, replace(other, **turning), rig)
+    assert (heard.effect, heard.aliases) == ("runout", ())
+    assert heard.frequency_hz == pytest.approx(turns_hz)
+    assert heard.parameters["amplitude_m"] == pytest.approx(2e-7, rel=0.2)
+    assert heard_at_speed((), main, replace(quiet, **turning), rig) == ()
+
+
+def test_a_mains_that_is_heard_at_standstill_is_no_runout_of_a_rotor_that_turns_as_fast() -> None:
+    (main, _), (other, _), rig = played(2e-7, 50.0, 1), played(2e-7, 50.0, 2), reference_rig()
+    sources = tuple(interference(main, rig))
+    assert [s.effect for s in sources] == ["mains_interference"]
+    assert heard_at_speed(sources, main, replace(other, speed_rad_s=100 * np.pi), rig) == sources
 
 
 def test_a_faint_hum_is_heard_beside_a_loud_one() -> None:
