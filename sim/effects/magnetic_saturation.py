@@ -51,9 +51,10 @@ EFFECT = Effect(
             description="B0/Bs, flux density at the bias over saturation's",
             optional=True,
         ),
-        # up to a knee: where the flux rose 0.4 times as fast beyond 1.3 of its bias, n of 29 came nearest
+        # from Froehlich's law B = H / (a + b H), which begins as n = 1 does, and an arc tangent's (1.6 at 2.2 times the
+        # bias) to a knee: where the flux rose 0.4 times as fast beyond 1.3 of its bias, n of 29 came nearest
         Parameter(
-            "flux_power", "1", 2.0, 40.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
+            "flux_power", "1", 1.0, 40.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
         ),
         *parameters("magnets", dormant=True),
     ),
