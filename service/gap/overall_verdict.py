@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.gap.compose import excess_of
+from service.gap.doubts.amplitude_dependent import changes_with_amplitude
 from service.gap.doubts.changing_mode_instead import changing_instead
 from service.gap.doubts.curvature_instead import curved_alike, curved_instead
 from service.gap.doubts.curved_signal import Seen, curved_signal
@@ -130,7 +131,7 @@ def _verdict_of_part(e: Explained, there: HeldOut, unseen: Observation) -> Verdi
     significant = max(e.significance, significance(plain[1], plain[0]))
     added_up = (max(map(overall, e.plain)), overall(plain[1]))
     verdict = decide(e.order, e.remaining, there, significant, e.elsewhere, added_up)
-    return _doubted(e, verdict, plain, unseen)
+    return _doubted(e, verdict, plain, unseen, there)
 
 
 def _dwarfed(e: Explained, found: Sequence[Explained]) -> bool:
@@ -142,14 +143,17 @@ def _dwarfed(e: Explained, found: Sequence[Explained]) -> bool:
     return e.null.candidate.fit.chi_square <= NEGLIGIBLE * total
 
 
-def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation) -> Verdict:
+def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation, there: HeldOut) -> Verdict:
     """A part's verdict, or none of these where another test contradicts it.
 
-    ``plain`` is the unseen sweep with the plain twin's residuals.
+    ``plain`` is the unseen sweep with the plain twin's residuals, ``there`` how the explanation fares on it.
     """
     explained = bool(verdict.effects)
     no_hysteresis = lag_missing(e) if explained else None
-    if reason := _nonlinear_cause(e, verdict, plain, unseen):
+    reason = _nonlinear_cause(e, verdict, plain, unseen)
+    if reason is None and explained:
+        reason = changes_with_amplitude(e, unseen, there)
+    if reason:
         reasons = (reason,) if no_hysteresis is None else (reason, no_hysteresis)
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, nonlinear=True)
     # Amplifiers without an explanation bias their nuisance values, too, but that says nothing of the rotor.

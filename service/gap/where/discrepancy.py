@@ -14,7 +14,7 @@ import numpy as np
 from service.gap.fitting.predict import TINY_SIGNAL, TINY_WEIGHT, weight
 from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT, worst
-from service.gap.where.dependence import relative_error
+from service.gap.which.between_sweeps import relative_error
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 

@@ -13,8 +13,9 @@ from service.gap.measured.condition import conditions_of, same_condition
 from service.gap.measured.observation import Observation, observe
 from service.gap.weighing.ranking import ranked
 from service.gap.weighing.significance import SIGNIFICANT
-from service.gap.where.dependence import change_between, dependence, relative_error
+from service.gap.where.dependence import dependence
 from service.gap.where.where import locate
+from service.gap.which.between_sweeps import change_between, relative_error
 from service.gap.which.explained import Explained
 from service.gap.which.search import plain_twin
 from sim.twin import with_effects
