@@ -34,7 +34,7 @@ TELLS_NOTHING = 0.05
 shows, are no reason to withhold it."""
 SHOWS_FIRST = {
     "amplifier": "which stands out there alone, as where a limit of voltage or current is met",
-    "plant": "where the rotor swings furthest or its currents are steepest",
+    "plant": "where the rotor swings furthest, its currents are steepest, or one plane moves the other as it turns",
 }
 """Why one line may show a gap that no band shows, in words."""
 NO_MOMENT = 0.2

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_tail, normal_above, normal_tail
 from service.gap.fitting.part import Part
-from service.gap.fitting.predict import weight
+from service.gap.fitting.predict import TINY_WEIGHT, weight
 from service.gap.measured.observation import Observation
 
 Complex = NDArray[np.complex128]
@@ -28,6 +28,8 @@ ALONE_CHI_SQUARE = 2 * OUTLIER
 PEAKED = 0.01
 """Share of a line's displacement by which two programs' peaks differ: a mode of quality 500 whose frequency differs by
 some 1e-5."""
+MOSTLY_OPPOSITE = 0.25
+"""Share of what planes do to one another oppositely that they may do alike: bearings, sensors and magnets differ."""
 LINE_BY_CHANCE = 1e-19
 """Probability that noise makes such a line of some dozen values."""
 
@@ -119,14 +121,43 @@ def furthest_alone_hz(z: Complex, o: Observation) -> float | None:
     return shows_alone_hz(counted, o, sorted({int(o.line[k]) for k in size.argmax(axis=0)}))
 
 
+def whirling_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line of a turning rotor, Hz, in which each plane moves the other, oppositely, far beyond noise; or None.
+
+    For the plant: a gyroscopic moment, a seal and the shaft's own damping do so, and beside a sharp mode perhaps in no
+    other line. A peak that is shifted does not; planes that differ move one another alike, and what still rings of the
+    tone before is neither.
+    """
+    n, f = o.Y.shape[-1], o.fundamental
+    half = n // 2
+    if not o.speed_rad_s or half < 2:
+        return None
+    w = np.maximum(weight(o, "y")[:, f], TINY_WEIGHT)
+    y = z[:, f] / w
+    at, largest = None, 0.0
+    for line in range(len(o.frequency_hz)):
+        point = {int(o.axis[k]): int(k) for k in np.flatnonzero(o.line == line)}
+        if len(point) < n:
+            continue
+        # from each end in x to each in y, and back from the same end in y
+        pairs = [(point[a], half + b, point[half + a], b) for a in range(half) for b in range(half)]
+        there, back = (np.array([y[p[k], p[k + 1]] for p in pairs]) for k in (0, 2))
+        expected = np.array([2 / w[p, b] ** 2 + 2 / w[q, a] ** 2 for p, b, q, a in pairs])
+        opposite, alike = (float((np.abs(there + sign * back) ** 2 / expected).mean()) for sign in (-1, 1))
+        if opposite > largest and alike < MOSTLY_OPPOSITE * opposite:
+            at, largest = float(o.frequency_hz[line]), opposite
+    return at if largest > ALONE_CHI_SQUARE else None
+
+
 def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
-    """The line, Hz, in which a part shows a gap by itself, as a voltage limit or a stop would make it; or None."""
+    """The line, Hz, in which a part shows a gap by itself, as a limit, a stop or a whirl would make it; or None."""
     if part.path == "amplifier":
         return shows_alone_hz(z, o)
     if part.path != "plant":
         return None
     steepest = fastest_alone_hz(z, o) if part.from_control else None
-    return furthest_alone_hz(z, o) if steepest is None else steepest
+    alone = (hz for of in (furthest_alone_hz, whirling_alone_hz) if (hz := of(z, o)) is not None)
+    return next(alone, None) if steepest is None else steepest
 
 
 def overall(z: Complex) -> float:
