@@ -61,6 +61,15 @@ def test_an_effect_as_strong_as_its_range_allows_must_leave_next_to_nothing(end:
     assert said(replace(found, candidate=replace(found.candidate, fit=fit)), remaining=20.0) == said_of_it
 
 
+@pytest.mark.parametrize(
+    ("effect", "said_of_it"), [("magnetic_cross_coupling", "none_of_these"), ("eddy_currents", "effect")]
+)
+def test_an_effect_whose_law_is_a_constant_must_leave_next_to_nothing(effect: str, said_of_it: str) -> None:
+    """Of sensors that hear the other plane coupled magnets explain seven eighths; eddy currents have many laws."""
+    assert said(explanation((effect,), 0.0, 0.13, (0.13, 0.0, 0.13, 0.0)), remaining=20.0) == said_of_it
+    assert said(explanation((effect,), 0.0, 0.03, (0.03, 0.0, 0.03, 0.0)), remaining=20.0) == "effect"
+
+
 @pytest.mark.parametrize("remaining", [1.0, 5.0])
 def test_what_is_left_must_be_significant_to_count(remaining: float) -> None:
     assert said(explanation(("rotor_inertia",), 0.0, 0.2, (0.4, 0.0)), remaining) == "effect"
