@@ -24,8 +24,8 @@ MAX_SHARE_LEFT_BY_SEVERAL = 0.05
 approximate many other laws."""
 EXACT_LAWS = frozenset({"magnetic_cross_coupling", "rotor_inertia", "sensor_gain"})
 """Effects that are constants, a matrix, a mass, a gain: no program states their law otherwise, and they may leave no
-more than several effects. Of a dozen rigs of three programs they left 2 % at most; of sensors that heard the other
-plane, which is no effect, the magnets' coupling left 13 %."""
+more than several effects. Of a dozen rigs of four programs whose gap was clear they left 2 % at most; of sensors that
+heard the other plane, which is no effect, the magnets' coupling left 13 %."""
 MIXTURE_SHARE = 0.02
 """Share of the gap that an effect must leave for a second one, no alias, to be searched for."""
 VISIBLE_J = 1.5
