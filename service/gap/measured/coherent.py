@@ -85,7 +85,8 @@ def hum_frequency(sweep: Sweep, signal: Complex, about_hz: float) -> tuple[float
 
     The most likely one, where the blocks of each cell that is near are a response, a hum that turns forward and
     backward, and noise of any variance; channels count as one, as they do in `coherence`. Lines of one block length
-    leave several frequencies, which the standard deviation then spans.
+    leave several frequencies, which the standard deviation then spans. ``signal`` is i or y of the sweep, (P, B, H, n),
+    with the length of its blocks. Where no line is near, the nominal frequency is returned with `MAINS_OFF` of it.
     """
     cells, farthest = _near(sweep, about_hz, MAIN_LOBE), MAINS_OFF * about_hz
     used = cells.any(axis=1)

@@ -20,8 +20,8 @@ MAX_SHARE_LEFT = 0.25
 CLOSES = 1 - 1.2 * MAX_SHARE_LEFT
 """Closure on unseen data below which an explanation is rejected."""
 MAX_SHARE_LEFT_BY_SEVERAL = 0.05
-"""The same share for several effects in one part, or for one whose strength is at the end of its range: they can
-approximate many other laws."""
+"""The same share for several effects in one part, or for one whose strength is at the end of its range, as they can
+approximate many other laws, and for one that has no other law."""
 EXACT_LAWS = frozenset({"magnetic_cross_coupling", "rotor_inertia", "sensor_gain"})
 """Effects that are constants, a matrix, a mass, a gain: no program states their law otherwise, and they may leave no
 more than several effects. Of a dozen rigs of four programs whose gap was clear they left 2 % at most; of sensors that

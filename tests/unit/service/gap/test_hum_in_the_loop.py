@@ -43,4 +43,5 @@ def test_a_hum_on_the_sensors_is_as_large_as_it_is_though_feedback_makes_most_of
     right = measured_by(heard[0], sweep, rig)
     assert right.parameters["amplitude_m"] == pytest.approx(HUM_M, rel=0.03)
     assert abs(right.parameters["amplitude_m"] - HUM_M) < 3 * right.std
+    assert abs(right.parameters["frequency_hz"] - HUM_HZ) < 3 * right.frequency_std_hz < 1.0
     assert heard[0].parameters["amplitude_m"] != pytest.approx(HUM_M, rel=0.05)

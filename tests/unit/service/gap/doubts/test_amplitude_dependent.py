@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from service.gap.doubts.amplitude_dependent import changes_with_amplitude
+from service.gap.overall_verdict import verdict_of
 from service.gap.weighing.verdict import HeldOut
 from service.gap.which.explained import Explained
 from tests.unit.service.gap.where.test_dependence import plant
@@ -44,3 +45,15 @@ def test_an_explanation_that_leaves_nothing_on_either_sweep_stays() -> None:
     explained = replace(named(e, "sensor_lag"), left=plant("none")[0].plain)
     assert changes_with_amplitude(explained, other, replace(LEFT, left=1.0)) is None
     assert changes_with_amplitude(explained, other, LEFT) is not None
+
+
+def test_the_verdict_is_none_of_these_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever else may be said of such a gap."""
+    monkeypatch.setattr("service.gap.overall_verdict._nonlinear_cause", lambda *_: None)
+    e, other = plant("bent")
+    fits_well = replace(named(e, "sensor_lag"), left=plant("none")[0].plain)
+    best = replace(fits_well.order[0], unexplained=0.01, shares=(0.01, 0.0), probability=0.97)
+    verdict = verdict_of([replace(fits_well, order=(best, *e.order))], {"plant": LEFT}, other)
+    assert verdict.kind == "none_of_these"
+    assert verdict.nonlinear
+    assert "at another amplitude" in verdict.reasons[0]

@@ -123,3 +123,9 @@ def test_axes_that_are_never_excited_are_told() -> None:
     first = replace(MEASURED, sweeps=tuple(s.select(s.axis == 0) for s in MEASURED.sweeps))
     notes = observed(first, known_datasheet()[0]).notes
     assert sum("does not excite xB, yA, yB" in note for note in notes) == 2
+
+
+def test_a_datasheet_with_dampings_in_per_cent_is_told_beside_the_verdict() -> None:
+    sheet = known_datasheet()[0]
+    per_cent = replace(sheet, modes=tuple(replace(m, damping_ratio=100 * m.damping_ratio) for m in sheet.modes))
+    assert any("is it in per cent?" in note for note in observed(MEASURED, per_cent).notes)
