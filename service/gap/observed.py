@@ -186,9 +186,9 @@ def _sweeps(experiment: Experiment, datasheet: Datasheet) -> tuple[list[tuple[st
         )
     must_be_in_si(experiment, datasheet)
     sweeps, notes = without_copies(sweeps_for(experiment))
-    sweeps, copied = without_copied_blocks(sweeps)
     for name, sweep in sweeps:
         require_live_channels(sweep, tuple(experiment.axes), name)
+    sweeps, copied = without_copied_blocks(sweeps)  # after that: blocks of a dead log are alike, too
     main_name, main = sweeps[0]
     _require_lines(main_name, usable(main).frequency_hz)
     return sweeps, notes + copied

@@ -97,9 +97,8 @@ def hum_frequency(sweep: Sweep, signal: Complex, about_hz: float) -> tuple[float
 
     def surprise(f: float) -> float:
         """Negative log-likelihood."""
-        basis = np.linalg.qr(_turning(block_s, blocks.shape[1], f))[
-            0
-        ]  # the space of two patterns that are nearly alike, too
+        # an orthonormal basis, also of the space of two patterns that are nearly alike
+        basis, _ = np.linalg.qr(_turning(block_s, blocks.shape[1], f))
         rest = blocks - np.einsum("pbk,pck,pchn->pbhn", basis, basis.conj(), blocks)
         return float(dof * np.log(np.maximum((np.abs(rest) ** 2).sum(axis=(1, 3)), 1e-300)[cells]).sum())
 

@@ -18,6 +18,7 @@ from service.gap.measured.sweeps import (
     without_copies,
 )
 from service.gap.observed import observed
+from sim.errors import AmbError
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 
 RIG = true_rig(known_datasheet()[1])
@@ -123,6 +124,12 @@ def test_axes_that_are_never_excited_are_told() -> None:
     first = replace(MEASURED, sweeps=tuple(s.select(s.axis == 0) for s in MEASURED.sweeps))
     notes = observed(first, known_datasheet()[0]).notes
     assert sum("does not excite xB, yA, yB" in note for note in notes) == 2
+
+
+def test_a_dead_log_is_told_as_dead_though_its_blocks_are_alike() -> None:
+    dead = tuple(replace(s, Y=np.zeros_like(s.Y)) for s in MEASURED.sweeps)
+    with pytest.raises(AmbError, match="channel of the log is dead"):
+        observed(replace(MEASURED, sweeps=dead), known_datasheet()[0])
 
 
 def test_a_datasheet_with_dampings_in_per_cent_is_told_beside_the_verdict() -> None:
