@@ -152,9 +152,8 @@ def _which(d: Diagnosis, document: dict[str, Any]) -> list[Part]:
     parts: list[Part] = []
     for name in verdict["effects"]:
         effect = CATALOGUE[name]
-        parts.append(
-            paragraph(f"{in_words(name)} acts in the {effect.path}: {effect.law}. Its signature: {effect.signature}.")
-        )
+        acts = f"{in_words(name)} acts in the {path_in_words(effect.path)}: {effect.law}."
+        parts.append(paragraph(f"{acts} Its signature: {effect.signature}."))
     _, unlikely = alike(d)
     for group in verdict["indistinguishable"]:
         left = [g for g in group if g not in unlikely]

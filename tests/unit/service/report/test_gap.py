@@ -309,6 +309,19 @@ def test_what_tells_a_dependence_on_the_amplitude_is_said(diagnosis, change, tol
     assert ("is told by harmonics" in page) is told
 
 
+def test_interference_acts_in_the_signals(diagnosis):
+    named = replace(diagnosis.order[0], candidate=candidate(reference_rig(), "runout", values=({"amplitude_m": 1e-7},)))
+    page = gap_page(
+        replace(
+            diagnosis,
+            verdict=replace(diagnosis.verdict, effects=("runout",), indistinguishable=()),
+            order=(named, *diagnosis.order[1:]),
+        )
+    )
+    assert "runout acts in the signals" in page
+    assert "in the additive" not in page
+
+
 def test_labels_of_three_effects_have_room(diagnosis):
     rig, found = diagnosis.order[0].candidate.fit.rig, {"delay_s": DELAY_S}
     names = ("loop_delay", "magnetic_cross_coupling", "amplifier_voltage_limit")
