@@ -69,12 +69,16 @@ class Parameter:
     wakes: tuple[float, ...] = ()
     """Of a dormant one, starts of the fits in which it is free, once the effect without it leaves too much; empty where
     something else decides on that."""
+    needs: Callable[[Rig], bool] | None = None
+    """Of a dormant one, whether a rig has the part that it shapes: on others it does nothing, and never wakes."""
     goes_with: Size | None = None
     """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for
     the reference rig."""
 
     def of(self, rig: Rig) -> Parameter:
-        """The parameter with its range scaled to a rig."""
+        """The parameter with its range scaled to a rig; asleep where the rig has nothing that it shapes."""
+        if self.needs is not None and not self.needs(rig):
+            return replace(self, wakes=(), needs=None).of(rig)
         if self.goes_with is None:
             return self
         by = self.goes_with.ratio(rig)
@@ -106,6 +110,7 @@ def rarely_needed(
     *,
     amount: bool = False,
     wakes: tuple[float, ...] = (),
+    needs: Callable[[Rig], bool] | None = None,
     goes_with: Size | None = None,
 ) -> Parameter:
     """A parameter that shapes an effect on few rigs: fits hold it at ``null`` until the law without it leaves too much.
@@ -126,6 +131,7 @@ def rarely_needed(
         optional=True,
         dormant=True,
         wakes=wakes,
+        needs=needs,
         goes_with=goes_with,
     )
 

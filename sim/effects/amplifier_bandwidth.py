@@ -52,6 +52,7 @@ EFFECT = Effect(
             0.0,
             description="share of the s^2 term that is missing: at 1 the amplifiers are of first order, wa/(2 za)",
             wakes=(0.9,),
+            needs=lambda rig: rig.amplifiers.damping_ratio is not None,
         ),
         *parameters("amplifiers"),
     ),

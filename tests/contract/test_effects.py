@@ -185,6 +185,11 @@ def with_low_pass(rig: Rig) -> Rig:
     return replace(rig, controller=replace(law, denominator=np.polymul(rig.controller.denominator, a)))
 
 
+def with_slow_sensors(rig: Rig) -> Rig:
+    """The rig with a pole of 50 kHz in its sensors."""
+    return replace(rig, sensors=replace(rig.sensors, bandwidth_rad_s=np.full(rig.n_axes, 2 * np.pi * 50e3)))
+
+
 @every_effect
 def test_each_of_its_parameters_counts(one):
     """Strengths set to null and shapes moved, one at a time, beside typical values of the others.
@@ -213,6 +218,7 @@ def test_each_of_its_parameters_counts(one):
     for p in one.parameters:
         rig = reference_rig(speed_rad_s=SPEED_RAD_S) if p.name in OF_A_TURNING_ROTOR else rig_for(one)
         rig = with_low_pass(rig) if p.name.startswith("lowpass") else rig
+        rig = with_slow_sensors(rig) if p.name == "moved_share" else rig
         others = beside.get(p.name, {})
         typical = answer(one.on(rig, **others))
         # shapes only a little: what one axis alone has is four times as strong there, and the loop need not hold it

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from sim.effect import SUFFIXES, Parameter
@@ -57,3 +58,13 @@ def test_an_effect_that_is_not_told_how_strong_is_typical_for_the_rig() -> None:
     light = CATALOGUE["support_resonance"].on(of_mass(2.8)).support
     assert light is not None
     assert light.mass_kg == pytest.approx(9.0)
+
+
+def test_what_shapes_a_part_that_a_rig_has_not_never_wakes() -> None:
+    """A fit would have one parameter more, that nothing measured says anything of."""
+    (moved,) = (p for p in CATALOGUE["sensor_lag"].parameters if p.name == "moved_share")
+    slow = replace(RIG, sensors=replace(RIG.sensors, bandwidth_rad_s=np.full(4, 7e4)))
+    assert (moved.of(slow).wakes, moved.of(RIG).wakes) == ((1.0,), ())
+    (second,) = (p for p in CATALOGUE["amplifier_bandwidth"].parameters if p.name == "first_order_share")
+    first = replace(RIG, amplifiers=replace(RIG.amplifiers, damping_ratio=None))
+    assert (second.of(RIG).wakes, second.of(first).wakes) == ((0.9,), ())

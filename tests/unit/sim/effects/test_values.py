@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear
 
-from sim import actuator, amplifier, control_law
+from sim import actuator, amplifier, control_law, sensor
 from sim.effects import CATALOGUE, effect
 from sim.effects.controller_mismatch import corners_rad_s
 from sim.errors import EffectError
@@ -313,3 +313,21 @@ def test_amplifiers_that_lack_the_term_of_second_order_are_of_first_order():
     assert own.damping_ratio is not None
     w = own.natural_frequency_rad_s / (2 * own.damping_ratio)
     np.testing.assert_allclose(amplifier.continuous(slow.amplifiers, omega), own.gain * w / (s + w), rtol=2e-3)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_sensor_pole_that_has_moved_leaves_none_where_it_was(share: float):
+    """From 12 to 5 kHz, all of it or half: in time what the frequency-domain model says."""
+    rig = replace(RIG, sensors=replace(RIG.sensors, bandwidth_rad_s=np.full(4, 2 * np.pi * 12e3)))
+    slower_s = (1 / 5e3 - 1 / 12e3) / (2 * np.pi)
+    changed = alone("sensor_lag", rig, time_constant_s=slower_s, moved_share=share)
+    omega = 2 * np.pi * np.array([100.0, 991.0, 3000.0])
+    s, left_s = 1j * omega[:, None], (1 - share) / (2 * np.pi * 12e3)
+    np.testing.assert_allclose(
+        sensor.response(changed.sensors, omega) * (1 + s * left_s) * (1 + s * (1 / (2 * np.pi * 5e3) - left_s)),
+        np.tile(RIG.sensors.gain, (3, 1)),
+        rtol=1e-12,
+    )
+    found, model = measured_responses(changed, omega[:2] / (2 * np.pi)), linear_model(changed, omega[:2] / (2 * np.pi))
+    apart = np.linalg.norm(found.y_per_u - model.y_per_u, axis=(1, 2)) / np.linalg.norm(model.y_per_u, axis=(1, 2))
+    assert apart.max() < 2e-4
