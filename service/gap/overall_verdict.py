@@ -19,7 +19,7 @@ from service.gap.interference import Interference
 from service.gap.lost_loop import LostLoop, named_limit
 from service.gap.measured.observation import Observation
 from service.gap.measured.settling import UNSETTLED
-from service.gap.weighing.another_rig import far_off, free_body, with_datasheet_off
+from service.gap.weighing.another_rig import drawn_by_its_law, far_off, free_body, with_datasheet_off
 from service.gap.weighing.significance import alone_hz, overall, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
 from service.gap.which.explained import Explained
@@ -158,6 +158,7 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation, t
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, reasons, nonlinear=True)
     # Amplifiers without an explanation bias their nuisance values, too, but that says nothing of the rotor.
     check_datasheet = explained or (e.part.path == "plant" and verdict.kind != "no_gap")
+    check_datasheet = check_datasheet and not (verdict.effects and drawn_by_its_law(e.order[0], e.remaining))
     if check_datasheet and (away := far_off(e.ground, e.chosen.fit)):
         if not verdict.effects:  # then by the plain twin, whose values no effect biases
             away = far_off(e.ground, e.null.candidate.fit) or away

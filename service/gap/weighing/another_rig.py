@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
 from service.gap.fitting.unknowns import TOLERANCE_BOUND
-from service.gap.weighing.verdict import SURE_OF_NONE, Verdict
+from service.gap.weighing.ranking import Ranked
+from service.gap.weighing.verdict import LEAVES, MIXTURE_SHARE, SURE_OF_NONE, Verdict
 from sim.wording import in_words
 
 IMPLAUSIBLE = 5.0
@@ -25,6 +26,10 @@ it. The smallest of all explanations' shares was at most 0.03 on rigs with two g
 datasheets of other rotors."""
 
 
+SET_THE_SCALE = frozenset({"magnetic_saturation", "magnetic_hysteresis", "touchdown_contact"})
+"""Nonlinear effects beside which no error of the datasheet is named, nor another rig's datasheet where they explain
+nearly all. The current or displacement at which their law bends gives the scale of masses and gains, which are aliases
+of the magnets' stiffnesses else: an error of the law would be theirs."""
 STRANGE = 0.03
 """Relative gap from which such a datasheet is said to be another rig's: with those of other rotors it was 0.09 to 0.17.
 With a smaller gap the values are biased by something in this rig that no effect describes."""
@@ -51,6 +56,16 @@ def far_off(ground: Ground, fit: Fit) -> str | None:
     worst = sorted(own, key=lambda j: -abs(fit.theta[j]))[:3]
     values = ", ".join(f"{in_words(names[j])} by {away[j]:+z.1f}" for j in worst)
     return f"its values would be off, or apart where they are alike in a rig, by many tolerances ({values})"
+
+
+def drawn_by_its_law(best: Ranked, remaining: float) -> bool:
+    """Whether the error of an effect's law may have drawn the datasheet's values off.
+
+    The effect explains nearly all of a gap so large that the rest is far beyond noise, as of a stop with damping and
+    friction. Beside that rest the tolerances hardly count. ``remaining`` is the significance of what is left.
+    """
+    bends = not SET_THE_SCALE.isdisjoint(best.candidate.effects)
+    return bends and remaining > LEAVES and best.unexplained <= MIXTURE_SHARE
 
 
 def free_body(ground: Ground, fit: Fit) -> str | None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import STANDSTILL, Ground
 from service.gap.fitting.stage import EXACT
+from service.gap.weighing.another_rig import SET_THE_SCALE
 from service.gap.weighing.ranking import Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.which.mixtures import STRAINED
 from sim.effects import CATALOGUE
@@ -33,9 +34,6 @@ OFF_TOLERANCES = 1.0
 plane is observed (a common gain is an alias of the magnets'): the plain twin moves each by half of the error."""
 ERRORS_OF_STATED_VALUES = ("sensor_gain", "sensor_position", "rotor_inertia", "modal_damping")
 """Effects that are errors of values that a datasheet states, each within a tolerance."""
-SET_THE_SCALE = frozenset({"magnetic_saturation", "magnetic_hysteresis", "touchdown_contact"})
-"""Nonlinear effects beside which no such error is named. The current or displacement at which their law bends gives the
-scale of masses and gains, which are aliases of the magnets' stiffnesses else: an error of the law would be theirs."""
 
 
 def beyond_tolerance(fitter: Fitter, ground: Ground, order: Sequence[Ranked], most: int) -> list[Ranked]:

@@ -1,5 +1,7 @@
 """A datasheet that is far off is another rig's only where it leaves as much as another rig's does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,12 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
+from service.gap.overall_verdict import verdict_of
 from service.gap.weighing.another_rig import free_body, with_datasheet_off
-from service.gap.weighing.verdict import Verdict
+from service.gap.weighing.verdict import HeldOut, Verdict
 from sim.effects import CATALOGUE
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
+from tests.unit.service.gap.where.test_dependence import plant
 
 AWAY = "its values would be off by many tolerances (mass by +4.0)"
 UNKNOWN = Verdict("none_of_these", (), (), 0.97, ("the best explanation leaves 73 % of the gap",))
@@ -72,3 +76,29 @@ def test_a_resonance_that_a_fit_wants_below_every_line_is_another_rotor(
     told = free_body(Ground(nu, plant, (o,), np.zeros(len(nu.names)), ()), fit)
     assert (told is not None) == another_body
     assert not another_body or "mass_kg or transverse_inertia_kgm2" in (told or "")
+
+
+@pytest.mark.parametrize(
+    ("effect", "unexplained", "stands"),
+    [
+        ("touchdown_contact", 0.01, True),
+        ("touchdown_contact", 0.04, False),  # more than a law's error leaves: it may be no stop
+        ("support_resonance", 0.01, False),  # it has no scale of its own that a wrong mass could not have
+    ],
+)
+def test_what_a_bending_law_leaves_of_a_gross_gap_makes_no_datasheet_another_rigs(
+    monkeypatch: pytest.MonkeyPatch, effect: str, unexplained: float, stands: bool
+) -> None:
+    """A stop with damping and friction drew every sensor's position as far as it goes, though 0.3 % were left."""
+    monkeypatch.setattr("service.gap.overall_verdict.far_off", lambda *_: AWAY)
+    for doubt in ("_nonlinear_cause", "changes_with_amplitude", "lag_missing"):
+        monkeypatch.setattr(f"service.gap.overall_verdict.{doubt}", lambda *_: None)
+    e, other = plant("bent")
+    candidate = replace(e.order[0].candidate, effects=(effect,))
+    best = replace(
+        e.order[0], candidate=candidate, unexplained=unexplained, shares=(unexplained, 0.0), probability=0.97
+    )
+    there = HeldOut(before=50.0, after=1.0, gap=40.0, left=8.0, closes=0.98)
+    verdict = verdict_of([replace(e, order=(best, *e.order))], {"plant": there}, other)
+    assert (verdict.effects == (effect,)) is stands
+    assert (AWAY in " ".join(verdict.reasons)) is not stands
