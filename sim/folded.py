@@ -269,14 +269,16 @@ def _of_support(rig: Rig) -> list[Mode]:
     hz *= math.sqrt(support.plane_frequency_ratio)
     damping = support.damping_ratio
     at_a, at_b = (float(np.mean(support.shares[end::2])) if support.shares else 1.0 for end in (0, 1))
-    of_both = (1 - share) * (at_a + at_b) / 2
+    mean = (at_a + at_b) / 2
+    of_both = (1 - share) * mean
+    lean = (math.sqrt(at_a / mean), math.sqrt(at_b / mean))
     lever = float(np.mean(rig.rotor.bearing_from_cog_m))
     bearings, sensors = (
         (a / lever, -b / lever) for a, b in (rig.rotor.bearing_from_cog_m, rig.rotor.sensor_from_cog_m)
     )
     of_one = damping * support.damping_quotient
     parts = (
-        (of_both, (1.0, 1.0), (1.0, 1.0), hz, damping),
+        (of_both, lean, lean, hz, damping),
         (support.rocking * of_both, bearings, sensors, hz * support.rocking_frequency_ratio, damping),
         (share * at_a, (1.0, 0.0), (1.0, 0.0), hz, damping),
         (share * at_b, (0.0, 1.0), (0.0, 1.0), hz * support.frequency_ratio, of_one),

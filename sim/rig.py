@@ -89,11 +89,11 @@ class Support:
     rocking_frequency_ratio: float = 1.5
     """Natural frequency of its rocking over that of its translation."""
     shares: tuple[float, ...] = ()
-    """Inverse mass of each axis's pedestal over the mean, of the planes' housings in the mean of their axes, n; () for
-    the same everywhere."""
+    """Inverse mass at each axis over the mean, n; () for the same everywhere. A housing has the mean of its plane, and
+    moves either bearing as the root of its share: where they differ it leans as it moves."""
 
     def of_axis(self, axis: int) -> float:
-        """Inverse mass of an axis's pedestal, over the mean of all."""
+        """Inverse mass at an axis, over the mean of all."""
         return self.shares[axis] if self.shares else 1.0
 
 

@@ -167,18 +167,20 @@ class _Housing:
 
 
 def _housings(rig: Rig, plane: int) -> list[_Housing]:
-    """What carries the bearings of a plane: a housing that translates, and rocks; a pedestal under each bearing."""
+    """What carries the bearings of a plane: a housing that translates or leans, and rocks; a pedestal under each."""
     if (support := rig.support) is None:
         return []
     share, w = support.pedestals, support.natural_frequency_rad_s * support.plane_frequency_ratio**plane
     zeta, zeta_b = support.damping_ratio, support.damping_ratio * support.damping_quotient
     a, b = 2 * plane, 2 * plane + 1
     of_a, of_b = support.of_axis(a), support.of_axis(b)
-    of_both = (1 - share) * (of_a + of_b) / 2
+    mean = (of_a + of_b) / 2
+    lean = np.sqrt(np.array([of_a, of_b]) / mean) if mean > LEAST_SHARE else np.ones(2)
+    of_both = (1 - share) * mean
     slopes = np.array([1.0, -1.0]) / np.mean(rig.rotor.bearing_from_cog_m)
     bearings, sensors = slopes * rig.rotor.bearing_from_cog_m, slopes * rig.rotor.sensor_from_cog_m
-    one, both = np.ones(1), np.ones(2)
-    translating = ([a, b], (both, both, 0 * both), of_both, w, zeta)
+    one = np.ones(1)
+    translating = ([a, b], (lean, lean, 0 * lean), of_both, w, zeta)
     rocking = (
         [a, b],
         (bearings, sensors, slopes),

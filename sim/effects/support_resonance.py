@@ -13,6 +13,9 @@ from sim.sizes import MASS
 ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
 
+LEANS = 0.05
+"""Imbalance of both ends from which a mode is likened to a housing that leans."""
+
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if p["inverse_mass_per_kg"] < 1e-12:
@@ -39,17 +42,19 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 
 def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
-    """The support that is most like a mode: its residue, the same in every channel, is the mean of the mode's."""
-    at_bearings, at_sensors = (
-        0.5 * (values[f"{place}_A_per_sqrt_kg"] + values[f"{place}_B_per_sqrt_kg"]) for place in ("bearing", "sensor")
+    """The support that is most like a mode: a housing of the mean of its residues, which leans as the mode does.
+
+    One that swings moves the ends against each other: of it no more than the mean is a housing's that translates.
+    """
+    (at_a, sensed_a), (at_b, sensed_b) = (
+        tuple(values[f"{place}_{end}_per_sqrt_kg"] for place in ("bearing", "sensor")) for end in "AB"
     )
-    if at_bearings * at_sensors <= 0:
-        return {}
-    return {
-        "inverse_mass_per_kg": at_bearings * at_sensors,
-        "frequency_hz": values["frequency_hz"],
-        "damping_ratio": values["damping_ratio"],
-    }
+    shape = {"frequency_hz": values["frequency_hz"], "damping_ratio": values["damping_ratio"]}
+    both, more = at_a * sensed_a + at_b * sensed_b, at_a * sensed_a - at_b * sensed_b
+    if at_a * at_b >= 0 and abs(more) <= both and abs(more) > LEANS * both:
+        return {"inverse_mass_per_kg": both / 2, "end_imbalance": more / both, **shape}
+    translation = (at_a + at_b) * (sensed_a + sensed_b) / 4
+    return {"inverse_mass_per_kg": translation, **shape} if translation > 0 else {}
 
 
 def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[str, float]:
@@ -142,13 +147,13 @@ EFFECT = Effect(
             "log",
             "of its rocking over that of its translation",
         ),
-        *parameters("pedestals", dormant=True),
+        *parameters("supports", dormant=True),
     ),
     apply=_apply,
     law="mh xh'' + dh xh' + kh xh = -sum f, of both bearings or of either; bearings and sensors see the rotor relative "
-    "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x, of a housing of both as (1 +- p); "
-    "kh goes as the square of the plane's frequency; an angle of a housing that rocks about the rotor's centre of "
-    "gravity likewise",
+    "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x; a housing of both has their mean and "
+    "moves either end as their root, so that it leans; kh goes as the square of the plane's frequency; an angle of a "
+    "housing that rocks about the rotor's centre of gravity likewise",
     signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
     aliases=("extra_flexible_mode",),
     likened={"extra_flexible_mode": _like_a_mode},

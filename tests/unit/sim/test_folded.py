@@ -61,6 +61,14 @@ def test_a_housing_with_pedestals_is_three_modes_among_those_of_the_rotor():
     np.testing.assert_allclose(residues, [[1e-3, 6e-4], [6e-4, 1e-3]], rtol=1e-9)
 
 
+def test_a_housing_that_leans_is_a_mode_that_moves_one_end_farther():
+    leaning = {"inverse_mass_per_kg": 1e-3, "frequency_hz": 430.0, "pedestals": 0.0, "end_imbalance": 0.6}
+    mode = twin(support_resonance=leaning).datasheet.modes[0]
+    assert np.outer(mode.shape_at_sensors, mode.shape_at_bearings) == pytest.approx(
+        1e-3 * np.array([[1.6, 0.8], [0.8, 0.4]]), rel=1e-9
+    )
+
+
 def test_an_effect_that_the_catalogue_does_not_have_is_refused():
     with pytest.raises(EffectError, match="loop_lag"):
         twin(loop_lag={"delay_s": 1e-5})

@@ -276,9 +276,19 @@ def test_what_is_no_pedestal_is_the_housing_of_both():
     np.testing.assert_allclose(a, 0.5 * (b + c), rtol=1e-9, atol=1e-18)
 
 
-@pytest.mark.parametrize(("pedestals", "moves"), [(1.0, [[4.0, 0.0], [0.0, 0.0]]), (0.0, [[2.0, 2.0], [2.0, 2.0]])])
-def test_a_pedestal_or_a_housing_of_one_plane_may_move_alone(pedestals, moves):
-    mass, hz, zeta, own = 900.0, 110.0, 0.03, {"end_imbalance": 1.0, "plane_imbalance": 1.0}
+@pytest.mark.parametrize(
+    ("pedestals", "end_imbalance", "moves"),
+    [
+        (1.0, 1.0, [[4.0, 0.0], [0.0, 0.0]]),
+        (0.0, 1.0, [[4.0, 0.0], [0.0, 0.0]]),
+        (0.0, 0.0, [[2.0, 2.0], [2.0, 2.0]]),
+        (0.0, 0.6, [[3.2, 1.6], [1.6, 0.8]]),
+        (1.0, 0.6, [[3.2, 0.0], [0.0, 0.8]]),
+    ],
+)
+def test_pedestals_or_a_housing_of_one_plane_may_move_one_end_farther_or_alone(pedestals, end_imbalance, moves):
+    """A housing that leans moves both ends at once, so that one answers to a force at the other."""
+    mass, hz, zeta, own = 900.0, 110.0, 0.03, {"end_imbalance": end_imbalance, "plane_imbalance": 1.0}
     rig = effect("support_resonance").on(
         RIG, inverse_mass_per_kg=1 / mass, frequency_hz=hz, damping_ratio=zeta, pedestals=pedestals, **own
     )

@@ -331,3 +331,26 @@ def test_a_sensor_pole_that_has_moved_leaves_none_where_it_was(share: float):
     found, model = measured_responses(changed, omega[:2] / (2 * np.pi)), linear_model(changed, omega[:2] / (2 * np.pi))
     apart = np.linalg.norm(found.y_per_u - model.y_per_u, axis=(1, 2)) / np.linalg.norm(model.y_per_u, axis=(1, 2))
     assert apart.max() < 2e-4
+
+
+@pytest.mark.parametrize(("at_a", "at_b"), [(0.03, 0.01), (0.0, 0.02), (-0.02, -0.03)])
+def test_a_support_likened_to_a_mode_leans_as_it_does(at_a: float, at_b: float):
+    ends = {f"{place}_{end}_per_sqrt_kg": v for place in ("bearing", "sensor") for end, v in (("A", at_a), ("B", at_b))}
+    values = {"frequency_hz": 310.0, "damping_ratio": 0.01, **ends}
+    likened = CATALOGUE["support_resonance"].likened["extra_flexible_mode"](values)
+    hz = np.array([50.0, 280.0, 500.0])
+    mode, support = (
+        linear_model(effect(name).on(RIG, **own), hz).y_per_u
+        for name, own in (("extra_flexible_mode", values), ("support_resonance", likened))
+    )
+    np.testing.assert_allclose(support, mode, rtol=0, atol=1e-9 * np.abs(mode).max())
+
+
+def test_a_mode_that_swings_is_likened_to_what_of_it_translates():
+    shape = {"bearing_A_per_sqrt_kg": 0.05, "bearing_B_per_sqrt_kg": -0.02}
+    shape |= {"sensor_A_per_sqrt_kg": 0.06, "sensor_B_per_sqrt_kg": -0.02}
+    likened = CATALOGUE["support_resonance"].likened["extra_flexible_mode"]
+    mean = {"inverse_mass_per_kg": 0.03 * 0.04 / 4, "frequency_hz": 310.0, "damping_ratio": 0.01}
+    assert likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **shape}) == pytest.approx(mean)
+    against = {**shape, "sensor_A_per_sqrt_kg": -0.06}
+    assert likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **against}) == {}
