@@ -1,4 +1,4 @@
-"""Cross-coupled stiffness of a seal or an impeller, at the bearings or between them, nearer to one or alike.
+"""Cross-coupled stiffness of a seal or an impeller, at the bearings, between them or outside, nearer to one or alike.
 
 Most seals damp as well, in a ratio to their cross stiffness that is much alike: damping is stated by it, so that a
 damper alone is not taken for a seal. Their direct stiffness is small, and cannot be told from the magnets'.
@@ -20,9 +20,11 @@ BOWS = ("mode1_bow_per_sqrt_kg", "mode2_bow_per_sqrt_kg")
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     end, between, damps = p["end_imbalance"], p["between"], p["inverse_whirl_ratio"]
-    of_ends = np.array([1 + end, 1 - end])
-    # a seal between the bearings has the same total stiffness; the displacement there is the weighted mean of both ends
-    shape = (1 - between) * np.diag(of_ends) + between * np.outer(of_ends, of_ends) / 2
+    of_ends, lever = np.array([1 + end, 1 - end]), end * (1 + p["overhang"])
+    of_lever = np.array([1 + lever, 1 - lever])
+    # one away from both bearings has the same total stiffness; it meets the weighted mean of both displacements, or,
+    # outside them, the straight line through both
+    shape = (1 - between) * np.diag(of_ends) + between * np.outer(of_lever, of_lever) / 2
     return replace(
         rig,
         seal_cross_stiffness_n_per_m=rig.seal_cross_stiffness_n_per_m + p["stiffness_n_per_m"] * shape,
@@ -99,17 +101,27 @@ EFFECT = Effect(
             1.0,
             0.0,
             0.0,
-            description="share of it that is between the bearings, nearer to one as the imbalance tells, not at each",
+            description="share of it that is in one place away from both, nearer to one as the imbalance tells",
             strength=False,
             optional=True,
+        ),
+        rarely_needed(
+            "overhang",
+            "1",
+            0.0,
+            2.0,
+            0.0,
+            description="how far what is not at the bearings is beyond the one to which the imbalance tells, over half "
+            "their distance and times the imbalance: an impeller outside them",
+            wakes=(0.5,),
         ),
         _bow(1, (0.1, -0.1)),  # one of the other sign is another local minimum
         _bow(2, (0.02,)),
     ),
     apply=_apply,
-    law="f_x = -(1 +- e) ((k + k' W) y + c x'), f_y = (1 +- e) ((k + k' W) x - c y'), + at A; between the bearings "
-    "twice of it at the mean of both displacements, weighted by 1 +- e, and what flexible modes move the shaft farther "
-    "there, d q",
+    law="f_x = -(1 +- e) ((k + k' W) y + c x'), f_y = (1 +- e) ((k + k' W) x - c y'), + at A; away from both bearings "
+    "twice of it at the mean of both displacements, weighted by 1 +- e (1 + v), and what flexible modes move the shaft "
+    "farther there, d q",
     signature="antisymmetric off-diagonal x-y of y/i at low frequency; takes damping from one whirl",
     aliases=("gyroscopic_coupling", "magnetic_cross_coupling"),
     separated_by="low frequency: gyroscopic coupling grows with frequency and speed; a rotation of the magnets stays "

@@ -104,9 +104,12 @@ class HeldOut:
 
 
 def at_the_end_of_its_range(candidate: Candidate) -> bool:
-    """Whether a strength parameter of an effect is at an end of its range."""
+    """Whether a strength parameter of an effect is at an end of its range, but for the end beside its null.
+
+    There it hardly acts, as one of two laws of saturation does where the other explains all.
+    """
     return any(
-        p.strength and (effect, p.name) in candidate.fit.ends
+        p.strength and candidate.fit.ends.get((effect, p.name)) in ({"high"} if p.null <= p.low else {"low", "high"})
         for effect in candidate.effects
         for p in CATALOGUE[effect].parameters
     )

@@ -311,3 +311,15 @@ def test_the_high_frequency_limit_is_what_receptances_tend_to():
     omega = np.array([2 * np.pi * 1e6])
     _, at_sensors = rotor.receptances(m, omega)
     np.testing.assert_allclose(at_sensors[0], -m.high_frequency / omega[0] ** 2, rtol=1e-4, atol=1e-22)
+
+
+def test_an_impeller_outside_the_bearings_pushes_where_it_is():
+    """0.6 m from the centre of gravity, beyond bearing B: its power is that of its force and the motion there."""
+    a, b = RIGID.rotor.bearing_from_cog_m
+    lever = (2 * 0.6 + a - b) / (a + b)  # both ends' weights, (1 -+ lever) / 2, make up the straight line there
+    law = {"stiffness_n_per_m": 1e5, "between": 1.0, "end_imbalance": -1.0, "overhang": lever - 1}
+    m, plain = rotor.mechanics(effect("cross_coupled_stiffness").on(RIGID, **law)), rotor.mechanics(RIGID)
+    q = 1e-6 * np.random.default_rng(4).standard_normal((2, len(m.mass)))
+    (x, y), (of_x, of_y) = ((v[0::2] - 0.6 * v[1::2]) for v in q)
+    work = -q[0] @ (m.stiffness - plain.stiffness) @ q[1]
+    assert work == pytest.approx(2e5 * (y * of_x - x * of_y), rel=1e-9)

@@ -61,6 +61,14 @@ def test_an_effect_as_strong_as_its_range_allows_must_leave_next_to_nothing(end:
     assert said(replace(found, candidate=replace(found.candidate, fit=fit)), remaining=20.0) == said_of_it
 
 
+@pytest.mark.parametrize(("end", "said_of_it"), [("low", "effect"), ("high", "none_of_these")])
+def test_one_of_two_laws_that_has_no_part_in_an_effect_is_at_no_end(end: End, said_of_it: str) -> None:
+    """Magnets that saturate by their flux alone, at a knee, leave 7 %: not by the current, whose law ends near zero."""
+    found = explanation(("magnetic_saturation",), 0.0, 0.07, (0.07, 0.5))
+    fit = replace(found.candidate.fit, ends={("magnetic_saturation", "saturation_inverse_per_a"): end})
+    assert said(replace(found, candidate=replace(found.candidate, fit=fit)), remaining=20.0) == said_of_it
+
+
 @pytest.mark.parametrize(
     ("effect", "said_of_it"), [("magnetic_cross_coupling", "none_of_these"), ("eddy_currents", "effect")]
 )
