@@ -9,12 +9,21 @@ from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import parameters, shares
 from sim.rig import Rig
 
+LEAST_TERM = 1e-4
+"""Second-order term from which amplifiers of first order are of second, with a pole ten thousand times as fast."""
+
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     amplifiers, of_axes = rig.amplifiers, shares(rig, p)
     damping, of_axes = amplifiers.damping_ratio, of_axes / of_axes.max()
-    # the s^2 term shrinks and the term in s stays
-    apart = 1 / np.sqrt(1 - p["first_order_share"] * of_axes) if damping is not None else 1.0
+    # the s^2 term shrinks, or comes, and the term in s stays
+    if damping is not None:
+        apart = 1 / np.sqrt(1 - p["first_order_share"] * of_axes)
+    elif p["second_order_term"]:
+        apart = 1 / np.sqrt(np.maximum(p["second_order_term"] * of_axes, LEAST_TERM))
+        damping = np.full(rig.n_axes, 0.5)  # of wa^2/(s^2 + wa s + wa^2)
+    else:
+        apart = np.ones(rig.n_axes)
     return replace(
         rig,
         amplifiers=replace(
@@ -54,11 +63,22 @@ EFFECT = Effect(
             wakes=(0.9,),
             needs=lambda rig: rig.amplifiers.damping_ratio is not None,
         ),
+        rarely_needed(
+            "second_order_term",
+            "1",
+            0.0,
+            4.0,
+            0.0,
+            description="coefficient of s^2/wa^2 that amplifiers have which the datasheet states as of first order",
+            wakes=(0.5,),
+            needs=lambda rig: rig.amplifiers.damping_ratio is None,
+        ),
         *parameters("amplifiers"),
     ),
     apply=_apply,
-    law="A(s) = 1/((1 - q) s^2/wa^2 + 2 za s/wa + 1) with wa (1 + f), za (1 + d), or wa/(s + wa), then 1/(1 + s T); "
-    "f a, d a and q a where some change more, a in proportion to (1 +- e)(1 +- p), + at A, + in x, 1 at most",
+    law="A(s) = 1/((1 - q) s^2/wa^2 + 2 za s/wa + 1) with wa (1 + f), za (1 + d), or 1/(r s^2/wa^2 + s/wa + 1), then "
+    "1/(1 + s T); f a, d a, q a and r a where some change more, a in proportion to (1 +- e)(1 +- p), + at A, + in x, 1 "
+    "at most",
     signature="i/u: gain falls and phase lags together towards high frequency, the same at any amplitude",
     aliases=("loop_delay", "eddy_currents", "amplifier_voltage_limit"),
     separated_by="logged i; gain of i/u (a delay leaves it flat); amplitude at one frequency (a voltage limit)",

@@ -13,8 +13,9 @@ from sim.sizes import MASS
 ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
 
-LEANS = 0.05
-"""Imbalance of both ends from which a mode is likened to a housing that leans."""
+LEANS, AT_ONE_END = 0.05, 0.98
+"""Imbalance of both ends from which a mode is likened to a housing that leans, and from which it moves one end alone,
+whichever way the tenth of it goes that is left at the other."""
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -51,7 +52,8 @@ def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
     )
     shape = {"frequency_hz": values["frequency_hz"], "damping_ratio": values["damping_ratio"]}
     both, more = at_a * sensed_a + at_b * sensed_b, at_a * sensed_a - at_b * sensed_b
-    if at_a * at_b >= 0 and abs(more) <= both and abs(more) > LEANS * both:
+    same_way = at_a * at_b >= 0 or abs(more) > AT_ONE_END * both
+    if same_way and LEANS * both < abs(more) <= both:
         return {"inverse_mass_per_kg": both / 2, "end_imbalance": more / both, **shape}
     translation = (at_a + at_b) * (sensed_a + sensed_b) / 4
     return {"inverse_mass_per_kg": translation, **shape} if translation > 0 else {}

@@ -220,6 +220,7 @@ def test_each_of_its_parameters_counts(one):
         rig = reference_rig(speed_rad_s=SPEED_RAD_S) if p.name in OF_A_TURNING_ROTOR else rig_for(one)
         rig = with_low_pass(rig) if p.name.startswith("lowpass") else rig
         rig = with_slow_sensors(rig) if p.name == "moved_share" else rig
+        rig = of_first_order(rig) if p.name == "second_order_term" else rig
         others = beside.get(p.name, {})
         typical = answer(one.on(rig, **others))
         # shapes only a little: what one axis alone has is four times as strong there, and the loop need not hold it

@@ -54,7 +54,9 @@ def current_jacobian(nuisance: Nuisance, rig: Rig, o: Observation) -> Complex:
     early = np.exp(-1j * omega * period * rig.logging_offset_samples)[o.line, None]
     crossed = (o.U[:, o.fundamental] * early) @ rig.amplifiers.crosstalk.T
     columns = np.zeros((len(o.line), n, 3 * n), dtype=complex)
-    for k, change in enumerate(_changes(rig.amplifiers, lambda a: amplifier.sampled(a, omega, period, delay))):
+    for k, change in enumerate(
+        _changes(nuisance, rig.amplifiers, lambda a: amplifier.sampled(a, omega, period, delay))
+    ):
         columns[:, axes, k * n + axes] = change[o.line] * crossed
     return _per_unit(columns, nuisance.per_unit[_amplifiers(n), _amplifiers(n)])
 
@@ -93,7 +95,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
         delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
         late = np.exp(-1j * omega[:, None] * delay) * amplifier.hold(omega, rig.controller.sample_time_s)[:, None]
         per_base = point.ki * eddy * (U @ rig.amplifiers.crosstalk.T) * early
-        changes = _changes(rig.amplifiers, lambda a: amplifier.continuous(a, omega) * late)
+        changes = _changes(nuisance, rig.amplifiers, lambda a: amplifier.continuous(a, omega) * late)
         columns[:, :, _amplifiers(n)] = np.concatenate(
             [per_magnet * (per_base * change[o.line])[:, None, :] for change in changes], axis=2
         )
@@ -190,12 +192,15 @@ def residue_columns(rig: Rig, o: Observation) -> Complex:
     return np.asarray(np.einsum("piva,pvb->piab", per_displacement.reshape(planes), force))
 
 
-def _changes(amp: Amplifiers, response: Callable[[Amplifiers], Complex]) -> list[Complex]:
-    """Derivatives of a response of the amplifiers with respect to ln gain, ln frequency, ln damping, each (F, n)."""
+def _changes(nuisance: Nuisance, amp: Amplifiers, response: Callable[[Amplifiers], Complex]) -> list[Complex]:
+    """Derivatives of a response of the amplifiers with respect to ln gain, ln frequency, ln damping, each (F, n).
+
+    Of amplifiers without a stated damping an effect may make some with one; that is no value of the datasheet then.
+    """
 
     def moved(name: str, factor: float) -> Complex:
-        value = getattr(amp, name)
-        return response(amp if value is None else replace(amp, **{name: value * factor}))
+        stated = getattr(nuisance.rig.amplifiers, name) is not None
+        return response(replace(amp, **{name: getattr(amp, name) * factor}) if stated else amp)
 
     names = ("gain", "natural_frequency_rad_s", "damping_ratio")
     return [(moved(name, 1 + STEP) - moved(name, 1 - STEP)) / (2 * STEP) for name in names]

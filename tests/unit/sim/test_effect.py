@@ -68,3 +68,5 @@ def test_what_shapes_a_part_that_a_rig_has_not_never_wakes() -> None:
     (second,) = (p for p in CATALOGUE["amplifier_bandwidth"].parameters if p.name == "first_order_share")
     first = replace(RIG, amplifiers=replace(RIG.amplifiers, damping_ratio=None))
     assert (second.of(RIG).wakes, second.of(first).wakes) == ((0.9,), ())
+    (more,) = (p for p in CATALOGUE["amplifier_bandwidth"].parameters if p.name == "second_order_term")
+    assert (more.of(RIG).wakes, more.of(first).wakes) == ((), (0.5,))

@@ -315,6 +315,20 @@ def test_amplifiers_that_lack_the_term_of_second_order_are_of_first_order():
     np.testing.assert_allclose(amplifier.continuous(slow.amplifiers, omega), own.gain * w / (s + w), rtol=2e-3)
 
 
+@pytest.mark.parametrize("term", [0.65, 1e-6])
+def test_amplifiers_stated_as_of_first_order_have_a_term_of_second(term: float):
+    first = replace(RIG, amplifiers=replace(RIG.amplifiers, damping_ratio=None))
+    changed, omega = alone("amplifier_bandwidth", first, second_order_term=term), 2 * np.pi * np.array([10.0, 991.0])
+    s = 1j * omega[:, None] / RIG.amplifiers.natural_frequency_rad_s
+    law = RIG.amplifiers.gain / (term * s**2 + s + 1)
+    np.testing.assert_allclose(amplifier.continuous(changed.amplifiers, omega), law, rtol=2e-4)
+    of_first = alone("amplifier_bandwidth", first, frequency_change=0.1).amplifiers
+    assert of_first.damping_ratio is None
+    assert alone("amplifier_bandwidth", second_order_term=term).amplifiers.damping_ratio == pytest.approx(
+        RIG.amplifiers.damping_ratio
+    )
+
+
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_a_sensor_pole_that_has_moved_leaves_none_where_it_was(share: float):
     """From 12 to 5 kHz, all of it or half: in time what the frequency-domain model says."""
@@ -352,5 +366,8 @@ def test_a_mode_that_swings_is_likened_to_what_of_it_translates():
     likened = CATALOGUE["support_resonance"].likened["extra_flexible_mode"]
     mean = {"inverse_mass_per_kg": 0.03 * 0.04 / 4, "frequency_hz": 310.0, "damping_ratio": 0.01}
     assert likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **shape}) == pytest.approx(mean)
+    at_a = {**shape, "bearing_B_per_sqrt_kg": -1e-5, "sensor_B_per_sqrt_kg": -1e-5}
+    alone = likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **at_a})
+    assert alone["end_imbalance"] == pytest.approx(1.0, abs=1e-4), "a tenth of a thousandth at the other end"
     against = {**shape, "sensor_A_per_sqrt_kg": -0.06}
     assert likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **against}) == {}

@@ -52,6 +52,23 @@ def test_it_is_that_of_a_shaft_that_turns_and_damps_and_of_a_rotor_that_weighs()
     _holds(nu, held, o)
 
 
+def test_a_damping_that_an_effect_gives_to_amplifiers_is_no_value_of_the_datasheet() -> None:
+    """Stated as of first order, they have none that its tolerance could move."""
+    datasheet, truth = known_datasheet(seed=3)
+    nu = nuisance(replace(datasheet, amplifier_damping_ratio=None))
+    o = observe(sweep(true_rig(truth), lines(14), 0.1, seed=1), nu.rig)
+
+    def at(theta: np.ndarray) -> Rig:
+        return with_effects(nu.at(theta), {"amplifier_bandwidth": {"second_order_term": 0.6}})
+
+    theta, step = np.zeros(len(nu)), 1e-4
+    J = answer_jacobian(nu, at(theta), o)
+    for j in (k for k, name in enumerate(nu.names) if name.startswith("amplifier")):
+        e = step * np.eye(len(nu))[j]
+        difference = (linear_answer(at(e), o) - linear_answer(at(-e), o)) / (2 * step)
+        assert np.linalg.norm(J[:, :, j] - difference) <= 2e-3 * np.linalg.norm(difference), nu.names[j]
+
+
 def _holds(nu: Nuisance, base: Rig, o: Observation) -> None:
     theta = 0.3 * np.random.default_rng(5).standard_normal(len(nu))
     J = answer_jacobian(nu, nu.at(theta, base), o)
