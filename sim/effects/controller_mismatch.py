@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,9 @@ OF_FILTERS = {
     "lowpass_damping_change": ((0.02,), -0.9, 3.0, "damping ratios of the low-pass filters"),
 }
 """Relative changes of filters: where fits of each start, its range, and of what it is."""
+
+ADDED = (("filter_low_change", "far below"), ("filter_mid_change", "at"), ("filter_high_change", "far above"))
+"""Changes of gain by a filter that is not in C, and where it has each, as seen from its frequency."""
 
 
 def corners_rad_s(law: ControlLaw) -> tuple[float, float]:
@@ -156,12 +160,30 @@ def _parts_changed(
     return np.polymul(b, changed) / a[0], a / a[0]
 
 
+def _filtered(b: Array, a: Array, period_s: float, p: Mapping[str, float], share: float) -> tuple[Array, Array]:
+    """C behind 1 + (h s^2 + 2 z w m s + l w^2)/(s^2 + 2 z w s + w^2) by Tustin's rule.
+
+    Notches, low-pass filters, leads and lags are of this form: a notch has l = h = 0, a low-pass filter m = h = -1.
+    """
+    k, w = 2 / period_s, 2 * math.pi * p["filter_frequency_hz"]
+    parts = (
+        w**2 * np.array([1.0, 2.0, 1.0]),
+        2 * p["filter_damping_ratio"] * w * k * np.array([1.0, 0.0, -1.0]),
+        k**2 * np.array([1.0, -2.0, 1.0]),
+    )
+    below = sum(parts, np.zeros(3))
+    above = below + sum((share * p[name] * part for (name, _), part in zip(ADDED, parts, strict=True)), np.zeros(3))
+    return np.polymul(b, above) / below[0], np.polymul(a, below) / below[0]
+
+
 def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float], share: float) -> tuple[Array, Array]:
     """Numerator and denominator of a controller that changes by a share of the effect."""
     b, a = np.asarray(law.numerator, dtype=float), np.asarray(law.denominator, dtype=float)
     changes = {name: share * p[name] for name in OF_FILTERS}
     if any(changes.values()):
         b, a = _tuned(b, a, changes)
+    if any(p[name] for name, _ in ADDED):
+        b, a = _filtered(b, a, law.sample_time_s, p, share)
     if p["derivative_change"] or p["integral_change"]:
         b, a = _parts_changed(b, a, half, share * p["integral_change"], share * p["derivative_change"])
     if p["lag_samples"]:
@@ -183,6 +205,16 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     )
     even = not law.apart and np.all(of_axes == of_axes[0])
     return replace(rig, controller=replace(law, numerator=b, denominator=a, apart=() if even else apart))
+
+
+def _of_filter(name: str, unit: str, low: float, high: float, null: float, description: str) -> Parameter:
+    """A parameter of a filter that is not in C, held at ``null`` but where a fit starts with one.
+
+    None is optional beside the others: without one of its gains, that of the whole C would change in its place.
+    """
+    scale: Literal["log", "linear"] = "log" if low > 0 else "linear"
+    shape = rarely_needed(name, unit, low, high, null, scale, description, amount=scale == "linear")
+    return replace(shape, optional=False)
 
 
 EFFECT = Effect(
@@ -217,13 +249,20 @@ EFFECT = Effect(
             )
             for name, (wakes, low, high, of_what) in OF_FILTERS.items()
         ),
+        *(
+            _of_filter(name, "1", -1.0, 9.0, 0.0, f"relative change of C {where} its frequency")
+            for name, where in ADDED
+        ),
+        _of_filter("filter_frequency_hz", "Hz", 0.2, 5e3, 100.0, "of a filter that is not in C"),
+        _of_filter("filter_damping_ratio", "1", 0.03, 30.0, 0.7, "of its poles; real ones above 1"),
         *parameters("controllers", dormant=True),
     ),
     apply=_apply,
     law="C'(z) = (1 + g) C(z) (1 + (i wi wd + d s^2)/((s + wi)(s + wd))) ((1 - l) + l/z), C lags by 45 degrees at wi "
     "and leads by 45 degrees at wd; of the notches in C (complex zeros and the poles nearest to them), its low-pass "
     "filters (other complex poles) and its roll-off (real poles), frequencies (1 + f) and damping ratios (1 + z), each "
-    "of its own; where some axes change more, each change in proportion to (1 +- e)(1 +- p), + at A, + in x",
+    "of its own; behind a filter that is not in C, 1 + (h s^2 + 2 z w m s + l w^2)/(s^2 + 2 z w s + w^2); where some "
+    "axes change more, each change in proportion to (1 +- e)(1 +- p), + at A, + in x",
     signature="U - R + C Y is not nil and is proportional to C Y; i/u and y/i are as before",
     aliases=("logging_offset",),
     separated_by="an offset of the log turns U by exactly n T w at any frequency, a mismatch turns and scales C Y only",

@@ -13,6 +13,7 @@ from service.gap.weighing.ranking import Ranked, renormalised
 from service.gap.weighing.shrinkage import closure_of
 from service.gap.weighing.significance import SIGNIFICANT
 from sim.effects import CATALOGUE
+from sim.effects.controller_mismatch import ADDED
 from sim.wording import in_words
 
 MAX_SHARE_LEFT = 0.25
@@ -26,6 +27,10 @@ EXACT_LAWS = frozenset({"magnetic_cross_coupling", "rotor_inertia", "sensor_gain
 """Effects that are constants, a matrix, a mass, a gain: no program states their law otherwise, and they may leave no
 more than several effects. Of a dozen rigs of four programs whose gap was clear they left 2 % at most; of sensors that
 heard the other plane, which is no effect, the magnets' coupling left 13 %."""
+MAX_SHARE_LEFT_BY_A_FILTER = 0.002
+"""The same share for a controller with a filter that its datasheet has not: five parameters more follow much else, and
+the arithmetic of a controller leaves nothing. It left 1e-4 of a low-pass filter with one pole, 1e-3 of two notches and
+of a delay of three samples."""
 MIXTURE_SHARE = 0.02
 """Share of the gap that an effect must leave for a second one, no alias, to be searched for."""
 VISIBLE_J = 1.5
@@ -115,6 +120,12 @@ def at_the_end_of_its_range(candidate: Candidate) -> bool:
     )
 
 
+def has_added_filter(candidate: Candidate) -> bool:
+    """Whether an explanation has a controller with a filter that its datasheet has not."""
+    mismatch = dict(zip(candidate.effects, candidate.fit.values, strict=True)).get("controller_mismatch", {})
+    return any(mismatch.get(name, 0.0) for name, _ in ADDED)
+
+
 def rejected(best: Ranked, remaining: float) -> bool:
     """Whether the fitted sweeps reject their best explanation: it leaves too much of the gap, significantly.
 
@@ -125,6 +136,8 @@ def rejected(best: Ranked, remaining: float) -> bool:
     flexible = len(best.candidate.effects) > 1 or at_the_end_of_its_range(best.candidate)
     strict = flexible or best.candidate.effects[0] in EXACT_LAWS
     allowed = MAX_SHARE_LEFT_BY_SEVERAL if strict else MAX_SHARE_LEFT
+    if has_added_filter(best.candidate):
+        allowed = MAX_SHARE_LEFT_BY_A_FILTER
     return remaining > LEAVES and (best.unexplained > allowed or _worst_sweep_share(best) > MAX_SHARE_LEFT)
 
 

@@ -18,6 +18,7 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
+from service.gap.fitting.starts import added_filters
 from service.gap.fitting.starts.resonances import unlike_planes
 from service.gap.fitting.starts.splits import by_couplings, by_slopes
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
@@ -28,7 +29,7 @@ from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]
 
-SUPPORT, GYROSCOPIC = "support_resonance", "gyroscopic_coupling"
+SUPPORT, GYROSCOPIC, CONTROLLER = "support_resonance", "gyroscopic_coupling", "controller_mismatch"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
 effect."""
@@ -78,6 +79,20 @@ def on_modes_that_split(ground: Ground, found: Sequence[Candidate]) -> Iterator[
             starts.append(by_couplings(problem, ground.theta, own))
             if split := tuple((start,) for start in starts if start):
                 yield Task(ground, c.effects, split, ground.theta, (*rough_stages(ground), EXACT))
+
+
+def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candidate]) -> Iterator[Task]:
+    """Task to fit a controller with a filter that its datasheet has not; none where ``found`` has no such controller.
+
+    ``null`` is the plain twin. The gain of the whole controller is held: the filter's gains make up for any other.
+    """
+    if not any(c.effects == (CONTROLLER,) for c in found):
+        return
+    effect = CATALOGUE[CONTROLLER].of(ground.nuisance.rig)
+    own = {p.name: p.null for p in effect.parameters}
+    own |= added_filters.start(effect, null.fit.rig, ground.observations[0])
+    held = frozenset({(CONTROLLER, "gain_change")})
+    yield Task(ground, (CONTROLLER,), ((own,),), null.fit.theta, (EXACT,), nulled=held)
 
 
 def with_all_parameters(task: Task) -> Task | None:

@@ -31,6 +31,7 @@ from service.gap.which.one_more_effect import GOOD_START, residuals, rough_besid
 from service.gap.which.optional_parameters import (
     on_modes_that_split,
     softer_in_one_plane,
+    with_an_added_filter,
     with_optional_parameters,
 )
 from service.gap.which.plainest_law import plainer_law, weighed_plainly
@@ -183,6 +184,7 @@ class _Search:
         woken = with_optional_parameters(self.fitter, self.ground, wider)
         woken += self.fitter.run(softer_in_one_plane(self.ground, self.null, self.plain, wider))
         woken += self.fitter.run(on_modes_that_split(self.ground, wider)) if needed else []
+        woken += self.fitter.run(with_an_added_filter(self.ground, self.null, wider)) if needed else []
         uneven = with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else []
         self._add([*uneven, *woken])
         if needed and leaves_more_than_law_error(self.ground, self.order[0]):

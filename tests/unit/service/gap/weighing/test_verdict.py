@@ -78,6 +78,15 @@ def test_an_effect_whose_law_is_a_constant_must_leave_next_to_nothing(effect: st
     assert said(explanation((effect,), 0.0, 0.03, (0.03, 0.0, 0.03, 0.0)), remaining=20.0) == "effect"
 
 
+@pytest.mark.parametrize(("left", "said_of_it"), [(0.01, "none_of_these"), (1e-5, "effect")])
+def test_a_filter_that_a_controller_is_said_to_have_leaves_nothing(left: float, said_of_it: str) -> None:
+    found = explanation(("controller_mismatch",), 0.0, left, (left, 0.0))
+    assert said(found, remaining=20.0) == "effect"
+    values = ({**found.candidate.fit.values[0], "filter_mid_change": -0.3},)
+    fit = replace(found.candidate.fit, values=values)
+    assert said(replace(found, candidate=replace(found.candidate, fit=fit)), remaining=20.0) == said_of_it
+
+
 @pytest.mark.parametrize("remaining", [1.0, 5.0])
 def test_what_is_left_must_be_significant_to_count(remaining: float) -> None:
     assert said(explanation(("rotor_inertia",), 0.0, 0.2, (0.4, 0.0)), remaining) == "effect"
