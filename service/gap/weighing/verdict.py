@@ -122,7 +122,9 @@ def at_the_end_of_its_range(candidate: Candidate) -> bool:
 
 def has_added_filter(candidate: Candidate) -> bool:
     """Whether an explanation has a controller with a filter that its datasheet has not."""
-    mismatch = dict(zip(candidate.effects, candidate.fit.values, strict=True)).get("controller_mismatch", {})
+    if "controller_mismatch" not in candidate.effects:
+        return False
+    mismatch = candidate.fit.values[candidate.effects.index("controller_mismatch")]
     return any(mismatch.get(name, 0.0) for name, _ in ADDED)
 
 
