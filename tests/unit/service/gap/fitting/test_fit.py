@@ -42,7 +42,7 @@ def test_a_rig_is_that_of_its_own_vector_whichever_was_built_before(ground: Grou
     both = replace(ground, inherited=other)
 
     def unknowns() -> Unknowns:
-        return Unknowns(both, [CATALOGUE["sensor_lag"]])
+        return Unknowns(both, [CATALOGUE["sensor_lag"]], {("sensor_lag", "moved_share")})  # no pole is stated here
 
     u, f = unknowns(), np.array([50.0, 900.0])
     x = np.concatenate([np.zeros(u.n_nuisance), u.scaled(({"time_constant_s": 1e-5},))])
