@@ -17,7 +17,7 @@ from service.gap.fitting.fitted import OUT_OF_STEPS, Fit, Linearised, TradeOff
 from service.gap.fitting.objective import Objective, State
 from service.gap.fitting.part import Ground
 from service.gap.fitting.part_model import PartModel
-from service.gap.fitting.stage import COARSE, EXACT, Stage
+from service.gap.fitting.stage import EXACT, Stage
 from service.gap.fitting.unknowns import TOLERANCE_BOUND, Unknowns, dormant_at_null
 from sim.effect import Effect
 from sim.effects import CATALOGUE
@@ -29,9 +29,8 @@ Mask = NDArray[np.bool_]
 RENEWED, NOT_CHANGED = 4, 0.1
 """First steps after each of which the magnets' nonlinearity is recomputed, for effects that hardly change it, but for
 those no longer than one that changed the cost so by less than this share of what ends the pass."""
-APPROACH, NEAR = 6, 0.05
-"""Steps of the datasheet's values alone at the start of the coarsest stage, and the relative decrease of the cost that
-ends them."""
+NEAR = 0.05
+"""Relative decrease of the cost that ends the steps of the datasheet's values alone with which a rough stage begins."""
 SETTLING = 3
 """Gauss-Newton steps of the datasheet's values alone, before the parameters of a force law are fitted."""
 TRIALS, TRIALS_WITH_REUSED = 7, 2
@@ -63,7 +62,7 @@ class Problem:
         For an impossible rig it raises what the model does (`sim.errors.AmbError`, `numpy.linalg.LinAlgError`).
         """
         objective, damping, status = Objective(self.model, stage), DAMPING, OUT_OF_STEPS
-        if stage is COARSE and self.model.nonlinear:
+        if stage.approach and self.model.nonlinear:
             x = self._approached(objective, x)
         state = objective.state(x, self.model.rough_nonlinearity(x)) if stage.closed else objective.fresh_state(x)
         derivatives, curvature = _Derivatives(objective), np.zeros((len(x), len(x)))
@@ -100,7 +99,7 @@ class Problem:
         """
         rig, n_own, damping = self.unknowns.build(x), len(x) - self.unknowns.n_nuisance, DAMPING
         state = objective.state(x, [self.model.beyond_linear(rig, o) for o in self.observations])
-        for _ in range(APPROACH):
+        for _ in range(objective.stage.approach):
             held = [np.zeros((*p.shape, n_own), dtype=complex) for p in state.predictions]
             curvature, gradient = objective.normal_equations(state, objective.nuisance_rows(state.rig), held)
             found, damping = self._step(objective, state, curvature, gradient, damping, TRIALS)

@@ -15,6 +15,7 @@ class Stage:
     what the cost is above noise, and no smaller than that: where most of the cost is noise, fits would else end along a
     flat direction, several units above the optimum. The derivatives with respect to the datasheet's values, and to
     inherited ones, are reused for ``chord`` steps: near the optimum they change little, far from it they soon mislead.
+    A pass with a nonlinear effect begins with up to ``approach`` steps of the datasheet's values alone.
     """
 
     closed: bool
@@ -23,6 +24,7 @@ class Stage:
     tolerance: float
     smallest_drop: float | None = None
     chord: int = 4
+    approach: int = 0
 
     def negligible(self, cost: float, noise: float) -> float:
         """Decrease of the cost up to which a pass has converged; ``noise`` is what noise alone is expected to cost."""
@@ -31,7 +33,7 @@ class Stage:
         return max(self.tolerance * (cost - noise), self.smallest_drop)
 
 
-COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3, chord=1)
+COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3, chord=1, approach=6)
 MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3, smallest_drop=0.5)
 PROBE = Stage(closed=False, relative_floor=0.0, iterations=4, tolerance=5e-3)
 EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4, smallest_drop=0.5)

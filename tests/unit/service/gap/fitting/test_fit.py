@@ -1,14 +1,17 @@
 """A fit ends in its valley wherever it begins, also where a parameter is best at its bound."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.gap.fitting.candidates import Fitter, Task
+from service.gap.fitting.fit import Problem
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, Inherited, parts
-from service.gap.fitting.stage import COARSE, EXACT
+from service.gap.fitting.part_model import PartModel
+from service.gap.fitting.stage import COARSE, EXACT, Stage
 from service.gap.fitting.unknowns import Unknowns
 from service.gap.measured.observation import observe
 from sim.effect import Effect, End
@@ -32,6 +35,24 @@ def test_no_fit_leaves_a_range_by_rounding(ground: Ground, effect: Effect) -> No
     for bound in (unknowns.low, unknowns.high, 2 * unknowns.low, 2 * unknowns.high):
         (values,) = unknowns.values(bound)
         assert all(p.low <= values[p.name] <= p.high for p in effect.of(ground.nuisance.rig).parameters)
+
+
+def test_a_rough_pass_with_a_nonlinear_effect_begins_with_the_datasheets_values(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have farthest to go, and the force, which takes long to compute, stays what it is at the start meanwhile.
+
+    A process that fits gets a copy of the stage.
+    """
+    problem, forces, whole = Problem(ground, [CATALOGUE["magnetic_saturation"]]), [], PartModel.beyond_linear
+    monkeypatch.setattr(PartModel, "beyond_linear", lambda self, rig, o: forces.append(rig) or whole(self, rig, o))
+    x = np.concatenate([np.zeros(problem.unknowns.n_nuisance), problem.unknowns.scaled(({"flux_share": 0.3},))])
+    stage: Stage = pickle.loads(pickle.dumps(replace(COARSE, iterations=1)))
+    approached, at_once = problem.run(x, stage), problem.run(x, replace(stage, approach=0))
+    assert approached.cost < at_once.cost
+    forces.clear()
+    problem.run(x, replace(stage, iterations=0))
+    assert len(forces) == 2, "at the start, and where the values have come to"
 
 
 def test_a_rig_is_that_of_its_own_vector_whichever_was_built_before(ground: Ground) -> None:
