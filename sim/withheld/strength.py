@@ -15,6 +15,8 @@ WEAKEST, STRONGEST = 0.1, 1.6
 """Strengths as shares of the catalogue's typical, plainly visible ones."""
 DISC = 0.4
 """Share of the gyroscopic moments that are of a disc where modes tilt it."""
+FILTERED = 0.25
+"""Share of the other controllers that have a notch of which the datasheet does not know."""
 UNEVEN = 0.25
 """Share of the effects there may be one of in each axis that are on one bearing, plane or axis alone."""
 
@@ -66,6 +68,16 @@ def _special(name: str, share: float, g: Generator) -> dict[str, float]:
     """Where a share of the typical value would make no sense: whole samples, mains, what the tones can reach."""
     if name == "logging_offset":
         return {"samples": float(g.choice([1.0, 2.0, -1.0]))}
+    if name == "controller_mismatch":
+        if g.uniform() > FILTERED:
+            return {"filter_frequency_hz": 100.0, "filter_damping_ratio": 0.7}  # of no filter
+        return {
+            "derivative_change": 0.0,
+            "lag_samples": 0.0,
+            "filter_mid_change": -0.3 * share,
+            "filter_frequency_hz": 30.0 * 25.0 ** float(g.uniform()),
+            "filter_damping_ratio": float(g.uniform(0.1, 0.7)),
+        }
     if name == "mains_interference":
         on_current = g.uniform() < 0.5
         hz = float(g.choice([50.0, 60.0]))

@@ -31,3 +31,12 @@ def test_a_rotor_turns_from_x_to_y_with_the_whole_of_its_polar_inertia() -> None
     inertias = [strength(CATALOGUE["gyroscopic_coupling"], plain, g)["polar_inertia_kgm2"] for _ in range(300)]
     assert min(inertias) > 0.1
     assert max(inertias) > 1.9
+
+
+def test_a_quarter_of_other_controllers_have_a_notch_that_the_datasheet_does_not_know() -> None:
+    effect, rig, g = CATALOGUE["controller_mismatch"], base_rig(np.random.default_rng(2)), np.random.default_rng(3)
+    drawn = [strength(effect, rig, g) for _ in range(200)]
+    notched = [v["filter_mid_change"] < 0 for v in drawn]
+    assert 0.15 < np.mean(notched) < 0.35
+    held = {p.name: p.null for p in effect.parameters if p.name.startswith("filter")}
+    assert all(has or held.items() <= v.items() for has, v in zip(notched, drawn, strict=True))
