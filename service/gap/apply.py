@@ -101,9 +101,9 @@ def _read(document: Mapping[str, Any]) -> Report:
 
 
 def _values(name: str, prefix: str, fitted: Mapping[str, Parameter]) -> tuple[tuple[str, float], ...]:
-    """Values of an effect's parameters; optional ones that the report lacks are at their null."""
+    """Values of an effect's parameters; optional and dormant ones that the report lacks are at their null."""
     known = effect(name).parameters
-    missing = [p.name for p in known if prefix + p.name not in fitted and not p.optional]
+    missing = [p.name for p in known if prefix + p.name not in fitted and not (p.optional or p.dormant)]
     if missing:
         raise GapError(
             f"the gap report gives {name} no {' and no '.join(missing)}; diagnose again, which writes a whole gap.json"

@@ -54,6 +54,14 @@ def test_every_effect_of_a_mixture_is_added_at_the_mixtures_values():
     )
 
 
+def test_what_a_report_does_not_say_of_a_wider_law_is_where_the_law_is_plainest():
+    """It may be older than that law."""
+    told = {name: {"value": 0.02, "std": 1e-4} for name in ("gain_change", "derivative_change", "lag_samples")}
+    report = MIXTURE | {"verdict": {"kind": "effect", "effects": ["controller_mismatch"]}}
+    report["candidates"] = [{"effect": "controller_mismatch", "parameters": told}]
+    assert applied(SHEET, report).effects == (("controller_mismatch", tuple((name, 0.02) for name in told)),)
+
+
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
