@@ -19,6 +19,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     # the s^2 term shrinks, or comes, and the term in s stays
     if damping is not None:
         apart = 1 / np.sqrt(1 - p["first_order_share"] * of_axes)
+        damping = damping * (1 + p["damping_change"] * of_axes)
     elif p["second_order_term"]:
         apart = 1 / np.sqrt(np.maximum(p["second_order_term"] * of_axes, LEAST_TERM))
         damping = np.full(rig.n_axes, 0.5)  # of wa^2/(s^2 + wa s + wa^2)
@@ -29,7 +30,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         amplifiers=replace(
             amplifiers,
             natural_frequency_rad_s=amplifiers.natural_frequency_rad_s * apart * (1 + p["frequency_change"] * of_axes),
-            damping_ratio=None if damping is None else damping * apart * (1 + p["damping_change"] * of_axes),
+            damping_ratio=None if damping is None else damping * apart,
             lag_s=amplifiers.lag_s + p["lag_s"],
         ),
     )

@@ -322,6 +322,8 @@ def test_amplifiers_stated_as_of_first_order_have_a_term_of_second(term: float):
     s = 1j * omega[:, None] / RIG.amplifiers.natural_frequency_rad_s
     law = RIG.amplifiers.gain / (term * s**2 + s + 1)
     np.testing.assert_allclose(amplifier.continuous(changed.amplifiers, omega), law, rtol=2e-4)
+    damped = alone("amplifier_bandwidth", first, second_order_term=term, damping_change=0.5).amplifiers
+    np.testing.assert_array_equal(damped.damping_ratio, changed.amplifiers.damping_ratio)  # none is stated to change
     of_first = alone("amplifier_bandwidth", first, frequency_change=0.1).amplifiers
     assert of_first.damping_ratio is None
     assert alone("amplifier_bandwidth", second_order_term=term).amplifiers.damping_ratio == pytest.approx(
