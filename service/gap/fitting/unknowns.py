@@ -184,7 +184,7 @@ def dormant_at_null(
 ) -> frozenset[tuple[str, str]]:
     """Dormant (effect, parameter) that are at their null, so that a fit holds them there.
 
-    >>> dormant_at_null(["sensor_lag"], [{"end_imbalance": 0.5}])
+    >>> dormant_at_null(["sensor_lag"], [{"end_imbalance": 0.5, "moved_share": 1.0}])
     frozenset({('sensor_lag', 'plane_imbalance')})
     """
     return frozenset(
