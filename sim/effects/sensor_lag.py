@@ -54,7 +54,7 @@ EFFECT = Effect(
             1.0,
             0.0,
             description="share of the datasheet's pole that has moved: at 1 that pole is slower, and no other is there",
-            wakes=(1.0,),
+            wakes=(0.9,),
             needs=_states_a_pole,
         ),
         *parameters("sensors", dormant=True),

@@ -184,12 +184,13 @@ class _Search:
         woken = with_optional_parameters(self.fitter, self.ground, wider)
         woken += self.fitter.run(softer_in_one_plane(self.ground, self.null, self.plain, wider))
         woken += self.fitter.run(on_modes_that_split(self.ground, wider)) if needed else []
-        woken += self.fitter.run(with_an_added_filter(self.ground, self.null, wider)) if needed else []
         uneven = with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else []
         self._add([*uneven, *woken])
         if needed and leaves_more_than_law_error(self.ground, self.order[0]):
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
-            self._add(with_uneven_effects(self.fitter, self.ground, self.null, woken))
+            uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
+            # filters that the datasheet knows are tuned otherwise sooner than there is one more
+            self._add([*uneven, *self.fitter.run(with_an_added_filter(self.ground, self.null, wider))])
 
     def _add(self, more: Sequence[Candidate]) -> None:
         """Add explanations of effects that are known already, where they are better."""
