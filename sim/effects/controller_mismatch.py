@@ -250,11 +250,18 @@ EFFECT = Effect(
             for name, (wakes, low, high, of_what) in OF_FILTERS.items()
         ),
         *(
-            _of_filter(name, "1", -1.0, 9.0, 0.0, f"relative change of C {where} its frequency")
+            _of_filter(
+                name,
+                "1",
+                -1.0,
+                9.0,
+                0.0,
+                f"relative change of gain by a filter that is not in C, {where} its frequency",
+            )
             for name, where in ADDED
         ),
-        _of_filter("filter_frequency_hz", "Hz", 0.2, 5e3, 100.0, "of a filter that is not in C"),
-        _of_filter("filter_damping_ratio", "1", 0.03, 30.0, 0.7, "of its poles; real ones above 1"),
+        _of_filter("filter_frequency_hz", "Hz", 0.2, 5e3, 100.0, "of that filter's poles"),
+        _of_filter("filter_damping_ratio", "1", 0.03, 30.0, 0.7, "of that filter's poles, real ones above 1"),
         *parameters("controllers", dormant=True),
     ),
     apply=_apply,

@@ -25,8 +25,9 @@ DAMPING_RATIOS = (0.05, 0.15, 0.4, 0.8, 1.5, 4.0, 12.0)
 def start(effect: Effect, rig: Rig, o: Observation) -> dict[str, float]:
     """Parameters of the filter that explains most of what the controller of a rig does otherwise than stated.
 
-    Of all axes alike. Its gains far below, at and far above its frequency are linear in what the controller answers to
-    a displacement, whatever its poles are.
+    Of all axes alike, at the excited frequencies of the sweep ``o``. Its gains far below, at and far above its
+    frequency are linear in what the controller answers to a displacement, whatever its poles are. By name: those of
+    `sim.effects.controller_mismatch.ADDED` (1), ``filter_frequency_hz`` (Hz) and ``filter_damping_ratio`` (1).
     """
     known, f = {p.name: p for p in effect.parameters}, o.fundamental
     omega = 2 * np.pi * o.points_hz
@@ -36,7 +37,7 @@ def start(effect: Effect, rig: Rig, o: Observation) -> dict[str, float]:
     wanted = stacked(((o.U[:, f] - o.R[:, f] * early - stated) * w)[..., None])[:, 0]
     s = 2j / rig.controller.sample_time_s * np.tan(omega / 2 * rig.controller.sample_time_s)
 
-    def explained(poles: tuple[float, float]) -> tuple[float, Real]:
+    def regressed(poles: tuple[float, float]) -> tuple[float, Real]:
         """What is left of the sum of squares, and the filter's three changes."""
         own, zeta = 2 * np.pi * poles[0], poles[1]
         below = s**2 + 2 * zeta * own * s + own**2
@@ -48,7 +49,7 @@ def start(effect: Effect, rig: Rig, o: Observation) -> dict[str, float]:
     at = known["filter_frequency_hz"]
     lowest, highest = max(o.frequency_hz[0] / BEYOND, at.low), min(o.frequency_hz[-1] * BEYOND, at.high)
     grid = list(product(np.geomspace(lowest, highest, FREQUENCIES).tolist(), DAMPING_RATIOS))
-    (_, found), poles = min(((explained(poles), poles) for poles in grid), key=lambda one: one[0][0])
+    (_, found), poles = min(((regressed(poles), poles) for poles in grid), key=lambda one: one[0][0])
     changes = {
         n: float(np.clip(v, known[n].low, known[n].high)) for (n, _), v in zip(ADDED, found.tolist(), strict=True)
     }
