@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter, rarely_needed
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 from sim.sizes import BIAS
 
@@ -61,6 +61,7 @@ EFFECT = Effect(
             wakes=(0.05,),
         ),
         *parameters("amplifiers", dormant=True),
+        of_diagonal("amplifiers"),
     ),
     apply=_apply,
     law="|di/dt| <= U_dc/L; below it the amplifier is linear",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim import control_law
 from sim.effect import Effect, Parameter, rarely_needed
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Array, ControlLaw, Rig
 
 Complex = NDArray[np.complex128]
@@ -263,6 +263,7 @@ EFFECT = Effect(
         _of_filter("filter_frequency_hz", "Hz", 0.2, 5e3, 100.0, "of that filter's poles"),
         _of_filter("filter_damping_ratio", "1", 0.03, 30.0, 0.7, "of that filter's poles, real ones above 1"),
         *parameters("controllers", dormant=True),
+        of_diagonal("controllers"),
     ),
     apply=_apply,
     law="C'(z) = (1 + g) C(z) (1 + (i wi wd + d s^2)/((s + wi)(s + wd))) ((1 - l) + l/z), C lags by 45 degrees at wi "

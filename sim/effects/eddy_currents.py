@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 
 ALL_IRON = 1.5
@@ -60,6 +60,7 @@ EFFECT = Effect(
             optional=True,
         ),
         *parameters("magnets", dormant=True),
+        of_diagonal("magnets"),
     ),
     apply=_apply,
     law="flux/current = 1/(1 + sqrt(tau (s + wc)) - sqrt(tau wc)); solid iron wc = 0",

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 
 
@@ -19,6 +19,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("delay_s", "s", 0.0, 3e-4, 35e-6, 0.0, description="delay, mean of all axes"),
         *parameters("amplifiers", dormant=True),
+        of_diagonal("amplifiers"),
     ),
     apply=_apply,
     law="i(t) = A(s) u(t - tau)",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 from sim.sizes import BIAS
 
@@ -63,6 +63,7 @@ EFFECT = Effect(
             optional=True,
         ),
         *parameters("magnets", dormant=True),
+        of_diagonal("magnets"),
     ),
     apply=_apply,
     law="b = i + 2 alpha r2/(r2 - r1) integral play_r(i) dr, r = r1..r2; all r: (1 + alpha A) i +- alpha/2 (A^2 - i^2)",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 from sim.sizes import BIAS
 
@@ -57,6 +57,7 @@ EFFECT = Effect(
             "flux_power", "1", 1.0, 40.0, 4.0, 4.0, description="n of a pole's pull / (1 + (B/Bs)^n)", strength=False
         ),
         *parameters("magnets", dormant=True),
+        of_diagonal("magnets"),
     ),
     apply=_apply,
     law="the force sees i_s tanh(i/i_s), or each pole pulls 1/(1 + (B/Bs)^n) of what it should",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effect import Effect, Parameter, rarely_needed
-from sim.imbalance import parameters, shares
+from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 
 
@@ -58,6 +58,7 @@ EFFECT = Effect(
             needs=_states_a_pole,
         ),
         *parameters("sensors", dormant=True),
+        of_diagonal("sensors"),
     ),
     apply=_apply,
     law="y = x exp(-s tau)/((1 + s (1 - m) T0)(1 + s (T + m T0))), T0 = 1/(2 pi f0) of a pole f0 in the datasheet, "

@@ -201,6 +201,7 @@ def test_each_of_its_parameters_counts(one):
     beside["rocking_frequency_ratio"] = {"rocking": 2.0}
     beside["coupling_imbalance"] = {"mode_coupling": 0.02}
     beside |= {shape: {"filter_mid_change": -0.2} for shape in ("filter_frequency_hz", "filter_damping_ratio")}
+    beside["opposite_share"] = {"end_imbalance": 0.5}
     beside["overhang"] = {"end_imbalance": 0.5, "between": 1.0}
     beside["turned_whole"] = {"rotation_rad": 0.04}
 

@@ -16,6 +16,7 @@ from service.gap.measured.observation import GapError
 from service.gap.weighing.ranking import Ranked, noise_levels, ranked
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVERAL
 from service.gap.which.accepted_instead import accepted_instead
+from service.gap.which.amplifiers_apart import with_amplifiers_apart
 from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
@@ -190,7 +191,11 @@ class _Search:
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
             # filters that the datasheet knows are tuned otherwise sooner than there is one more
-            self._add([*uneven, *self.fitter.run(with_an_added_filter(self.ground, self.null, wider))])
+            own = [
+                *with_an_added_filter(self.ground, self.null, wider),
+                *with_amplifiers_apart(self.ground, self.found),
+            ]
+            self._add([*uneven, *self.fitter.run(own)])
 
     def _add(self, more: Sequence[Candidate]) -> None:
         """Add explanations of effects that are known already, where they are better."""

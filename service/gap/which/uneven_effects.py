@@ -1,6 +1,6 @@
 """Uneven effects: stronger on one bearing, plane or axis than on another.
 
-Of sensors, magnets and amplifiers there is one per axis, and one alone may be faulty. Few rigs need that, and the two
+Of sensors, magnets and amplifiers there is one per axis, and one alone may be faulty. Few rigs need that, and the
 imbalance parameters of every law would cost all of them time. So a regression first estimates each axis's share of an
 effect, whose response is nearly the sum of its responses in each axis alone; only promising explanations are fitted.
 """
@@ -116,7 +116,11 @@ def _promise(ground: Ground, c: Candidate, name: str) -> _Promise | None:
 
     moved, theta = np.linalg.lstsq(known, left - alone @ shares)[0][: len(problem.unknowns.active)], c.fit.theta.copy()
     theta[problem.unknowns.active] = np.clip(theta[problem.unknowns.active] + moved, -TOLERANCE_BOUND, TOLERANCE_BOUND)
-    start = _scaled(effect, values, shares.mean()) | dict(zip(imbalances, shares @ corners / shares.sum(), strict=True))
+    shapes = dict(zip(imbalances, shares @ corners / shares.sum(), strict=True))
+    if len(imbalances) > 1 and any(p.name == imbalance.DIAGONAL for p in effect.parameters):
+        axes = [("x" if plane > 0 else "y") + ("A" if end > 0 else "B") for end, plane in corners]
+        shapes = imbalance.of_shares(dict(zip(axes, shares.tolist(), strict=True)))
+    start = _scaled(effect, values, shares.mean()) | shapes
     starts = tuple(start if k == at else own for k, own in enumerate(c.fit.values))
     return _Promise(expected, Task(ground, c.effects, (starts,), theta, (EXACT,)))
 
@@ -143,5 +147,5 @@ def _scaled(effect: Effect, values: Mapping[str, float], share: float) -> dict[s
     return {
         p.name: float(np.clip(values[p.name] * share, p.low, p.high)) if p.strength or p.amount else values[p.name]
         for p in effect.parameters
-        if p.name not in imbalance.NAMES
+        if p.name not in (*imbalance.NAMES, imbalance.DIAGONAL)
     }

@@ -10,6 +10,7 @@ from sim import actuator, amplifier, control_law, sensor
 from sim.effects import CATALOGUE, effect
 from sim.effects.controller_mismatch import corners_rad_s
 from sim.errors import EffectError
+from sim.imbalance import of_shares
 from sim.measured import measured_responses
 from sim.reference import pid_with_biquad, reference_rig
 from sim.rig import ControlLaw, Rig
@@ -241,6 +242,17 @@ def test_one_amplifier_alone_may_be_slower():
     half = alone("amplifier_bandwidth", frequency_change=0.4, end_imbalance=1 / 3).amplifiers
     ratio = half.natural_frequency_rad_s / RIG.amplifiers.natural_frequency_rad_s
     assert ratio == pytest.approx([1.4, 1.2, 1.4, 1.2])
+
+
+def test_amplifiers_may_each_have_changed_on_their_own_and_the_other_way():
+    """xA slower by a fifth, xB not at all, yA slower by a tenth, yB faster by a twentieth."""
+    over = np.array([-0.2, 0.0, -0.1, 0.05]) / -0.2
+    shapes = of_shares(dict(zip(RIG.axes, (over + 0.25) / 1.25, strict=True)))
+    rig = alone("amplifier_bandwidth", frequency_change=-0.2, opposite_share=0.25, **shapes)
+    ratio = rig.amplifiers.natural_frequency_rad_s / RIG.amplifiers.natural_frequency_rad_s
+    assert ratio == pytest.approx([0.8, 1.0, 0.9, 1.05])
+    far = alone("amplifier_bandwidth", frequency_change=2.0, end_imbalance=1.0, opposite_share=1.0).amplifiers
+    assert far.natural_frequency_rad_s.min() > 0, "an amplifier that is slower is no rig that cannot be"
 
 
 @pytest.mark.parametrize(

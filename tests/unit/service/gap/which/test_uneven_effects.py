@@ -9,6 +9,7 @@ from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.which.explained import Explained
 from service.gap.which.search import explain
+from sim.imbalance import of_shares, shares
 from sim.rig import Rig
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
@@ -60,6 +61,31 @@ def test_a_controller_of_one_axis_and_filters_tuned_otherwise_are_a_mismatch(cha
     assert best.fit.cost < 1.2 * best.fit.n_residuals
     found = best.fit.values[0]
     assert {name: found[name] for name in change} == pytest.approx(change, rel=0.05, abs=2e-3)
+
+
+def test_amplifiers_that_each_changed_on_their_own_are_told_by_axis() -> None:
+    """Alike, or more at a bearing or in a plane, they would leave a datasheet that is another rig's."""
+    over = np.array([0.95, 0.0, 0.5, -0.25])
+    shapes = of_shares(dict(zip(("xA", "xB", "yA", "yB"), (over + 0.25) / 1.2, strict=True)))
+    law = {"damping_change": 0.0, "opposite_share": 0.25 / 0.95, **shapes}
+    e, rig = explained("amplifier", "amplifier_bandwidth", {"frequency_change": -0.19, **law})
+    best = e.order[0].candidate
+    assert best.effects == ("amplifier_bandwidth",)
+    assert best.fit.cost < 1.2 * best.fit.n_residuals
+    found, true = best.fit.rig.amplifiers, rig.amplifiers
+    np.testing.assert_allclose(found.natural_frequency_rad_s, true.natural_frequency_rad_s, rtol=0.01)
+
+
+def test_sensors_of_three_axes_that_lag_are_told_by_axis() -> None:
+    of_axes = {"xA": 1.0, "xB": 0.6, "yA": 0.0, "yB": 0.9}
+    law = {"time_constant_s": 1.5e-5, **of_shares(of_axes)}
+    e, _ = explained("plant", "sensor_lag", law)
+    best = e.order[0].candidate
+    assert best.effects == ("sensor_lag",)
+    assert best.fit.cost < 1.2 * best.fit.n_residuals
+    (found,) = best.fit.values
+    lags = (found["time_constant_s"] + found["delay_s"]) * shares(e.ground.nuisance.rig, found)
+    np.testing.assert_allclose(lags, 1.5e-5 / 0.625 * np.array(list(of_axes.values())), rtol=0.1, atol=5e-7)
 
 
 def test_crosstalk_from_one_channel_in_one_plane_is_told_with_the_plane() -> None:
