@@ -33,6 +33,7 @@ TELLS_NOTHING = 0.05
 """Relative drift of points from which "no gap" would be meaningless where most drift; smaller drifts, which low noise
 shows, are no reason to withhold it."""
 SHOWS_FIRST = {
+    "controller": "which stands out there alone, as where the output ends or a log cuts off what is beyond its range",
     "amplifier": "which stands out there alone, as where a limit of voltage or current is met",
     "plant": "where the rotor swings furthest, its currents are steepest, or one plane moves the other as it turns",
 }

@@ -25,6 +25,9 @@ NEARLY_NORMAL = 32
 heavy with ten values, and twice with 32."""
 ALONE_CHI_SQUARE = 2 * OUTLIER
 """Squared residual (over its expectation) that two values of one line must exceed for that line alone to show a gap."""
+CLIPPED_CHI_SQUARE = 2000.0
+"""The same for the controller, whose law is known exactly, but which a rig that still rings seems to break: of 330
+experiments of other programs it did so by 170 at most, and by 34000 or more where a log or the output was clipped."""
 PEAKED = 0.01
 """Share of a line's displacement by which two programs' peaks differ: a mode of quality 500 whose frequency differs by
 some 1e-5."""
@@ -82,12 +85,14 @@ def mean_power(z: Complex) -> float:
     return float(power.mean()) if power.size else 0.0
 
 
-def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = None) -> float | None:
-    """The line, Hz, of the largest second largest residual, if that exceeds `ALONE_CHI_SQUARE`; or None.
+def shows_alone_hz(
+    z: Complex, o: Observation, lines: Iterable[int] | None = None, least: float = ALONE_CHI_SQUARE
+) -> float | None:
+    """The line, Hz, of the largest second largest residual, if that exceeds ``least``; or None.
 
-    For amplifiers, which may reach a voltage limit in one line only, so that the mean of its band hides it. Other parts
-    have sharp peaks that look the same, so for them it is used with a few ``lines`` only. Two values are required, as
-    one may be a transient.
+    For amplifiers, which may reach a voltage limit in one line only, so that the mean of its band hides it, and the
+    controller, which may reach the end of its output there. The plant has sharp peaks that look the same, so for it it
+    is used with a few ``lines`` only. Two values are required, as one may be a transient.
     """
     off = np.abs(z) ** 2 / 2
     at, largest = 0, 0.0
@@ -95,7 +100,7 @@ def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = Non
         values = np.sort(off[o.line == line][:, [k for k, h in enumerate(o.harmonics) if h > 0]], axis=None)
         if len(values) > 1 and values[-2] > largest:
             at, largest = line, float(values[-2])
-    return float(o.frequency_hz[at]) if largest > ALONE_CHI_SQUARE else None
+    return float(o.frequency_hz[at]) if largest > least else None
 
 
 def fastest_alone_hz(z: Complex, o: Observation) -> float | None:
@@ -150,9 +155,11 @@ def whirling_alone_hz(z: Complex, o: Observation) -> float | None:
 
 
 def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
-    """The line, Hz, in which a part shows a gap by itself, as a limit, a stop or a whirl would make it; or None."""
+    """The line, Hz, in which a part shows a gap by itself, as a limit, a clip, a stop or a whirl makes it; or None."""
     if part.path == "amplifier":
         return shows_alone_hz(z, o)
+    if part.path == "controller":
+        return shows_alone_hz(z, o, least=CLIPPED_CHI_SQUARE)
     if part.path != "plant":
         return None
     steepest = fastest_alone_hz(z, o) if part.from_control else None

@@ -1,4 +1,4 @@
-"""A voltage limit or a stop that is reached in one line alone is found, wherever that line is."""
+"""A limit of voltage or output, or a stop, that is reached in one line alone is found, wherever that line is."""
 
 from dataclasses import replace
 
@@ -63,6 +63,19 @@ def test_a_limit_that_only_the_other_sweep_reaches_and_in_one_line_is_named_and_
     true = 1 / (0.9 * largest_rate(true_rig(known_datasheet(seed=3)[1]), HIGHEST))
     assert found["value"] == pytest.approx(true, rel=0.02)
     assert any("not the other" in note for note in d.notes)
+
+
+def test_an_output_that_ends_in_one_line_alone_is_no_effect_and_told_with_the_line() -> None:
+    """Where the controller clips, what it puts out is less than its law makes of r and y; the rotor goes on."""
+    datasheet, truth = known_datasheet(seed=3)
+    s = sweep(true_rig(truth), MAIN_HZ, 0.1, 1)
+    R = s.R.copy()
+    R[s.frequency_hz == MAIN_HZ[6]] *= 1.2
+    measured = Experiment("reference", datasheet.axes, (replace(s, R=R),))
+    d = diagnose(*one_plane(measured, datasheet))
+    assert d.verdict.kind == "none_of_these"
+    assert f"{MAIN_HZ[6]:.3g} Hz" in d.verdict.reasons[0]
+    assert d.verdict.reasons[0].startswith("controller: ")
 
 
 def test_without_the_current_the_gap_of_that_line_alone_depends_on_amplitude(
