@@ -17,6 +17,13 @@ NEIGHBOURS = 4
 """Lines to either side of a point over which the variance of the wander is pooled."""
 NORMAL_MEDIAN = 0.455
 """Median of the square of a normal deviate."""
+QUIET = 0.05
+"""Share of a plane's largest amplitudes of displacement and current below which it is at rest: static forces, which go
+with their squares, are a 400th of the largest there."""
+STEP_SHOWN = 6.0
+"""Standard deviations of its estimate from which a step of the mean displacement is one."""
+STEP_OF_LOAD = 0.01
+"""Share of an axis's largest static deflection from which such a step is no error of the law of static forces."""
 
 
 def wander(rig: Rig, means: tuple[Complex, Complex, Complex], sd: Real, k: int, f: int, sweep: Sweep) -> Real:
@@ -25,7 +32,7 @@ def wander(rig: Rig, means: tuple[Complex, Complex, Complex], sd: Real, k: int, 
     A magnet's remanent flux pulls to the side to which the current last went, which is random. Deterministic static
     forces are regressed out: to second order a x^2 + b x i + c i^2 of the axes' amplitudes at the excited frequency,
     and a constant per line. The variance of the residuals, pooled over neighbouring lines, less ``sd`` squared is the
-    wander.
+    wander; and what a large swing left behind while other axes were excited (`_left_behind`).
 
     Parameters
     ----------
@@ -55,4 +62,33 @@ def wander(rig: Rig, means: tuple[Complex, Complex, Complex], sd: Real, k: int, 
         padded = np.pad(power[points], ((size, size), (0, 0)), mode="reflect")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * size + 1, axis=0)
         out[points] = np.median(windows, axis=-1) / NORMAL_MEDIAN
-    return np.asarray(np.sqrt(np.maximum(out - sd**2, 0.0)))
+    return np.asarray(np.sqrt(np.maximum(out - sd**2, 0.0) + _left_behind(load, x, i, sd) ** 2))
+
+
+def _left_behind(load: Real, x: Complex, i: Complex, sd: Real) -> Real:
+    """What swings of a plane have left of its mean displacements once the other plane is excited, (n,), m; 0 for none.
+
+    A magnet stays where its last large swing has left it, for as many lines as the other plane has. From there its own
+    static forces, which go with the squares of its tones, lead back to where it was before: that is the step.
+    """
+    steps, half = np.zeros(load.shape[1]), load.shape[1] // 2
+    for plane in [slice(0, half), slice(half, None)] if half > 1 else []:
+        sizes = [
+            np.abs(signal[:, plane]) / np.maximum(np.abs(signal[:, plane]).max(axis=0), 1e-300) for signal in (x, i)
+        ]
+        quiet = np.all(np.concatenate(sizes, axis=1) < QUIET, axis=1)
+        own_x, own_i = x[~quiet, plane], i[~quiet, plane]
+        laws = np.concatenate([np.abs(own_x) ** 2, (own_x * own_i.conj()).real, np.abs(own_i) ** 2], axis=1)
+        laws = np.column_stack([np.ones(len(laws)), laws / np.maximum(np.abs(laws).max(axis=0), 1e-300)])
+        dof = len(laws) - laws.shape[1]
+        if dof < laws.shape[1] or np.count_nonzero(quiet) < laws.shape[1]:
+            continue
+        for c in range(load.shape[1])[plane]:
+            own, rest = load[~quiet, c], float(np.median(load[quiet, c]))
+            by, *_ = np.linalg.lstsq(laws, own, rcond=None)
+            scatter = float(np.linalg.norm(own - laws @ by)) / np.sqrt(dof)
+            uncertain = scatter * np.sqrt(np.linalg.pinv(laws.T @ laws)[0, 0])
+            step, largest = abs(rest - by[0]), float(np.abs(load[:, c] - rest).max())
+            if step > STEP_SHOWN * np.hypot(uncertain, float(np.median(sd[:, c]))) and step > STEP_OF_LOAD * largest:
+                steps[c] = step
+    return steps
