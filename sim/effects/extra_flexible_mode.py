@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_plane
 from sim.rig import FlexibleMode, Rig
 from sim.sizes import MASS
@@ -18,14 +18,14 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if at_bearings == (0.0, 0.0):
         return rig  # the magnets do not excite it
     at_sensors = (p["sensor_A_per_sqrt_kg"], p["sensor_B_per_sqrt_kg"])
-    mode = FlexibleMode(2 * math.pi * p["frequency_hz"], p["damping_ratio"], at_bearings, at_sensors)
-    more = p["plane_imbalance"]
+    more, own = p["plane_imbalance"], 2 * math.pi * p["frequency_hz"]
     shares = (1 + more, 1 - more) if rig.n_planes == 2 else (1.0,)
-    modes = tuple(
-        (*plane, replace(mode, shape_at_bearings=(share * at_bearings[0], share * at_bearings[1])))
-        for plane, share in zip(rig.rotor.modes, shares, strict=True)
-    )
-    return replace(rig, rotor=replace(rig.rotor, modes=modes))
+    planes = []
+    for k, (modes, share) in enumerate(zip(rig.rotor.modes, shares, strict=True)):
+        frequency = own * p["plane_frequency_ratio"] ** k
+        shape = (share * at_bearings[0], share * at_bearings[1])
+        planes.append((*modes, FlexibleMode(frequency, p["damping_ratio"], shape, at_sensors)))
+    return replace(rig, rotor=replace(rig.rotor, modes=tuple(planes)))
 
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
@@ -95,12 +95,22 @@ EFFECT = Effect(
             strength=False,
         ),
         of_plane("the mode", dormant=True),
+        rarely_needed(
+            "plane_frequency_ratio",
+            "1",
+            0.8,
+            1.25,
+            1.0,
+            "log",
+            "frequency in y over that in x, which frequency_hz is; not used on one plane",
+            wakes=(0.99, 1.01),
+        ),
     ),
     apply=_apply,
     restated=_restated,
     likened={"support_resonance": _like_a_support},
     law="+ phi_s phi_b^T/(s^2 + 2 z w s + w^2) in the receptance of each plane, times 1 + p in x and "
-    "1 - p in y: a structure beside the rotor may swing in one direction",
+    "1 - p in y, of frequency w in x and q w in y: a structure beside the rotor may swing in one direction, or softer",
     signature="one more peak of y/i with a residue of rank one, which may be negative where sensor and bearing differ",
     aliases=("support_resonance",),
     separated_by="signs of the residues (a support's are all of one kind); speed splits a rotor mode only",

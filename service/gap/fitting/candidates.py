@@ -67,6 +67,9 @@ class Task:
     """Log Occam factor of the plain twin, which is in that of ``frozen`` and in that of the new fit: it counts once."""
     nulled: frozenset[tuple[str, str]] = frozenset()
     """(effect, parameter) that are not fitted but held at their null, where the law is the simplest."""
+    good_start: bool = False
+    """Whether a start may be so good, and the effect so faint, that rough stages would only move it away: the best one
+    also skips them."""
 
 
 def fit_task(task: Task) -> Candidate:
@@ -105,7 +108,8 @@ def _fit_all(task: Task) -> Candidate:
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)
     unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
     vectors = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
-    skipping = _best_start(problem, vectors) if problem.model.nonlinear and rough and len(vectors) > 1 else []
+    may_skip = (problem.model.nonlinear or task.good_start) and rough and len(vectors) > 1
+    skipping = _best_start(problem, vectors) if may_skip else []
     for stage in rough:
         vectors = _best_after(problem, vectors, stage)
     vectors += skipping
@@ -135,7 +139,8 @@ def _best_after(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list
 def _best_start(problem: Problem, vectors: Sequence[Real]) -> list[Real]:
     """The start of least cost once the datasheet's values are fitted to it; none where none is possible.
 
-    It skips the rough stages: their floor hides a weakly nonlinear force, and they may end where it has no effect.
+    It skips the rough stages: their floor hides a weakly nonlinear force and a faint resonance, and they may end where
+    it has no effect.
     """
     ends: list[tuple[float, Real]] = []
     for x in vectors:

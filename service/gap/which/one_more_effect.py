@@ -51,8 +51,9 @@ def task_beside(
         return Task(ground, effects, effect_starts, first.fit.theta, (PROBE,), frozen, null.occam)
     # Without rough stages a probe would end far from the minimum; only the plant is costly enough to be probed first.
     last = PROBE if ground.part.path == "plant" else EXACT
-    first_stages = rough if name in GOOD_START else rough_stages(ground)
-    return Task(ground, effects, effect_starts, theta, (*first_stages, last), frozen, null.occam)
+    good = name in GOOD_START
+    stages = (*(rough if good else rough_stages(ground)), last)
+    return Task(ground, effects, effect_starts, theta, stages, frozen, null.occam, good_start=good)
 
 
 def _starts(

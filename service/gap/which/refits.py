@@ -37,6 +37,8 @@ def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     order = [r for r in ranked(null, probed) if r.candidate is not null]
     near = [r.candidate for r in order if r.log_evidence > order[0].log_evidence - LOG_EVIDENCE_IN_REACH][:REFINED]
     near += [r.candidate for r in order if r.candidate not in near and differ_by_alias(r.candidate, near[0])][:ALIASES]
+    # what explains most may be half of a mixture, and no likelier alone than what explains nothing
+    near += [c for c in sorted((r.candidate for r in order), key=cost)[:1] if c not in near]
     refitted = [*fitter.run(exact_tasks(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
     from_aliases = {frozenset(c.effects): c for c in fitter.run(_from_aliases(ground, refitted[: len(near)], refitted))}
     best = []
