@@ -27,6 +27,8 @@ AS_STATED = 0.2
 """Relative difference of a gyroscopic moment from that of the datasheet up to which the speed needs no check."""
 SCALED = 0.005
 """Change of the controller's gain from which a note asks to check the scale of the log."""
+LAGS = 3e-6
+"""Further lag of amplifiers, s, from which a note says that it may be a delay: twice what those of another law have."""
 PLAIN = 300.0
 """Least excess of a point that is noted, in squared residuals over their expectation."""
 SHARE_OF_ONE_POINT = 0.8
@@ -68,6 +70,12 @@ def hints(
         notes.append(
             f"a displacement that is logged {1 / (1 + gain):.3g} times as large as the controller sees it would look "
             "the same, the plant's stiffnesses making up for the rest: check the scale of the log"
+        )
+    lag_s = named.get("amplifier_bandwidth", {}).get("lag_s", 0.0)
+    if lag_s > LAGS and "loop_delay" not in named:
+        notes.append(
+            f"beside their bandwidth the amplifiers lag by {1e6 * lag_s:.3g} us: a loop delay of as much beside them "
+            "would look the same; check the controller's computing delay and the amplifiers' input filter"
         )
     return notes
 

@@ -42,14 +42,15 @@ def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
 @pytest.mark.parametrize(
     ("effect", "values", "path", "within"),
     [
-        ("loop_delay", {"delay_s": 2e-5}, "amplifier", 0.05),
+        pytest.param("loop_delay", {"delay_s": 2e-5}, "amplifier", 0.05, marks=pytest.mark.slow),
         # the datasheet's own tolerances, 1 % of the frequency and 2 % of the damping, are in these changes, and in
         # their deviations that one amplifier may have changed more than the other
-        (
+        pytest.param(
             "amplifier_bandwidth",
             {"frequency_change": 0.06, "damping_change": -0.05, "lag_s": 1.5e-6},
             "amplifier",
             0.3,
+            marks=pytest.mark.slow,
         ),
         ("magnetic_saturation", {"saturation_inverse_per_a": 0.6}, "plant", 0.05),
     ],

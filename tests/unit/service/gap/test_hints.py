@@ -155,6 +155,16 @@ def test_of_sensor_gains_the_ratios_are_told() -> None:
     assert "xB reads 1.07 times what xA does and yB reads 1 times what yA does" in told
 
 
+@pytest.mark.parametrize(("lag_s", "told"), [(1e-5, True), (1.5e-6, False)])
+def test_what_amplifiers_lag_by_beside_their_bandwidth_may_be_a_delay(lag_s: float, told: bool) -> None:
+    rig, effect = rig_from_datasheet(SHEET), CATALOGUE["amplifier_bandwidth"]
+    values = {**effect.null(), "frequency_change": 0.2, "lag_s": lag_s}
+    fit = Fit((effect.id,), np.zeros(1), (values,), effect.on(rig, **values), (), 0.0, np.arange(1), np.eye(1), "")
+    notes = hints(Candidate(fit.effects, fit, 0.0, ({},)), rig, (observe(MEASURED.sweeps[0], rig),))
+    assert any("lag by 10 us: a loop delay of as much" in note for note in notes) == told
+    assert told or not notes
+
+
 def test_a_current_that_one_sweep_lacks_is_used_in_neither() -> None:
     measured, sheet = one_plane(MEASURED, SHEET)
     main, other = measured.sweeps

@@ -32,6 +32,15 @@ def test_flux_that_stays_by_chance_makes_the_mean_uncertain() -> None:
     np.testing.assert_allclose(found.sd_y[:, others], observe(MEASURED, RIG).sd_y[:, others], rtol=1e-9)
 
 
+def test_what_a_swing_has_left_behind_makes_the_mean_of_that_axis_uncertain_for_good() -> None:
+    """An axis that has been shaken stays 100 nm aside while the other plane is, and no deterministic force does so."""
+    step, by = 1e-7, np.zeros_like(PLAIN_SD)
+    by[MEASURED.axis >= 2, 1] = step
+    found, plain = observe(pushed(by), RIG).sd_y[:, 0], PLAIN_SD
+    assert found[:, 1].min() > 0.7 * step
+    np.testing.assert_allclose(found[:, 2:], plain[:, 2:], rtol=0.5)
+
+
 def test_a_static_force_that_grows_with_the_square_of_the_current_is_no_chance() -> None:
     assert MEASURED.I is not None
     current = np.abs(MEASURED.I[:, :, 1].mean(axis=1))
