@@ -182,22 +182,25 @@ def plays(m: Magnets) -> tuple[Array, Array, Array]:
 
 
 def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:
-    """Flux per current, 1 / (1 + sqrt(tau (s + wc)) - sqrt(tau wc)), (F, n).
+    """Flux per current, l + (1 - l) / (1 + (sqrt(tau (s + wc)) - sqrt(tau wc)) / (1 - l)), (F, n).
 
     Half-order above wc, where the skin depth is smaller than the sheets are thick, a first-order lag of
-    sqrt(tau / wc) / 2 below it; wc = 0 is solid iron (Zhu, Knospe and Maslen 2005; Stoll 1974 for sheets).
+    sqrt(tau / wc) / 2 below it; wc = 0 is solid iron (Zhu, Knospe and Maslen 2005; Stoll 1974 for sheets). A share l of
+    the flux has a path without eddy currents, and is all that is left far above.
     """
     s = np.asarray(1j * np.asarray(omega_rad_s)[:, None])
-    return np.asarray(eddy_response(m.eddy_time_constant_s, m.eddy_corner_rad_s, s))
+    return np.asarray(eddy_response(m.eddy_time_constant_s, m.eddy_corner_rad_s, s, m.eddy_free_share))
 
 
-def eddy_response(time_constant_s: Array | float, corner_rad_s: float, s: Complex) -> Complex:
+def eddy_response(time_constant_s: Array | float, corner_rad_s: float, s: Complex, free_share: float = 0.0) -> Complex:
     """The same for time constants by themselves, at s = jw, broadcast against them."""
     shifted = np.sqrt(time_constant_s * (s + corner_rad_s)) - np.sqrt(time_constant_s * corner_rad_s)
-    return np.asarray(1.0 / (1.0 + shifted))
+    return np.asarray(free_share + (1 - free_share) / (1.0 + shifted / (1 - free_share)))
 
 
-def eddy_states(time_constant_s: float, corner_rad_s: float, n_states: int = 12) -> tuple[Array, Array]:
+def eddy_states(
+    time_constant_s: float, corner_rad_s: float, free_share: float = 0.0, n_states: int = 12
+) -> tuple[Array, Array]:
     """Poles p (rad/s) and weights r of the diffusive realisation sum r_k / (1 + s / p_k) of the eddy factor.
 
     The exact kernel over real poles is a density (Montseny 1998: sqrt(p tau) / (pi p (1 + p tau)) without corner);
@@ -206,7 +209,7 @@ def eddy_states(time_constant_s: float, corner_rad_s: float, n_states: int = 12)
     poles = np.geomspace(2 * math.pi * 0.3, 2 * math.pi * 3e5, n_states)
     omega = 2 * math.pi * np.geomspace(0.5, 8000.0, 200)
     basis = np.column_stack([np.ones(len(omega), dtype=complex), 1 / (1 + 1j * omega[:, None] / poles)])
-    target = eddy_response(time_constant_s, corner_rad_s, np.asarray(1j * omega))
+    target = eddy_response(time_constant_s, corner_rad_s, np.asarray(1j * omega), free_share)
     real = np.concatenate([basis.real, basis.imag])
     weights, *_ = np.linalg.lstsq(real, np.concatenate([target.real, target.imag]), rcond=1e-12)
     return np.concatenate([[np.inf], poles]), weights

@@ -37,6 +37,7 @@ class Chain:
     eddy_time_constant_s: Array = field(default_factory=lambda: np.zeros(2))
     """(n,) of `sim.actuator.eddy_factor`, 0 for none."""
     eddy_corner_rad_s: float = 0.0
+    eddy_free_share: float = 0.0
     sensor_lag_s: Array = field(default_factory=lambda: np.zeros(2))
     """Time constant of each sensor's further first-order pole, (n,)."""
     sensor_delay_s: Array = field(default_factory=lambda: np.zeros(2))
@@ -100,7 +101,7 @@ class Chain:
     def flux(self, omega_rad_s: Array) -> Complex:
         """Flux-making current at the excited line over the current of the amplifiers alone, (F, n)."""
         s: Complex = np.asarray(1j * np.asarray(omega_rad_s)[:, None])
-        eddy = actuator.eddy_response(self.eddy_time_constant_s, self.eddy_corner_rad_s, s)
+        eddy = actuator.eddy_response(self.eddy_time_constant_s, self.eddy_corner_rad_s, s, self.eddy_free_share)
         return np.asarray(eddy / (1 + s * self.amplifier_lag_s))
 
     def sensor(self, omega_rad_s: Array) -> Complex:
@@ -113,7 +114,8 @@ class Chain:
 
         A lag of less than a nanosecond is none.
         """
-        parts = [_eddy(float(tau), self.eddy_corner_rad_s) for tau in self.eddy_time_constant_s]
+        corner, free = self.eddy_corner_rad_s, self.eddy_free_share
+        parts = [_eddy(float(tau), corner, free) for tau in self.eddy_time_constant_s]
         if self.amplifier_lag_s > SHORTEST_LAG_S:
             parts = [_after_lag(p, self.amplifier_lag_s) for p in parts]
         a, b, c, d = (np.asarray(block_diag(*[p[k] for p in parts]), dtype=float) for k in range(4))
@@ -135,11 +137,11 @@ def _of(amplifiers: Amplifiers, axes: list[int]) -> Amplifiers:
     )
 
 
-def _eddy(time_constant_s: float, corner_rad_s: float) -> Blocks:
+def _eddy(time_constant_s: float, corner_rad_s: float, free_share: float) -> Blocks:
     """One axis's eddy currents as decaying states in parallel."""
     if time_constant_s <= 0:
         return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
-    poles, weights = actuator.eddy_states(time_constant_s, corner_rad_s)
+    poles, weights = actuator.eddy_states(time_constant_s, corner_rad_s, free_share)
     return np.diag(-poles[1:]), poles[1:, None], weights[None, 1:], weights[:1, None]
 
 

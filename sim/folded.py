@@ -37,6 +37,8 @@ IN_MODEL = {
     "the eddy currents; responses from u, margins and the predicted loop include them",
     "magnets.eddy_corner_rad_s": "ki, poles, zeros and state space of the plant are per flux-making current, behind "
     "the eddy currents; responses from u, margins and the predicted loop include them",
+    "magnets.eddy_free_share": "ki, poles, zeros and state space of the plant are per flux-making current, behind "
+    "the eddy currents; responses from u, margins and the predicted loop include them",
     "magnets.offset_m": "nominal ki and ks are those at its offset",
     "magnets.flux_share": "nominal ki and ks are those of its iron at small currents",
     "magnets.ki": "nominal ki and ks are with it",
@@ -209,6 +211,7 @@ def _chain(rig: Rig) -> Chain:
         sample_time_s=rig.controller.sample_time_s,
         eddy_time_constant_s=magnets.eddy_time_constant_s,
         eddy_corner_rad_s=magnets.eddy_corner_rad_s,
+        eddy_free_share=magnets.eddy_free_share,
         sensor_lag_s=sensors.lag_s,
         sensor_delay_s=sensors.delay_s,
     )

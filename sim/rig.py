@@ -125,7 +125,7 @@ class Magnets:
     offset_m: Array
     """Displacement of the magnetic from the sensor's centre, (n,)."""
     eddy_time_constant_s: Array
-    """tau of 1/(1 + sqrt(tau (s + wc)) - sqrt(tau wc)) between coil current and flux, 0 for none, (n,)."""
+    """tau of `sim.actuator.eddy_factor` between coil current and flux, 0 for none, (n,)."""
     eddy_corner_rad_s: float
     """wc: below it the sheets are thinner than the skin depth and the lag is of first order; 0 for solid iron."""
     saturation_current_a: Array
@@ -147,6 +147,8 @@ class Magnets:
     """Half width of the narrowest play of the iron; those of a Rayleigh loop begin at 0 and have no end."""
     hysteresis_widest_inverse_per_a: float = 0.0
     """1 / half width of the widest; no wider than the narrowest, that is the only one."""
+    eddy_free_share: float = 0.0
+    """Share of the flux that eddy currents do not hold back."""
 
     @staticmethod
     def plain(ki: Array, ks: Array, bias_current_a: Array, current_limit_a: float) -> Magnets:

@@ -59,9 +59,10 @@ class _Places:
 def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
     """State space with the magnets linearised at ``point``."""
     n, mechanics = rig.n_axes, rotor.mechanics(rig)
+    m = rig.magnets
     eddy = [
-        actuator.eddy_states(t, rig.magnets.eddy_corner_rad_s) if t > 0 else None
-        for t in rig.magnets.eddy_time_constant_s
+        actuator.eddy_states(t, m.eddy_corner_rad_s, m.eddy_free_share) if t > 0 else None
+        for t in m.eddy_time_constant_s
     ]
     at = _places(rig, sum(len(e[0]) - 1 for e in eddy if e), len(mechanics.mass))
     states, inputs = (n, at.size), (at.size, n)

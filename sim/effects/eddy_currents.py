@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 
@@ -15,7 +15,7 @@ ALL_IRON = 1.5
 Sheets of thickness d have the reluctance Rs x coth x, x = sqrt(s mu sigma d^2/4) (Stoll, The Analysis of Eddy Currents,
 1974, chapter 2): Rs x high up, Rs (1 + x^2/3) low down. Over the whole static reluctance R, of which Rs is a part, that
 is the law with tau = (Rs/R)^2 mu sigma d^2/4 and wc = 9/(mu sigma d^2). Beyond, it would be a first-order lag at every
-frequency that is measured, which no iron is.
+frequency that is measured, which no iron is. Of a share of the flux alone, tau is in proportion to that share's square.
 """
 
 
@@ -25,10 +25,11 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
     added = p["time_constant_s"] * shares(rig, p)
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + np.sqrt(added)
-    corner = min(p["corner_rad_s"], ALL_IRON**2 / float(added.max()))
-    if np.any(rig.magnets.eddy_time_constant_s):  # eddy currents in the iron that the rig has: same corner
-        corner = rig.magnets.eddy_corner_rad_s
-    magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner)
+    free = p["free_share"]
+    corner = min(p["corner_rad_s"], (ALL_IRON * (1 - free)) ** 2 / float(added.max()))
+    if np.any(rig.magnets.eddy_time_constant_s):  # eddy currents in the iron that the rig has: same corner and share
+        corner, free = rig.magnets.eddy_corner_rad_s, rig.magnets.eddy_free_share
+    magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner, eddy_free_share=free)
     return replace(rig, magnets=magnets)
 
 
@@ -59,11 +60,21 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        rarely_needed(
+            "free_share",
+            "1",
+            0.0,
+            0.998,
+            0.0,
+            description="share of the flux whose path has no eddy currents, as beside solid parts in laminated iron",
+            wakes=(0.5, 0.95),
+        ),
         *parameters("magnets", dormant=True),
         of_diagonal("magnets"),
     ),
     apply=_apply,
-    law="flux/current = 1/(1 + sqrt(tau (s + wc)) - sqrt(tau wc)); solid iron wc = 0",
+    law="flux/current = l + (1 - l)/(1 + (sqrt(tau (s + wc)) - sqrt(tau wc))/(1 - l)); solid iron wc = 0; l where a "
+    "share of it has no eddy currents",
     signature="y/i: phase lag and gain loss both grow with the root of frequency, at any amplitude",
     aliases=("sensor_lag", "magnetic_hysteresis", "loop_delay", "amplifier_bandwidth"),
     separated_by="a wide band: dln|H|/darg H is 1 here, wT/2 for a first-order lag, 0 for a delay; "

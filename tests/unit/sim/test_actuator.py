@@ -151,11 +151,12 @@ def test_the_plays_lag_by_the_angle_that_rayleigh_gives_in_proportion_to_amplitu
         assert -np.angle(fundamental) == pytest.approx(0.02, rel=0.02), "the parameter is the loss angle at 0.5 A"
 
 
+@pytest.mark.parametrize("free_share", [0.0, 0.9])
 @pytest.mark.parametrize("time_constant_s", [1e-8, 1.5e-6, 3e-5])
-def test_the_eddy_states_of_the_time_loop_are_the_half_order_law(time_constant_s):
-    m = effect("eddy_currents").on(RIG, time_constant_s=time_constant_s).magnets
+def test_the_eddy_states_of_the_time_loop_are_the_half_order_law(time_constant_s, free_share):
+    m = effect("eddy_currents").on(RIG, time_constant_s=time_constant_s, free_share=free_share).magnets
     omega = 2 * np.pi * np.geomspace(2.0, 3000.0, 50)
-    poles, weights = actuator.eddy_states(time_constant_s, m.eddy_corner_rad_s)
+    poles, weights = actuator.eddy_states(time_constant_s, m.eddy_corner_rad_s, m.eddy_free_share)
     realised = sum(w / (1 + 1j * omega / p) for p, w in zip(poles, weights, strict=True))
     law = actuator.eddy_factor(m, omega)[:, 0]
     np.testing.assert_allclose(realised, law, rtol=2e-3)

@@ -74,11 +74,12 @@ def test_an_effect_that_the_catalogue_does_not_have_is_refused():
         twin(loop_lag={"delay_s": 1e-5})
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 5e-6])
-def test_states_of_the_chain_have_its_response(lag_s):
+@pytest.mark.parametrize(("lag_s", "free_share"), [(0.0, 0.0), (5e-6, 0.0), (5e-6, 0.8)])
+def test_states_of_the_chain_have_its_response(lag_s, free_share):
     one = np.ones(2)
     amplifiers = Amplifiers(one, 9e3 * one, 0.8 * one, 0 * one, np.eye(2), np.inf * one, lag_s)
-    chain = Chain(amplifiers=amplifiers, eddy_time_constant_s=np.array([2e-6, 0.0]), eddy_corner_rad_s=100.0)
+    eddy = {"eddy_time_constant_s": np.array([2e-6, 0.0]), "eddy_corner_rad_s": 100.0, "eddy_free_share": free_share}
+    chain = Chain(amplifiers=amplifiers, **eddy)
     a, b, c, d = chain.flux_states()
     omega = 2 * np.pi * np.geomspace(1.0, 3000.0, 40)
     states = c @ np.linalg.solve(1j * omega[:, None, None] * np.eye(len(a)) - a, b[None] + 0j) + d

@@ -318,6 +318,19 @@ def test_eddy_currents_of_sheets_end_where_all_of_the_reluctance_is_iron():
     assert beyond.eddy_corner_rad_s == exact.eddy_corner_rad_s
 
 
+def test_a_solid_part_beside_laminated_iron_holds_back_its_own_share_of_the_flux_alone():
+    """A slab that carries a twentieth of the flux: 0.95 + 0.05 tanh(x)/x."""
+    t, share = 8e-3, 0.05
+    s = 1j * np.geomspace(1.0, 3e5, 60)
+    x = np.sqrt(s * t / 4)
+    values = {"time_constant_s": share**2 * t / 4, "corner_rad_s": 9 / t, "free_share": 1 - share}
+    m = alone("eddy_currents", **values).magnets
+    assert m.eddy_corner_rad_s == pytest.approx(9 / t)
+    law = actuator.eddy_factor(m, s.imag)[:, 0]
+    assert np.abs(law - (1 - share + share * np.tanh(x) / x)).max() < 0.125 * share
+    assert law[-1].real == pytest.approx(1 - share, abs=1e-2)
+
+
 def test_amplifiers_that_lack_the_term_of_second_order_are_of_first_order():
     """With q = 1 wa^2/(s^2 + 2 za wa s + wa^2) would be w/(s + w) with w = wa / (2 za)."""
     slow, omega = alone("amplifier_bandwidth", first_order_share=0.998), 2 * np.pi * np.array([10.0, 200.0, 1000.0])

@@ -88,6 +88,17 @@ def test_a_heavy_housing_that_rocks_too_is_told_though_each_of_its_resonances_le
     assert found["rocking_frequency_ratio"] == pytest.approx(2.0, rel=0.01)
 
 
+def test_a_ladder_of_lags_is_told_as_eddy_currents_with_the_share_that_is_free_of_them() -> None:
+    """Three per cent of the flux lag; the law of solid iron would leave most of it, as it goes on falling."""
+    e, _ = explained(
+        "plant", "eddy_currents", {"time_constant_s": 1e-5, "corner_rad_s": 300.0, "free_share": 0.97}, amplitude_a=0.6
+    )
+    best = e.order[0].candidate
+    assert best.effects == ("eddy_currents",)
+    assert best.fit.cost < 1.2 * best.fit.n_residuals
+    assert best.fit.values[0]["free_share"] == pytest.approx(0.97, abs=0.005)
+
+
 def test_amplifiers_that_each_changed_on_their_own_are_told_by_axis() -> None:
     """Alike, or more at a bearing or in a plane, they would leave a datasheet that is another rig's."""
     over = np.array([0.95, 0.0, 0.5, -0.25])
