@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +16,14 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from sim import imbalance
 from sim.effects import CATALOGUE
+from sim.errors import AmbError
 
 Real = NDArray[np.float64]
 
 AMPLIFIERS = "amplifier_bandwidth"
+OF_ANOTHER_ORDER = ("first_order_share", "second_order_term")
+"""Parameters of its law for amplifiers that the datasheet states to be of another order: their frequency is no longer
+the datasheet's times what has changed."""
 STEP = 1e-3
 """Relative step of an amplifier's bandwidth for its derivative."""
 
@@ -30,19 +35,21 @@ def with_amplifiers_apart(ground: Ground, found: Sequence[Candidate]) -> Iterato
     the law, which few rigs need.
     """
     for c in found:
-        if c.effects == (AMPLIFIERS,):
-            (values,) = c.fit.values
-            start = {**values, **_apart(ground, c)}
-            yield Task(ground, c.effects, ((start,),), c.fit.theta, (EXACT,))
+        if c.effects != (AMPLIFIERS,) or any(c.fit.values[0][name] for name in OF_ANOTHER_ORDER):
+            continue
+        with suppress(AmbError, np.linalg.LinAlgError):  # a rig that is impossible nearby has no such derivatives
+            changes = _bandwidths(ground, c) - 1
+            if changes.any():
+                start = {**c.fit.values[0], **_apart(changes, ground.nuisance.rig.axes)}
+                yield Task(ground, c.effects, ((start,),), c.fit.theta, (EXACT,))
 
 
-def _apart(ground: Ground, c: Candidate) -> dict[str, float]:
-    """Parameters at which every amplifier has the bandwidth that it shows."""
-    changes = _bandwidths(ground, c) - 1
+def _apart(changes: Real, axes: Sequence[str]) -> dict[str, float]:
+    """Parameters at which every amplifier's bandwidth has changed by so much, (n,), relative."""
     largest = float(changes[np.argmax(np.abs(changes))])
     of_axes = changes / largest
     opposite = float(max(-of_axes.min(), 0.0))
-    shares = dict(zip(ground.nuisance.rig.axes, (of_axes + opposite) / (1 + opposite), strict=True))
+    shares = dict(zip(axes, (of_axes + opposite) / (1 + opposite), strict=True))
     law = {p.name: p for p in CATALOGUE[AMPLIFIERS].parameters}
     known = {"frequency_change": largest, "opposite_share": opposite, **imbalance.of_shares(shares)}
     return {name: float(np.clip(value, law[name].low, law[name].high)) for name, value in known.items()}
