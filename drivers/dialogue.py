@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -28,6 +29,9 @@ T = TypeVar("T")
 REFUSALS_BELIEVED = 4
 """A refusal that nothing explains is asked for again this often: it may have been a corrupted frame."""
 STOP_PATIENCE_S = 1.0
+LAST_TRIES_S = 0.2
+"""Seconds for which a failing bus is still tried once the caller wants to stop: on a line that all share, the stop may
+itself have spoilt an answer, and the next one says that the excitation is off."""
 
 
 class Dialogue:
@@ -68,7 +72,7 @@ class Dialogue:
     def patiently(self, action: Callable[[Link], T], patience_s: float | None = None) -> T:
         """Result of an action, tried again with growing pauses while the bus fails."""
         deadline = time.monotonic() + (self._patience_s if patience_s is None else patience_s)
-        pause = 0.005
+        given_up_at, pause = math.inf, 0.005
         while True:
             try:
                 with self._lock:
@@ -77,6 +81,8 @@ class Dialogue:
                 if time.monotonic() + pause > deadline:
                     raise BusError(f"{self.links.description}: {error}") from error
                 if self.impatient.is_set():
+                    given_up_at = min(given_up_at, time.monotonic() + LAST_TRIES_S)
+                if time.monotonic() + pause > given_up_at:
                     raise CancelledError(
                         "stopped while the bus was failing; the controller's watchdog ends the excitation"
                     ) from error

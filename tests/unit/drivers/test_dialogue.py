@@ -1,4 +1,4 @@
-"""A host believes the newest status only: what a bus delivers late, or once more, is asked for again."""
+"""A host believes the newest status only, and who wants to stop does not wait for a bus that is down."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from drivers.dialogue import Dialogue
-from drivers.errors import BusError
+from drivers.errors import BusError, CancelledError
 
 
 class _Answers:
@@ -48,3 +48,17 @@ def test_a_bus_that_gives_nothing_but_the_last_status_fails() -> None:
 def test_a_controller_that_has_restarted_counts_anew() -> None:
     dialogue = Dialogue(_Answers((1, 7), (2, 1)), patience_s=0.0)
     assert [dialogue.status()["snapshot"] for _ in range(2)] == [7, 1]
+
+
+def test_one_answer_that_a_stop_has_spoilt_on_a_shared_line_is_asked_for_again() -> None:
+    dialogue = Dialogue(_Answers((1, 7), (1, 7), (1, 8)), patience_s=10.0)
+    dialogue.status()
+    dialogue.impatient.set()
+    assert dialogue.status()["snapshot"] == 8
+
+
+def test_who_wants_to_stop_does_not_wait_for_a_bus_that_is_down() -> None:
+    dialogue = Dialogue(_Answers(), patience_s=60.0)
+    dialogue.impatient.set()
+    with pytest.raises(CancelledError, match="the controller's watchdog ends the excitation"):
+        dialogue.status()
