@@ -85,14 +85,12 @@ def mean_power(z: Complex) -> float:
     return float(power.mean()) if power.size else 0.0
 
 
-def shows_alone_hz(
-    z: Complex, o: Observation, lines: Iterable[int] | None = None, least: float = ALONE_CHI_SQUARE
-) -> float | None:
-    """The line, Hz, of the largest second largest residual, if that exceeds ``least``; or None.
+def shows_alone_hz(z: Complex, o: Observation, lines: Iterable[int] | None = None) -> float | None:
+    """The line, Hz, of the largest second largest residual, if that exceeds `ALONE_CHI_SQUARE`; or None.
 
-    For amplifiers, which may reach a voltage limit in one line only, so that the mean of its band hides it, and the
-    controller, which may reach the end of its output there. The plant has sharp peaks that look the same, so for it it
-    is used with a few ``lines`` only. Two values are required, as one may be a transient.
+    For amplifiers, which may reach a voltage limit in one line only, so that the mean of its band hides it. Other parts
+    have sharp peaks that look the same, so for them it is used with a few ``lines`` only. Two values are required, as
+    one may be a transient.
     """
     off = np.abs(z) ** 2 / 2
     at, largest = 0, 0.0
@@ -100,7 +98,19 @@ def shows_alone_hz(
         values = np.sort(off[o.line == line][:, [k for k, h in enumerate(o.harmonics) if h > 0]], axis=None)
         if len(values) > 1 and values[-2] > largest:
             at, largest = line, float(values[-2])
-    return float(o.frequency_hz[at]) if largest > least else None
+    return float(o.frequency_hz[at]) if largest > ALONE_CHI_SQUARE else None
+
+
+def clipped_alone_hz(z: Complex, o: Observation) -> float | None:
+    """The line, Hz, in which the controller's law fails by most, if in two points by `CLIPPED_CHI_SQUARE`; or None.
+
+    Its output ends, or a log, in one line first, whichever axis is excited. One point alone may be a bad record.
+    """
+    of_points = (np.abs(z) ** 2 / 2).reshape(len(z), -1).max(axis=1)
+    second = [np.sort(of_points[o.line == line])[-2:][0] for line in range(len(o.frequency_hz))]
+    single = np.array([np.count_nonzero(o.line == line) < 2 for line in range(len(o.frequency_hz))])
+    largest = np.where(single, 0.0, second)
+    return float(o.frequency_hz[largest.argmax()]) if largest.max() > CLIPPED_CHI_SQUARE else None
 
 
 def fastest_alone_hz(z: Complex, o: Observation) -> float | None:
@@ -159,7 +169,7 @@ def alone_hz(part: Part, z: Complex, o: Observation) -> float | None:
     if part.path == "amplifier":
         return shows_alone_hz(z, o)
     if part.path == "controller":
-        return shows_alone_hz(z, o, least=CLIPPED_CHI_SQUARE)
+        return clipped_alone_hz(z, o)
     if part.path != "plant":
         return None
     steepest = fastest_alone_hz(z, o) if part.from_control else None
