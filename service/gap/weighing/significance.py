@@ -107,10 +107,9 @@ def clipped_alone_hz(z: Complex, o: Observation) -> float | None:
     Its output ends, or a log, in one line first, whichever axis is excited. One point alone may be a bad record.
     """
     of_points = (np.abs(z) ** 2 / 2).reshape(len(z), -1).max(axis=1)
-    second = [np.sort(of_points[o.line == line])[-2:][0] for line in range(len(o.frequency_hz))]
-    single = np.array([np.count_nonzero(o.line == line) < 2 for line in range(len(o.frequency_hz))])
-    largest = np.where(single, 0.0, second)
-    return float(o.frequency_hz[largest.argmax()]) if largest.max() > CLIPPED_CHI_SQUARE else None
+    of_lines = [np.sort(of_points[o.line == line])[-2:] for line in range(len(o.frequency_hz))]
+    second = np.array([two[0] if len(two) > 1 else 0.0 for two in of_lines])
+    return float(o.frequency_hz[second.argmax()]) if second.max() > CLIPPED_CHI_SQUARE else None
 
 
 def fastest_alone_hz(z: Complex, o: Observation) -> float | None:

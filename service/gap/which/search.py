@@ -191,10 +191,7 @@ class _Search:
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
             # filters that the datasheet knows are tuned otherwise sooner than there is one more
-            own = [
-                *with_an_added_filter(self.ground, self.null, wider),
-                *with_amplifiers_apart(self.ground, self.found),
-            ]
+            own = [*with_an_added_filter(self.ground, self.null, wider), *with_amplifiers_apart(self.ground, wider)]
             self._add([*uneven, *self.fitter.run(own)])
 
     def _add(self, more: Sequence[Candidate]) -> None:
