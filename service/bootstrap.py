@@ -186,6 +186,19 @@ def identify_into(
     return Commissioned(result, document, files, seconds)
 
 
+def begin_processes(jobs: int = 0) -> int:
+    """Number of processes of a diagnosis, 0 for one per core; if several, they begin to load what they need.
+
+    Called again, it does no more. Worth calling before anything else is loaded: that takes seconds, too.
+    """
+    from service.gap import processes
+
+    jobs = jobs or os.cpu_count() or 1
+    if jobs > 1:
+        processes.load()
+    return jobs
+
+
 def diagnose_into(
     experiment: Experiment,
     datasheet: Datasheet,
@@ -212,11 +225,7 @@ def diagnose_into(
     AmbError
         The data do not allow a diagnosis, or the folder cannot be written.
     """
-    from service.gap import processes
-
-    jobs = jobs or os.cpu_count() or 1
-    if jobs > 1:
-        processes.load()  # beside this one, which has to load now, too
+    jobs = begin_processes(jobs)
 
     from service.gap.diagnose import diagnose
     from service.gap.document import gap_document

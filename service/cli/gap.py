@@ -29,9 +29,11 @@ def diagnose(
 ) -> None:
     """Diagnose the gap between a rig's experiment and its twin; write gap.json and gap.html."""
     from service import bootstrap
+
+    jobs = bootstrap.begin_processes(jobs)  # to load takes them as long as this one, which goes on beside
+
     from service.cli.progress import percent_progress
     from service.experiment import file
-    from service.gap.document import likeliest
     from service.output import results_in
     from sim.rig_file import read
 
@@ -43,6 +45,8 @@ def diagnose(
     if as_json:
         print_json(document | {"files": {k: str(v) for k, v in files.items()}})
         return
+    from service.gap.document import likeliest
+
     console = stdout()
     console.print(document["verdict"]["sentence"], soft_wrap=True)
     for note in document["notes"]:

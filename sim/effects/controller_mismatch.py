@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.polynomial import polydiv
 from numpy.typing import NDArray
 
 from sim import control_law
@@ -150,14 +151,15 @@ def _parts_changed(
     """
     factors = [np.array([1.0 + h, h - 1.0]) for h in half]
     more = integral * half[0] * half[1] * np.array([1.0, 2.0, 1.0]) + derivative * np.array([1.0, -2.0, 1.0])
-    changed = np.polymul(*factors) + more
+    lag, lead = factors
+    changed = np.convolve(lag, lead) + more
     for factor in factors:
-        without, rest = np.polydiv(b, factor)
+        without, rest = polydiv(b[::-1], factor[::-1])
         if np.abs(rest).max() < CANCELS * np.abs(b).max():
-            b = without
+            b = without[::-1]
         else:
-            a = np.polymul(a, factor)
-    return np.polymul(b, changed) / a[0], a / a[0]
+            a = np.convolve(a, factor)
+    return np.convolve(b, changed) / a[0], a / a[0]
 
 
 def _filtered(b: Array, a: Array, period_s: float, p: Mapping[str, float], share: float) -> tuple[Array, Array]:
@@ -173,7 +175,7 @@ def _filtered(b: Array, a: Array, period_s: float, p: Mapping[str, float], share
     )
     below = sum(parts, np.zeros(3))
     above = below + sum((share * p[name] * part for (name, _), part in zip(ADDED, parts, strict=True)), np.zeros(3))
-    return np.polymul(b, above) / below[0], np.polymul(a, below) / below[0]
+    return np.convolve(b, above) / below[0], np.convolve(a, below) / below[0]
 
 
 def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float], share: float) -> tuple[Array, Array]:
@@ -189,7 +191,7 @@ def _changed(law: ControlLaw, half: tuple[float, float], p: Mapping[str, float],
     if p["lag_samples"]:
         # (1 - d) + d / z: dc gain one, a delay of d samples at low frequency
         late = share * p["lag_samples"]
-        b, a = np.polymul(b, [1.0 - late, late]), np.polymul(a, [1.0, 0.0])
+        b, a = np.convolve(b, [1.0 - late, late]), np.convolve(a, [1.0, 0.0])
     return (1 + share * p["gain_change"]) * b, a
 
 
@@ -198,13 +200,14 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     lag, lead = corners_rad_s(law) if p["derivative_change"] or p["integral_change"] else (0.0, 0.0)
     half = (lag * law.sample_time_s / 2, lead * law.sample_time_s / 2)
     b, a = _changed(law, half, p, 1.0)
+    if not law.apart and np.all(of_axes == of_axes[0]):
+        return replace(rig, controller=replace(law, numerator=b, denominator=a, apart=()))
     laws = law.apart or ((law.numerator, law.denominator),) * rig.n_axes
     apart = tuple(
         _changed(replace(law, numerator=num, denominator=den), half, p, share)
         for (num, den), share in zip(laws, of_axes.tolist(), strict=True)
     )
-    even = not law.apart and np.all(of_axes == of_axes[0])
-    return replace(rig, controller=replace(law, numerator=b, denominator=a, apart=() if even else apart))
+    return replace(rig, controller=replace(law, numerator=b, denominator=a, apart=apart))
 
 
 def _of_filter(name: str, unit: str, low: float, high: float, null: float, description: str) -> Parameter:

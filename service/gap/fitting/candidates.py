@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, islice
 from types import TracebackType
 from typing import TypeVar
 
@@ -203,12 +204,15 @@ class Fitter:
     def each(self, tasks: Iterable[Task]) -> list[Candidate | None]:
         """The same, task by task, with None for what cannot be fitted.
 
-        Tasks are begun as they come, while others are still made; so long ones should come first (`slow_first`).
+        Tasks are begun as they come, while others are still made; so long ones should come first (`slow_first`). One
+        alone is fitted here, where nothing has to be sent and no process may still have to start.
         """
         effects, pending = [], []
-        for task in tasks:
+        to_come = iter(tasks)
+        first = list(islice(to_come, 2))
+        for task in chain(first, to_come):
             effects.append(task.effects)
-            pending.append(self._begun(task))
+            pending.append(self._begun(task, here=len(first) == 1))
         found = []
         for result in pending:
             found.append(result())
@@ -220,10 +224,10 @@ class Fitter:
         """Results of a pure function on the same processes, which begin at once; with one process, lazily."""
         return iter(self._pool.map(function, arguments)) if self._pool else map(function, arguments)
 
-    def _begun(self, task: Task) -> Callable[[], Candidate | None]:
-        """What waits for the result of a fit; with one process, what fits."""
+    def _begun(self, task: Task, here: bool) -> Callable[[], Candidate | None]:
+        """What waits for the result of a fit; where it is fitted ``here``, or with one process, what fits."""
         # Fits of the controller take no longer than sending them to another process.
-        if self._pool and task.ground.part.path != "controller":
+        if self._pool and not here and task.ground.part.path != "controller":
             return self._pool.submit(_fitted_or_none, task).result
         return partial(_fitted_or_none, task)
 

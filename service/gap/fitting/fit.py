@@ -86,7 +86,7 @@ class Problem:
                 state, renewed_at = objective.fresh_state(state.x), state.x
                 if abs(state.cost - found.cost) < NOT_CHANGED * stage.negligible(state.cost, objective.noise):
                     still = moved
-            if objective.within_floor(state) or drop < stage.negligible(state.cost, objective.noise):
+            if objective.done(state, drop):
                 status = "converged"
                 break
         return self._fit(objective, state, curvature, status)

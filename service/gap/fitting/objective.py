@@ -17,8 +17,10 @@ from sim.rig import Rig
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-WITHIN_FLOOR = 0.05
-"""Cost per residual below which a stage with a floor of its own is done: residuals of 0.22 of the floor, rms."""
+WITHIN_FLOOR, STILL_FALLING = 0.05, 1.5e-3
+"""Cost per residual, beyond that of noise, below which a stage with a floor of its own is done: what is left is 0.22 of
+the floor, rms. Not while a step lowers it by more than the second: the stage still walks along a valley, in which the
+next one, whose residuals are mostly noise, would end too early."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,13 @@ class Objective:
     def __init__(self, model: PartModel, stage: Stage) -> None:
         """Weights are those of the noise, combined with the stage's own floor where it has one."""
         self.model, self.unknowns, self.stage = model, model.unknowns, stage
-        self.weights = [self._weight(o) for o in model.observations]
+        of_noise = [weight(o, model.signal) for o in model.observations]
+        self.weights = [self._weight(o, w) for o, w in zip(model.observations, of_noise, strict=True)]
         """1 / sd of real and imaginary part, (P, H, n) per sweep"""
-        self.noise = float(sum(2 * np.count_nonzero(w) for w in self.weights))
-        """cost that noise alone is expected to have: the number of real values"""
+        self.noise = sum(_noise(w, exact) for w, exact in zip(self.weights, of_noise, strict=True))
+        """cost that noise alone is expected to have: the number of real values, where a stage has no floor"""
 
-    def _weight(self, o: Observation) -> Real:
-        w = weight(o, self.model.signal)
+    def _weight(self, o: Observation, w: Real) -> Real:
         if not self.stage.relative_floor:
             return w
         size = np.abs(measured_signal(o, self.model.signal)[:, o.fundamental]).max(axis=1)
@@ -79,9 +81,15 @@ class Objective:
         cost = float(sum(np.vdot(r, r).real for r in residuals)) + self.unknowns.penalty(x)
         return State(x, rig, residuals, predictions, nonlinearity, cost)
 
+    def done(self, state: State, drop: float) -> bool:
+        """Whether a stage ends in a state that a step led to which lowered the cost by ``drop``."""
+        if drop < self.stage.negligible(state.cost, self.noise):
+            return True
+        return drop < STILL_FALLING * state.size and self.within_floor(state)
+
     def within_floor(self, state: State) -> bool:
-        """Whether the residuals are so small beside the stage's own floor that the stage is done."""
-        return self.stage.relative_floor > 0 and state.cost < WITHIN_FLOOR * state.size
+        """Whether the residuals are small beside the stage's own floor."""
+        return self.stage.relative_floor > 0 and state.cost - self.noise < WITHIN_FLOOR * state.size
 
     def nuisance_columns(self, rig: Rig) -> list[Complex]:
         """Weighted derivatives of the fundamentals with respect to the nuisance values, (P, n, a) per sweep."""
@@ -120,3 +128,9 @@ class Objective:
                 curvature[a:, a:] += flat.T @ flat
                 gradient[a:] += flat.T @ stacked(r[..., None])[:, 0]
         return curvature, gradient
+
+
+def _noise(weights: Real, of_noise: Real) -> float:
+    """Cost of noise alone: a share of every real value, the smaller, the more error a stage allows beside it."""
+    share = np.divide(weights, of_noise, out=np.zeros_like(weights), where=of_noise > 0)
+    return float(2 * np.sum(share**2))
