@@ -192,6 +192,18 @@ def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:
     return np.asarray(eddy_response(m.eddy_time_constant_s, m.eddy_corner_rad_s, s, m.eddy_free_share))
 
 
+def gap_factor(m: Magnets, omega_rad_s: Array) -> Complex | Array:
+    """Pull per displacement over that of a rotor at rest, 1 + g (E - 1), (F, n), or (1, n) ones where it is that.
+
+    A rotor that moves changes the flux of the bias, which passes the iron as that of the coils does: of iron that lags
+    by E = `eddy_factor`, both lag alike with g = 1, and f = E (ki i + ks x) (Meeker, Maslen and Noh 1996, where gap and
+    iron are reluctances in series). It acts on the linear ks x; what is nonlinear sees the displacement itself.
+    """
+    if not m.eddy_gap_share:
+        return np.ones((1, len(m.ki)))
+    return np.asarray(1 + m.eddy_gap_share * (eddy_factor(m, omega_rad_s) - 1))
+
+
 def eddy_response(time_constant_s: Array | float, corner_rad_s: float, s: Complex, free_share: float = 0.0) -> Complex:
     """The same for time constants by themselves, at s = jw, broadcast against them."""
     shifted = np.sqrt(time_constant_s * (s + corner_rad_s)) - np.sqrt(time_constant_s * corner_rad_s)

@@ -89,6 +89,8 @@ NOT_IN_MODEL = {
     "within a plane, and the margins those of planes by themselves",
     "magnets.cross_coupling_symmetric": "it couples the planes, which are identified one by one: ki and ks are what "
     "acts within a plane, and the margins those of planes by themselves",
+    "magnets.eddy_gap_share": "the model's position stiffness is a spring, which does not lag: ki and ks are means "
+    "over the frequencies that were measured",
     "magnets.turned_whole": "it couples the planes, which are identified one by one: ki and ks are what acts within a "
     "plane, and the margins those of planes by themselves",
     "seal_cross_stiffness_n_per_m": "it couples the planes, which are identified one by one: the damping that it takes "

@@ -149,6 +149,8 @@ class Magnets:
     """1 / half width of the widest; no wider than the narrowest, that is the only one."""
     eddy_free_share: float = 0.0
     """Share of the flux that eddy currents do not hold back."""
+    eddy_gap_share: float = 0.0
+    """Share of their lag that the flux of a moving rotor has, too: 1 where all of it passes the same iron."""
 
     @staticmethod
     def plain(ki: Array, ks: Array, bias_current_a: Array, current_limit_a: float) -> Magnets:

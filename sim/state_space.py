@@ -1,13 +1,14 @@
 """Continuous linear state space of a rig between the held control signal and its sensors.
 
-State: amplifiers (current and its rate), eddy-current states, mechanical coordinates and their rates, sensor
-lags. Everything nonlinear enters as a correction: a bearing force (``force_input``) and a rate of current that
-the supply cannot give (``slew_input``). The time loop integrates the linear part exactly.
+State: amplifiers (current and its rate), eddy-current states, mechanical coordinates and their rates, eddy-current
+states of the gap, sensor lags. Everything nonlinear enters as a correction: a bearing force (``force_input``) and a
+rate of current that the supply cannot give (``slew_input``). The time loop integrates the linear part exactly.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ import numpy as np
 from sim import actuator, rotor
 from sim.actuator import OperatingPoint, force_rotation
 from sim.rig import SHORTEST_LAG_S, Array, Rig
+
+EddyStates = tuple[Array, Array]
+"""Poles and weights of `sim.actuator.eddy_states`."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,8 @@ class StateSpace:
     """(n, z) current after eddy currents"""
     bearing: Array
     """(n, z) displacement at the bearings"""
+    pulled: Array
+    """(n, z) displacement that the magnets answer with ks: as far as eddy currents hold back the flux of the gap"""
     sensor: Array
     """(n, z) sensor output, before delay and noise"""
 
@@ -50,6 +56,8 @@ class _Places:
     eddy: int
     q: slice
     v: slice
+    gap: int
+    """Of the eddy currents that hold back the flux of the gap."""
     sensors: int
     lags: int
     """Of what stands between u and the amplifiers."""
@@ -64,7 +72,8 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         actuator.eddy_states(t, m.eddy_corner_rad_s, m.eddy_free_share) if t > 0 else None
         for t in m.eddy_time_constant_s
     ]
-    at = _places(rig, sum(len(e[0]) - 1 for e in eddy if e), len(mechanics.mass))
+    n_eddy = sum(len(e[0]) - 1 for e in eddy if e)
+    at = _places(rig, n_eddy, n_eddy if m.eddy_gap_share else 0, len(mechanics.mass))
     states, inputs = (n, at.size), (at.size, n)
     ss = StateSpace(
         A=np.zeros((at.size, at.size)),
@@ -76,11 +85,12 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         current_rate_input=np.zeros((n, n)),
         flux=np.zeros(states),
         bearing=np.zeros(states),
+        pulled=np.zeros(states),
         sensor=np.zeros(states),
     )
     _fill_amplifiers(ss, rig, at)
     _fill_eddy_currents(ss, rig, at, eddy)
-    _fill_rotor(ss, rig, at, mechanics, point)
+    _fill_rotor(ss, rig, at, mechanics, point, eddy)
     _fill_sensors(ss, rig, at)
     return ss
 
@@ -89,19 +99,20 @@ def _amplifier_order(rig: Rig) -> int:
     return 1 if rig.amplifiers.damping_ratio is None else 2
 
 
-def _places(rig: Rig, n_eddy: int, n_q: int) -> _Places:
-    """The states in their order: amplifiers, eddy currents, coordinates, their rates, sensors, lags."""
+def _places(rig: Rig, n_eddy: int, n_gap: int, n_q: int) -> _Places:
+    """The states in their order: amplifiers, eddy currents, coordinates, their rates, the gap's, sensors, lags."""
     n, amp, sensors = rig.n_axes, rig.amplifiers, rig.sensors
     sizes = [
         _amplifier_order(rig) * n,
         n_eddy,
         n_q,
         n_q,
+        n_gap,
         int(np.isfinite(sensors.bandwidth_rad_s).sum() + (sensors.lag_s > SHORTEST_LAG_S).sum()),
         n if amp.lag_s > SHORTEST_LAG_S else 0,
     ]
-    eddy, q, v, sensor, lags, end = np.cumsum(sizes).tolist()
-    return _Places(eddy, slice(q, v), slice(v, sensor), sensor, lags, end)
+    eddy, q, v, gap, sensor, lags, end = np.cumsum(sizes).tolist()
+    return _Places(eddy, slice(q, v), slice(v, gap), gap, sensor, lags, end)
 
 
 def _fill_amplifiers(ss: StateSpace, rig: Rig, at: _Places) -> None:
@@ -128,7 +139,7 @@ def _fill_amplifiers(ss: StateSpace, rig: Rig, at: _Places) -> None:
         ss.current_rate[axis], ss.current_rate_input[axis] = ss.A[k], ss.drive[k]
 
 
-def _fill_eddy_currents(ss: StateSpace, rig: Rig, at: _Places, eddy: list[tuple[Array, Array] | None]) -> None:
+def _fill_eddy_currents(ss: StateSpace, rig: Rig, at: _Places, eddy: Sequence[EddyStates | None]) -> None:
     """From coil current to the current that makes flux, by the poles and weights of each axis."""
     e, order = at.eddy, _amplifier_order(rig)
     for axis, realisation in enumerate(eddy):
@@ -145,17 +156,36 @@ def _fill_eddy_currents(ss: StateSpace, rig: Rig, at: _Places, eddy: list[tuple[
             e += 1
 
 
-def _fill_rotor(ss: StateSpace, rig: Rig, at: _Places, m: rotor.Mechanics, point: OperatingPoint) -> None:
+def _fill_rotor(
+    ss: StateSpace, rig: Rig, at: _Places, m: rotor.Mechanics, point: OperatingPoint, eddy: Sequence[EddyStates | None]
+) -> None:
     """From flux to displacements, the magnets' stiffness closed."""
     q, v = at.q, at.v
     ss.bearing[:, q] = m.bearing_map
+    _fill_gap(ss, rig, at, eddy)
     push = np.linalg.solve(m.mass, m.force_map)
     ss.A[q, v] = np.eye(len(m.mass))
     ss.A[v, q] -= np.linalg.solve(m.mass, m.stiffness)
     ss.A[v, v] -= np.linalg.solve(m.mass, m.damping)
-    ss.A[v] += push @ force_rotation(rig) @ (point.ki[:, None] * ss.flux + point.ks[:, None] * ss.bearing)
+    ss.A[v] += push @ force_rotation(rig) @ (point.ki[:, None] * ss.flux + point.ks[:, None] * ss.pulled)
     ss.force_input[v] = push
     ss.sensor[:, q] = rig.sensors.gain[:, None] * m.sensor_map
+
+
+def _fill_gap(ss: StateSpace, rig: Rig, at: _Places, eddy: Sequence[EddyStates | None]) -> None:
+    """From displacements at the bearings to those that the magnets answer; see `sim.actuator.gap_factor`."""
+    g, share = at.gap, rig.magnets.eddy_gap_share
+    for axis, realisation in enumerate(eddy):
+        ss.pulled[axis] = ss.bearing[axis]
+        if realisation is None or not share:
+            continue
+        poles, weights = realisation
+        ss.pulled[axis] *= 1 - share * (1 - weights[0])
+        for pole, weight in zip(poles[1:], weights[1:], strict=True):
+            ss.A[g] = pole * ss.bearing[axis]
+            ss.A[g, g] = -pole
+            ss.pulled[axis, g] = share * weight
+            g += 1
 
 
 def _fill_sensors(ss: StateSpace, rig: Rig, at: _Places) -> None:

@@ -261,7 +261,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
     per_current = point.ki * eddy  # force per baseband current, before it is turned
     per_control = per_current * own
 
-    stiffness = _mixed_from(rotation, point.ks[:, None] * at_bearings)
+    stiffness = _mixed_from(rotation, (point.ks * actuator.gap_factor(rig.magnets, omega))[..., None] * at_bearings)
     closed = np.linalg.inv(np.eye(n) - stiffness)  # all bearing force per external force
     y_per_force = seen[0, :, :, None] * (at_sensors @ closed)
     y_per_magnet = _mixed(y_per_force, rotation)

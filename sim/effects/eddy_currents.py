@@ -25,11 +25,18 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
     added = p["time_constant_s"] * shares(rig, p)
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + np.sqrt(added)
-    free = p["free_share"]
+    free, gap = p["free_share"], p["gap_share"]
     corner = min(p["corner_rad_s"], (ALL_IRON * (1 - free)) ** 2 / float(added.max()))
     if np.any(rig.magnets.eddy_time_constant_s):  # eddy currents in the iron that the rig has: same corner and share
         corner, free = rig.magnets.eddy_corner_rad_s, rig.magnets.eddy_free_share
-    magnets = replace(rig.magnets, eddy_time_constant_s=root**2, eddy_corner_rad_s=corner, eddy_free_share=free)
+        gap = rig.magnets.eddy_gap_share
+    magnets = replace(
+        rig.magnets,
+        eddy_time_constant_s=root**2,
+        eddy_corner_rad_s=corner,
+        eddy_free_share=free,
+        eddy_gap_share=gap,
+    )
     return replace(rig, magnets=magnets)
 
 
@@ -69,12 +76,22 @@ EFFECT = Effect(
             description="share of the flux whose path has no eddy currents, as beside solid parts in laminated iron",
             wakes=(0.5, 0.95),
         ),
+        rarely_needed(
+            "gap_share",
+            "1",
+            0.0,
+            1.0,
+            0.0,
+            description="share of the lag that the flux of a moving rotor has, too: 1 where the force ki i + ks x lags "
+            "as a whole",
+            wakes=(0.9,),
+        ),
         *parameters("magnets", dormant=True),
         of_diagonal("magnets"),
     ),
     apply=_apply,
     law="flux/current = l + (1 - l)/(1 + (sqrt(tau (s + wc)) - sqrt(tau wc))/(1 - l)); solid iron wc = 0; l where a "
-    "share of it has no eddy currents",
+    "share of it has no eddy currents; of the force g ks x lags as ki i does",
     signature="y/i: phase lag and gain loss both grow with the root of frequency, at any amplitude",
     aliases=("sensor_lag", "magnetic_hysteresis", "loop_delay", "amplifier_bandwidth"),
     separated_by="a wide band: dln|H|/darg H is 1 here, wT/2 for a first-order lag, 0 for a delay; "

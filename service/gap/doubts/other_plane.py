@@ -18,6 +18,7 @@ from service.gap.measured.observation import Observation
 from service.gap.weighing.significance import SIGNIFICANT
 from service.gap.weighing.verdict import MAX_SHARE_LEFT
 from service.gap.which.explained import Explained
+from sim.actuator import gap_factor
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.twin import linear_model
@@ -91,7 +92,8 @@ def signatures(rig: Rig, o: Observation) -> dict[str, Complex]:
     it. What a rotation takes off the gain of its own plane is an error of ki and ks.
     """
     model = linear_model(rig, o.frequency_hz)
-    ki, ks, C = np.diag(model.point.ki), np.diag(model.point.ks), model.controllers[:, :, None]
+    ki, C = np.diag(model.point.ki), model.controllers[:, :, None]
+    ks = (model.point.ks * gap_factor(rig.magnets, model.omega_rad_s))[:, :, None] * np.eye(rig.n_axes)
     there = ki @ model.flux_per_u + ks @ model.bearing_per_u  # magnets' force per u
     controlled = C * model.sensitivity @ model.y_per_force  # -u per force in the other plane, its loop closed
     moved = model.bearing_per_force - model.bearing_per_u @ controlled  # its bearings' displacement per force

@@ -80,17 +80,19 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
     magnetic = point.ki * eddy * base * early  # (P, n) force of the current alone
     motion = _motion(rig, m, magnetic, o)
     push, at_bearing = motion.y_per_push, motion.q @ m.bearing_map.T
+    lags = _gap_lags(rig, o)
+    pulled = at_bearing * lags
 
     per_force = push @ m.force_map  # (P, n, n)
     per_magnet = per_force @ rotation
     per_current = magnetic / point.ki
     for k, (ki, ks) in enumerate(_moved_points(rig, point)):
-        columns[:, :, k * n : (k + 1) * n] = per_magnet * (ki * per_current + ks * at_bearing)[:, None, :]
+        columns[:, :, k * n : (k + 1) * n] = per_magnet * (ki * per_current + ks * pulled)[:, None, :]
     along_turned = at_bearing @ rotor.further_along_turned_axes(rig).T
     columns[:, :, n : 2 * n] += per_magnet * (rig.magnets.ks * along_turned)[:, None, :]
     if rig.gravity_m_per_s2:  # the mass is a static load, which changes ki and ks
         ki, ks = _moved_point(lambda factor: _with_mass(rig, factor))
-        columns[:, :, 6 * n] = ((ki * per_current + ks * at_bearing)[:, None, :] * per_magnet).sum(axis=-1)
+        columns[:, :, 6 * n] = ((ki * per_current + ks * pulled)[:, None, :] * per_magnet).sum(axis=-1)
     if amplifiers:
         delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s
         late = np.exp(-1j * omega[:, None] * delay) * amplifier.hold(omega, rig.controller.sample_time_s)[:, None]
@@ -101,7 +103,7 @@ def displacement_jacobian(nuisance: Nuisance, rig: Rig, o: Observation, amplifie
         )
     axes = np.arange(n)
     columns[:, axes, 5 * n + axes] = responses(model.y_per_u, o.line, U)
-    magnets = rotation * point.ks + rotor.pull_along_turned_axes(rig)
+    magnets = _pull(rig, point.ks * lags)
     _mechanical_columns(nuisance, rig, m, motion, magnets, columns)
     return _per_unit(columns, nuisance.per_unit)
 
@@ -128,15 +130,29 @@ def _motion(rig: Rig, m: rotor.Mechanics, magnetic: Complex, o: Observation) -> 
     """Motion under the force of the coil currents, (P, n), before the rotation of cross-coupled magnets."""
     omega = 2 * np.pi * o.frequency_hz
     point, rotation, s = actuator.operating_point(rig), force_rotation(rig), 1j * omega
-    stiffness = m.force_map @ (rotation * point.ks) @ m.bearing_map
+    ks = point.ks * actuator.gap_factor(rig.magnets, omega)
+    stiffness = m.force_map @ (rotation * ks[:, None, :]) @ m.bearing_map
     dynamic = m.mass * s[:, None, None] ** 2 + m.damping * s[:, None, None] + (m.stiffness - stiffness)
     closed = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     q = responses(closed, o.line, magnetic @ rotation.T @ m.force_map.T)
     at_bearing = q @ m.bearing_map.T
-    total = (magnetic + point.ks * at_bearing) @ rotation.T + at_bearing @ rotor.pull_along_turned_axes(rig).T
+    total = (magnetic + point.ks * _gap_lags(rig, o) * at_bearing) @ rotation.T
+    total = total + at_bearing @ rotor.pull_along_turned_axes(rig).T
     response = sensor.response(rig.sensors, omega)[o.line]
     push = response[:, :, None] * (m.sensor_map @ closed)[o.line]
     return _Motion(q, total, push, response, np.asarray(s[o.line]), np.asarray(closed[o.line]))
+
+
+def _gap_lags(rig: Rig, o: Observation) -> Complex | Real:
+    """Pull per displacement over that at rest, (P, n), or (1, n) ones."""
+    lags = actuator.gap_factor(rig.magnets, 2 * np.pi * o.frequency_hz)
+    return lags if len(lags) == 1 else lags[o.line]
+
+
+def _pull(rig: Rig, stiffness: Complex | Real) -> Complex | Real:
+    """Force of the magnets at the bearings per displacement there, (P, n, n), for each one's stiffness (P, n)."""
+    pull: Complex | Real = force_rotation(rig) * stiffness[:, None, :] + rotor.pull_along_turned_axes(rig)
+    return pull
 
 
 @dataclass(frozen=True)
@@ -182,9 +198,9 @@ def residue_columns(rig: Rig, o: Observation) -> Complex:
     """
     rig = rig if rig.speed_rad_s == o.speed_rad_s else replace(rig, speed_rad_s=o.speed_rad_s)
     n, m = rig.n_axes, rotor.mechanics(rig)
-    point, rotation = actuator.operating_point(rig), force_rotation(rig)
+    point = actuator.operating_point(rig)
     motion = _motion(rig, m, _magnetic(rig, o), o)
-    magnets = rotation * point.ks + rotor.pull_along_turned_axes(rig)
+    magnets = _pull(rig, point.ks * _gap_lags(rig, o))
     per_displacement = motion.y_per_push @ m.force_map @ magnets
     per_displacement[:, np.arange(n), np.arange(n)] += motion.sensor
     planes = (len(motion.s), n, n // 2, 2)
@@ -234,11 +250,11 @@ def _with_mass(rig: Rig, factor: float) -> Rig:
 
 
 def _mechanical_columns(
-    nuisance: Nuisance, rig: Rig, m: rotor.Mechanics, motion: _Motion, magnets: Real, columns: Complex
+    nuisance: Nuisance, rig: Rig, m: rotor.Mechanics, motion: _Motion, magnets: Complex | Real, columns: Complex
 ) -> None:
     """Write the columns of mass, inertia, sensor positions and modes in place.
 
-    ``magnets`` is the force of the magnets at the bearings per displacement there, (n, n).
+    ``magnets`` is the force of the magnets at the bearings per displacement there, (1, n, n) or (P, n, n).
     """
     c, r = 6 * rig.n_axes, rig.rotor
     s2, per_force = motion.s[:, None] ** 2, motion.y_per_push @ m.force_map
