@@ -232,19 +232,26 @@ class Responder:
         X[:, 0] = X[:, 0].real
         return X
 
-    def _effective_currents(self, flux: Complex) -> tuple[Array, Array]:
-        """Flux-making current over a period, and its magnetically effective part, (P, T, n) each."""
+    def _effective_currents(self, flux: Complex) -> tuple[Array, Array | None]:
+        """Flux-making current over a period, and its magnetically effective part, (P, T, n) each.
+
+        None where that also depends on the displacement.
+        """
         m = self.rig.magnets
         banded = np.any(m.hysteresis_rad > 0) and (m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a)
         n_time = 64 if banded else 32 if self._strongly_nonlinear else 16
         i_t = period_samples(flux, self.harmonics, n_time) + self._point.current_a
-        return i_t, magnetic_force.effective(m, i_t)
+        return i_t, None if m.hysteresis_gap_share else magnetic_force.effective(m, i_t)
 
-    def _beyond_linear(self, currents: tuple[Array, Array], x: Complex) -> Complex:
+    def _beyond_linear(self, currents: tuple[Array, Array | None], x: Complex) -> Complex:
         """Bearing force on the rotor beyond the linear one, (P, H, n), of `_effective_currents` at displacements x."""
         i_t, effective = currents
         passed = None if self.progress is None else self.progress[:, None, None]
         x_t = period_samples(x, self.harmonics, i_t.shape[1])
+        if effective is None:
+            m = self.rig.magnets
+            beside = magnetic_force.played_per_displacement(m, self._point) * x_t
+            effective = magnetic_force.effective(m, i_t, beside_t=beside)
         excess = magnetic_force.beyond_linear(self.rig, self._point, i_t, effective, x_t, passed)
         return amplitudes(excess, self.harmonics)
 

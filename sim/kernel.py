@@ -149,7 +149,7 @@ def corrections(  # type: ignore[no-untyped-def]
         i = min(max(now[at + a], -law[8, a]), law[8, a])
         if law[9, a] > 0.0:
             total = i
-            moved = i - law[10, a]  # loops lie about the operating point
+            moved = i - law[10, a] + law[13, a] * x  # loops lie about the operating point
             for j in range(play_t.shape[0]):
                 plays[a, j] = min(max(plays[a, j], moved - play_t[j]), moved + play_t[j])
                 total += 2.0 * law[9, a] * play_w[j] * plays[a, j]

@@ -12,10 +12,11 @@ from sim.twin import force_rotation
 
 
 def law_rows(m: Magnets, point: OperatingPoint) -> Array:
-    """Rows of the force law as compiled code takes it, (13, n), in SI units.
+    """Rows of the force law as compiled code takes it, (14, n), in SI units.
 
     k (N m2/A2), i0 (A), s0 and offset (m), ki (N/A), ks (N/m), load (N), i_s and i_max (A), alpha (1/A), i at rest (A),
-    B0/Bs and the power n (1); as of `sim.rig.Magnets`, ki and ks at the operating point.
+    B0/Bs and the power n (1), `played_per_displacement` (A/m); as of `sim.rig.Magnets`, ki and ks at the operating
+    point.
     """
     n = len(m.ki)
     return np.vstack(
@@ -33,11 +34,17 @@ def law_rows(m: Magnets, point: OperatingPoint) -> Array:
             point.current_a,
             m.flux_share,
             np.full(n, m.flux_power),
+            played_per_displacement(m, point),
         ]
     )
 
 
-def effective(m: Magnets, i_t: Array, many_turns: bool = False) -> Array:
+def played_per_displacement(m: Magnets, point: OperatingPoint) -> Array:
+    """Current that makes as much flux as a displacement, A/m, (n,), of which the iron's plays follow a share."""
+    return np.asarray(m.hysteresis_gap_share * point.ks / point.ki)
+
+
+def effective(m: Magnets, i_t: Array, many_turns: bool = False, beside_t: Array | None = None) -> Array:
     """What of a coil current is magnetically effective, A, (P, T, n), where eddy currents are off it.
 
     Parameters
@@ -46,13 +53,16 @@ def effective(m: Magnets, i_t: Array, many_turns: bool = False) -> Array:
         (P, T, n) samples of a period, A.
     many_turns
         Whether it has more than one maximum and one minimum, so that the iron's plays have to be stepped.
+    beside_t
+        The same of what the plays follow beside the current, as of `played_per_displacement`; None for nothing.
     """
     if np.any(m.hysteresis_rad > 0):
+        followed = i_t if beside_t is None else i_t + beside_t
         if many_turns:
             strength, weights, half_widths = actuator.plays(m)
-            i_t = i_t + 2 * strength * periodic.played(np.ascontiguousarray(i_t), weights, half_widths)
+            i_t = i_t + 2 * strength * periodic.played(np.ascontiguousarray(followed), weights, half_widths)
         else:
-            i_t = i_t + loops.lag(m, i_t)
+            i_t = i_t + loops.lag(m, followed)
     return actuator.saturated(m, i_t)
 
 

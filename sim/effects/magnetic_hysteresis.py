@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 from sim.sizes import BIAS
@@ -19,6 +19,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
             magnets,
             hysteresis_narrowest_a=p["narrowest_a"],
             hysteresis_widest_inverse_per_a=p["widest_inverse_per_a"],
+            hysteresis_gap_share=p["gap_share"],
         )
     return replace(rig, magnets=magnets)
 
@@ -62,11 +63,22 @@ EFFECT = Effect(
             strength=False,
             optional=True,
         ),
+        rarely_needed(
+            "gap_share",
+            "1",
+            0.0,
+            1.0,
+            0.0,
+            description="share in which the plays follow the flux of a moving rotor, too: 1 where they lag behind "
+            "ki i + ks x",
+            wakes=(0.9,),
+        ),
         *parameters("magnets", dormant=True),
         of_diagonal("magnets"),
     ),
     apply=_apply,
-    law="b = i + 2 alpha r2/(r2 - r1) integral play_r(i) dr, r = r1..r2; all r: (1 + alpha A) i +- alpha/2 (A^2 - i^2)",
+    law="b = i + 2 alpha r2/(r2 - r1) integral play_r(i) dr, r = r1..r2; all r: (1 + alpha A) i +- alpha/2 (A^2 - i^2)"
+    "; the plays follow i + g ks/ki x",
     signature="lag and gain of y/i grow with the current's amplitude A, the same at any frequency; odd harmonics in y",
     aliases=("eddy_currents", "magnetic_saturation"),
     separated_by="a sweep of amplitude at low frequency: eddy currents do not depend on it, saturation has no lag",

@@ -245,6 +245,11 @@ def test_the_linear_model_has_the_lag_of_the_flux_that_a_moving_rotor_makes():
     check_harmonic_balance(rig, np.full(3, 2e-3))
 
 
+def test_the_harmonic_balance_has_plays_that_follow_the_flux_of_a_moving_rotor_too():
+    rig = with_effects(reference_rig(), {"magnetic_hysteresis": {"loss_angle_rad": 0.03, "gap_share": 1.0}})
+    check_harmonic_balance(rig, np.full(3, 2e-3))
+
+
 def check_linear_model(rig: Rig) -> None:
     """Responses from u and the loop's against those that a campaign measures."""
     model = linear_model(rig, TONES_HZ)

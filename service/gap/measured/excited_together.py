@@ -91,9 +91,9 @@ class Together:
         point = actuator.operating_point(rig)
         i_t, x_t = (self._in_time(v) for v in (flux, x))
         i_t = i_t + point.current_a
-        excess = magnetic_force.beyond_linear(
-            rig, point, i_t, magnetic_force.effective(rig.magnets, i_t, many_turns=True), x_t
-        )
+        beside = magnetic_force.played_per_displacement(rig.magnets, point) * x_t
+        effective = magnetic_force.effective(rig.magnets, i_t, many_turns=True, beside_t=beside)
+        excess = magnetic_force.beyond_linear(rig, point, i_t, effective, x_t)
         at_lines = self.lines.at_lines(excess.reshape(len(self.times), -1, *excess.shape[1:]).swapaxes(2, 3))
         return np.asarray(np.tensordot(self.times, at_lines, 1))
 
