@@ -199,9 +199,9 @@ def gap_factor(m: Magnets, omega_rad_s: Array) -> Complex | Array:
     by E = `eddy_factor`, both lag alike with g = 1, and f = E (ki i + ks x) (Meeker, Maslen and Noh 1996, where gap and
     iron are reluctances in series). It acts on the linear ks x; what is nonlinear sees the displacement itself.
     """
-    if not m.eddy_gap_share:
+    if not m.eddy_displacement_share:
         return np.ones((1, len(m.ki)))
-    return np.asarray(1 + m.eddy_gap_share * (eddy_factor(m, omega_rad_s) - 1))
+    return np.asarray(1 + m.eddy_displacement_share * (eddy_factor(m, omega_rad_s) - 1))
 
 
 def eddy_response(time_constant_s: Array | float, corner_rad_s: float, s: Complex, free_share: float = 0.0) -> Complex:

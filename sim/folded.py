@@ -82,7 +82,7 @@ NOT_IN_MODEL = {
     "magnets.hysteresis_rad": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_narrowest_a": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_widest_inverse_per_a": _SMALL.format(what="iron", figures="ki, ks and the delay"),
-    "magnets.hysteresis_gap_share": _SMALL.format(what="iron", figures="ki, ks and the delay"),
+    "magnets.hysteresis_displacement_share": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_reference_a": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.offset_m": "the even harmonics of its offset are not in the model, and the third-order terms of the force "
     "are a centred rotor's: nothing at small displacements",
@@ -90,8 +90,8 @@ NOT_IN_MODEL = {
     "within a plane, and the margins those of planes by themselves",
     "magnets.cross_coupling_symmetric": "it couples the planes, which are identified one by one: ki and ks are what "
     "acts within a plane, and the margins those of planes by themselves",
-    "magnets.eddy_gap_share": "the model's position stiffness is a spring, which does not lag: ki and ks are means "
-    "over the frequencies that were measured",
+    "magnets.eddy_displacement_share": "the model's position stiffness is a spring, which does not lag: ki and ks are "
+    "means over the frequencies that were measured",
     "magnets.turned_whole": "it couples the planes, which are identified one by one: ki and ks are what acts within a "
     "plane, and the margins those of planes by themselves",
     "seal_cross_stiffness_n_per_m": "it couples the planes, which are identified one by one: the damping that it takes "

@@ -241,7 +241,7 @@ class Responder:
         banded = np.any(m.hysteresis_rad > 0) and (m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a)
         n_time = 64 if banded else 32 if self._strongly_nonlinear else 16
         i_t = period_samples(flux, self.harmonics, n_time) + self._point.current_a
-        return i_t, None if m.hysteresis_gap_share else magnetic_force.effective(m, i_t)
+        return i_t, None if m.hysteresis_displacement_share else magnetic_force.effective(m, i_t)
 
     def _beyond_linear(self, currents: tuple[Array, Array | None], x: Complex) -> Complex:
         """Bearing force on the rotor beyond the linear one, (P, H, n), of `_effective_currents` at displacements x."""

@@ -41,7 +41,7 @@ def law_rows(m: Magnets, point: OperatingPoint) -> Array:
 
 def played_per_displacement(m: Magnets, point: OperatingPoint) -> Array:
     """Current that makes as much flux as a displacement, A/m, (n,), of which the iron's plays follow a share."""
-    return np.asarray(m.hysteresis_gap_share * point.ks / point.ki)
+    return np.asarray(m.hysteresis_displacement_share * point.ks / point.ki)
 
 
 def effective(m: Magnets, i_t: Array, many_turns: bool = False, beside_t: Array | None = None) -> Array:

@@ -147,11 +147,11 @@ class Magnets:
     """Half width of the narrowest play of the iron; those of a Rayleigh loop begin at 0 and have no end."""
     hysteresis_widest_inverse_per_a: float = 0.0
     """1 / half width of the widest; no wider than the narrowest, that is the only one."""
-    hysteresis_gap_share: float = 0.0
+    hysteresis_displacement_share: float = 0.0
     """Share in which the plays also follow the flux of a moving rotor: 1 where they lag behind ki i + ks x."""
     eddy_free_share: float = 0.0
     """Share of the flux that eddy currents do not hold back."""
-    eddy_gap_share: float = 0.0
+    eddy_displacement_share: float = 0.0
     """Share of their lag that the flux of a moving rotor has, too: 1 where all of it passes the same iron."""
 
     @staticmethod

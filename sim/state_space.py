@@ -73,7 +73,7 @@ def state_space(rig: Rig, point: OperatingPoint) -> StateSpace:
         for t in m.eddy_time_constant_s
     ]
     n_eddy = sum(len(e[0]) - 1 for e in eddy if e)
-    at = _places(rig, n_eddy, n_eddy if m.eddy_gap_share else 0, len(mechanics.mass))
+    at = _places(rig, n_eddy, n_eddy if m.eddy_displacement_share else 0, len(mechanics.mass))
     states, inputs = (n, at.size), (at.size, n)
     ss = StateSpace(
         A=np.zeros((at.size, at.size)),
@@ -174,7 +174,7 @@ def _fill_rotor(
 
 def _fill_gap(ss: StateSpace, rig: Rig, at: _Places, eddy: Sequence[EddyStates | None]) -> None:
     """From displacements at the bearings to those that the magnets answer; see `sim.actuator.gap_factor`."""
-    g, share = at.gap, rig.magnets.eddy_gap_share
+    g, share = at.gap, rig.magnets.eddy_displacement_share
     for axis, realisation in enumerate(eddy):
         ss.pulled[axis] = ss.bearing[axis]
         if realisation is None or not share:

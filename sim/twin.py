@@ -227,7 +227,11 @@ def small_signal(rig: Rig) -> Rig:
     bent: dict[str, Any] = {}
     if np.any(m.hysteresis_rad):
         bent |= {"hysteresis_rad": np.zeros(rig.n_axes)}
-        bent |= {"hysteresis_narrowest_a": 0.0, "hysteresis_widest_inverse_per_a": 0.0, "hysteresis_gap_share": 0.0}
+        bent |= {
+            "hysteresis_narrowest_a": 0.0,
+            "hysteresis_widest_inverse_per_a": 0.0,
+            "hysteresis_displacement_share": 0.0,
+        }
     centred = not rig.gravity_m_per_s2 and rig.static_current_a is None and not np.any(m.offset_m)
     if centred and np.any(np.isfinite(m.saturation_current_a)):
         bent |= {"saturation_current_a": unlimited}

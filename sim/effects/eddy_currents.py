@@ -25,17 +25,17 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     # Two half-order lags in series are, to first order, one whose root of tau is the sum of theirs.
     added = p["time_constant_s"] * shares(rig, p)
     root = np.sqrt(rig.magnets.eddy_time_constant_s) + np.sqrt(added)
-    free, gap = p["free_share"], p["gap_share"]
+    free, gap = p["free_share"], p["displacement_share"]
     corner = min(p["corner_rad_s"], (ALL_IRON * (1 - free)) ** 2 / float(added.max()))
     if np.any(rig.magnets.eddy_time_constant_s):  # eddy currents in the iron that the rig has: same corner and share
         corner, free = rig.magnets.eddy_corner_rad_s, rig.magnets.eddy_free_share
-        gap = rig.magnets.eddy_gap_share
+        gap = rig.magnets.eddy_displacement_share
     magnets = replace(
         rig.magnets,
         eddy_time_constant_s=root**2,
         eddy_corner_rad_s=corner,
         eddy_free_share=free,
-        eddy_gap_share=gap,
+        eddy_displacement_share=gap,
     )
     return replace(rig, magnets=magnets)
 
@@ -77,7 +77,7 @@ EFFECT = Effect(
             wakes=(0.5, 0.95),
         ),
         rarely_needed(
-            "gap_share",
+            "displacement_share",
             "1",
             0.0,
             1.0,

@@ -19,7 +19,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
             magnets,
             hysteresis_narrowest_a=p["narrowest_a"],
             hysteresis_widest_inverse_per_a=p["widest_inverse_per_a"],
-            hysteresis_gap_share=p["gap_share"],
+            hysteresis_displacement_share=p["displacement_share"],
         )
     return replace(rig, magnets=magnets)
 
@@ -64,7 +64,7 @@ EFFECT = Effect(
             optional=True,
         ),
         rarely_needed(
-            "gap_share",
+            "displacement_share",
             "1",
             0.0,
             1.0,

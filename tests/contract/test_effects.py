@@ -239,14 +239,14 @@ def test_the_linear_model_is_what_the_rig_shows_at_small_amplitude(one):
 
 
 def test_the_linear_model_has_the_lag_of_the_flux_that_a_moving_rotor_makes():
-    laminated = {"time_constant_s": 4e-6, "end_imbalance": -0.4, "gap_share": 1.0}
+    laminated = {"time_constant_s": 4e-6, "end_imbalance": -0.4, "displacement_share": 1.0}
     rig = with_effects(reference_rig(), {"eddy_currents": laminated, "magnetic_cross_coupling": {}})
     check_linear_model(rig)
     check_harmonic_balance(rig, np.full(3, 2e-3))
 
 
 def test_the_harmonic_balance_has_plays_that_follow_the_flux_of_a_moving_rotor_too():
-    rig = with_effects(reference_rig(), {"magnetic_hysteresis": {"loss_angle_rad": 0.03, "gap_share": 1.0}})
+    rig = with_effects(reference_rig(), {"magnetic_hysteresis": {"loss_angle_rad": 0.03, "displacement_share": 1.0}})
     check_harmonic_balance(rig, np.full(3, 2e-3))
 
 

@@ -28,7 +28,10 @@ OF_ITS_OWN = [
     {"support_resonance": {"frequency_hz": 300.0, "rocking": 3.0, "plane_frequency_ratio": 1.2}},
     {"internal_damping": {}},
     {"magnetic_saturation": {"flux_share": 0.5}},
-    {"eddy_currents": {"time_constant_s": 1e-5, "gap_share": 0.8}, "magnetic_cross_coupling": {"rotation_rad": 0.1}},
+    {
+        "eddy_currents": {"time_constant_s": 1e-5, "displacement_share": 0.8},
+        "magnetic_cross_coupling": {"rotation_rad": 0.1},
+    },
 ]
 """Effects by which the datasheet's values act in another way than without."""
 

@@ -101,13 +101,13 @@ def test_a_ladder_of_lags_is_told_as_eddy_currents_with_the_share_that_is_free_o
 
 def test_eddy_currents_that_hold_back_the_flux_of_a_moving_rotor_too_are_told_so() -> None:
     """ks x lags as ki i does; the lag of ki i alone would leave a fifth of it, as of none of these."""
-    e, _ = explained("plant", "eddy_currents", {"time_constant_s": 4e-5, "gap_share": 1.0}, amplitude_a=0.6)
+    e, _ = explained("plant", "eddy_currents", {"time_constant_s": 4e-5, "displacement_share": 1.0}, amplitude_a=0.6)
     best = e.order[0].candidate
     assert best.effects == ("eddy_currents",)
     assert best.fit.cost < 1.2 * best.fit.n_residuals
     (found,) = best.fit.values
     assert found["time_constant_s"] == pytest.approx(4e-5, rel=0.05)
-    assert found["gap_share"] == pytest.approx(1.0, abs=0.1)
+    assert found["displacement_share"] == pytest.approx(1.0, abs=0.1)
 
 
 def test_amplifiers_that_each_changed_on_their_own_are_told_by_axis() -> None:
