@@ -45,7 +45,7 @@ _OF = {
     "amplifier_voltage_limit": lambda c: {} if c["r_over_l_per_s"] else {"slew_inverse_s_per_a": 1 / c["slew_a_per_s"]},
     "channel_crosstalk": lambda c: {"share_ab": c["share"]} if c["kind"] == "b_in_a" else {},
     "controller_mismatch": _controller,
-    "eddy_currents": lambda c: {} if c["on_displacement"] else {"time_constant_s": c["eddy_tau"]},
+    "eddy_currents": lambda c: {"time_constant_s": c["eddy_tau"], "displacement_share": float(c["on_displacement"])},
     "magnetic_saturation": lambda c: (
         {"saturation_inverse_per_a": 1 / c["sat_A"]} if "sat_A" in c else {"flux_share": 1 / c["flux_ratio"]}
     ),

@@ -87,3 +87,10 @@ def test_states_of_the_chain_have_its_response(lag_s, free_share):
     np.testing.assert_allclose(diagonal, chain.flux(omega), rtol=5e-4)
     assert np.abs(states[:, 0, 1]).max() == 0.0
     assert chain.of([1]).is_before_flux == (lag_s > 0)
+
+
+def test_what_eddy_currents_do_to_the_flux_of_the_gaps_is_told_and_the_currents_part_is_in_the_chain():
+    (effect,) = twin(eddy_currents={"time_constant_s": 1e-6, "displacement_share": 1.0}).effects
+    assert any("per flux-making current" in clause for clause in effect.in_model)
+    assert effect.not_in_model[0].startswith("the model's position stiffness is a spring")
+    assert twin(eddy_currents={"time_constant_s": 1e-6}).effects[0].not_in_model == ()

@@ -21,6 +21,7 @@ from tests.support.two_axes import one_plane
 from tests.unit.service.gap.where.test_dependence import plant
 
 DATASHEET, TRUTH = known_datasheet(seed=3)
+OF_ALL_FLUX = (("time_constant_s", 1e-4), ("displacement_share", 1.0))
 
 
 @pytest.mark.slow
@@ -50,9 +51,12 @@ def test_nothing_is_added_where_nothing_looks_alike(kind: str) -> None:
         ("magnetic_cross_coupling", "rotation_rad", 1.0),
     ],
 )
-def test_what_comes_back_from_the_other_plane_is_what_four_axes_do(effect: str, parameter: str, way: float) -> None:
+@pytest.mark.parametrize("effects", [(), (("eddy_currents", OF_ALL_FLUX),)], ids=["plain", "eddy currents"])
+def test_what_comes_back_from_the_other_plane_is_what_four_axes_do(
+    effect: str, parameter: str, way: float, effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
+) -> None:
     """The y plane's loop closed by elimination; per square of a small coupling, along both inputs."""
-    sheet = alike_planes(DATASHEET)
+    sheet = replace(alike_planes(DATASHEET), effects=effects)
     measured, one = one_plane(experiment(rig_from_datasheet(sheet)), sheet)
     nu = nuisance(one)
     o = observe(measured.sweeps[0], nu.rig)
