@@ -54,7 +54,8 @@ def effective(m: Magnets, i_t: Array, many_turns: bool = False, beside_t: Array 
     many_turns
         Whether it has more than one maximum and one minimum, so that the iron's plays have to be stepped.
     beside_t
-        The same of what the plays follow beside the current, as of `played_per_displacement`; None for nothing.
+        (P, T, n) what the iron's plays follow beside the current, A: displacements times `played_per_displacement`;
+        None where they follow the current alone.
     """
     if np.any(m.hysteresis_rad > 0):
         followed = i_t if beside_t is None else i_t + beside_t
