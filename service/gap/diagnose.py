@@ -21,7 +21,7 @@ from service.gap.lost_loop import LIMIT, LostLoop, with_limit
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
-from service.gap.outdated import outdated, twins_without_effects
+from service.gap.outdated import faint, judged_without, twins_without_effects
 from service.gap.overall_verdict import overall_verdict
 from service.gap.progress import Progress, ProgressCallback
 from service.gap.proposal.case import Grounds
@@ -64,14 +64,21 @@ def diagnose(
         done.judging(PERCENT_FITTED)
         diagnosis = _diagnosis(experiment.rig, datasheet, data, found, fitter)
         if datasheet.effects and diagnosis.verdict.kind != "no_gap" and diagnosis.verdict.settled:
-            diagnosis = _or_outdated(diagnosis, experiment, datasheet, fitter, done)
+            without = _without_effects_of_twin(experiment, datasheet, fitter, done)
+            if judged := judged_without(diagnosis, without):
+                verdict, other = judged
+                left = () if verdict.outdated else faint(diagnosis.verdict.effects)
+                diagnosis = _diagnosis(experiment.rig, datasheet, data, found, fitter, propose=False, given=verdict)
+                to = other.null if verdict.outdated else diagnosis.null
+                closed = shrinkage(diagnosis.null.fit.rig, to.fit.rig, diagnosis.held_out, found.name)
+                diagnosis = replace(diagnosis, shrinkage=closed, notes=(*other.notes, *left))
     return replace(diagnosis, of=origin(experiment, datasheet))
 
 
-def _or_outdated(
-    diagnosis: Diagnosis, experiment: Experiment, datasheet: Datasheet, fitter: Fitter, progress: Progress
-) -> Diagnosis:
-    """The diagnosis, or that the twin is out of date, from diagnoses of the twin without some of its effects."""
+def _without_effects_of_twin(
+    experiment: Experiment, datasheet: Datasheet, fitter: Fitter, progress: Progress
+) -> dict[tuple[str, ...], Diagnosis]:
+    """Diagnoses of the twin without some of its effects, by the effects left out."""
     without = {}
     for names, sheet in twins_without_effects(datasheet):
         progress.without(names, PERCENT_FITTED)
@@ -80,26 +87,35 @@ def _or_outdated(
             data = observed(experiment, sheet)
             found = explain_parts(data, fitter, Progress(None))
             without[names] = _diagnosis(experiment.rig, sheet, data, found, fitter, propose=False)
-    return outdated(diagnosis, without) or diagnosis
+    return without
 
 
 def _diagnosis(
-    rig: str, datasheet: Datasheet, data: Observed, found: Found, fitter: Fitter, propose: bool = True
+    rig: str,
+    datasheet: Datasheet,
+    data: Observed,
+    found: Found,
+    fitter: Fitter,
+    propose: bool = True,
+    given: Verdict | None = None,
 ) -> Diagnosis:
-    """The diagnosis from the parts' explanations: verdict, closure on unseen data, and a proposal if asked for."""
+    """The diagnosis from the parts' explanations: verdict, closure on unseen data, and a proposal if asked for.
+
+    The verdict follows from the parts, unless it is ``given``.
+    """
     nu, o, unseen = data.nuisance, data.o, found.unseen
     whole = with_drift_rate(composed(nu, found.parts), nu.rig, data.duration_s)
     null = whole.null.candidate
     sources = _measured_sources(data, whole)
     lost = None if data.erratic is None else LostLoop.of(data.erratic, null.fit.rig)
-    verdict = overall_verdict(
+    verdict = given or overall_verdict(
         found.parts,
         o,
         unseen,
         relative_gap(null.fit.rig, o),
         sources,
         found.fault,
-        modulated_stiffness([data.main, data.other], nu.rig),
+        modulated_stiffness([data.main, data.other], nu.rig, [name for name, _ in datasheet.effects]),
         data.lines_only,
         lost,
         None if data.tone is None else data.tone.in_words(nu.rig.axes),

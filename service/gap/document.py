@@ -206,6 +206,8 @@ def sentence(d: Diagnosis) -> str:
     v, s = d.verdict, d.shrinkage
     gap, sure = f"{100 * d.gap_before:.2g} %", f"probability {100 * v.probability:.0f} %"
     if v.kind == "no_gap":
+        if v.reasons:
+            return f"No gap ({sure}): the twin explains the rig to {gap}, and {v.reasons[0]}."
         few = d.gap_before > FEW_POINTS * d.noise_floor
         but = f" but for a few points, which make {gap} where noise makes {100 * d.noise_floor:.2g} %"
         if d.datasheet_off:

@@ -1,21 +1,26 @@
-"""A twin that is out of date: it names an effect that its rig does not have, or no longer.
+"""What a rig says of the effects that its twin names: whether it shows them, as named.
 
 An effect that was added to a twin may be repaired on the rig: a delay by new firmware, a housing by a bolt. No effect
-of the catalogue removes it from the twin, and others would be named for it.
+of the catalogue removes it from the twin, and others would be named for it. And its law in the twin is hardly the rig's
+to the last digit: what another law of the same effect leaves is a small share of a gap that the twin without it has,
+but all of the gap that the twin with it has, so that by itself it would be named as one more effect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from service.gap.diagnosis import Diagnosis
 from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT
 from service.gap.weighing.shrinkage import shrinkage
-from service.gap.weighing.verdict import Verdict
+from service.gap.weighing.verdict import MIXTURE_SHARE, Verdict
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.wording import in_words
+
+MOST = 0.5
+"""Share of what a twin leaves from which the same effects with other values explain most of it: they changed."""
 
 
 def twins_without_effects(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...], Datasheet]]:
@@ -26,8 +31,11 @@ def twins_without_effects(datasheet: Datasheet) -> Iterator[tuple[tuple[str, ...
         yield without, replace(datasheet, effects=kept)
 
 
-def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diagnosis | None:
-    """The diagnosis that a twin is out of date; None where the twin as it is explains the rig better.
+def judged_without(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> tuple[Verdict, Diagnosis] | None:
+    """A verdict on the twin's own effects, and the diagnosis without some of them that it follows from.
+
+    None where the twin as it is explains the rig better. Else it is out of date; or has no gap, where the rig's
+    explanation without effects of the twin is just these and leaves what the twin leaves: the error of their law.
 
     Parameters
     ----------
@@ -38,10 +46,40 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
     """
     explained = {names: other for names, other in without.items() if other.verdict.kind != "none_of_these"}
     by_price = sorted(explained.items(), key=lambda one: _price(*one))
-    found = next(((names, other) for names, other in by_price if _likelier(names, other, d)), None)
-    if found is None:
-        return None
-    names, best = found
+    better = [(names, other) for names, other in by_price if _likelier(names, other, d)]
+    fewer = [(names, other) for names, other in better if len(other.verdict.effects) < len(names)]
+    confirming = ((names, other) for names, other in by_price if _as_named(d, names, other))
+    if not fewer and (found := next(confirming, None)):
+        return _confirmed(found[0], found[1]), found[1]
+    return (_outdated(*better[0]), better[0][1]) if better else None
+
+
+def _as_named(d: Diagnosis, names: tuple[str, ...], other: Diagnosis) -> bool:
+    """Whether the rig shows effects as the twin names them, and what is left is no more than the error of their law.
+
+    Without them they are what explains the rig. With values of their own they come hardly nearer than those of the twin
+    do, which leave as little as they may where no second effect is searched for, in a part of the loop that they act
+    in. What one effect more would be named for is then left, too, when they are found on the plain twin.
+    """
+    if set(other.verdict.effects) != set(names) or d.where.path not in {CATALOGUE[name].path for name in names}:
+        return False
+    plain, twin, refitted = other.null.fit.rig, d.null.fit.rig, other.chosen.fit.rig
+    for o in (d.observation, d.held_out):
+        added, changed = (shrinkage(*rigs, o, "").closure for rigs in ((plain, twin), (twin, refitted)))
+        if (added is not None and added < 1 - MIXTURE_SHARE) or (changed is not None and changed > MOST):
+            return False
+    return True
+
+
+def _confirmed(names: tuple[str, ...], best: Diagnosis) -> Verdict:
+    """No gap: what is left is the error of the law of effects that the twin names."""
+    law = f"the law of {_in_words(names)}" if len(names) == 1 else f"the laws of {_in_words(names)}"
+    reason = f"{law}, fitted anew, {'comes' if len(names) == 1 else 'come'} no nearer"
+    return Verdict("no_gap", (), (), best.verdict.probability, (reason,))
+
+
+def _outdated(names: tuple[str, ...], best: Diagnosis) -> Verdict:
+    """The twin is out of date: without effects that it names it explains the rig better."""
     left = _in_words(best.verdict.effects)
     what = f"what differs is {left}" if left else f"the twin explains the rig to {100 * best.gap_before:.2g} %"
     sections, them = " and ".join(f"effects.{name}" for name in names), "it" if len(names) == 1 else "them"
@@ -50,7 +88,7 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
         f"{sections} out of the twin{' and diagnose again' if left else ''}"
     )
     path = CATALOGUE[names[0]].path
-    verdict = Verdict(
+    return Verdict(
         "none_of_these",
         (),
         (),
@@ -59,8 +97,12 @@ def outdated(d: Diagnosis, without: Mapping[tuple[str, ...], Diagnosis]) -> Diag
         unexplained="plant" if path == "additive" else path,
         outdated=names,
     )
-    closed = shrinkage(d.null.fit.rig, best.null.fit.rig, d.held_out, d.shrinkage.held_out)
-    return replace(d, verdict=verdict, shrinkage=closed, next_experiment=None, notes=best.notes)
+
+
+def faint(effects: Sequence[str]) -> list[str]:
+    """Notes on what a twin whose effects are confirmed leaves, which by itself would be named ``effects``."""
+    looks = f"looks like {_in_words(effects)}" if effects else "no known effect explains"
+    return [f"what little is left {looks}"]
 
 
 def _price(names: tuple[str, ...], other: Diagnosis) -> tuple[int, int, float]:

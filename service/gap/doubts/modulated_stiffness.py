@@ -6,7 +6,7 @@ plane is excited or the other one. A modulated stiffness multiplies the response
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from service.experiment.data import Sweep
 from service.gap.measured.observation import ringing
 from service.gap.measured.scatter import unexplained
 from service.gap.measured.settling import about_trend
+from sim.effects import CATALOGUE
 from sim.rig import Rig
 
 Real = NDArray[np.float64]
@@ -30,6 +31,9 @@ LATE = 3.0
 """The same deviate of the last half of the blocks, in which transients have decayed."""
 LARGEST = 4.0
 """Largest deviate with which one channel counts, so that no single line decides."""
+SCATTERS = frozenset({"logging_offset", *(name for name, effect in CATALOGUE.items() if effect.nonlinear)})
+"""Effects that scatter the blocks of what the rotor answers: 15 to 17 deviates in a log out of step, 11 to 18 with
+plays. A rig whose twin names one of them scatters for that."""
 FEWEST = 5
 """Fewest blocks of a point."""
 BEYOND_COMPARE = 100.0
@@ -38,10 +42,13 @@ CHANNELS = 20
 """Fewest channels times lines."""
 
 
-def modulated_stiffness(sweeps: Sequence[Sweep], rig: Rig) -> str | None:
-    """That the response is modulated in every sweep, in words; None where it is not, or where they cannot show it."""
+def modulated_stiffness(sweeps: Sequence[Sweep], rig: Rig, known: Collection[str] = ()) -> str | None:
+    """That the response is modulated in every sweep, in words; None where it is not, or where they cannot show it.
+
+    They cannot where the twin names effects, ``known``, that scatter it as well.
+    """
     tested = [scatter_of_answer(s, rig) for s in sweeps if s.in_sequence]
-    if not tested or len(tested) < len(sweeps):
+    if not tested or len(tested) < len(sweeps) or not SCATTERS.isdisjoint(known):
         return None
     ratios = [ratio for _, _, ratio in tested]
     if all(z > SWINGS and late > LATE for z, late, _ in tested):

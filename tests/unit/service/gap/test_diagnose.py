@@ -74,6 +74,18 @@ def test_a_withheld_effect_is_named_measured_and_closed(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("inverse_per_a", [0.15, 0.3, 0.4])
+def test_a_saturation_fainter_than_the_floor_of_rough_stages_is_found_by_its_law(inverse_per_a: float) -> None:
+    datasheet, truth = known_datasheet(seed=2)
+    rig = with_effects(true_rig(truth), {"magnetic_saturation": {"saturation_inverse_per_a": inverse_per_a}})
+    d = diagnose(*one_plane(experiment(rig), datasheet))
+    assert d.verdict.effects == ("magnetic_saturation",)
+    assert d.gap_before < 0.004
+    found, std = (one[0]["saturation_inverse_per_a"] for one in (d.chosen.fit.values, d.chosen.standard_deviations))
+    assert abs(found - inverse_per_a) < 3 * std < 0.3 * inverse_per_a
+
+
+@pytest.mark.slow
 def test_a_line_near_a_mode_that_few_lines_tell_of_does_not_speak_against_an_effect() -> None:
     """One sweep of 18 lines, nine to fit: of the shape at the mode only an unseen line tells."""
     datasheet, truth = known_datasheet(seed=5)

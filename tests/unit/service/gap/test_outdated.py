@@ -6,9 +6,11 @@ import pytest
 
 from service.gap.apply import applied
 from service.gap.diagnose import diagnose
+from service.gap.diagnosis import Diagnosis
 from service.gap.document import gap_document
 from service.gap.measured.observation import GapError
-from service.gap.outdated import twins_without_effects
+from service.gap.outdated import judged_without, twins_without_effects
+from service.gap.weighing.verdict import Verdict
 from service.report.gap import gap_page
 from sim.datasheet import Datasheet
 from sim.twin import with_effects
@@ -75,6 +77,35 @@ def test_an_effect_beside_those_that_the_twin_names_rightly_is_named() -> None:
     verdict = diagnose(measured, twin(sheet, DELAY)).verdict
     assert verdict.effects == ("magnetic_saturation",)
     assert verdict.outdated == ()
+
+
+@pytest.mark.slow
+def test_what_the_law_of_a_named_effect_leaves_is_no_gap_of_the_twin_that_names_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Faint plays stand for the error of a law of eddy currents: a twin is not blamed for what it was added with."""
+    sheet, truth = known_datasheet(seed=2)
+    eddy = {"eddy_currents": {"time_constant_s": 1e-5}}
+    rig = with_effects(true_rig(truth), eddy | {"magnetic_hysteresis": {"loss_angle_rad": 1e-3}})
+    measured, sheet = one_plane(experiment(rig), sheet)
+    first = gap_document(diagnose(measured, sheet))
+    assert first["verdict"]["effects"] == ["eddy_currents"]
+    given: list[tuple[Diagnosis, dict[tuple[str, ...], Diagnosis]]] = []
+
+    def judged(d: Diagnosis, without: dict[tuple[str, ...], Diagnosis]) -> tuple[Verdict, Diagnosis] | None:
+        given.append((d, without))
+        return judged_without(d, without)
+
+    monkeypatch.setattr("service.gap.diagnose.judged_without", judged)
+    again = gap_document(diagnose(measured, applied(sheet, first)))
+    assert again["verdict"]["kind"] == "no_gap"
+    assert "the law of eddy currents, fitted anew, comes no nearer" in again["verdict"]["sentence"]
+    assert any(note.startswith("what little is left") for note in again["notes"])
+    assert again["loop"]["nu_gap"]["before"] == again["loop"]["nu_gap"]["after"]
+    # the same remainder in a part that eddy currents do not act in is none of their law's
+    ((d, without),) = given
+    elsewhere = judged_without(replace(d, where=replace(d.where, path="amplifier")), without)
+    assert elsewhere is None or elsewhere[0].kind != "no_gap"
 
 
 @pytest.mark.slow

@@ -35,6 +35,13 @@ def test_a_gain_that_swings_by_a_hundredth_is_told() -> None:
     assert "scatter more where their own plane is driven" in said
 
 
+@pytest.mark.parametrize("effect", ["logging_offset", "magnetic_hysteresis", "touchdown_contact"])
+def test_a_twin_whose_effects_scatter_the_answer_is_not_doubted_for_it(effect: str) -> None:
+    swinging = [answering(s, lambda rng, shape: 1 + 0.01 * rng.standard_normal(shape)) for s in MEASURED]
+    assert modulated_stiffness(swinging, RIG, ["loop_delay", effect]) is None
+    assert modulated_stiffness(swinging, RIG, ["loop_delay"]) is not None
+
+
 def test_a_transient_that_decays_is_no_swing() -> None:
     def decaying(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
         return 1 + 0.03 * np.exp(-3.0 * np.arange(shape[1])) * rng.standard_normal((shape[0], 1))
