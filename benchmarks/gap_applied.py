@@ -1,8 +1,9 @@
 """Whether a twin has no gap any more once what a diagnosis named is added to it.
 
-`python benchmarks/gap_applied.py DIR [--jobs J]` diagnoses every case folder in DIR (experiment.h5 and rig.toml), adds
-the effects that are named to the twin, and diagnoses the same experiment against that. It prints both verdicts of each
-case, and how many have no gap then; a case without named effects has nothing to add.
+`python benchmarks/gap_applied.py [DIR] [--jobs J]` diagnoses every case folder in DIR (experiment.h5 and rig.toml; else
+the practice cases, where they are at hand), adds the effects that are named to the twin, and diagnoses the same
+experiment against that. It prints both verdicts of each case, and how many have no gap then; a case without named
+effects has nothing to add.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+from gap import PRACTICE
 
 from service.experiment import file
 from service.gap.apply import applied
@@ -30,11 +33,11 @@ def twice(folder: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", default=PRACTICE)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     folders = sorted(p.parent for p in args.folder.glob("*/experiment.h5"))
-    if not folders:
+    if not folders and args.folder != PRACTICE:
         parser.error(f"no case folders in {args.folder}")
     gone = added = 0
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:

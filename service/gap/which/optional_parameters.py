@@ -30,6 +30,7 @@ from sim.effects import CATALOGUE
 Complex = NDArray[np.complex128]
 
 SUPPORT, GYROSCOPIC, CONTROLLER = "support_resonance", "gyroscopic_coupling", "controller_mismatch"
+EDDY, DISPLACEMENT_SHARE = "eddy_currents", "displacement_share"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
 effect."""
@@ -93,6 +94,20 @@ def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candid
     own |= added_filters.start(effect, null.fit.rig, ground.observations[0])
     held = frozenset({(CONTROLLER, "gain_change")})
     yield Task(ground, (CONTROLLER,), ((own,),), null.fit.theta, (EXACT,), nulled=held)
+
+
+def with_the_lag_of_the_displacement(ground: Ground, best: Candidate) -> Iterator[Task]:
+    """Task to fit eddy currents with the share of their law that the displacement's flux has; none beside no such law.
+
+    It is tried even where nothing is left: the law of the current alone then explains a whole force that lags by a time
+    constant that is a fifth too long, with a corner that is not there.
+    """
+    if EDDY in best.effects and (EDDY, DISPLACEMENT_SHARE) in dormant_at_null(best.effects, best.fit.values):
+        k = best.effects.index(EDDY)
+        share = next(p for p in CATALOGUE[EDDY].parameters if p.name == DISPLACEMENT_SHARE).wakes[0]
+        start = {**best.fit.values[k], DISPLACEMENT_SHARE: share}
+        starts = ((*best.fit.values[:k], start, *best.fit.values[k + 1 :]),)
+        yield Task(ground, best.effects, starts, best.fit.theta, (EXACT,))
 
 
 def with_all_parameters(task: Task) -> Task | None:

@@ -34,6 +34,7 @@ from service.gap.which.optional_parameters import (
     softer_in_one_plane,
     with_an_added_filter,
     with_optional_parameters,
+    with_the_lag_of_the_displacement,
 )
 from service.gap.which.plainest_law import plainer_law, weighed_plainly
 from service.gap.which.refits import (
@@ -105,6 +106,7 @@ def explain(
     if most > 1 and not search.curved():
         search.add_wider_laws(search.found)
         search.add_mixtures(most)
+    search.add_lag_of_displacement()
     order = beyond_tolerance(fitter, ground, weighed_plainly(fitter, ground, search.order), most)
     fitted = Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))
     order = accepted_instead(order, fitted.remaining)
@@ -193,6 +195,11 @@ class _Search:
             # filters that the datasheet knows are tuned otherwise sooner than there is one more
             own = [*with_an_added_filter(self.ground, self.null, wider), *with_amplifiers_apart(self.ground, wider)]
             self._add([*uneven, *self.fitter.run(own)])
+
+    def add_lag_of_displacement(self) -> None:
+        """Add the law of eddy currents in the flux of a moving rotor, too, where the best explanation names them."""
+        best = self.order[0].candidate
+        self._add(self.fitter.run(with_the_lag_of_the_displacement(self.ground, best)))
 
     def _add(self, more: Sequence[Candidate]) -> None:
         """Add explanations of effects that are known already, where they are better."""

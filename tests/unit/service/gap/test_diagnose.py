@@ -86,6 +86,19 @@ def test_a_saturation_fainter_than_the_floor_of_rough_stages_is_found_by_its_law
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_how_long_faint_eddy_currents_lag_is_told_for_the_force_and_for_the_current(share: float) -> None:
+    datasheet, truth = known_datasheet(seed=2)
+    eddy = {"eddy_currents": {"time_constant_s": 1e-7, "displacement_share": share}}
+    d = diagnose(*one_plane(experiment(with_effects(true_rig(truth), eddy)), datasheet))
+    assert d.verdict.effects == ("eddy_currents",)
+    (found,), (std,) = d.chosen.fit.values, d.chosen.standard_deviations
+    assert found["time_constant_s"] == pytest.approx(1e-7, rel=0.05)
+    assert abs(found["time_constant_s"] - 1e-7) < 2 * std["time_constant_s"]
+    assert found["displacement_share"] == pytest.approx(share, abs=0.05)
+
+
+@pytest.mark.slow
 def test_a_line_near_a_mode_that_few_lines_tell_of_does_not_speak_against_an_effect() -> None:
     """One sweep of 18 lines, nine to fit: of the shape at the mode only an unseen line tells."""
     datasheet, truth = known_datasheet(seed=5)
