@@ -69,7 +69,7 @@ def diagnose(
                 verdict, other = judged
                 left = () if verdict.outdated else faint(diagnosis.verdict.effects)
                 diagnosis = _diagnosis(experiment.rig, datasheet, data, found, fitter, propose=False, given=verdict)
-                to = other.null if verdict.outdated else diagnosis.null
+                to = other.chosen if verdict.outdated else diagnosis.null
                 closed = shrinkage(diagnosis.null.fit.rig, to.fit.rig, diagnosis.held_out, found.name)
                 diagnosis = replace(diagnosis, shrinkage=closed, notes=(*other.notes, *left))
     return replace(diagnosis, of=origin(experiment, datasheet))

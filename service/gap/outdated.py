@@ -15,6 +15,7 @@ from service.gap.diagnosis import Diagnosis
 from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT
 from service.gap.weighing.shrinkage import shrinkage
 from service.gap.weighing.verdict import MIXTURE_SHARE, Verdict
+from service.gap.which.mixtures import ANOTHER_LAW
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.wording import in_words
@@ -58,15 +59,17 @@ def _as_named(d: Diagnosis, names: tuple[str, ...], other: Diagnosis) -> bool:
     """Whether the rig shows effects as the twin names them, and what is left is no more than the error of their law.
 
     Without them they are what explains the rig. With values of their own they come hardly nearer than those of the twin
-    do, which leave as little as they may where no second effect is searched for, in a part of the loop that they act
-    in. What one effect more would be named for is then left, too, when they are found on the plain twin.
+    do, which leave no more than another law of them may, in a part of the loop that they act in. What one effect more
+    would be named for is then left, too, when they are found on the plain twin.
     """
     if set(other.verdict.effects) != set(names) or d.where.path not in {CATALOGUE[name].path for name in names}:
         return False
+    # as much as another program's law of them may leave: more where it is nonlinear
+    allowed = ANOTHER_LAW if any(CATALOGUE[name].nonlinear for name in names) else MIXTURE_SHARE
     plain, twin, refitted = other.null.fit.rig, d.null.fit.rig, other.chosen.fit.rig
     for o in (d.observation, d.held_out):
         added, changed = (shrinkage(*rigs, o, "").closure for rigs in ((plain, twin), (twin, refitted)))
-        if (added is not None and added < 1 - MIXTURE_SHARE) or (changed is not None and changed > MOST):
+        if (added is not None and added < 1 - allowed) or (changed is not None and changed > MOST):
             return False
     return True
 
