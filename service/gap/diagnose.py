@@ -66,13 +66,21 @@ def diagnose(
         if datasheet.effects and diagnosis.verdict.kind != "no_gap" and diagnosis.verdict.settled:
             without = _without_effects_of_twin(experiment, datasheet, fitter, done)
             if judged := judged_without(diagnosis, without):
-                verdict, other = judged
-                left = () if verdict.outdated else faint(diagnosis.verdict.effects)
-                diagnosis = _diagnosis(experiment.rig, datasheet, data, found, fitter, propose=False, given=verdict)
-                to = other.chosen if verdict.outdated else diagnosis.null
-                closed = shrinkage(diagnosis.null.fit.rig, to.fit.rig, diagnosis.held_out, found.name)
-                diagnosis = replace(diagnosis, shrinkage=closed, notes=(*other.notes, *left))
+                seemed = diagnosis.verdict.effects
+                diagnosis = _diagnosis(experiment.rig, datasheet, data, found, fitter, propose=False, given=judged[0])
+                diagnosis = _of_own_effects(diagnosis, judged[1], seemed)
     return replace(diagnosis, of=origin(experiment, datasheet))
+
+
+def _of_own_effects(d: Diagnosis, other: Diagnosis, seemed: tuple[str, ...]) -> Diagnosis:
+    """A diagnosis whose verdict is on the twin's own effects, with closure and notes of ``other``, without them.
+
+    ``seemed`` are the effects that the twin's gap would be named for.
+    """
+    outdated = bool(d.verdict.outdated)
+    to = other.chosen if outdated else d.null
+    closed = shrinkage(d.null.fit.rig, to.fit.rig, d.held_out, d.shrinkage.held_out)
+    return replace(d, shrinkage=closed, notes=(*other.notes, *(() if outdated else faint(seemed))))
 
 
 def _without_effects_of_twin(

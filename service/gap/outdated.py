@@ -76,8 +76,8 @@ def _as_named(d: Diagnosis, names: tuple[str, ...], other: Diagnosis) -> bool:
 
 def _confirmed(names: tuple[str, ...], best: Diagnosis) -> Verdict:
     """No gap: what is left is the error of the law of effects that the twin names."""
-    law = f"the law of {_in_words(names)}" if len(names) == 1 else f"the laws of {_in_words(names)}"
-    reason = f"{law}, fitted anew, {'comes' if len(names) == 1 else 'come'} no nearer"
+    laws, come, they = ("law", "comes", "it is") if len(names) == 1 else ("laws", "come", "they are")
+    reason = f"the {laws} of {_in_words(names)}, which it names, {come} no nearer where {they} fitted anew"
     return Verdict("no_gap", (), (), best.verdict.probability, (reason,))
 
 

@@ -99,7 +99,7 @@ def test_what_the_law_of_a_named_effect_leaves_is_no_gap_of_the_twin_that_names_
     monkeypatch.setattr("service.gap.diagnose.judged_without", judged)
     again = gap_document(diagnose(measured, applied(sheet, first)))
     assert again["verdict"]["kind"] == "no_gap"
-    assert "the law of eddy currents, fitted anew, comes no nearer" in again["verdict"]["sentence"]
+    assert "the law of eddy currents, which it names, comes no nearer" in again["verdict"]["sentence"]
     assert any(note.startswith("what little is left") for note in again["notes"])
     assert again["loop"]["nu_gap"]["before"] == again["loop"]["nu_gap"]["after"]
     # the same remainder in a part that eddy currents do not act in is none of their law's
