@@ -37,7 +37,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     folders = sorted(p.parent for p in args.folder.glob("*/experiment.h5"))
-    if not folders and args.folder != PRACTICE:
+    if not folders and args.folder == PRACTICE:
+        print(f"no practice cases in {PRACTICE.name}, left out")
+        return
+    if not folders:
         parser.error(f"no case folders in {args.folder}")
     gone = added = 0
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:

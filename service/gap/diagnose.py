@@ -21,7 +21,7 @@ from service.gap.lost_loop import LIMIT, LostLoop, with_limit
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
-from service.gap.outdated import faint, judged_without, twins_without_effects
+from service.gap.outdated import judged_without, twins_without_effects, what_is_left
 from service.gap.overall_verdict import overall_verdict
 from service.gap.progress import Progress, ProgressCallback
 from service.gap.proposal.case import Grounds
@@ -73,14 +73,14 @@ def diagnose(
 
 
 def _of_own_effects(d: Diagnosis, other: Diagnosis, seemed: tuple[str, ...]) -> Diagnosis:
-    """A diagnosis whose verdict is on the twin's own effects, with closure and notes of ``other``, without them.
+    """A diagnosis whose verdict is on the twin's own effects, from ``other``, that of the twin without them.
 
     ``seemed`` are the effects that the twin's gap would be named for.
     """
-    outdated = bool(d.verdict.outdated)
-    to = other.chosen if outdated else d.null
-    closed = shrinkage(d.null.fit.rig, to.fit.rig, d.held_out, d.shrinkage.held_out)
-    return replace(d, shrinkage=closed, notes=(*other.notes, *(() if outdated else faint(seemed))))
+    if d.verdict.outdated:
+        closed = shrinkage(d.null.fit.rig, other.chosen.fit.rig, d.held_out, d.shrinkage.held_out)
+        return replace(d, shrinkage=closed, notes=other.notes)
+    return replace(d, notes=(*d.notes, what_is_left(seemed))) if d.verdict.kind == "no_gap" else d
 
 
 def _without_effects_of_twin(
@@ -109,14 +109,14 @@ def _diagnosis(
 ) -> Diagnosis:
     """The diagnosis from the parts' explanations: verdict, closure on unseen data, and a proposal if asked for.
 
-    The verdict follows from the parts, unless it is ``given``.
+    The verdict follows from the parts, unless it is ``given``: then doubts of the whole, as of a log, still apply.
     """
     nu, o, unseen = data.nuisance, data.o, found.unseen
     whole = with_drift_rate(composed(nu, found.parts), nu.rig, data.duration_s)
     null = whole.null.candidate
     sources = _measured_sources(data, whole)
     lost = None if data.erratic is None else LostLoop.of(data.erratic, null.fit.rig)
-    verdict = given or overall_verdict(
+    verdict = overall_verdict(
         found.parts,
         o,
         unseen,
@@ -127,6 +127,7 @@ def _diagnosis(
         data.lines_only,
         lost,
         None if data.tone is None else data.tone.in_words(nu.rig.axes),
+        given,
     )
     if lost is not None and LIMIT in verdict.effects and not _fitted(found, LIMIT):
         whole = with_limit(whole, nu, lost)

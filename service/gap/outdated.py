@@ -102,10 +102,10 @@ def _outdated(names: tuple[str, ...], best: Diagnosis) -> Verdict:
     )
 
 
-def faint(effects: Sequence[str]) -> list[str]:
-    """Notes on what a twin whose effects are confirmed leaves, which by itself would be named ``effects``."""
+def what_is_left(effects: Sequence[str]) -> str:
+    """A note on what a twin whose effects are confirmed leaves, which by itself would be named ``effects``."""
     looks = f"looks like {_in_words(effects)}" if effects else "no known effect explains"
-    return [f"what little is left {looks}"]
+    return f"what little is left {looks}"
 
 
 def _price(names: tuple[str, ...], other: Diagnosis) -> tuple[int, int, float]:

@@ -56,6 +56,7 @@ def overall_verdict(
     lines_only: bool = False,
     lost: LostLoop | None = None,
     tone: str | None = None,
+    given: Verdict | None = None,
 ) -> Verdict:
     """The verdict on all parts ``found``.
 
@@ -73,15 +74,21 @@ def overall_verdict(
         Where amplifiers lose their loop.
     tone
         Interference that no effect of the catalogue is (`unlisted_tone`), in words.
+    given
+        What is known of the gap otherwise, as from the twin's own effects: it is doubted, but does not follow from the
+        parts.
     """
-    tests = {e.part.path: held_out(e, unseen) for e in found}
-    if lines_only:
-        tests = {e.part.path: between_lines(e, unseen, tests[e.part.path]) for e in found}
-    verdict = verdict_of(found, tests, unseen)
-    verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
-    if lost is not None and fault is None:
-        verdict = named_limit(verdict, lost)
-    verdict = with_sources(verdict, sources, found)
+    if given is None:
+        tests = {e.part.path: held_out(e, unseen) for e in found}
+        if lines_only:
+            tests = {e.part.path: between_lines(e, unseen, tests[e.part.path]) for e in found}
+        verdict = verdict_of(found, tests, unseen)
+        verdict = with_across(verdict, [a for e in found for a in across_alike(e)])
+        if lost is not None and fault is None:
+            verdict = named_limit(verdict, lost)
+        verdict = with_sources(verdict, sources, found)
+    else:
+        verdict = given
     if fault is not None:
         verdict = Verdict("none_of_these", (), (), SURE_OF_NONE, (fault,))
     elif swings and verdict.kind == "no_gap":
