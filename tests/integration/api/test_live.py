@@ -3,7 +3,8 @@
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -249,3 +250,52 @@ def test_stops_of_one_rig_that_come_together_all_reach_it(api, rig, tripping):
     with httpx.Client(base_url=api.base_url, timeout=30) as many, ThreadPoolExecutor(40) as callers:
         stops = [callers.submit(many.post, f"/rigs/{rig}/stop") for _ in range(40)]
         assert {stop.result().status_code for stop in stops} == {204}
+
+
+def test_a_stop_is_answered_by_one_that_began_after_it_was_asked_for(monkeypatch):
+    """Of many that come together, over a bus that takes its time, none is refused for those before it."""
+    reached = []
+
+    class Slow:
+        def stop(self):
+            reached.append(time.monotonic())
+            time.sleep(0.3)
+
+        def status(self):
+            return SimpleNamespace(lease_holder="a campaign")
+
+    monkeypatch.setattr(live, "ANSWER_S", 2.0)  # 40 in turns of four would take 3 s, and may wait for one
+    line, asked = live._Line("modbus://slow"), []
+    line.controller = Slow()
+
+    def stop(_):
+        asked.append(time.monotonic())
+        return line.stop()
+
+    with ThreadPoolExecutor(40) as callers:
+        assert set(callers.map(stop, range(40))) == {"a campaign"}
+    assert max(reached) > max(asked), "a stop began after the last was asked for"
+    before = len(reached)
+    assert line.stop() == "a campaign"
+    assert len(reached) == before + 1, "none that began before it was asked for answers it"
+
+
+def test_a_stop_that_failed_answers_no_other(monkeypatch):
+    line, tried = live._Line("modbus://away"), []
+
+    @contextmanager
+    def refuse(url):
+        tried.append(url)
+        time.sleep(0.1)
+        raise BusError("nobody answers")
+        yield
+
+    monkeypatch.setattr(bootstrap, "connected", refuse)
+
+    def stop(_):
+        with pytest.raises(BusError, match="nobody answers"):
+            line.stop()
+
+    with ThreadPoolExecutor(8) as callers:
+        list(callers.map(stop, range(8)))
+    assert len(tried) == 8
