@@ -13,6 +13,9 @@ from sim.sizes import MASS
 ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
 
+OF_PLANES = ("plane_imbalance", "plane_frequency_ratio")
+"""How a mode, and a housing alike, moves further, and is stiffer, in one plane than in the other."""
+
 LEANS, AT_ONE_END = 0.05, 0.98
 """Imbalance of both ends from which a mode is likened to a housing that leans, and from which it moves one end alone,
 whichever way the tenth of it goes that is left at the other."""
@@ -50,7 +53,8 @@ def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
     (at_a, sensed_a), (at_b, sensed_b) = (
         tuple(values[f"{place}_{end}_per_sqrt_kg"] for place in ("bearing", "sensor")) for end in "AB"
     )
-    shape = {"frequency_hz": values["frequency_hz"], "damping_ratio": values["damping_ratio"]}
+    shape = {name: values[name] for name in ("frequency_hz", "damping_ratio")}
+    shape |= {name: values[name] for name in OF_PLANES if name in values}
     both, more = at_a * sensed_a + at_b * sensed_b, at_a * sensed_a - at_b * sensed_b
     same_way = at_a * at_b >= 0 or abs(more) > AT_ONE_END * both
     if same_way and LEANS * both < abs(more) <= both:

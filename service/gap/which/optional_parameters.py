@@ -29,7 +29,8 @@ from sim.effects import CATALOGUE
 
 Complex = NDArray[np.complex128]
 
-SUPPORT, GYROSCOPIC, CONTROLLER = "support_resonance", "gyroscopic_coupling", "controller_mismatch"
+SUPPORT, MODE, GYROSCOPIC = "support_resonance", "extra_flexible_mode", "gyroscopic_coupling"
+CONTROLLER = "controller_mismatch"
 EDDY, DISPLACEMENT_SHARE = "eddy_currents", "displacement_share"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
@@ -48,23 +49,25 @@ def with_optional_parameters(fitter: Fitter, ground: Ground, found: Sequence[Can
 def softer_in_one_plane(
     ground: Ground, null: Candidate, plain: Sequence[Complex], found: Sequence[Candidate]
 ) -> Iterator[Task]:
-    """Task to fit a support with the resonance that each plane shows; none where ``found`` has no support alone.
+    """Tasks to fit a support, or a mode, with the resonance that each plane shows; of those that ``found`` has alone.
 
     A resonance is narrow, so that no start with the same frequency in both planes leads there. ``plain`` are the
     residuals of the plain twin ``null``.
     """
-    if not any(c.effects == (SUPPORT,) for c in found) or ground.nuisance.rig.n_planes < 2:
+    if ground.nuisance.rig.n_planes < 2:
         return
-    effect = CATALOGUE[SUPPORT].of(ground.nuisance.rig)
     unexplained = SweepResiduals(null.fit.rig, plain[0], ground.observations[0], ground)
-    typical = {p.name: p.wakes[0] if p.wakes else p.typical for p in effect.parameters}
-    starts = [
-        ({**typical, **own, "pedestals": share},) for own in unlike_planes(effect, unexplained) for share in (0.0, 1.0)
-    ]
-    if starts:
-        rough = rough_beside(null, ground)
-        theta = null.fit.theta if rough != rough_stages(ground) else ground.theta
-        yield Task(ground, (SUPPORT,), tuple(starts), theta, (*rough, EXACT))
+    for name in (SUPPORT, MODE):
+        if not any(c.effects == (name,) for c in found):
+            continue
+        effect = CATALOGUE[name].of(ground.nuisance.rig)
+        typical = {p.name: p.wakes[0] if p.wakes else p.typical for p in effect.parameters}
+        shares = [{"pedestals": share} for share in (0.0, 1.0)] if name == SUPPORT else [{}]
+        starts = [({**typical, **own, **more},) for own in unlike_planes(effect, unexplained) for more in shares]
+        if starts:
+            rough = rough_beside(null, ground)
+            theta = null.fit.theta if rough != rough_stages(ground) else ground.theta
+            yield Task(ground, (name,), tuple(starts), theta, (*rough, EXACT))
 
 
 def on_modes_that_split(ground: Ground, found: Sequence[Candidate]) -> Iterator[Task]:

@@ -26,6 +26,8 @@ GRID_APART = 8
 
 SAME_FREQUENCY = 0.02
 """Logarithm of the ratio of two frequencies below which they are taken for the same."""
+OFF_BETWEEN_LINES = 0.05
+"""Logarithm of the ratio by which a resonance may be found off; lines of a sweep are 7 % apart."""
 
 
 def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals) -> list[dict[str, float]]:
@@ -36,15 +38,17 @@ def starts(effect: Effect, base: dict[str, float], residuals: SweepResiduals) ->
 
 
 def unlike_planes(effect: Effect, residuals: SweepResiduals) -> list[dict[str, float]]:
-    """Support that is softer in one direction: the best resonance of each plane; empty where both are the same."""
+    """Support or mode of another frequency in y: the best resonance of each plane; empty where both are the same."""
     in_x, in_y = (resonances(effect, residuals, 1, plane) for plane in (0, 1))
     if not in_x or not in_y:
         return []
     ratio = in_y[0]["frequency_hz"] / in_x[0]["frequency_hz"]
     known = next(p for p in effect.parameters if p.name == "plane_frequency_ratio")
-    if abs(np.log(ratio)) < SAME_FREQUENCY or not known.low < ratio < known.high:
+    # a resonance between two lines is found some per cent off, which may be beyond the end of the range
+    within = float(np.clip(ratio, known.low, known.high))
+    if abs(np.log(ratio)) < SAME_FREQUENCY or abs(np.log(ratio / within)) > OFF_BETWEEN_LINES:
         return []
-    return [{**in_x[0], known.name: ratio}]
+    return [{**in_x[0], "frequency_hz": in_y[0]["frequency_hz"] / within, known.name: within}]
 
 
 def resonances(
