@@ -196,6 +196,7 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
     nu, verdict = data.nuisance, d.verdict
     if verdict.also_alike:
         yield f"not told apart either: {', '.join(map(in_words, verdict.also_alike))}"
+    yield from verdict.beside
     if data.tone is not None and verdict.effects:
         yield data.tone.in_words(nu.rig.axes)
     if verdict.kind == "none_of_these":

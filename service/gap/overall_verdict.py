@@ -130,7 +130,17 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
         classes = with_exact_aliases(effects, classes)
     kind = "effect" if len(effects) == 1 else "effects"
     also = tuple(name for v in named for name in v.also_alike)
-    return Verdict(kind, effects, (), probability, (), also_alike=also).with_classes(classes)
+    beside = tuple(_small_gap(e, of_part[e.part.path]) for e in by_size if of_part[e.part.path].kind == "none_of_these")
+    return Verdict(kind, effects, (), probability, (), also_alike=also, beside=beside).with_classes(classes)
+
+
+def _small_gap(e: Explained, verdict: Verdict) -> str:
+    """The gap of a part that no effect explains, too small beside the others' to be the verdict, in words."""
+    return (
+        f"the {e.part.path} has a small gap of its own, {100 * e.relative_gap:.2g} % of its signal, that no effect "
+        f"explains: {'; '.join(verdict.reasons)}. What is named elsewhere may leak into it: add that to the twin and "
+        "diagnose again"
+    )
 
 
 def _verdict_of_part(e: Explained, there: HeldOut, unseen: Observation) -> Verdict:

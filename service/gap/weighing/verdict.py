@@ -69,6 +69,8 @@ class Verdict:
     """further effects or causes that the data cannot distinguish from the effects, beyond the classes"""
     outdated: tuple[str, ...] = ()
     """effects that the twin names and the rig does not show as named"""
+    beside: tuple[str, ...] = ()
+    """parts whose own small gap no effect explains, in words; what is named in others may have leaked into them"""
 
     def with_classes(self, classes: Sequence[tuple[str, ...]]) -> Verdict:
         """The verdict with these alias classes, each cut to `LARGEST_CLASS`; the rest goes to ``also_alike``."""

@@ -21,25 +21,30 @@ from tests.support.two_axes import one_plane
 pytestmark = pytest.mark.slow
 
 
-def with_stalling_amplifiers(rig: Rig, s: Sweep) -> Sweep:
-    """The sweep of a rig whose amplifiers hardly answer above 600 Hz, in closed loop."""
+def answering(rig: Rig, s: Sweep, amplifiers: np.ndarray | float = 1.0, rotor: np.ndarray | float = 1.0) -> Sweep:
+    """The sweep of a rig whose amplifiers and rotor answer so many times as much at each line, in closed loop."""
     frequency, line = np.unique(s.frequency_hz, return_inverse=True)
     m, f = linear_model(rig, frequency), HARMONICS.index(1)
     R, C = s.R.mean(axis=1)[:, f, :, None], m.controller[:, None, None]
-    stalled = np.where(frequency > 600.0, 0.4 * np.exp(-2j), 1.0)[:, None, None]
 
-    def signals(A: np.ndarray) -> tuple[np.ndarray, ...]:
-        U = np.linalg.solve(np.eye(rig.n_axes) + C * m.y_per_i @ A, np.eye(rig.n_axes))[line] @ R
+    def signals(A: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, ...]:
+        U = np.linalg.solve(np.eye(rig.n_axes) + C * P @ A, np.eye(rig.n_axes))[line] @ R
         I = A[line] @ U
-        return U, I, m.y_per_i[line] @ I
+        return U, I, P[line] @ I
 
     out = []
-    changed, plain = signals(stalled * m.i_per_u), signals(m.i_per_u)
+    times = [np.broadcast_to(x, len(frequency))[:, None, None] for x in (amplifiers, rotor)]
+    changed, plain = signals(times[0] * m.i_per_u, times[1] * m.y_per_i), signals(m.i_per_u, m.y_per_i)
     for X, now, before in zip((s.U, s.I, s.Y), changed, plain, strict=True):
         X = X.copy()
         X[:, :, f] += (now - before)[:, None, :, 0]
         out.append(X)
     return replace(s, U=out[0], I=out[1], Y=out[2])
+
+
+def with_stalling_amplifiers(rig: Rig, s: Sweep) -> Sweep:
+    """The sweep of a rig whose amplifiers hardly answer above 600 Hz, in closed loop."""
+    return answering(rig, s, amplifiers=np.where(np.unique(s.frequency_hz) > 600.0, 0.4 * np.exp(-2j), 1.0))
 
 
 def test_amplifiers_that_nothing_explains_are_no_datasheet_of_another_rig() -> None:
@@ -74,6 +79,21 @@ def test_what_no_band_shows_but_all_of_them_together_is_no_noise(size_a: float, 
     sweeps = tuple(with_a_little_everywhere(s, size_a, k) for k, s in enumerate(measured.sweeps))
     verdict = diagnose(replace(measured, sweeps=sweeps), datasheet).verdict
     assert (verdict.kind, verdict.unexplained) == (kind, "amplifier" if kind == "none_of_these" else None)
+
+
+@pytest.mark.parametrize("share", [0.0, 3e-3])
+def test_a_small_gap_that_nothing_explains_is_told_beside_a_large_one_that_is_named(share: float) -> None:
+    """The rotor answers a few thousandths more at one line and less at the next, where amplifiers lag by a sample."""
+    datasheet, truth = known_datasheet(seed=35)
+    rig = with_effects(true_rig(truth), {"loop_delay": {"delay_s": 1e-4}})
+    measured = experiment(rig)
+    rotor = [
+        1 + share * np.random.default_rng(0).standard_normal(len(np.unique(s.frequency_hz))) for s in measured.sweeps
+    ]
+    sweeps = tuple(answering(rig, s, rotor=r) for s, r in zip(measured.sweeps, rotor, strict=True))
+    found = gap_document(diagnose(*one_plane(replace(measured, sweeps=sweeps), datasheet)))
+    assert found["verdict"]["effects"] == ["loop_delay"]
+    assert any("the plant has a small gap of its own" in note for note in found["notes"]) is (share > 0)
 
 
 def test_what_nothing_explains_is_blamed_beside_an_explained_part_without_noise() -> None:
