@@ -11,7 +11,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 # one more than there are cores: a third of the time a test waits for a server or a device
-JOBS   ?= $(shell expr $$(nproc 2>/dev/null || echo 1) + 1)
+JOBS   ?= $(shell expr $$(env -u OMP_NUM_THREADS nproc 2>/dev/null || echo 1) + 1)
 
 # modules are compiled once, not by every process that a test starts
 unexport PYTHONDONTWRITEBYTECODE

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -104,23 +105,20 @@ def test_how_long_a_raw_record_takes_over_can_is_known_beforehand() -> None:
 
 def test_a_stop_goes_between_two_blocks_of_a_raw_record_and_ends_it(line: Served, blocks: list[bytes]) -> None:
     controller = connect(line.url)
-    heard: list[int] = []
 
-    def stop() -> None:
+    def stop() -> int:
         while len(blocks) < 10:
             time.sleep(0.001)
         controller.stop()
-        heard.append(len(blocks))
+        return len(blocks)
 
-    stopper = threading.Thread(target=stop)
     try:
-        with controller.lease("slow line"):
-            stopper.start()
+        with ThreadPoolExecutor() as pool, controller.lease("slow line"):
+            heard = pool.submit(stop)
             with pytest.raises(CancelledError, match="the raw record was on its way; the excitation is off"):
                 controller.measure(RECORD)
-            stopper.join()
+            assert heard.result() <= len(blocks) < 60, "it had to wait for the record of 80 blocks"
             assert any(event.text == "stop" for event in line.device.events())
-            assert heard[0] <= len(blocks) < 60, "it had to wait for the record of 80 blocks"
             assert controller.measure(TONE).tone == TONE
     finally:
         controller.close()
