@@ -58,7 +58,10 @@ IN_PHASE = 8.0
 """Normal deviate from which it is detected by its phase: of 123 simulated rigs without any 3.1 was the largest, of 9
 rigs with one 25 the least."""
 OWN = 0.3
-"""Least share of a current's hum that is the current's own, and not made by the controller from a sensor's hum."""
+"""Least share of a current's hum that is the current's own, and not made by the controller from a sensor's hum..."""
+OWN_IN_PHASE = 4.0
+"""... and least normal deviate of the current's own hum, as noise alone is a third of a faint one: of 8 simulated rigs
+it was 32 at least where the hum was the current's, and 1 at most where it was a sensor's."""
 DISTANCE_BINS = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, HUMMED)
 """Edges of relative distances over which the variance ratio is averaged."""
 
@@ -218,19 +221,21 @@ def _by_phase(
     """
     signals = {"y": sweep.Y} if sweep.I is None else {"i": sweep.I, "y": sweep.Y}
     coherences = {(name, f): coherence(sweep, X, f, by) for name, X in signals.items() for f in frequencies_hz}
-    detected = {key: deviate for key, (_, deviate) in coherences.items() if deviate > IN_PHASE}
+    detected = {key for key, (_, deviate) in coherences.items() if deviate > IN_PHASE}
+    heard_hz = tuple(sorted({f for _, f in detected}))
     for name in signals:
-        at = [f for signal, f in detected if signal == name]
+        # what the currents show and have not of their own is the sensors', even where the log of these is too noisy
+        at = heard_hz if name == "y" else [f for signal, f in detected if signal == name]
         if not at:
             continue
-        f = max(at, key=lambda f: detected[name, f])
-        amplitude, deviation, own = _amplitude(sweep, rig, name, f)
-        if name == "i" and own < OWN:  # made by the controller from the sensors' hum
+        f = max(at, key=lambda f: coherences[name, f][1])
+        amplitude, deviation, share = _amplitude(sweep, rig, name, f)
+        of_sensors = share < OWN or coherence(sweep, _own(sweep, rig, name, f), f, by)[1] < OWN_IN_PHASE
+        if name == "i" and of_sensors:  # the controller makes it from the sensors' hum
             continue
-        ratio = 1 / max(1 - coherences[name, f][0], 1e-6)
-        heard_hz = tuple(sorted({f for _, f in detected}))
-        parameters = _parameters(effect, f, name, amplitude)
-        return Interference(effect, f, parameters, deviation, 0.0, ratio, detected[name, f], name, heard_hz=heard_hz)
+        coherent, significance = coherences[name, f]
+        parameters, ratio = _parameters(effect, f, name, amplitude), 1 / max(1 - coherent, 1e-6)
+        return Interference(effect, f, parameters, deviation, 0.0, ratio, significance, name, heard_hz=heard_hz)
     return None
 
 
@@ -239,15 +244,21 @@ def _amplitude(sweep: Sweep, rig: Rig, signal: str, frequency_hz: float) -> tupl
 
     Zeros where no line is near enough.
     """
-    model = linear_model(rig, np.array([frequency_hz]))
-    G, X = (model.i_per_u[0], sweep.I) if signal == "i" and sweep.I is not None else (model.y_per_u[0], sweep.Y)
-    own, whole = (hum_power(sweep, Z, frequency_hz) for Z in (X - sweep.U @ G.T, X))
+    X = sweep.I if signal == "i" and sweep.I is not None else sweep.Y
+    own, whole = (hum_power(sweep, Z, frequency_hz) for Z in (_own(sweep, rig, signal, frequency_hz), X))
     if not own.size:
         return 0.0, 0.0, 0.0
     power = max(float(own.mean()), 0.0)
     amplitude = float(np.sqrt(power))
     deviation = float(own.mean(axis=1).std() / np.sqrt(len(own)) / (2 * amplitude)) if power else 0.0
     return amplitude, deviation, float(np.sqrt(power / max(float(whole.mean()), 1e-300)))
+
+
+def _own(sweep: Sweep, rig: Rig, signal: str, frequency_hz: float) -> Complex:
+    """A signal without what the controller's output makes of it at a frequency, (P, B, H, n), A or m."""
+    model = linear_model(rig, np.array([frequency_hz]))
+    G, X = (model.i_per_u[0], sweep.I) if signal == "i" and sweep.I is not None else (model.y_per_u[0], sweep.Y)
+    return np.asarray(X - sweep.U @ G.T)
 
 
 def measured_by(source: Interference, sweep: Sweep, rig: Rig) -> Interference:
