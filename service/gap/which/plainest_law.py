@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.distributions import chi2_above
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
@@ -18,9 +19,10 @@ from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT, Ranked, ranked
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 
-WORTH_CHI_SQUARE = 6.0
-"""Chi-square that an optional parameter must explain to be kept, in units of the residual variance: by chance once in
-seventy times. Evidence is not used, as it depends on how wide the parameter's range is."""
+WORTH_BY_CHANCE = 1 / 70
+"""Probability with which optional parameters that are null explain as much chi-square by chance, all together, below
+which they are kept: from 6 on for one, from 14 on for five, in units of the residual variance. Evidence is not used, as
+it depends on how wide a parameter's range is."""
 LOG_EVIDENCE_PER_CHOICE = float(np.log(2))
 """Log evidence that each parameter left out costs: the prior odds that a law has it are even."""
 
@@ -71,7 +73,8 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
         return {
             task.nulled: replace(c, standard_deviations=best.standard_deviations)
             for task, c in zip(tasks, fitter.each(tasks), strict=True)
-            if c is not None and c.fit.cost - best.fit.cost < WORTH_CHI_SQUARE * per_residual * len(task.nulled)
+            if c is not None
+            and c.fit.cost - best.fit.cost < per_residual * chi2_above(WORTH_BY_CHANCE, len(task.nulled))
         }
 
     everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]

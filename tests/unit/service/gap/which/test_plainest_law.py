@@ -86,6 +86,15 @@ def test_amplifiers_all_slow_by_what_each_may_be_by_chance_are_slow(change: floa
     assert values["lag_s"] == 0.0
 
 
+def test_a_lag_that_the_data_show_is_not_left_out_together_with_shapes_that_they_do_not() -> None:
+    """Four standard deviations of it are no chance, however many more parameters explain nothing."""
+    rig = {"amplifier_bandwidth": {**SLOW, "frequency_change": 0.04, "lag_s": 1e-6}}
+    best = amplifiers((0.0, 0.0, 0.0, 0.0), rig).order[0].candidate
+    (values,), (deviations,) = best.fit.values, best.standard_deviations
+    assert abs(values["lag_s"] - 1e-6) < 2 * deviations["lag_s"] < 1e-6
+    assert [values[shape] for shape in ("damping_change", "end_imbalance", "plane_imbalance")] == [0.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("changes", [(0.01, -0.015, 0.005, -0.01), (-0.02, -0.01, 0.0, -0.01), (0.0, 0.0, 0.025, 0.0)])
 def test_amplifiers_that_are_off_as_tolerances_allow_are_no_effect(changes: tuple[float, float, float, float]) -> None:
     assert amplifiers(changes, {}).order[0].candidate.effects == ()
