@@ -66,23 +66,29 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
     """
     used = _used(best)
     per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
+    plain: dict[frozenset[tuple[str, str]], Candidate] = {}
+    """by the parameters left out"""
 
-    def as_good(without: Sequence[frozenset[tuple[str, str]]]) -> dict[frozenset[tuple[str, str]], Candidate]:
-        """By the parameters left out, the fits that are about as good."""
+    def fit(without: Sequence[frozenset[tuple[str, str]]]) -> None:
         tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), nulled=w) for w in without]
-        return {
-            task.nulled: replace(c, standard_deviations=best.standard_deviations)
-            for task, c in zip(tasks, fitter.each(tasks), strict=True)
-            if c is not None
-            and c.fit.cost - best.fit.cost < per_residual * chi2_above(WORTH_BY_CHANCE, len(task.nulled))
-        }
+        for task, c in zip(tasks, fitter.each(tasks), strict=True):
+            if c is not None:
+                plain[task.nulled] = replace(c, standard_deviations=best.standard_deviations)
+
+    def as_good() -> dict[frozenset[tuple[str, str]], Candidate]:
+        # along a valley the fit of the full law may have ended above its optimum, which a plainer one is nearer to
+        least = min([best.fit.cost, *(c.fit.cost for c in plain.values())])
+        borne = {w: per_residual * chi2_above(WORTH_BY_CHANCE, len(w)) for w in plain}
+        return {w: c for w, c in plain.items() if c.fit.cost - least < borne[w]}
 
     everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]
-    plain = as_good([*one_by_one, everything] if len(used) > 1 else one_by_one)
-    several = frozenset().union(*(one for one in one_by_one if one in plain))
-    if everything not in plain and len(several) > 1 and several != everything:
-        plain |= as_good([several])
-    return max(plain.items(), key=lambda one: (len(one[0]), -one[1].fit.cost))[1] if plain else best
+    fit([*one_by_one, everything] if len(used) > 1 else one_by_one)
+    good = as_good()
+    several = frozenset().union(*(one for one in one_by_one if one in good))
+    if everything not in good and len(several) > 1 and several != everything:
+        fit([several])
+        good = as_good()
+    return max(good.items(), key=lambda one: (len(one[0]), -one[1].fit.cost))[1] if good else best
 
 
 def _used(c: Candidate) -> list[tuple[str, str]]:
