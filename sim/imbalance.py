@@ -10,6 +10,9 @@ from sim.effect import Parameter
 from sim.rig import Array, Rig
 
 NAMES = ("end_imbalance", "plane_imbalance")
+OF_PLANES = ("plane_imbalance", "plane_frequency_ratio")
+"""How much more a resonance of either kind, a mode or a housing, moves in x than in y, and its frequency in y over that
+in x."""
 DIAGONAL = "diagonal_imbalance"
 """What no bearing and no plane has more of: with it, any shares of four axes can be told."""
 NO_ROOM = 1e-9

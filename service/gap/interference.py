@@ -230,9 +230,8 @@ def _by_phase(
             continue
         f = max(at, key=lambda f: coherences[name, f][1])
         amplitude, deviation, share = _amplitude(sweep, rig, name, f)
-        of_sensors = share < OWN or coherence(sweep, _own(sweep, rig, name, f), f, by)[1] < OWN_IN_PHASE
-        if name == "i" and of_sensors:  # the controller makes it from the sensors' hum
-            continue
+        if name == "i" and (share < OWN or coherence(sweep, _own(sweep, rig, name, f), f, by)[1] < OWN_IN_PHASE):
+            continue  # the controller makes it from the sensors' hum
         coherent, significance = coherences[name, f]
         parameters, ratio = _parameters(effect, f, name, amplitude), 1 / max(1 - coherent, 1e-6)
         return Interference(effect, f, parameters, deviation, 0.0, ratio, significance, name, heard_hz=heard_hz)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter, rarely_needed
-from sim.imbalance import of_plane
+from sim.imbalance import OF_PLANES, of_plane
 from sim.rig import FlexibleMode, Rig
 from sim.sizes import MASS
 
@@ -43,7 +43,7 @@ def _like_a_support(values: Mapping[str, float]) -> Mapping[str, float]:
         "frequency_hz": values["frequency_hz"],
         "damping_ratio": min(values["damping_ratio"], HIGHEST_DAMPING),
         **{f"{place}_per_sqrt_kg": shape for place in ("bearing_A", "bearing_B", "sensor_A", "sensor_B")},
-        **{name: values[name] for name in ("plane_imbalance", "plane_frequency_ratio") if name in values},
+        **{name: values[name] for name in OF_PLANES if name in values},
     }
 
 

@@ -6,15 +6,12 @@ from dataclasses import replace
 
 from sim.effect import Effect, Parameter, rarely_needed
 from sim.errors import EffectError
-from sim.imbalance import NAMES, parameters, shares
+from sim.imbalance import NAMES, OF_PLANES, parameters, shares
 from sim.rig import Rig, Support
 from sim.sizes import MASS
 
 ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
-
-OF_PLANES = ("plane_imbalance", "plane_frequency_ratio")
-"""How a mode, and a housing alike, moves further, and is stiffer, in one plane than in the other."""
 
 LEANS, AT_ONE_END = 0.05, 0.98
 """Imbalance of both ends from which a mode is likened to a housing that leans, and from which it moves one end alone,

@@ -107,7 +107,8 @@ def test_a_stop_goes_between_two_blocks_of_a_raw_record_and_ends_it(line: Served
     controller = connect(line.url)
 
     def stop() -> int:
-        while len(blocks) < 10:
+        until = time.monotonic() + 60
+        while len(blocks) < 10 and time.monotonic() < until:
             time.sleep(0.001)
         controller.stop()
         return len(blocks)

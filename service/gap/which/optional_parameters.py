@@ -54,12 +54,11 @@ def softer_in_one_plane(
     A resonance is narrow, so that no start with the same frequency in both planes leads there. ``plain`` are the
     residuals of the plain twin ``null``.
     """
-    if ground.nuisance.rig.n_planes < 2:
+    names = [name for name in (SUPPORT, MODE) if any(c.effects == (name,) for c in found)]
+    if not names or ground.nuisance.rig.n_planes < 2:
         return
     unexplained = SweepResiduals(null.fit.rig, plain[0], ground.observations[0], ground)
-    for name in (SUPPORT, MODE):
-        if not any(c.effects == (name,) for c in found):
-            continue
+    for name in names:
         effect = CATALOGUE[name].of(ground.nuisance.rig)
         typical = {p.name: p.wakes[0] if p.wakes else p.typical for p in effect.parameters}
         shares = [{"pedestals": share} for share in (0.0, 1.0)] if name == SUPPORT else [{}]

@@ -66,8 +66,7 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
     """
     used = _used(best)
     per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
-    plain: dict[frozenset[tuple[str, str]], Candidate] = {}
-    """by the parameters left out"""
+    plain: dict[frozenset[tuple[str, str]], Candidate] = {}  # by the parameters left out
 
     def fit(without: Sequence[frozenset[tuple[str, str]]]) -> None:
         tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), nulled=w) for w in without]
@@ -76,10 +75,14 @@ def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
                 plain[task.nulled] = replace(c, standard_deviations=best.standard_deviations)
 
     def as_good() -> dict[frozenset[tuple[str, str]], Candidate]:
+        """Those of the fits that are about as good as the best."""
         # along a valley the fit of the full law may have ended above its optimum, which a plainer one is nearer to
         least = min([best.fit.cost, *(c.fit.cost for c in plain.values())])
-        borne = {w: per_residual * chi2_above(WORTH_BY_CHANCE, len(w)) for w in plain}
-        return {w: c for w, c in plain.items() if c.fit.cost - least < borne[w]}
+        return {
+            left_out: c
+            for left_out, c in plain.items()
+            if c.fit.cost - least < per_residual * chi2_above(WORTH_BY_CHANCE, len(left_out))
+        }
 
     everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]
     fit([*one_by_one, everything] if len(used) > 1 else one_by_one)

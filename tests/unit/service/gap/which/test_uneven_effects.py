@@ -65,7 +65,7 @@ def test_a_controller_of_one_axis_and_filters_tuned_otherwise_are_a_mismatch(cha
 
 @pytest.mark.parametrize(("hz", "ratio"), [(186.0, 1.02), (82.4, 1.25), (186.0, 0.8)])
 def test_a_mode_that_is_softer_in_one_plane_is_told_with_both_frequencies(hz: float, ratio: float) -> None:
-    """However far apart: with ratios from 0.8 to 1.25 the two resonances lie up to six lines from each other."""
+    """At the ends of the ratio's range the two resonances lie farther than a line from each other."""
     shape = {"bearing_A_per_sqrt_kg": 0.0165, "bearing_B_per_sqrt_kg": -0.0132}
     at_sensors = {"sensor_A_per_sqrt_kg": 0.0225, "sensor_B_per_sqrt_kg": -0.019}
     values = {"frequency_hz": hz, "damping_ratio": 0.0135, **shape, **at_sensors, "plane_frequency_ratio": ratio}
