@@ -137,9 +137,9 @@ def verdict_of(found: Sequence[Explained], there: Mapping[str, HeldOut], unseen:
 def _small_gap(e: Explained, verdict: Verdict) -> str:
     """The gap of a part that no effect explains, too small beside the others' to be the verdict, in words."""
     return (
-        f"the {e.part.path} has a small gap of its own, {100 * e.relative_gap:.2g} % of its signal, that no effect "
-        f"explains: {'; '.join(verdict.reasons)}. What is named elsewhere may leak into it: add that to the twin and "
-        "diagnose again"
+        f"the {e.part.path} has a small gap of its own, {100 * e.relative_gap:.2g} % of its signal: "
+        f"{'; '.join(verdict.reasons)}. What is named elsewhere may leak into it: add that to the twin and diagnose "
+        "again"
     )
 
 
