@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 from service.experiment.data import Experiment
 from service.gap.compose import Composition, composed
@@ -16,7 +17,7 @@ from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.predict import at_speed_of
 from service.gap.hints import hints, one_point, unsettled_lines
 from service.gap.interference import Interference, at_speed, measured_by
-from service.gap.loop import drawn_twins, loop_figures
+from service.gap.loop import loop_of
 from service.gap.lost_loop import LIMIT, LostLoop, with_limit
 from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
@@ -25,7 +26,7 @@ from service.gap.outdated import judged_without, twins_without_effects, what_is_
 from service.gap.overall_verdict import overall_verdict
 from service.gap.progress import Progress, ProgressCallback
 from service.gap.proposal.case import Grounds
-from service.gap.weighing.shrinkage import Shrinkage, relative_gap, relative_noise, shrinkage
+from service.gap.weighing.shrinkage import Shrinkage, Unseen, relative_gap, relative_noise, shrinkage
 from service.gap.weighing.verdict import LEAVES, MIXTURE_SHARE, Verdict
 from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
@@ -133,11 +134,11 @@ def _diagnosis(
         whole = with_limit(whole, nu, lost)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
+    loop = fitter.beside(partial(loop_of, nu, null, chosen, o))
     pair = pair_to_separate(whole.order, verdict) if propose else None
     proposal = Proposal(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
     shrunk = _shrinkages(whole, data, found, verdict, sources)
     where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.nonlinear)
-    twins = {"before": drawn_twins(nu, null), "after": drawn_twins(nu, chosen)}
     diagnosis = Diagnosis(
         rig=rig,
         where=where,
@@ -152,7 +153,7 @@ def _diagnosis(
         },
         observation=o,
         held_out=unseen,
-        loop=loop_figures(null.fit.rig, chosen.fit.rig, o, twins),
+        loop=loop(),
         next_experiment=proposal.document() if proposal else None,
         discrepancy=discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
         datasheet_off=() if leaves_some(verdict, found.parts) else tuple(nu.clearly_off(chosen.fit.theta)),
@@ -180,9 +181,9 @@ def _shrinkages(
     whole: Composition, data: Observed, found: Found, verdict: Verdict, sources: Sequence[Interference]
 ) -> dict[tuple[str, ...], Shrinkage]:
     """Closure on unseen data of each explanation that the report lists, and of the plain twin."""
-    null = whole.null.candidate
+    sweep = Unseen(whole.null.candidate.fit.rig, found.unseen, found.name)
     shrunk = {
-        r.candidate.effects: shrinkage(null.fit.rig, r.candidate.fit.rig, found.unseen, found.name)
+        r.candidate.effects: sweep.shrinkage(r.candidate.fit.rig)
         for r in (*listed(whole.order, verdict.effects), whole.null)
     }
     if sources and len(verdict.effects) == len(sources):

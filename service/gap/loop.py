@@ -73,6 +73,12 @@ def chordal_distance(a: Complex, b: Complex) -> Real:
     return np.asarray(np.linalg.norm(left @ (b - a) @ right, ord=2, axis=(1, 2)))
 
 
+def loop_of(nuisance: Nuisance, before: Candidate, after: Candidate, o: Observation) -> dict[str, Any]:
+    """`loop_figures` of two explanations, with deviations by twins that are drawn from both."""
+    drawn = {"before": drawn_twins(nuisance, before), "after": drawn_twins(nuisance, after)}
+    return loop_figures(before.fit.rig, after.fit.rig, o, drawn)
+
+
 def loop_figures(
     before: Rig, after: Rig, o: Observation, drawn: Mapping[str, Sequence[Rig]] = NOTHING
 ) -> dict[str, Any]:

@@ -224,6 +224,10 @@ class Fitter:
         """Results of a pure function on the same processes, which begin at once; with one process, lazily."""
         return iter(self._pool.map(function, arguments)) if self._pool else map(function, arguments)
 
+    def beside(self, function: Callable[[], Result]) -> Callable[[], Result]:
+        """What waits for the result of a pure function, which one of the processes begins at once; or what calls it."""
+        return self._pool.submit(function).result if self._pool else function
+
     def _begun(self, task: Task, here: bool) -> Callable[[], Candidate | None]:
         """What waits for the result of a fit; where it is fitted ``here``, or with one process, what fits."""
         # Fits of the controller take no longer than sending them to another process.

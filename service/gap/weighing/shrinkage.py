@@ -76,34 +76,73 @@ def shrinkage(before: Rig, after: Rig, o: Observation, name: str, seed: int = 0)
 
     The 95 % interval is a bootstrap over lines, as the residuals of one line's points are correlated.
     """
-    z_b, z_a, w = residual(before, o), residual(after, o), weights(o) > 0
-    n, used = before.n_axes, [k for k in range(3) if k != 1 or o.I is not None]
-    drawn = _drawn(len(o.frequency_hz), seed)
+    return Unseen(before, o, name, seed).shrinkage(after)
 
-    of_i, of_y = slice(n, 2 * n), slice(2 * n, 3 * n)
-    tests = [(of_i, shows_alone_hz), (of_y, furthest_alone_hz), *([(of_y, fastest_alone_hz)] if o.I is None else [])]
-    alone = [signal for signal, shown_hz in tests if shown_hz(z_b[..., signal], o) is not None]
 
-    def closed(rows: NDArray[np.bool_], columns: slice) -> Closed:
-        b, a, known = z_b[rows][..., columns], z_a[rows][..., columns], w[rows][..., columns]
-        shown = shows(b, replace(o, line=o.line[rows], axis=o.axis[rows])) or columns in alone
-        return _closed(_per_point(b, known), _per_point(a, known), o.line[rows], drawn, shown)
+@dataclass(frozen=True)
+class _Cell:
+    """Some points and channels of an unseen sweep, as the twin before leaves them."""
 
-    everywhere = np.ones(len(o.axis), dtype=bool)
-    paths = {PATHS[k]: closed(everywhere, slice(k * n, (k + 1) * n)) for k in used}
-    channels = {
-        (SIGNALS[k], a, b): closed(o.axis == b, slice(k * n + a, k * n + a + 1))
-        for k in used
-        for b in sorted(set(o.axis.tolist()))
-        for a in range(n)
-    }
-    noisy = [k for k in used if max(paths[PATHS[k]].before, paths[PATHS[k]].after) > J_OF_EXACT] or used
-    b, a = (
-        np.mean([_per_point(z[..., k * n : (k + 1) * n], w[..., k * n : (k + 1) * n]) for k in noisy], axis=0)
-        for z in (z_b, z_a)
-    )
-    whole = _closed(b, a, o.line, drawn, shows(z_b, o) or bool(alone))
-    return Shrinkage(whole.before, whole.after, whole.closure, whole.closure_95, name, J_OF_NOISE, paths, channels)
+    points: NDArray[np.bool_]
+    """(P,) which points"""
+    columns: slice
+    """of the channels of [u, i, y]"""
+    before: Real
+    """|residual|^2 / variance of each of these points"""
+    shown: bool
+    """whether the gap is significant in them"""
+
+
+class Unseen:
+    """An unseen sweep and a twin whose gap it shows, for the closure by several others (`shrinkage`)."""
+
+    def __init__(self, before: Rig, o: Observation, name: str, seed: int = 0) -> None:
+        """``before`` is the twin that has the gap, ``name`` the sweep's; ``seed`` is that of the bootstrap."""
+        self._o, self._name = o, name
+        self._z, self._known = residual(before, o), weights(o) > 0
+        self._drawn = _drawn(len(o.frequency_hz), seed)
+        self._signals = [k for k in range(3) if k != 1 or o.I is not None]
+        n, everywhere = before.n_axes, np.ones(len(o.axis), dtype=bool)
+        of_i, of_y = slice(n, 2 * n), slice(2 * n, 3 * n)
+        tests = [(of_i, shows_alone_hz), (of_y, furthest_alone_hz)]
+        if o.I is None:
+            tests.append((of_y, fastest_alone_hz))
+        alone = [signal for signal, shown_hz in tests if shown_hz(self._z[..., signal], o) is not None]
+        self._paths = {PATHS[k]: self._cell(everywhere, slice(k * n, (k + 1) * n), alone) for k in self._signals}
+        self._channels = {
+            (SIGNALS[k], a, b): self._cell(o.axis == b, slice(k * n + a, k * n + a + 1), alone)
+            for k in self._signals
+            for b in sorted(set(o.axis.tolist()))
+            for a in range(n)
+        }
+        self._shown = shows(self._z, o) or bool(alone)
+
+    def shrinkage(self, after: Rig) -> Shrinkage:
+        """Closure from the twin before to the twin ``after``: of the whole, and of every path and channel."""
+        z = residual(after, self._o)
+        paths = {name: self._closed(cell, z) for name, cell in self._paths.items()}
+        channels = {name: self._closed(cell, z) for name, cell in self._channels.items()}
+        noisy = [k for k in self._signals if max(paths[PATHS[k]].before, paths[PATHS[k]].after) > J_OF_EXACT]
+        cells = [self._paths[PATHS[k]] for k in noisy or self._signals]
+        b = np.mean([cell.before for cell in cells], axis=0)
+        a = np.mean([self._per_point(z, cell.points, cell.columns) for cell in cells], axis=0)
+        whole = _closed(b, a, self._o.line, self._drawn, self._shown)
+        return Shrinkage(
+            whole.before, whole.after, whole.closure, whole.closure_95, self._name, J_OF_NOISE, paths, channels
+        )
+
+    def _cell(self, points: NDArray[np.bool_], columns: slice, alone: Sequence[slice]) -> _Cell:
+        o = self._o
+        of_points = replace(o, line=o.line[points], axis=o.axis[points])
+        shown = shows(self._z[points][..., columns], of_points) or columns in alone
+        return _Cell(points, columns, self._per_point(self._z, points, columns), shown)
+
+    def _closed(self, cell: _Cell, z: Complex) -> Closed:
+        after = self._per_point(z, cell.points, cell.columns)
+        return _closed(cell.before, after, self._o.line[cell.points], self._drawn, cell.shown)
+
+    def _per_point(self, z: Complex, points: NDArray[np.bool_], columns: slice) -> Real:
+        return _per_point(z[points][..., columns], self._known[points][..., columns])
 
 
 def shows(z: Complex, o: Observation) -> bool:
