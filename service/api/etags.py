@@ -34,8 +34,10 @@ def matches(header: str | None, tag: str) -> bool:
     return "*" in wanted or quoted(tag) in wanted
 
 
-def require_match(header: str | None, tag: str) -> None:
+def require_match(header: str | None, tag: str, version: str = "") -> None:
     """Refuse a change of another version than the one there is.
+
+    ``version`` is what all tags of one version begin with, where a tag also tells what changes by itself.
 
     Raises
     ------
@@ -46,7 +48,8 @@ def require_match(header: str | None, tag: str) -> None:
     """
     if header is None:
         raise PreconditionRequiredError(f"send If-Match: {quoted(tag)}, the ETag of the version that you have read")
-    if not matches(header, tag):
+    same = bool(version) and any(quoted(version)[:-1] in part for part in header.split(","))
+    if not (same or matches(header, tag)):
         raise PreconditionError(f"this was changed since you read it; its ETag is {quoted(tag)}: read it again")
 
 

@@ -89,6 +89,6 @@ def _earlier(session: Session, job: JobRow, since: Any) -> list[dict[str, Any]]:
     query = (
         select(HealthRow.document)
         .where(HealthRow.rig_id == job.rig_id, HealthRow.job_id != job.id, HealthRow.created_at >= since)
-        .order_by(HealthRow.id)
+        .order_by(HealthRow.created_at, HealthRow.id)
     )
     return list(session.scalars(query))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, UnaryExpression, func, select
 from sqlalchemy.orm import Session
 
 from service.errors import NotFoundError
@@ -59,14 +59,22 @@ def listed(
 ) -> Page[Row]:
     """A page of results, of one rig or of all; ``equal`` are columns and their values, None for any.
 
-    ``newest`` leaves the newest of each rig only, before any column is asked for.
+    ``newest`` leaves only that of each rig which was made last, before any column is asked for. Its id tells when the
+    job was submitted that made it, and that may have been tried again long after.
     """
     conditions: list[ColumnElement[bool]] = [
         getattr(table, name) == value for name, value in {"rig_id": rig_id, **equal}.items() if value is not None
     ]
     if newest:
-        conditions.append(table.id.in_(select(func.max(table.id)).group_by(table.rig_id)))
+        place = func.row_number().over(partition_by=table.rig_id, order_by=_last_made(table))
+        placed = select(table.id, place.label("place")).subquery()
+        conditions.append(table.id.in_(select(placed.c.id).where(placed.c.place == 1)))
     return page(session, table, *conditions, after=after, limit=limit)
+
+
+def _last_made(table: type[Row]) -> tuple[UnaryExpression[Any], ...]:
+    """Order of rows, the one that was made last first."""
+    return table.created_at.desc(), table.id.desc()
 
 
 def baseline(session: Session, rig: Rig) -> ModelRow:
@@ -84,7 +92,7 @@ def baseline(session: Session, rig: Rig) -> ModelRow:
         .join(ExperimentRow, ExperimentRow.id == ModelRow.experiment_id)
         .where(ModelRow.rig_id == rig.id, ExperimentRow.complete, ExperimentRow.purpose == "commissioning")
         .where(ModelRow.summary["identified"].as_boolean().is_not(False))  # of models from before it was said, too
-        .order_by(ModelRow.id.desc())
+        .order_by(*_last_made(ModelRow))
         .limit(1)
     )
     found = session.scalar(query)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
@@ -48,8 +49,17 @@ LATEST_US = 253_402_300_799_000_000
 
 
 def tag(row: ScheduleRow) -> str:
-    """ETag of a schedule; that it ran is no change of it."""
-    return f"{row.id}.{int(row.updated_at.timestamp() * 1e6):x}"
+    """ETag of a schedule: its version, and when it runs next."""
+    return f"{_version(row)}{_microseconds(row.next_at):x}"
+
+
+def _version(row: ScheduleRow) -> str:
+    """What its ETags begin with; that it ran is no change of it."""
+    return f"{row.id}.{_microseconds(row.updated_at):x}."
+
+
+def _microseconds(at: datetime | None) -> int:
+    return 0 if at is None else int(at.timestamp() * 1e6)
 
 
 def _apply(session: Session, row: ScheduleRow, wanted: ScheduleWanted, loopback: bool) -> str | None:
@@ -156,7 +166,7 @@ def change_schedule(
 
 def _must_be_changed(row: ScheduleRow, wanted: ScheduleWanted, if_match: str | None) -> None:
     """Refuse to change a schedule that has changed, or to make it another rig's."""
-    etags.require_match(if_match, tag(row))
+    etags.require_match(if_match, tag(row), _version(row))
     if wanted.rig != row.rig_id:
         raise ConflictError(f"the schedule is for the rig {row.rig_id}, and stays so; make another one")
 

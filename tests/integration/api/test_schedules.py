@@ -22,6 +22,8 @@ def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, 
     with database.write() as session:
         row = session.get(ScheduleRow, made["id"])
         first = row.next_at = row.next_at - timedelta(days=3)
+    again = api.get(f"/schedules/{made['id']}", headers={"If-None-Match": read.headers["etag"]})
+    assert (again.status_code, again.json()["next_at"][:10]) == (200, f"{first:%Y-%m-%d}")  # not what the caller has
     assert timetable.keep(database, settings, first + timedelta(days=2, minutes=1)) == 1
     assert timetable.keep(database, settings, first + timedelta(days=2, minutes=2)) == 0  # another worker, or again
     runs = api.get(f"/schedules/{made['id']}/runs").json()["items"]
