@@ -145,9 +145,12 @@ def _all_by_phase(sweep: Sweep, rig: Rig, wanted: Mapping[str, Sequence[float]])
     """
     all_by_phase = (_by_phase(sweep, rig, effect, frequencies) for effect, frequencies in wanted.items())
     found = sorted((one for one in all_by_phase if one is not None), key=lambda one: -one.ratio)
-    if not found or sweep.Y.shape[1] <= PATTERNS + 1:
+    if not found:
         return found
-    loudest, by = found[0], beside_hum(sweep, found[0].frequency_hz)
+    loudest = found[0]
+    if sweep.Y.shape[1] <= PATTERNS + 1:  # too few blocks to take it off: all may be one
+        return [replace(loudest, aliases=tuple(one.effect for one in found[1:]))]
+    by = beside_hum(sweep, loudest.frequency_hz)
     others = {e: _no_overtones(sweep, loudest, wanted[e], by) for e in wanted if e != loudest.effect}
     beside = [one for e, hz in others.items() if hz and (one := _by_phase(sweep, rig, e, hz, by)) is not None]
     alike = (one.effect for one in found[1:] if abs(one.frequency_hz - loudest.frequency_hz) < resolution_hz(sweep))

@@ -192,7 +192,7 @@ def _noise(
     f, n = o.fundamental, o.U.shape[2]
     of_u, of_y = np.zeros((len(lines), n)), np.zeros((len(lines), n))
     model = linear_model(at_speed_of(rig, o), o.frequency_hz[lines])
-    S, C = model.sensitivity, model.controllers
+    S, C = model.u_per_r, model.controllers / model.log_phase[:, None]  # of the logged u
     u_per = (S, S * C[:, None, :])
     y_per = (model.y_per_u @ S, np.linalg.inv(np.eye(n) + model.y_per_u * C[:, None, :]))
     for row, k in enumerate(lines):

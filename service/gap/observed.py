@@ -30,6 +30,7 @@ from service.gap.measured.sweeps import (
     silent_axes,
     span_s,
     sweeps_for,
+    with_usable_checks,
     without_copied_blocks,
     without_copies,
 )
@@ -191,7 +192,8 @@ def _sweeps(experiment: Experiment, datasheet: Datasheet) -> tuple[list[tuple[st
     sweeps, copied = without_copied_blocks(sweeps)  # after that: blocks of a dead log are alike, too
     main_name, main = sweeps[0]
     _require_lines(main_name, usable(main).frequency_hz)
-    return sweeps, notes + copied
+    sweeps, too_short = with_usable_checks(sweeps)
+    return sweeps, notes + copied + too_short
 
 
 def _of_another_rig(experiment: Experiment, datasheet: Datasheet) -> list[str]:

@@ -62,7 +62,10 @@ def _as_named(d: Diagnosis, names: tuple[str, ...], other: Diagnosis) -> bool:
     do, which leave no more than another law of them may, in a part of the loop that they act in. What one effect more
     would be named for is then left, too, when they are found on the plain twin.
     """
-    if set(other.verdict.effects) != set(names) or d.where.path not in {CATALOGUE[name].path for name in names}:
+    acts_in = {CATALOGUE[name].path for name in names}
+    if d.observation.I is None and "amplifier" in acts_in:
+        acts_in.add("plant")  # the amplifiers are in one with it
+    if set(other.verdict.effects) != set(names) or d.where.path not in acts_in:
         return False
     # as much as another program's law of them may leave: more where it is nonlinear
     allowed = ANOTHER_LAW if any(CATALOGUE[name].nonlinear for name in names) else MIXTURE_SHARE

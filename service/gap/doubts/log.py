@@ -106,8 +106,10 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
     rig, Y, sd_y = ground.nuisance.rig, o.Y.copy(), o.sd_y.copy()
     for k, h in enumerate(o.harmonics):
         if h:
-            C = control_law.responses(rig.controller, 2 * np.pi * h * o.points_hz, rig.n_axes)
-            Y[:, k] = (o.R[:, k] - o.U[:, k]) / C
+            omega = 2 * np.pi * h * o.points_hz
+            C = control_law.responses(rig.controller, omega, rig.n_axes)
+            late = np.exp(-1j * omega * rig.controller.sample_time_s * rig.logging_offset_samples)
+            Y[:, k] = (o.R[:, k] - late[:, None] * o.U[:, k]) / C
             sd_y[:, k] = np.hypot(sd_y[:, k], o.sd_u[:, k] / np.abs(C))
     return replace(o, Y=Y, sd_y=sd_y)
 

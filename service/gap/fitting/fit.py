@@ -8,7 +8,7 @@ method).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,16 +45,23 @@ strength, as of saturation by flux, has no derivative at zero, and a step by its
 class Problem:
     """Observations of a part of the loop, its uncertain values, and the effects that are fitted beside them."""
 
-    def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
-        """``held`` are parameters, (effect, name), that are held at their null, where the law is the simplest."""
+    def __init__(
+        self,
+        ground: Ground,
+        effects: Sequence[Effect] = (),
+        held: Collection[tuple[str, str]] = (),
+        found: Sequence[Mapping[str, float]] = (),
+    ) -> None:
+        """``held`` and ``found`` as of `Unknowns`."""
         self.ground, self.observations = ground, ground.observations
-        self.unknowns = Unknowns(ground, effects, held)
+        self.unknowns = Unknowns(ground, effects, held, found)
         self.model = PartModel(self.unknowns)
 
     @classmethod
     def of(cls, ground: Ground, fit: Fit) -> Problem:
         """The problem that a fit has solved; only dormant parameters are held at their null."""
-        return cls(ground, [CATALOGUE[name] for name in fit.effects], dormant_at_null(fit.effects, fit.values))
+        effects = [CATALOGUE[name] for name in fit.effects]
+        return cls(ground, effects, dormant_at_null(fit.effects, fit.values), fit.values)
 
     def run(self, x: Real, stage: Stage) -> Fit:
         """One Levenberg-Marquardt pass from ``x``, (a + e,).

@@ -45,9 +45,20 @@ class Unknowns:
     Nuisance values are the part's own, then inherited ones; effects are those to be fitted, then inherited ones.
     """
 
-    def __init__(self, ground: Ground, effects: Sequence[Effect] = (), held: Collection[tuple[str, str]] = ()) -> None:
-        """``held`` are parameters, (effect, name), that are held at their null, where the law is the simplest."""
+    def __init__(
+        self,
+        ground: Ground,
+        effects: Sequence[Effect] = (),
+        held: Collection[tuple[str, str]] = (),
+        found: Sequence[Mapping[str, float]] = (),
+    ) -> None:
+        """``held`` are parameters, (effect, name), that are held at their null, where the law is the simplest.
+
+        ``found`` are values of the effects, of other lines perhaps: they are in range whatever the lines of this ground
+        are.
+        """
         rig = ground.nuisance.rig
+        self._found = found
         self.ground, self.effects = ground, tuple(effect.of(rig) for effect in effects)
         self.active = ground.part.active
         other = ground.inherited
@@ -64,7 +75,7 @@ class Unknowns:
         self.n_nuisance = len(self.active)
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
         """(e,) size of a unit of each parameter in the vector; with a log scale, in nats"""
-        ranges = [self._range(self._all_effects[k], p) for k, p in self.parameters]
+        ranges = [self._range(k, p) for k, p in self.parameters]
         self.low: Real = np.array([low for low, _ in ranges], dtype=float) / self.scale
         self.high: Real = np.array([high for _, high in ranges], dtype=float) / self.scale
         self._longest: Real = np.array([LONGEST_LOG if p.scale == "log" else LONGEST for _, p in self.parameters])
@@ -83,13 +94,16 @@ class Unknowns:
         """(number of the effect, parameter) of the effects to be fitted, without inherited ones."""
         return self.parameters[: self.n_own]
 
-    def _range(self, effect: Effect, p: Parameter) -> tuple[float, float]:
-        """Bounds of a parameter in the fit, logarithmic with a log scale."""
+    def _range(self, k: int, p: Parameter) -> tuple[float, float]:
+        """Bounds of a parameter of effect ``k`` in the fit, logarithmic with a log scale."""
+        effect = self._all_effects[k]
         if (effect.id, p.name) in self._held:
             return self._internal(p, p.null), self._internal(p, p.null)
         low, high = p.low, p.high
         if (effect.id, p.name) == IN_BAND:
-            low = max(low, min(float(o.frequency_hz.min()) for o in self.ground.observations))
+            lowest = min(float(o.frequency_hz.min()) for o in self.ground.observations)
+            known = self._found[k].get(p.name, lowest) if k < len(self._found) else lowest
+            low = max(low, min(lowest, known))
         if effect.id == OFF_CENTRE:
             most = ECCENTRIC * float(np.min(self.ground.nuisance.rig.magnets.gap_m))
             low, high = max(low, -most), min(high, most)

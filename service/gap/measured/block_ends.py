@@ -44,6 +44,7 @@ def mean_variance_ratio(deviations: Complex, variance: Real, frequency_hz: Real,
     if blocks < ENOUGH_BLOCKS:
         return np.ones(len(deviations))
     by = by or plain_mean(len(deviations), blocks)
+    enough = by.dof > ENOUGH_BLOCKS - 1.5  # a hum that is taken off leaves fewer than a mean does, of four blocks one
     e = deviations / np.sqrt(np.maximum(variance, 1e-300))[:, None]
     order = np.argsort(frequency_hz, kind="stable")
     # Sums of products of deviations at lags 0 and 1 that a unit variance of blocks makes, and a unit covariance of
@@ -59,6 +60,7 @@ def mean_variance_ratio(deviations: Complex, variance: Real, frequency_hz: Real,
     pooled = np.empty_like(sums)
     pooled[..., order] = uniform_filter1d(sums, 2 * NEIGHBOURS + 1, axis=-1)
     systems = np.moveaxis(pooled, -1, 0)  # (P, 2, 3)
+    systems[~enough, :, :2] = np.eye(2)  # not singular; what they give is not used
     block_variance, covariance = np.linalg.solve(systems[..., :2], systems[..., 2:])[..., 0].T
     w = by.weights
     neighbour_weight = (w[:, 1:].conj() * w[:, :-1]).real.sum(axis=1) / (np.abs(w) ** 2).sum(axis=1)
@@ -66,7 +68,8 @@ def mean_variance_ratio(deviations: Complex, variance: Real, frequency_hz: Real,
     # Only what is clearly below one counts: clipped at one alone, an estimate that scatters would be biased low.
     pairs = min(2 * NEIGHBOURS + 1, len(e)) * e.shape[2] * (blocks - 1)
     deviation = 2 * np.abs(neighbour_weight) / np.sqrt(2 * pairs)
-    return np.asarray(np.where(ratio < 1 - CHANCE_DEVIATIONS * deviation, np.maximum(ratio, 1 / blocks), 1.0))
+    cancels = enough & (ratio < 1 - CHANCE_DEVIATIONS * deviation)
+    return np.asarray(np.where(cancels, np.maximum(ratio, 1 / blocks), 1.0))
 
 
 def _lagged_sum(e: Complex, lag: int) -> Real:

@@ -24,7 +24,10 @@ def conditions_of(main: Observation, other: Observation) -> tuple[bool, bool]:
         if len(main_hz) > 1:
             in_main, in_other = _excitation(main)[main_points, axis], _excitation(other)[other_points, axis]
             ratios.append(np.log(in_other) - np.interp(np.log(other_hz), np.log(main_hz), np.log(in_main)))
-    amplitude = bool(ratios) and bool(abs(np.median(np.concatenate(ratios))) > np.log(ANOTHER_AMPLITUDE))
+    if not ratios:  # no axis is excited in several lines of both
+        of_main, of_other = (np.median(np.log(_excitation(o)[np.arange(len(o.axis)), o.axis])) for o in (main, other))
+        ratios = [np.array([of_other - of_main])]
+    amplitude = bool(abs(np.median(np.concatenate(ratios))) > np.log(ANOTHER_AMPLITUDE))
     fastest = max(abs(main.speed_rad_s), abs(other.speed_rad_s))
     return amplitude, abs(main.speed_rad_s - other.speed_rad_s) > ANOTHER_SPEED * fastest
 

@@ -12,7 +12,7 @@ from service.experiment.resting import about_rest
 from service.gap.measured.erratic import FEWEST_AXES, Erratic, erratic, erratic_in_words, steepest
 from service.gap.measured.excited_together import Together
 from service.gap.measured.informative_lines import thinned
-from service.gap.measured.observation import Observation, observe, usable
+from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.gap.measured.sweeps import best_check, timed
 from sim.rig import Rig
 
@@ -44,6 +44,7 @@ class Pair:
             together, line = Together.of(usable(main)), np.unique(main.frequency_hz, return_inverse=True)[1]
             name = f"every other line of {main_name}"
             even, odd = main.select(line % 2 == 0), main.select(line % 2 == 1)
+            _require_both(main_name, even, odd)
             return cls(main_name, even, name, odd, True, (together, together)), ()
         (name, other), unused = best_check(main, others, rig)
         main, other, notes = timed(main, other), timed(other, main), []
@@ -90,6 +91,17 @@ class Pair:
         during, after = ((0.0, 1.0), (0.0, 1.0)) if self.lines_only else ((0.0, 0.8), (0.8, 1.0))
         o = observe(thinned(usable(self.main)), rig, during, hums_hz[0], span, self.together[0])
         return o, observe(thinned(usable(self.other)), rig, after, hums_hz[1], span, self.together[1])
+
+
+def _require_both(name: str, *halves: Sweep) -> None:
+    try:
+        for half in halves:
+            usable(half)
+    except GapError as error:
+        raise GapError(
+            f"{name} is the only sweep, so that half of its lines is fitted and the other half checks: of one half, "
+            f"{error}; measure more lines, or a second sweep"
+        ) from error
 
 
 def _without_erratic(sweep: Sweep, name: str, axes: Sequence[str]) -> tuple[Sweep, list[tuple[str, bool]], Sweep]:

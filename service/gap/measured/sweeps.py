@@ -137,6 +137,19 @@ def interrupted(sweeps: Sequence[tuple[str, Sweep]]) -> list[str]:
     return told
 
 
+def with_usable_checks(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tuple[str, Sweep]], list[str]]:
+    """The first sweep and those of the others that can be checked on, and a sentence on each that cannot."""
+    kept, told = [sweeps[0]], []
+    for name, sweep in sweeps[1:]:
+        try:
+            usable(sweep)
+        except GapError as error:
+            told.append(f"{name} is not used: {error}")
+        else:
+            kept.append((name, sweep))
+    return kept, told
+
+
 def silent_axes(sweeps: Sequence[tuple[str, Sweep]], axes: Sequence[str]) -> list[str]:
     """Axes that sweeps never excite, a sentence each: what acts there shows only where it answers to the others."""
     told = []

@@ -118,7 +118,8 @@ class _LinearRig:
 def _per_ampere(rig: Rig, frequency_hz: Real) -> Complex:
     """u, i and y per ampere of excitation in closed loop, (3, F, n, n)."""
     model = linear_model(rig, frequency_hz)
-    return np.stack([model.sensitivity, model.i_per_u @ model.sensitivity, model.y_per_u @ model.sensitivity])
+    u_per_r = model.u_per_r
+    return np.stack([u_per_r, model.i_per_u @ u_per_r, model.y_per_u @ u_per_r])
 
 
 def rehearsed(rig: Rig, limits: Limits, profile: Profile, noise: SensorNoise, main_only: bool = False) -> Rehearsal:

@@ -76,7 +76,7 @@ class SensorNoise:
 
 def fed_back(model: LinearModel) -> tuple[Complex, Complex, Complex]:
     """u, i and y per noise of the displacement sensors in closed loop, (F, n, n) each."""
-    n, C = model.y_per_u.shape[-1], model.controllers
+    n, C = model.y_per_u.shape[-1], model.controllers / model.log_phase[:, None]  # from y to the logged u
     y = np.linalg.inv(np.eye(n) + model.y_per_u * C[:, None, :]).astype(np.complex128)
     u: Complex = -C[:, :, None] * y
     return u, np.asarray(model.i_per_u @ u), y

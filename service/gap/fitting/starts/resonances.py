@@ -56,7 +56,7 @@ def resonances(
 ) -> list[dict[str, float]]:
     """Resonances that explain most beyond what the nuisance values can, best first: frequency, damping and shape.
 
-    Of all points, or of those in which an axis of one ``plane`` is excited.
+    Of all points, or of those in which an axis of one ``plane`` is excited: none where there are no such points.
 
     A score test: a resonance of small modal participation has a response that is linear in its residues, so these
     follow from a regression of the residuals, with what the nuisance values can explain projected out. A housing moves
@@ -71,6 +71,8 @@ def resonances(
     columns = residue_columns(residuals.rig, o) * w[..., None, None]
     columns = columns.reshape(*w.shape, 4) if shaped else columns.sum(axis=(2, 3))[..., None]
     if plane is not None:
+        if not (o.axis // 2 == plane).any():
+            return []
         columns = columns * (o.axis // 2 == plane)[:, None, None]
     wanted, s = stacked(residuals.z[:, f, :, None]), 2j * np.pi * o.points_hz
     wanted -= basis @ (basis.T @ wanted)

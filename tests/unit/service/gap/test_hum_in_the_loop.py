@@ -77,3 +77,12 @@ def test_a_hum_that_only_the_currents_show_and_have_not_of_their_own_is_the_sens
     assert not interference(replace(sweep, Y=sweep.Y + noise, I=None), reference_rig()), "it shows nothing by itself"
     (heard,) = interference(replace(sweep, Y=sweep.Y + noise), reference_rig())
     assert heard.signal == "y"
+
+
+@pytest.mark.parametrize("blocks", [3, 4])
+def test_one_hum_in_few_blocks_is_one_source_that_may_be_another(blocks: int) -> None:
+    """A rotor that turns at nearly the mains: with more blocks the loudest is taken off, and nothing else is left."""
+    heard = hummed(reference_rig(), 4, HUM_M)
+    turning = replace(heard.with_blocks(range(blocks)), speed_rad_s=2 * np.pi * 50.05)
+    (source,) = interference(turning, reference_rig())
+    assert {source.effect, *source.aliases} == {"mains_interference", "runout"}

@@ -8,8 +8,13 @@ import pytest
 
 from service.experiment.data import Sweep
 from service.gap.diagnose import diagnose
+from service.gap.doubts.log import as_the_controller_saw
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.measured.observation import observe
 from sim.effects import CATALOGUE
-from tests.support.synthetic import experiment, known_datasheet, true_rig
+from sim.twin import with_effects
+from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.slow
@@ -60,3 +65,15 @@ def test_a_lagging_sensor_beside_another_controller_is_no_fault_of_the_log() -> 
     assert verdict.kind == "effects"
     assert verdict.effects[0] == "controller_mismatch"
     assert {"sensor_lag", "eddy_currents"} & {*verdict.effects, *(n for g in verdict.indistinguishable for n in g)}
+
+
+@pytest.mark.parametrize("samples", [0.0, 1.0])
+def test_the_displacement_is_computed_through_the_log_that_the_twin_names(samples: float) -> None:
+    datasheet, truth = known_datasheet(seed=35)
+    late = {"logging_offset": {"samples": samples}}
+    nu = nuisance(replace(datasheet, effects=tuple((name, tuple(v.items())) for name, v in late.items())))
+    o = observe(sweep(with_effects(true_rig(truth), late), lines(), 0.15, seed=1), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    point, axis = np.arange(len(o.axis)), o.axis
+    seen, logged = (x.Y[point, o.fundamental, axis] for x in (as_the_controller_saw(ground, o), o))
+    assert np.median(np.abs(seen / logged - 1)) < 1e-3

@@ -9,6 +9,7 @@ from service.gap.fitting.candidates import Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.fitting.predict import current, residual, weight
+from service.gap.fitting.starts import resonances
 from service.gap.fitting.starts.of_effect import SEARCHES, starts
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.measured.observation import observe
@@ -68,6 +69,18 @@ def test_a_mode_above_all_lines_begins_up_there() -> None:
     assert best.effects == ("extra_flexible_mode",)
     assert best.fit.cost < 1.2 * best.fit.n_residuals
     assert best.fit.values[0]["frequency_hz"] == pytest.approx(1450.0, rel=0.05)
+
+
+def test_a_plane_that_was_never_excited_has_no_resonance_of_its_own() -> None:
+    datasheet, truth = known_datasheet(seed=12)
+    nu, measured = nuisance(datasheet), sweep(true_rig(truth), lines(), 0.15, seed=1)
+    o = observe(measured.select(measured.axis < 2), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    left = SweepResiduals(nu.rig, residual(nu.rig, o)[..., 2 * nu.rig.n_axes :], o, ground)
+    housing = CATALOGUE["support_resonance"]
+    assert resonances.resonances(housing, left, plane=0)
+    assert resonances.resonances(housing, left, plane=1) == []
+    assert resonances.unlike_planes(housing, left) == []
 
 
 def test_a_voltage_limit_begins_at_that_of_a_current_that_slews_all_the_time() -> None:

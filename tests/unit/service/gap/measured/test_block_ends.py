@@ -1,9 +1,12 @@
 """What blocks' ends leave cancels from block to block, and how far it does is read from the blocks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from service.gap.measured.block_ends import mean_variance_ratio
+from service.gap.measured.estimate import plain_mean
 
 SIZE = np.exp(np.random.default_rng(2).standard_normal((300, 1, 2)))
 """Of each channel's scatter."""
@@ -32,6 +35,14 @@ def test_the_share_is_the_variance_of_means_over_that_of_independent_blocks(bloc
 
 def test_blocks_too_few_are_taken_for_independent() -> None:
     assert (seen(np.diff(white(4), axis=1)) == 1.0).all()
+
+
+def test_beside_a_hum_that_is_taken_off_four_or_five_blocks_are_too_few() -> None:
+    """Three patterns leave one deviation of four blocks free: end effects and noise could not be told from it."""
+    for blocks in (4, 5):
+        ends = np.diff(white(blocks + 1), axis=1)
+        beside = replace(plain_mean(300, blocks), dof=np.full(300, blocks - 3.0))
+        assert (mean_variance_ratio(ends, SIZE[:, 0] ** 2, np.arange(300), beside) == 1.0).all()
 
 
 def test_ends_that_leave_much_at_low_frequencies_alone_cancel_there_alone() -> None:

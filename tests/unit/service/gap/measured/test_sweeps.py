@@ -20,6 +20,7 @@ from service.gap.measured.sweeps import (
 from service.gap.observed import observed
 from sim.errors import AmbError
 from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.two_axes import one_plane
 
 RIG = true_rig(known_datasheet()[1])
 MEASURED = experiment(RIG)
@@ -136,3 +137,21 @@ def test_a_datasheet_with_dampings_in_per_cent_is_told_beside_the_verdict() -> N
     sheet = known_datasheet()[0]
     per_cent = replace(sheet, modes=tuple(replace(m, damping_ratio=100 * m.damping_ratio) for m in sheet.modes))
     assert any("is it in per cent?" in note for note in observed(MEASURED, per_cent).notes)
+
+
+def test_a_sweep_too_short_to_check_on_is_left_out_with_its_reason() -> None:
+    short = replace(LOUDER.select(np.arange(LOUDER.n_points) < 6), comment="low lines")
+    data = observed(replace(MEASURED, sweeps=(MAIN, short, LOUDER)), known_datasheet()[0])
+    assert (data.name, data.lines_only) == ("sweeps/2", False)
+    (told,) = [note for note in data.notes if note.startswith("sweeps/1 is not used")]
+    assert "6 usable points" in told
+    alone = observed(replace(MEASURED, sweeps=(MAIN, short)), known_datasheet()[0])
+    assert alone.lines_only
+
+
+def test_a_sweep_that_is_too_short_for_halves_is_told_as_that() -> None:
+    measured, sheet = one_plane(MEASURED, known_datasheet()[0])
+    (main, _) = measured.sweeps
+    few = main.select(np.isin(main.frequency_hz, np.unique(main.frequency_hz)[::8][:7]))
+    with pytest.raises(GapError, match="the only sweep, so that half of its lines is fitted"):
+        observed(replace(measured, sweeps=(few,)), sheet)

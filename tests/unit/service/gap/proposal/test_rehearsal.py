@@ -11,6 +11,7 @@ from service.gap.proposal.rehearsal import rehearsed
 from service.gap.proposal.sensor_noise import SensorNoise
 from sim.errors import LevitationError
 from sim.rig import Rig
+from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, true_rig
 from tests.support.two_axes import sheet_of_one_plane
 
@@ -65,3 +66,10 @@ def test_a_loop_that_does_not_hold_is_told(rig: Rig) -> None:
     weak = replace(rig, magnets=replace(rig.magnets, ks=20 * rig.magnets.ks))
     with pytest.raises(LevitationError):
         rehearsed(weak, limits_of(SHEET), SHORT, noise())
+
+
+def test_a_log_out_of_step_changes_no_amplitude_that_is_planned(rig: Rig) -> None:
+    late = with_effects(rig, {"logging_offset": {"samples": 2.0}})
+    right, offset = (rehearsed(r, limits_of(SHEET), SHORT, noise(), main_only=True) for r in (rig, late))
+    one, other = ([p.request.amplitude_a for p in told.points["main"]] for told in (right, offset))
+    assert other == pytest.approx(one, rel=0.02)

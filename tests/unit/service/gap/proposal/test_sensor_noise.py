@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.gap.proposal.sensor_noise import SensorNoise, fed_back
-from sim.twin import linear_model
+from sim.twin import linear_model, with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
 RIG = true_rig(known_datasheet()[1])
@@ -30,3 +30,12 @@ def test_a_loop_s_spectra_are_the_noise_that_it_carries_round() -> None:
     for signal, per_noise, own in (("u", u, 0.0), ("i", i, OF_I), ("y", y, 0.0)):
         variance = np.sum(np.abs(per_noise[0]) ** 2, axis=1) * OF_Y + own
         assert spectra.block_variance(200.0, 0.5)[signal] == pytest.approx(variance / 0.5, rel=1e-6)
+
+
+@pytest.mark.parametrize("samples", [-2.0, 1.0])
+def test_a_log_out_of_step_changes_no_loop(samples: float) -> None:
+    """What runs in the loop, and what noise makes of it, is as loud as it is without the offset."""
+    late = with_effects(RIG, {"logging_offset": {"samples": samples}})
+    right, offset = (fed_back(linear_model(rig, LINES)) for rig in (RIG, late))
+    for one, other in zip(right, offset, strict=True):
+        np.testing.assert_allclose(np.abs(other), np.abs(one), rtol=1e-9)

@@ -106,3 +106,11 @@ def test_a_log_so_coarse_that_it_shows_nothing_is_compared_without_a_division_by
     assert np.isfinite(variance).all()
     assert np.all(variance[::2] > 1e20)
     assert change_between(e, replace(other, sd_y=sd_y)) < SIGNIFICANT
+
+
+@pytest.mark.parametrize(("amplitude_a", "differs"), [(0.15, False), (0.6, True)])
+def test_sweeps_of_one_plane_each_are_compared_by_their_amplitudes(amplitude_a: float, differs: bool) -> None:
+    """No axis is excited in both."""
+    x, y = (sweep(true_rig(TRUTH), np.geomspace(15.0, 900.0, 12), a, seed=3) for a in (0.15, amplitude_a))
+    conditions = conditions_of(observe(x.select(x.axis < 2), NU.rig), observe(y.select(y.axis >= 2), NU.rig))
+    assert conditions == (differs, False)

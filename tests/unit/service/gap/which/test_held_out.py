@@ -2,14 +2,35 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from service.gap.diagnose import diagnose
+from service.gap.fitting.candidates import Fitter, Task
+from service.gap.fitting.nuisance import nuisance
+from service.gap.fitting.part import Ground, parts
+from service.gap.fitting.predict import residual
+from service.gap.fitting.stage import COARSE, EXACT, MIDDLE
+from service.gap.measured.observation import observe
+from service.gap.weighing.ranking import ranked
+from service.gap.which.explained import Explained
+from service.gap.which.held_out import held_out, on_sweep
+from service.gap.which.one_more_effect import residuals
 from sim.twin import with_effects
-from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.slow
+
+MODE = {
+    "frequency_hz": 60.0,
+    "damping_ratio": 0.01,
+    "bearing_A_per_sqrt_kg": 0.02,
+    "bearing_B_per_sqrt_kg": -0.015,
+    "sensor_A_per_sqrt_kg": 0.02,
+    "sensor_B_per_sqrt_kg": -0.02,
+}
+ABOVE_HZ = np.geomspace(80.0, 930.0, 16)
 
 
 def test_magnets_that_drift_are_told_from_one_sweep_alone() -> None:
@@ -21,3 +42,23 @@ def test_magnets_that_drift_are_told_from_one_sweep_alone() -> None:
     assert d.shrinkage.closure == pytest.approx(1.0, abs=0.05)
     share = 0.8  # of the campaign that the sweep took; the file does not tell that there was more
     assert d.chosen.fit.values[0]["ki_change"] == pytest.approx(share * -0.05, rel=0.15)
+
+
+def test_a_mode_below_the_lines_of_the_check_is_judged_where_it_is() -> None:
+    """Its range begins at the lowest line that is fitted; the check has no line below 80 Hz."""
+    datasheet, truth = known_datasheet(seed=3)
+    nu = nuisance(datasheet)
+    rig = with_effects(true_rig(truth), {"extra_flexible_mode": MODE})
+    o, unseen = (observe(sweep(rig, hz, 0.15, seed=k), nu.rig) for k, hz in enumerate((lines(), ABOVE_HZ)))
+    part = next(p for p in parts(nu, (o,)) if p.path == "plant")
+    ground, name = Ground(nu, part, (o,), np.zeros(len(nu))), ("extra_flexible_mode",)
+    stages = (COARSE, MIDDLE, EXACT)
+    with Fitter(1) as fitter:
+        tasks = [Task(ground, (), ((),), ground.theta, stages), Task(ground, name, ((MODE,),), ground.theta, stages)]
+        null, fitted = fitter.run(tasks)
+    e = Explained(ground, tuple(ranked(null, [fitted])), residuals(ground, null), residuals(ground, fitted))
+    told = held_out(e, unseen)
+    assert not told.fails
+    assert told.closes > 0.99
+    own = residual(fitted.fit.rig, unseen)[..., 8:]  # by the explanation's own rig
+    np.testing.assert_allclose(on_sweep(e, fitted, unseen)[1], own, atol=1e-6 * np.abs(own).max())
