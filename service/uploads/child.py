@@ -123,11 +123,15 @@ def understood(path: Path, limits: Limits, out: Path, rig: Path | None = None) -
 
 def summary(kind: str, experiment: Experiment) -> dict[str, Any]:
     """What an experiment holds, as JSON."""
+    from service.experiment.incomplete import INCOMPLETE
+
+    why = experiment.attributes.get(INCOMPLETE)
     return {
         "file_format": kind,
         "rig": _line(experiment.rig),
         "axes": [_line(a) for a in experiment.axes],
         "sweeps": [_sweep(s) for s in experiment.sweeps],
+        "incomplete": None if why is None else _line(str(why)),
     }
 
 

@@ -6,6 +6,7 @@ import threading
 import time
 from functools import partial
 
+import h5py
 import httpx
 import pytest
 from sqlalchemy import update
@@ -238,6 +239,15 @@ def test_uploads(ambit, rig, sent, tmp_path):
     assert not list(back.parent.glob(".*"))
     assert ambit.experiments.upload(rig.id, good_matlab(tmp_path / "m.mat")).summary["file_format"] == "MATLAB 5"
     assert sent.id in [e.id for e in ambit.experiments.list(rig.id)]
+
+
+def test_an_uploaded_file_of_a_stopped_campaign_is_no_whole_commissioning(ambit, rig, tmp_path):
+    """Checks of the rig's health would be compared with what it knew by then."""
+    path = good(tmp_path / "stopped.h5")
+    with h5py.File(path, "r+") as file:
+        file.attrs["incomplete"] = "the rig tripped"
+    kept = ambit.experiments.upload(rig.id, path)
+    assert (kept.complete, kept.summary["incomplete"]) == (False, "the rig tripped")
 
 
 @pytest.mark.parametrize("name", ["1e9 elements", "external link", "zip", "NaN", "half", "mat, cells 20,000 deep"])

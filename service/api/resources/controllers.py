@@ -13,6 +13,8 @@ from service.config import Settings
 SCHEMES = ("modbus", "modbuss", "modbus+rtu", "canopen", "simulated")
 IN_PROCESS = ("simulated",)
 """Of rigs that are simulated by whoever connects to them: every connection has a rig of its own."""
+OF_ONE = ("modbus+rtu",)
+"""Of lines that are open for one process at a time."""
 FILES = ("map", "ca", "cert", "key", "rig")
 REFUSED = ("transcript",)
 FOLDER = "controllers"

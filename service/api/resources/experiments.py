@@ -83,7 +83,7 @@ class ExperimentShape(Shape):
     purpose: str
     """commissioning or health."""
     complete: bool
-    """False for what a stopped campaign kept."""
+    """False for what a stopped campaign kept, an uploaded file of one, too."""
     file_name: str
     file_bytes: int
     file_sha256: str
@@ -217,7 +217,7 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name
         rig_version=rigs.get(session, rig_id).version,
         source="uploaded",
         purpose="commissioning",
-        complete=True,
+        complete=parsed.summary["incomplete"] is None,
         file_sha256=kept,
         file_bytes=parsed.file.stat().st_size,
         media_type=HDF5,

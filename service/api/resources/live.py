@@ -24,7 +24,7 @@ from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.kept import Momentary
 from service.api.problems import UnavailableError, documented
-from service.api.resources.controllers import IN_PROCESS
+from service.api.resources.controllers import IN_PROCESS, OF_ONE
 from service.api.shapes import Operator, RigId, Shape, Viewer
 from service.api.state import Api, Services
 from service.aside import aside, within
@@ -201,10 +201,13 @@ class _Line:
         try:
             if self.controller is None:
                 self.controller = bootstrap.connect(self.url)
-            return question(self.controller)
+            answer = question(self.controller)
         except Exception:
             self.close()
             raise
+        if _scheme(self.url) in OF_ONE:  # a job could not open it
+            self.close()
+        return answer
 
 
 class Lines:
@@ -306,7 +309,11 @@ def _status(url: str, controller: Controller) -> LiveStatus:
 
 def _seen_by_all(url: str) -> bool:
     """Whether there is a controller that others than the job on it reach."""
-    return bool(url) and url.partition(":")[0].lower() not in IN_PROCESS
+    return bool(url) and _scheme(url) not in IN_PROCESS
+
+
+def _scheme(url: str) -> str:
+    return url.partition(":")[0].lower()
 
 
 def _must_be_seen(rig: Rig, url: str) -> None:

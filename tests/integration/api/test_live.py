@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from drivers.device.machine import RigDevice
-from drivers.device.serve import ModbusOptions, serve_modbus
+from drivers.device.serve import ModbusOptions, RtuOptions, serve_modbus, serve_modbus_rtu
 from drivers.errors import BusError, LimitError
 from service import bootstrap
 from service.access.keys import Scope
@@ -128,6 +128,17 @@ def test_a_stop_that_the_controller_refuses_is_not_said_to_have_stopped_anything
         assert_problem(api.post(f"/rigs/{rig}/stop"), 503, "refused to stop")
     line = api.get("/audit", params={"rig": rig}).json()["items"][0]
     assert line["detail"]["how"] == "stop asked for by hand; the controller did not confirm it"
+
+
+def test_who_looks_at_a_rig_on_a_serial_line_leaves_the_line_to_its_jobs():
+    """A port is open for one process at a time."""
+    with closing(serve_modbus_rtu(RigDevice(reference_rig(), seed=1), RtuOptions())) as served:
+        line = live._Line(served.url)
+        assert line.status().reachable
+        with closing(bootstrap.connect(served.url)) as of_a_job:
+            assert of_a_job.status().state.name == "LEVITATED"
+        assert line.status().reachable
+        line.close()
 
 
 def test_a_latched_trip_is_acknowledged_by_whoever_says_so_and_that_is_kept(api, rig, tripping):
