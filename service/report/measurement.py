@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from itertools import cycle, product
 
 import numpy as np
 
@@ -13,6 +15,8 @@ from service.report.format import MISSING, count, duration, number, table
 from sim.datasheet import Datasheet
 
 COLOURS = {"main": MODEL, "validation": SECOND, "amplifier": THIRD}
+SYMBOLS = ("circle", "diamond", "square", "triangle-up", "cross", "star")
+"""Of sweeps with other comments: the next one once all colours are taken."""
 
 
 def _name(experiment: Experiment, sweep: Sweep) -> str:
@@ -25,7 +29,7 @@ def amplitude_figure(experiment: Experiment, datasheet: Datasheet) -> Figure:
     """Excitation, displacement and current of every point, against linear range and limits."""
     fig = Figure("amplitudes", 3, 1, 640, weights=(0.8, 1.1, 1.1))
     excited = [s for s in experiment.sweeps if s.kind != "noise" and s.comment != "preliminary" and s.n_points]
-    spare = iter((MODEL, SECOND, THIRD, *AXIS_COLOURS))
+    looks = _looks(experiment, excited)
     shown: list[list[Real]] = [[], [], []]
     lows, highs = [], []
     for sweep in excited:
@@ -33,13 +37,14 @@ def amplitude_figure(experiment: Experiment, datasheet: Datasheet) -> Figure:
         hz, h = sweep.frequency_hz[driven], sweep.harmonic(1)
         if not len(hz):
             continue
-        name, colour = _name(experiment, sweep), COLOURS.get(sweep.comment) or next(spare)
+        name = _name(experiment, sweep)
+        symbol, colour = looks[name]
         y = 1e6 * np.abs(sweep.Y[driven][:, :, h].mean(axis=1)).max(axis=1)
         rows = [sweep.amplitude_a[driven], y]
         if sweep.I is not None:
             rows.append(np.abs(sweep.I[driven][:, :, h].mean(axis=1)).max(axis=1))
         for r, values in enumerate(rows):
-            fig.add(r, 0, points(hz, values, name, colour, size=3.5))
+            fig.add(r, 0, points(hz, values, name, colour, symbol=symbol, size=3.5))
             shown[r].append(values)
         lows.append(hz.min())
         highs.append(hz.max())
@@ -56,6 +61,13 @@ def amplitude_figure(experiment: Experiment, datasheet: Datasheet) -> Figure:
     fig.line_at(2, 0, y=limits[2], text="current limit", colour=BAD)
     fig.share_x(0)
     return fig
+
+
+def _looks(experiment: Experiment, sweeps: Sequence[Sweep]) -> dict[str, tuple[str, str]]:
+    """Symbol and colour of each name in the legend; they repeat only once every symbol had every colour."""
+    own = {_name(experiment, s): (SYMBOLS[0], COLOURS[s.comment]) for s in sweeps if s.comment in COLOURS}
+    free = cycle(look for look in product(SYMBOLS, AXIS_COLOURS) if look not in own.values())
+    return {name: own.get(name) or next(free) for name in dict.fromkeys(_name(experiment, s) for s in sweeps)}
 
 
 def noise_figure(experiment: Experiment) -> Figure | None:
