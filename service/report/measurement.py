@@ -71,16 +71,19 @@ def _looks(experiment: Experiment, sweeps: Sequence[Sweep]) -> dict[str, tuple[s
 
 
 def noise_figure(experiment: Experiment) -> Figure | None:
-    """Amplitude density of displacement and current without excitation; None without such a record."""
+    """Amplitude density of displacement and current without excitation, above 0 Hz; None without such a record."""
     sweep = next((s for s in experiment.sweeps if s.kind == "noise" and s.n_points), None)
     if sweep is None or sweep.block_samples is None:
+        return None
+    order = np.argsort(sweep.frequency_hz)
+    order = order[sweep.frequency_hz[order] > 0]  # a mean value has no place on a logarithmic axis
+    if not len(order):
         return None
     h = sweep.harmonic(1)
     seconds = sweep.block_samples / sweep.sample_rate_hz
     signals = [("displacement, nm/√Hz", sweep.Y, 1e9), ("coil current, mA/√Hz", sweep.I, 1e3)]
     known = [(title, x, scale) for title, x, scale in signals if x is not None]
     fig = Figure("noise", 1, len(known), 340, column_gap=0.1)
-    order = np.argsort(sweep.frequency_hz)
     hz = sweep.frequency_hz[order]
     for c, (title, x, scale) in enumerate(known):
         # one-sided density S of a complex amplitude over T seconds: E|X|^2 = 2 S / T

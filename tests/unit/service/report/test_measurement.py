@@ -1,11 +1,13 @@
 """What the experiment did: every sweep told from the others, whatever a file may hold."""
 
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from service.experiment.data import Experiment, Sweep
-from service.report.measurement import amplitude_figure
+from service.report.measurement import amplitude_figure, noise_figure
 from sim.reference import reference_datasheet
 
 AXES = ("xA", "xB", "yA", "yB")
@@ -36,3 +38,25 @@ def test_many_speeds_each_have_a_look_of_their_own_in_the_legend(first):
 def test_more_sweeps_than_there_are_looks_are_all_drawn():
     figure = amplitude_figure(of(*(sweep(f"{k} Hz", [10.0, 20.0]) for k in range(60))), reference_datasheet())
     assert {t["name"] for t in figure.data} == {f"{k} Hz" for k in range(60)}
+
+
+def noise(*hz: float) -> Experiment:
+    """Lines of 0.1 A over a second."""
+    whole = sweep("", list(hz), "noise")
+    return of(replace(whole, block_samples=np.full(len(hz), 10_000), sample_rate_hz=1e4, amplitude_a=0 * np.array(hz)))
+
+
+def test_a_line_at_0_hz_is_left_out_of_the_noise_and_the_others_are_drawn():
+    figure = noise_figure(noise(10.0, 0.0, 5.0))
+    assert figure is not None
+    for panel, size in (("x", 1e3), ("x2", 1e2)):  # nm and mA
+        (axis,) = (t for t in figure.data if t["xaxis"] == panel and t["name"] == "xA")
+        assert axis["x"].tolist() == [5.0, 10.0]
+        # E|X|^2 = 2 S / T for one second
+        np.testing.assert_allclose(axis["y"], size / np.sqrt(2))
+    low, high = figure.layout["xaxis"]["range"]
+    assert 10**low < 5.0 < 10.0 < 10**high < 11.0
+
+
+def test_a_record_of_means_alone_shows_no_noise():
+    assert noise_figure(noise(0.0)) is None
