@@ -73,7 +73,7 @@ def _section(section: Section) -> str:
 
 def _figure(captioned: Captioned) -> str:
     figure = captioned.figure
-    data = json.dumps(figure.document(), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    data = json.dumps(figure.document(), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     style = f"height:{figure.height_px}px; --columns:{figure.columns}"
     return (
         f'<figure><div class="scroll"><div class="plot" id="{figure.name}" style="{style}"></div></div>'

@@ -19,9 +19,9 @@ def page_with(*parts, title="A title", lead="A lead.") -> str:
     return Page(title, "about", lead, "good", (), [Section("Part", parts)]).html()
 
 
-def figure(name="a-figure") -> Figure:
+def figure(name="a-figure", curve="</script><b>x") -> Figure:
     f = Figure(name, 1, 1, 300)
-    f.add(0, 0, line(np.arange(3.0), np.arange(3.0), "</script><b>x"))
+    f.add(0, 0, line(np.arange(3.0), np.arange(3.0), curve))
     return f
 
 
@@ -39,11 +39,25 @@ def test_nothing_is_loaded_from_elsewhere():
     assert "url(" not in shell
 
 
-def test_data_cannot_end_their_script():
-    page = page_with(Captioned(figure(), "c"))
+@pytest.mark.parametrize("curve", ["</script><b>x", "<!--<script>", "<!-- x", "a < b"])
+def test_data_cannot_end_their_script_nor_keep_it_from_ending(curve):
+    page = page_with(Captioned(figure(curve=curve), "c"))
     data = re.search(r'id="a-figure-data">(.*?)</script>', page, flags=re.S)
     assert data is not None
-    assert json.loads(data[1])["data"][0]["name"] == "</script><b>x"
+    assert "<" not in data[1], "a parser of HTML looks for the script's end from any of these"
+    assert json.loads(data[1])["data"][0]["name"] == curve
+
+
+@needs_browser
+def test_a_comment_that_looks_like_html_leaves_every_figure_and_the_text_after_it(tmp_path):
+    parts = [Captioned(figure(f"figure-{k}", "<!--<script>"), "c") for k in range(2)]
+    file = tmp_path / "page.html"
+    file.write_text(page_with(*parts, "<p id='after'>words</p>"))
+    with tab() as page:
+        page.open(file.as_uri())
+        page.until("document.querySelectorAll('figure:has(.main-svg)').length == 2")
+        assert page.run("document.getElementById('after')?.textContent") == "words"
+        assert page.complaints == []
 
 
 def test_words_are_escaped():
