@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from service.experiment.data import Experiment
+import numpy as np
+
+from service.experiment.data import Experiment, Sweep
 from service.experiment.errors import ExperimentFileError
 
 
 def merged(experiments: Sequence[Experiment], names: Sequence[str]) -> Experiment:
     """All sweeps of all experiments in order; rig time adds up, other attributes are those of the first.
+
+    Times of points go on from one experiment to the next, as if one campaign had measured them all.
 
     Parameters
     ----------
@@ -32,4 +37,14 @@ def merged(experiments: Sequence[Experiment], names: Sequence[str]) -> Experimen
     spent = [e.attributes.get("rig_seconds") for e in experiments]
     if all(spent):
         attributes["rig_seconds"] = f"{sum(float(s) for s in spent if s):g}"
-    return Experiment(first.rig, first.axes, tuple(s for e in experiments for s in e.sweeps), attributes)
+    return Experiment(first.rig, first.axes, tuple(_one_after_another(experiments)), attributes)
+
+
+def _one_after_another(experiments: Sequence[Experiment]) -> list[Sweep]:
+    """All sweeps, each experiment beginning when the one before it had measured its last point."""
+    sweeps: list[Sweep] = []
+    begin = 0.0
+    for e in experiments:
+        sweeps += [s if s.time_s is None else replace(s, time_s=begin + s.time_s) for s in e.sweeps]
+        begin = max((float(np.max(s.time_s)) for s in sweeps if s.time_s is not None), default=begin)
+    return sweeps

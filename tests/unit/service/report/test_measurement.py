@@ -1,6 +1,5 @@
 """What the experiment did: every sweep told from the others, whatever a file may hold."""
 
-
 from dataclasses import replace
 
 import numpy as np
