@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 
 from service.identification.arrays import Complex, Real
-from service.identification.loop.margins import computed_response, sensitivity
+from service.identification.loop.closed_loop import loop_states, sampled
+from service.identification.loop.margins import sensitivity
 from service.identification.measured.etfe import FrequencyResponse
 from service.identification.result.commissioning import CommissioningResult, PlaneResult
 from sim.datasheet import Datasheet
 from sim.folded import folded
 
 FORMAT = "amb-model-curves"
-_STEP_LINES = 1 << 15
-"""Samples of the periodic response that the step is computed from: longer than anything rings in a closed loop."""
 _STEP_S = 0.25
 _STEP_POINTS = 500
 
@@ -71,18 +70,17 @@ def _nyquist(plane: PlaneResult, controller: tuple[Real, Real]) -> dict[str, Any
 
 
 def _step(plane: PlaneResult, controller: tuple[Real, Real]) -> dict[str, Any]:
-    """Displacement after a step of 1 A on r, from the closed loop's response at lines between those of the DFT.
-
-    The integrator makes the lines at 0 useless; shifted by half a line, h[n] = exp(j pi n / N) IDFT(H) holds as well.
-    """
+    """Displacement after a step of 1 A on r, sample by sample: exact however slowly the loop comes to rest."""
     sample_time_s = plane.model.known.sample_time_s
-    n = _STEP_LINES
-    omega: Real = np.asarray(2 * np.pi * (np.arange(n // 2) + 0.5) / (n * sample_time_s), dtype=np.float64)
-    closed = np.matmul(computed_response(plane.model, omega), sensitivity(plane.model, controller, omega))
-    whole = np.concatenate([closed, np.conj(closed[::-1])])
-    pulse = np.real(np.exp(1j * np.pi * np.arange(n) / n)[:, None, None] * np.fft.ifft(whole, axis=0))
-    count = min(round(_STEP_S / sample_time_s), n)
-    y = np.cumsum(pulse[:count], axis=0)
+    plant, loop = sampled(plane.model), loop_states(plane.model, controller)
+    n = len(plant.A)
+    count = round(_STEP_S / sample_time_s)
+    y = np.empty((count, 2, 2))
+    state = np.zeros((len(loop.A), 2))
+    for k in range(count):
+        y[k] = plant.C @ state[:n]
+        state = loop.A @ state
+        state[:n] += plant.B
     every = max(1, count // _STEP_POINTS)
     return {
         "unit": "m",
