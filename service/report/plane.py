@@ -127,9 +127,11 @@ def _amplifiers(plane: PlaneResult) -> str:
         )
     value, std = figures(1e6 * plane.delay_s.value, 1e6 * plane.delay_s.std)
     delay = f"{value} ± {std} µs" if np.isfinite(plane.delay_s.std) else "not to be seen without currents"
+    computing_us = 1e6 * plane.model.known.computing_delay_s
+    stated = f" and the {number(computing_us)} µs of computing that the datasheet states" if computing_us else ""
     return table(
         ["amplifier", "order", "gain, A/A", "ω, rad/s", "ζ", "fit, %", "first-order fit, %"], rows
-    ) + paragraph(f"Delay between control signal and coil beside the hold: {delay}.", "small")
+    ) + paragraph(f"Delay between control signal and coil beside the hold{stated}: {delay}.", "small")
 
 
 def _more(plane: PlaneResult) -> str:

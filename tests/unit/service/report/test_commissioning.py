@@ -198,6 +198,27 @@ def test_one_sweep_without_currents_in_two_axes(measured):
     assert "fitted to" in page
 
 
+@pytest.mark.parametrize(
+    ("computing_s", "beside"),
+    [(0.0, "the hold"), (60e-6, "the hold and the 60 µs of computing that the datasheet states")],
+)
+def test_a_delay_is_told_with_what_it_comes_on_top_of(result, measured, computing_s, beside):
+    """The identified delay is what the datasheet's computing delay leaves."""
+    experiment, datasheet = measured
+    planes = {
+        name: replace(
+            p,
+            model=replace(p.model, known=replace(p.model.known, computing_delay_s=computing_s)),
+            delay_s=replace(p.delay_s, value=12.34e-6, std=0.56e-6),
+        )
+        for name, p in result.planes.items()
+    }
+    page = commissioning_page(
+        replace(result, planes=planes), experiment, replace(datasheet, computing_delay_s=computing_s)
+    )
+    assert page.count(f"between control signal and coil beside {beside}: 12.34 ± 0.56 µs.") == len(planes)
+
+
 def test_marked_points_are_listed(result, measured):
     experiment, datasheet = measured
     main = experiment.sweeps[0]
