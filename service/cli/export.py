@@ -81,15 +81,11 @@ def responses(
     from service.experiment import file
     from service.exports import files
     from service.exports import responses as measured
-    from service.exports.errors import ExportError
     from service.output import ready_folder
 
     _must_end(out, files.RESPONSE_ENDINGS)
-    found = measured.of_experiment(file.read(experiment), path.value, sweep)
-    if plane and plane not in found:
-        raise ExportError(f"the sweep excites no plane {plane.value!r}; it excites {', '.join(found)}")
+    chosen = measured.of_experiment(file.read(experiment), path.value, sweep, plane.value if plane else None)
     ready_folder(out.parent)
-    chosen = {plane.value: found[plane]} if plane else found
     written = files.write_responses(out, list(chosen.values()))
     if as_json:
         each = written if len(written) == len(chosen) else written * len(chosen)  # one file may hold all

@@ -49,18 +49,22 @@ class Responses:
             raise ExportError(f"response {self.name}: frequencies must be finite and rise")
 
 
-def of_experiment(experiment: Experiment, path: Path = "u->y", sweep: str = "") -> dict[str, Responses]:
+def of_experiment(
+    experiment: Experiment, path: Path = "u->y", sweep: str = "", plane: str | None = None
+) -> dict[str, Responses]:
     """Measured responses by plane.
 
     Parameters
     ----------
     sweep
         Comment of the sweep; the main one without it.
+    plane
+        The only one that is wanted, whatever the others lack; every excited one without it.
 
     Raises
     ------
     AmbError
-        No such sweep, no currents logged, or no frequency with both axes excited.
+        No such sweep, no such plane excited, no currents logged, or no frequency with both axes excited.
     """
     if path not in PATHS:
         raise ExportError(f"no response {path!r} can be exported; give one of {', '.join(PATHS)}")
@@ -69,10 +73,14 @@ def of_experiment(experiment: Experiment, path: Path = "u->y", sweep: str = "") 
         names = ", ".join(s.comment for s in experiment.sweeps)
         raise ExportError(f"the experiment has no sweep {sweep!r}; it has {names}")
     axes = tuple(experiment.axes)
+    excited = [
+        name for name, pair in planes_of(axes).items() if np.any(np.isin(found.axis, pair) & (found.amplitude_a > 0))
+    ]
+    if plane is not None and plane not in excited:
+        raise ExportError(f"the sweep excites no plane {plane!r}; it excites {', '.join(excited)}")
     return {
-        plane: responses(f"{experiment.rig} {plane} {path}", etfe(plane_points(found, axes, plane), path), path, plane)
-        for plane, pair in planes_of(axes).items()
-        if np.any(np.isin(found.axis, pair) & (found.amplitude_a > 0))
+        name: responses(f"{experiment.rig} {name} {path}", etfe(plane_points(found, axes, name), path), path, name)
+        for name in ([plane] if plane else excited)
     }
 
 

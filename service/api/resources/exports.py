@@ -16,7 +16,6 @@ from service.api.problems import Documented
 from service.api.resources import example_documents
 from service.api.shapes import ExperimentId, IfNoneMatch, ModelId, Viewer
 from service.api.state import Api, Services
-from service.exports.errors import ExportError
 from service.private import private_folder
 from service.storage import results
 from service.storage.tables import ExperimentRow, ModelRow
@@ -95,9 +94,7 @@ def export_responses(
     name = f"{plane}-{path.replace('->', '-to-')}.{format}"
     with tempfile.TemporaryDirectory(dir=_scratch(api)) as folder:
         measured = file.read(api.blobs.fetch(row.file_sha256, Path(folder) / "experiment.h5"))
-        found = responses.of_experiment(measured, path)
-        if plane not in found:
-            raise ExportError(f"plane {plane} is not excited in this experiment; it has {', '.join(found)}")
+        found = responses.of_experiment(measured, path, plane=plane)
         content = files.write_responses(Path(folder) / name, [found[plane]])[0].read_bytes()
     tag = f"{sha256(content).hexdigest()[:24]}.{name}".replace(">", "")
     return etags.content_response(content, TYPES[format], tag, if_none_match, filename=name)

@@ -10,7 +10,9 @@ import pytest
 import pyuff
 from scipy.io import loadmat, savemat
 
+from service.cli import run
 from service.errors import DocumentError
+from service.experiment.file import write as write_experiment
 from service.exports import files, linear, responses
 from service.exports.control import control_of, from_control, to_control
 from service.exports.errors import ExportError
@@ -183,6 +185,22 @@ def test_measured_responses_have_matlabs_order_of_dimensions(experiment, tmp_pat
     assert found["response"].shape == (2, 2, len(r.frequency_hz))
     np.testing.assert_array_equal(found["response"][1, 0], r.value[:, 1, 0])
     assert r.inputs == ("r_yA", "r_yB")
+
+
+def test_a_plane_is_exported_whatever_the_other_lacks(experiment, tmp_path, capsys):
+    """One axis of y alone is excited: there is no response of that plane, and nothing amiss with x."""
+    (whole,) = experiment.sweeps
+    lacking = replace(experiment, sweeps=(whole.select(whole.axis != 3),))
+    path, out = tmp_path / "e.h5", tmp_path / "frf.json"
+    write_experiment(path, lacking)
+    assert run(["export", "responses", str(path), str(out), "--plane", "x"]) == 0
+    (back,) = files.read_responses(out)
+    np.testing.assert_array_equal(back.value, responses.of_experiment(experiment)["x"].value)
+    capsys.readouterr()
+    assert run(["export", "responses", str(path), str(out), "--plane", "y"]) == 1
+    assert "plane y: u->y needs every one of yA, yB" in capsys.readouterr().err
+    with pytest.raises(ExportError, match="excites no plane 'y'; it excites x"):
+        responses.of_experiment(replace(experiment, sweeps=(whole.select(whole.axis < 2),)), plane="y")
 
 
 def test_several_planes_in_a_format_of_one_are_several_files(experiment, tmp_path):
