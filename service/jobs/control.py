@@ -51,6 +51,8 @@ class Control:
         self._point = 0
         self._heard = time.monotonic()
         self._outage = Outage(log, f"job {job_id}")
+        self._unread = Outage(log, f"job {job_id}", "its journal cannot be read", "its journal is read again")
+        self._defect = ""
         self.cancel_requested = False
         self.superseded = False
         self._thread = threading.Thread(target=self._watch, name=f"control-{job_id}", daemon=True)
@@ -111,22 +113,28 @@ class Control:
     def _turn(self) -> None:
         with self._lock:
             values, self._pending = self._pending, {}
-        offset = self._shipped
-        content = b"" if offset is None else self._grown(offset)
         try:
-            if values or content:
-                with self._context.database.write() as session:
-                    mine, cancelled = jobs.note(session, self._job_id, self._attempt, **values)
-                    if mine and content and offset is not None:
-                        jobs.add_journal(session, self._job_id, self._attempt, offset, content)
-            else:
-                with self._context.database.read() as session:
-                    mine, cancelled = jobs.note(session, self._job_id, self._attempt)
+            self._exchange(values)
         except SQLAlchemyError as error:  # the database is away: the job goes on, and tells later
             self._outage.away(error)
             with self._lock:
                 self._pending = values | self._pending
-            return
+        except Exception as error:  # costs this turn and its values, which may be why; the next one hears of the job
+            if (why := repr(error)) != self._defect:
+                log.exception("job %s: a turn of its control met a defect", self._job_id)
+                self._defect = why
+
+    def _exchange(self, values: dict[str, Any]) -> None:
+        offset = self._shipped
+        content = b"" if offset is None else self._grown(offset)
+        if values or content:
+            with self._context.database.write() as session:
+                mine, cancelled = jobs.note(session, self._job_id, self._attempt, **values)
+                if mine and content and offset is not None:
+                    jobs.add_journal(session, self._job_id, self._attempt, offset, content)
+        else:
+            with self._context.database.read() as session:
+                mine, cancelled = jobs.note(session, self._job_id, self._attempt)
         self._heard = time.monotonic()
         self._outage.over()
         if offset is not None:
@@ -140,6 +148,11 @@ class Control:
         try:
             with self._journal.open("rb") as file:
                 file.seek(shipped)
-                return file.read()
+                content = file.read()
         except FileNotFoundError:
             return b""
+        except OSError as error:  # what it has more is kept once it can be read; a cancellation is heard meanwhile
+            self._unread.away(error)
+            return b""
+        self._unread.over()
+        return content

@@ -1,12 +1,10 @@
-"""That a database does not answer is told once, and not at every try: the log may be on the disk that is full."""
+"""What does not answer, as a database, is told once, and not at every try: the log may be on the disk that is full."""
 
 from __future__ import annotations
 
 import logging
 import re
 import time
-
-from sqlalchemy.exc import SQLAlchemyError
 
 
 class Outage:
@@ -16,24 +14,34 @@ class Outage:
     ----------
     who
         Begins the lines: whose work it is that waits.
+    away, back
+        What is told of something else than the database.
     """
 
-    def __init__(self, log: logging.Logger, who: str = "") -> None:
+    def __init__(
+        self,
+        log: logging.Logger,
+        who: str = "",
+        away: str = "the database does not answer",
+        back: str = "the database answers again",
+    ) -> None:
         self._log = log
         self._who = f"{who}: " if who else ""
+        self._away = away
+        self._back = back
         self._why = ""
 
-    def away(self, error: SQLAlchemyError) -> None:
+    def away(self, error: Exception) -> None:
         """It did not answer."""
-        why = str(error).splitlines()[0]
+        why = (str(error).splitlines() or [type(error).__name__])[0]
         if why != self._why:
-            self._log.warning("%sthe database does not answer: %s", self._who, why)
+            self._log.warning("%s%s: %s", self._who, self._away, why)
             self._why = why
 
     def over(self) -> None:
         """It answered."""
         if self._why:
-            self._log.warning("%sthe database answers again", self._who)
+            self._log.warning("%s%s", self._who, self._back)
             self._why = ""
 
 
