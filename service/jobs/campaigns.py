@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from concurrent.futures import Future, wait
 from contextlib import suppress
@@ -280,13 +281,15 @@ def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control)
     Of both only whole lines count: what a machine that died had written of a point is measured again, in other bytes.
     """
     sent = worker.database.surely(lambda session: jobs.journal(session, job.id), control.stopped)
-    local = path.read_bytes() if path.exists() else b""
-    kept, local = sent[: entries(sent)[1]], local[: entries(local)[1]]
+    content = path.read_bytes() if path.exists() else b""
+    kept, local = sent[: entries(sent)[1]], content[: entries(content)[1]]
     if cut := len(sent) - len(kept):
         log.warning("the journal of %s was cut short: %d bytes at its end are no whole point", job.id, cut)
     if len(kept) > len(local):
         path.write_bytes(kept)
         local = kept
+    elif len(content) > len(local) and (local or b"\n" not in content):  # else no journal at all: the campaign says so
+        os.truncate(path, len(local))  # before it is kept from here on: other bytes will stand there
     control.begin_journal(len(kept) if local[: len(kept)] == kept else 0)
 
 

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.campaign.journal import Journal, line
+from service.campaign.journal import Journal, entries, line
+from service.experiment.errors import JournalError
 from service.jobs import campaigns
 from service.jobs.control import Control
 from service.storage import jobs, rigs
@@ -55,6 +56,7 @@ def goes_on(worker, job, path, header, *points):
         attempt = jobs.claim(session, job.id, 1, "w2").attempt
     with Control(worker, job.id, attempt, path, period_s=60.0) as control:
         campaigns._restore_journal(worker, job, path, control)
+        control._turn()  # one that comes before the campaign has the rig
         journal = Journal(path, header)
         for point in points:
             journal.append({"point": point})
@@ -89,3 +91,24 @@ def test_a_point_that_was_cut_short_on_its_way_takes_no_later_one_along(worker, 
         goes_on(worker, submitted, two, header, "2", "3")
     assert kept(worker, submitted) == two.read_bytes() == whole + of("2", "3")
     assert "cut short" in caplog.text
+
+
+@pytest.mark.parametrize("points", [[], ["1"]])
+def test_a_point_that_was_cut_short_on_this_machine_takes_no_later_one_along(worker, submitted, tmp_path, points):
+    """Its disk was full in the middle of a line, or of the header, and the same machine goes on."""
+    path = tmp_path / "one"
+    Journal(path, {"rig": "r"}).close()
+    whole = path.read_bytes() + of(*points)
+    path.write_bytes(whole + of("2, and cut short")[:-9] if points else whole[:-9])
+    goes_on(worker, submitted, path, {"rig": "r", "about": {"speed_rad_s": 1.0}}, "2", "3")
+    found = kept(worker, submitted)
+    assert found == path.read_bytes()
+    assert [entry["point"] for entry in entries(found)[0][1:]] == [*points, "2", "3"]
+
+
+def test_a_file_that_is_no_journal_is_left_as_it_is(worker, submitted, tmp_path):
+    path = tmp_path / "one"
+    path.write_bytes(b"of another program\n")
+    with pytest.raises(JournalError, match="not a campaign journal"):
+        goes_on(worker, submitted, path, {"rig": "r"})
+    assert path.read_bytes() == b"of another program\n"
