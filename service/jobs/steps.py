@@ -143,11 +143,12 @@ def experiment_file(worker: Context, job: JobRow, experiment_id: str) -> tuple[E
 
 
 def finish(job_id: str, run: int, found: Outcome) -> None:
-    """Write the end of a job to its row, and drop its work in progress."""
+    """Write the end of a job to its row, with what any run of it has made, and drop its work in progress."""
     worker = context()
 
     def write(session: Session) -> None:
-        jobs.finish(session, job_id, run, found["state"], found["result"], found["title"], found["detail"])
+        made = results.made_by(session, job_id) | found["result"]
+        jobs.finish(session, job_id, run, found["state"], made, found["title"], found["detail"])
         if found["state"] == jobs.DONE:
             jobs.drop_journal(session, job_id)
 

@@ -7,8 +7,12 @@ import os
 import pytest
 
 from service.config import Settings
+from service.errors import JobError, StoppedError
 from service.jobs import context, steps
-from service.storage import jobs, rigs
+from service.storage import jobs, results, rigs
+from service.storage.database import now
+from service.storage.ids import derived_id
+from service.storage.tables import ExperimentRow
 from tests.support.databases import migrated
 from tests.support.service import reference_sheet
 
@@ -50,6 +54,37 @@ def test_the_second_step_is_no_second_attempt_and_a_retry_is(worker, job, caplog
         jobs.finish(session, job, 1, jobs.FAILED, {})
         jobs.retry(session, job, "me", "local")
     assert "attempt 2" in told(2)
+
+
+def stopped(*_):
+    raise StoppedError("before its first point")
+
+
+def out_of_reach(*_):
+    raise JobError("controller does not answer", "before its first point")
+
+
+@pytest.mark.parametrize(
+    ("work", "cancelled", "state"),
+    [(stopped, False, "cancelled"), (out_of_reach, False, "failed"), (out_of_reach, True, "cancelled")],
+)
+def test_a_retry_that_measures_nothing_leaves_the_job_what_it_has_measured_before(worker, job, work, cancelled, state):
+    """Its partial experiment is in the job's result, by which whoever submitted it finds it."""
+    experiment = derived_id("exp", job)
+    with worker.write() as session:
+        rig = jobs.get(session, job).rig_id
+        of_rig = {"rig_id": rig, "rig_version": 1, "job_id": job}
+        of_file = {"file_sha256": "0", "file_bytes": 1, "media_type": "", "file_name": "e.h5", "summary": {}}
+        kind = {"source": "measured", "purpose": "commissioning", "complete": False}
+        made = {"created_at": now(), "created_by": "me"}
+        results.keep(session, ExperimentRow(id=experiment, **of_rig, **of_file, **kind, **made))
+        jobs.finish(session, job, 1, jobs.FAILED, {"experiment": experiment})
+        jobs.retry(session, job, "me", "local")
+        jobs.get(session, job).cancel_requested = cancelled  # before a worker has begun with it
+    steps.finish(job, 2, steps.guarded(work, job, 2))
+    with worker.read() as session:
+        found = jobs.get(session, job)
+    assert (found.state, found.result) == (state, {"experiment": experiment})
 
 
 class TestAnEngineThatFails:
