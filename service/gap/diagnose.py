@@ -186,9 +186,7 @@ def _shrinkages(
         r.candidate.effects: sweep.shrinkage(r.candidate.fit.rig)
         for r in (*listed(whole.order, verdict.effects), whole.null)
     }
-    # runout of a main sweep at standstill was found in the other one, which is not unseen then
-    heard_in_main = at_speed(sources, data.main.speed_rad_s)
-    if sources and len(verdict.effects) == len(sources) == len(heard_in_main):
+    if sources and len(verdict.effects) == len(sources):
         of_scatter = scatter_shrinkage(data.other, data.nuisance.rig, sources, found.name)
         shrunk[verdict.effects] = of_scatter or shrunk[verdict.effects]
     return shrunk
