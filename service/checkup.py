@@ -108,12 +108,13 @@ def measure_check(
     cancelled: Callable[[], bool] | None = None,
     holder: str = "",
 ) -> Experiment:
-    """Run the short experiment into a folder; it resumes like any campaign."""
+    """Run the short experiment into a folder; it resumes like any campaign, but with recent points only."""
     from service.campaign.leased import alone
     from service.campaign.run import run_campaign
+    from service.health.budget import RECENT_S
 
     name = holder or alone("ambit health")
-    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name)
+    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name, RECENT_S)
 
 
 def compare_into(

@@ -13,6 +13,7 @@ import json
 import os
 import zlib
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from sim.errors import reason
 
 FORMAT = "amb-campaign-journal"
 VERSION = 1
+BEGAN = "began_at"
+"""When the campaign began, ISO 8601 with its offset to UTC; in a header, under "about"."""
 
 Entry = dict[str, Any]
 
@@ -95,6 +98,18 @@ def read(path: Path) -> tuple[Entry, list[Entry]]:
     if not found or found[0].get("format") != FORMAT or found[0].get("version") != VERSION:
         raise JournalError(f"{path} is not a campaign journal of version {VERSION}; move it away to start anew")
     return found[0], found[1:]
+
+
+def began(path: Path) -> datetime | None:
+    """When the campaign of a journal began; None where it does not tell.
+
+    Raises
+    ------
+    JournalError
+        As of `read`.
+    """
+    told = read(path)[0].get("about", {}).get(BEGAN)
+    return None if told is None else datetime.fromisoformat(told)
 
 
 class Journal:

@@ -1,16 +1,33 @@
-"""What becomes of an experiment file that lies where another shall be: no point of it is lost."""
+"""What becomes of an experiment or a journal that lies where another shall be: no point of it is lost."""
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from service.campaign import journal
 from service.experiment import file
 from service.experiment.data import Experiment, Sweep
-from service.experiment.errors import ExperimentFileError
+from service.experiment.errors import ExperimentFileError, JournalError
 
 PREVIOUS = "previous"
+
+
+def too_old(path: Path, recent_s: float | None) -> bool:
+    """Whether the journal at ``path`` began longer ago than one may go on with, or does not tell when.
+
+    The time is the journal's own, which a copy on another machine has, too. One that lies ahead by as much is of a
+    clock that was wrong; seconds between two machines' clocks do not matter. With None, none is too old.
+    """
+    if recent_s is None:
+        return False
+    try:
+        began = journal.began(path)
+    except JournalError:  # there is none, or none that a campaign goes on with: it says so
+        return False
+    return began is None or abs((datetime.now(UTC) - began).total_seconds()) > recent_s
 
 
 def make_way(path: Path, successor: Experiment) -> None:

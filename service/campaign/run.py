@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.controller import (
@@ -17,7 +18,7 @@ from service.campaign.leased import Patient, alone, make_ready, stopped_by
 from service.campaign.multisine.plan import MultisineProfile, PeriodicRequest
 from service.campaign.plan import Request
 from service.campaign.points import Point, experiment
-from service.campaign.predecessor import holds_all, make_way, put_aside
+from service.campaign.predecessor import holds_all, make_way, put_aside, too_old
 from service.campaign.progress import Meter, ProgressCallback
 from service.campaign.recorder import Recorder, Trip
 from service.exclusive import sole_use
@@ -48,6 +49,7 @@ def run_campaign(
     resume: bool = True,
     profile: Profile | MultisineProfile | None = None,
     holder: str = "",
+    recent_s: float | None = None,
 ) -> Experiment:
     """Run the whole experiment on a controller and write ``out_dir/experiment.h5``.
 
@@ -72,6 +74,8 @@ def run_campaign(
     holder
         Name under which the rig is leased; a further campaign of the same name, as a job that is taken over, hears of
         stops that this one did not. Empty for one of this campaign alone.
+    recent_s
+        A journal that began longer ago is put aside, too; None goes on with one of any age.
 
     Returns
     -------
@@ -103,7 +107,7 @@ def run_campaign(
         )
     ready_folder(out_dir)
     speed = speed_now(controller)
-    about = {"speed_rad_s": speed, "datasheet": to_toml(datasheet)}
+    about = {journal.BEGAN: datetime.now(UTC).isoformat(), "speed_rad_s": speed, "datasheet": to_toml(datasheet)}
     header = fingerprint(capabilities, datasheet, limits, profile) | {"about": about}
     log: journal.Journal | None = None
     meter = Meter(progress, record_wait_s=capabilities.record_wait_s)
@@ -127,7 +131,7 @@ def run_campaign(
             with controller.lease(holder or alone("ambit campaign")), stopped_by(controller, cancelled):
                 # whoever holds the rig writes here, and nobody else, not even one who holds another rig
                 folder.enter_context(sole_use(out_dir, ANOTHER, ELSEWHERE, LOCK))
-                if not resume:
+                if not resume or too_old(out_dir / JOURNAL, recent_s):
                     put_aside(out_dir / JOURNAL)
                 opened = journal.Journal(out_dir / JOURNAL, header)
                 try:

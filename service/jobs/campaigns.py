@@ -15,11 +15,13 @@ from drivers.errors import BusError, CancelledError, LeaseError, RestartError, S
 from service import bootstrap
 from service.aside import aside
 from service.campaign.aims import Profile
-from service.campaign.journal import entries
+from service.campaign.journal import began, entries
 from service.campaign.multisine.plan import MultisineProfile
+from service.campaign.predecessor import put_aside, too_old
 from service.campaign.progress import Progress
-from service.campaign.run import EXPERIMENT, JOURNAL, run_campaign
+from service.campaign.run import EXPERIMENT, JOURNAL, recover_into_file, run_campaign
 from service.errors import ConflictError, JobError, StoppedError
+from service.experiment.errors import CampaignError, JournalError
 from service.jobs.context import Context
 from service.jobs.control import Control
 from service.jobs.progress import WHOLE, Part, Share
@@ -27,7 +29,7 @@ from service.jobs.rotor import AuditedController
 from service.jobs.steps import datasheet_file
 from service.storage import audit, jobs, results, rigs
 from service.storage.database import now
-from service.storage.ids import derived_id
+from service.storage.ids import derived_id, new_id
 from service.storage.tables import ExperimentRow, JobRow
 from service.uploads.child import summary
 from sim import rig_file
@@ -65,10 +67,12 @@ def measure(
     profile: Profile | MultisineProfile,
     purpose: str,
     share: Share = WHOLE,
+    recent_s: float | None = None,
 ) -> dict[str, Any]:
     """Run a campaign to its end and keep its experiment; ``{"experiment": id}``.
 
     What was measured is kept when the job is cancelled or fails, too. ``share`` is its part of the job's percent.
+    With ``recent_s`` the campaign goes on with what it measured so long ago at most.
 
     Raises
     ------
@@ -87,7 +91,9 @@ def measure(
     sheet = rig_file.read(path)
     folder = worker.folder(job.id)
     _restore_journal(worker, job, folder / JOURNAL, control)
-    run = _Campaign(worker, job, control, sheet, version.controller_url, profile, folder, Part(control, share))
+    run = _Campaign(
+        worker, job, control, sheet, version.controller_url, profile, folder, Part(control, share), purpose, recent_s
+    )
     try:
         experiment = run.to_the_end()
     except BaseException:
@@ -113,6 +119,8 @@ class _Campaign:
     profile: Profile | MultisineProfile
     folder: Path
     part: Part
+    purpose: str
+    recent_s: float | None
     answered: float = 0.0
     """When the controller last answered, monotonic."""
 
@@ -161,6 +169,8 @@ class _Campaign:
 
     def _run(self, controller: Controller) -> Experiment:
         self.control.report(phase="connected")
+        if too_old(self.folder / JOURNAL, self.recent_s):
+            self._begin_anew()
         return run_campaign(
             AuditedController(controller, self.worker, self.job, self.control.stopped, self._silent),
             self.sheet,
@@ -171,6 +181,17 @@ class _Campaign:
             profile=self.profile,
             holder=self.job.id,  # whole: devices keep 32 characters of it
         )
+
+    def _begin_anew(self) -> None:
+        """Go on with no point so far: they are kept as an experiment of their own, for the job makes another one."""
+        try:
+            kept = f"they are kept as {_kept_apart(self.worker, self.job, self.folder, self.purpose)}"
+        except (CampaignError, JournalError) as error:
+            kept = f"no experiment can be made of them: {error}"
+        log.warning("the points so far are too old to go on with, and the campaign begins anew; %s", kept)
+        put_aside(self.folder / EXPERIMENT)
+        put_aside(self.folder / JOURNAL)
+        self.control.begin_journal(0)
 
     def _progress(self, p: Progress) -> None:
         self.answered = time.monotonic()
@@ -304,8 +325,24 @@ def _keep_partial(worker: Context, job: JobRow, control: Control, folder: Path, 
         control.made(experiment=_kept(worker, job, path, file.read(path), purpose, complete=False))
 
 
+def _kept_apart(worker: Context, job: JobRow, folder: Path, purpose: str) -> str:
+    path, experiment = recover_into_file(folder)
+    row = _row(worker, job, path, experiment, purpose, complete=False)
+    row.id, row.job_id, row.created_at = new_id("exp"), None, began(folder / JOURNAL) or row.created_at
+    worker.database.surely(lambda session: results.keep(session, row))
+    return row.id
+
+
 def _kept(worker: Context, job: JobRow, path: Path, experiment: Experiment, purpose: str, complete: bool) -> str:
-    row = ExperimentRow(
+    row = _row(worker, job, path, experiment, purpose, complete)
+    worker.database.surely(lambda session: results.keep(session, row))
+    return row.id
+
+
+def _row(
+    worker: Context, job: JobRow, path: Path, experiment: Experiment, purpose: str, complete: bool
+) -> ExperimentRow:
+    return ExperimentRow(
         id=derived_id("exp", job.id),
         rig_id=job.rig_id,
         rig_version=job.rig_version,
@@ -321,5 +358,3 @@ def _kept(worker: Context, job: JobRow, path: Path, experiment: Experiment, purp
         created_at=now(),
         created_by=job.submitted_by,
     )
-    worker.database.surely(lambda session: results.keep(session, row))
-    return row.id

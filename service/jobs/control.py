@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,6 +21,13 @@ POLL_S = 0.15
 UNHURRIED_POLL_S = 0.75
 """Of a job that moves nothing: many of them at a time leave the database alone."""
 log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Shipped:
+    """Of one journal, how much of it is in the database."""
+
+    size: int
 
 
 class Control:
@@ -43,7 +51,7 @@ class Control:
         self._attempt = attempt
         self._journal = journal
         self._period_s = period_s
-        self._shipped: int | None = None
+        self._shipped: _Shipped | None = None
         self._pending: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._over = threading.Event()
@@ -102,9 +110,10 @@ class Control:
     def begin_journal(self, shipped: int) -> None:
         """The journal's file is in place, and so much of it is in the database; what it has more is kept from now on.
 
-        Not earlier: the file may be an older one than what another machine has put into the database.
+        Not earlier: the file may be an older one than what another machine has put into the database. Once more where
+        another journal begins in its place.
         """
-        self._shipped = shipped
+        self._shipped = _Shipped(shipped)
 
     def _watch(self) -> None:
         while not self._over.wait(self._period_s):
@@ -125,20 +134,20 @@ class Control:
                 self._defect = why
 
     def _exchange(self, values: dict[str, Any]) -> None:
-        offset = self._shipped
-        content = b"" if offset is None else self._grown(offset)
+        shipped = self._shipped
+        content = b"" if shipped is None else self._grown(shipped.size)
         if values or content:
             with self._context.database.write() as session:
                 mine, cancelled = jobs.note(session, self._job_id, self._attempt, **values)
-                if mine and content and offset is not None:
-                    jobs.add_journal(session, self._job_id, self._attempt, offset, content)
+                if mine and content and shipped is not None:
+                    jobs.add_journal(session, self._job_id, self._attempt, shipped.size, content)
         else:
             with self._context.database.read() as session:
                 mine, cancelled = jobs.note(session, self._job_id, self._attempt)
         self._heard = time.monotonic()
         self._outage.over()
-        if offset is not None:
-            self._shipped = offset + len(content)
+        if shipped is not None:
+            shipped.size += len(content)
         self.superseded = self.superseded or not mine
         self.cancel_requested = self.cancel_requested or (mine and cancelled)
 

@@ -74,3 +74,22 @@ def test_a_turn_that_meets_a_defect_is_told_once_and_the_next_one_hears_of_the_c
         wait_for(control.stopped, "the cancellation")
     assert len(failed) == 3
     assert [record.exc_info[0] for record in caplog.records if record.exc_info] == [RuntimeError]
+
+
+def test_a_journal_that_begins_in_the_place_of_another_is_kept_from_its_first_byte(worker, job, tmp_path, monkeypatch):
+    """Though the one before is on its way into the database at that moment."""
+    path, add = tmp_path / "experiment.journal", jobs.add_journal
+    path.write_bytes(line({"point": "of the one before"}))
+
+    def meanwhile(*words):
+        monkeypatch.setattr(jobs, "add_journal", add)
+        path.write_bytes(line({"point": 1}))
+        control.begin_journal(0)
+        return add(*words)
+
+    with Control(worker, job.id, job.attempt, path, period_s=60.0) as control:
+        monkeypatch.setattr(jobs, "add_journal", meanwhile)
+        control.begin_journal(0)
+        control._turn()
+    with worker.database.read() as session:
+        assert jobs.journal(session, job.id) == line({"point": 1})
