@@ -23,8 +23,6 @@ from service.identification.rotating.whirl import loop_matrix
 from service.identification.statistics.drawn import DRAWS, Interval, drawn, interval
 
 AXES = ("xA", "xB", "yA", "yB")
-RINGS = 0.1
-"""Damping ratio of a whirl below which lines are set about it."""
 FIGURES = (
     (max, -np.inf),  # peak of S
     (max, -np.inf),  # gain downwards, negative
@@ -154,7 +152,7 @@ def at_speed(
         "",
         _others_words([w for w in lost_at if w is not None], len(others)),
         warnings,
-        _axes(model, law, held, {w: _grid(model, p, period) for w, p in poles.items()}, limits),
+        _axes(model, law, held, {w: _grid(model, p) for w, p in poles.items()}, limits),
     )
 
 
@@ -204,13 +202,9 @@ def _others_words(lost_at: Sequence[float], draws: int) -> str:
     )
 
 
-def _grid(model: RotatingModel, poles: Complex, period_s: float) -> Real:
+def _grid(model: RotatingModel, poles: Complex) -> Real:
     """Frequencies that show every peak of the loop, rad/s: those of both planes, and about each whirl that rings."""
-    s = np.log(poles[np.abs(poles) > 0]) / period_s
-    w, zeta = np.abs(s), -s.real / np.abs(s)
-    rings = (s.imag > 0) & (zeta < RINGS) & (w * period_s < 0.98 * np.pi)
-    near = [a * (1 + b * np.linspace(-4, 4, 33)) for a, b in zip(w[rings], zeta[rings], strict=True)]
-    return np.unique(np.concatenate([*(loop_grid(p) for p in model.planes), *near]))
+    return np.unique(np.concatenate([loop_grid(p, poles) for p in model.planes]))
 
 
 def _axes(

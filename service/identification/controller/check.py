@@ -213,7 +213,8 @@ def _check_plane(
     if decay <= 0:
         reason = f"plane {s.plane}: the loop is unstable, {unstable_words(poles, period)}"
         return _PlaneCheck(s.plane, decay, 0.0, (reason,), warnings)
-    held = [m for m in others if slowest_decay(closed_loop_poles(m, law), period) > 0]
+    every = [(m, closed_loop_poles(m, law)) for m in others]
+    held = [(m, loop_grid(m, p)) for m, p in every if slowest_decay(p, period) > 0]
     reasons: tuple[str, ...] = ()
     if not others:
         reasons = (
@@ -225,7 +226,7 @@ def _check_plane(
             f"plane {s.plane}: {len(others) - len(held)} of {len(others)} models that the data allow as well are "
             "unstable with it",
         )
-    share, axes = len(held) / max(len(others), 1), tuple(_axes(s, law, held, limits))
+    share, axes = len(held) / max(len(others), 1), tuple(_axes(s, law, loop_grid(s.model, poles), held, limits))
     return _PlaneCheck(s.plane, decay, share, reasons, warnings, axes, _later(s, law))
 
 
@@ -297,12 +298,16 @@ def _checked_law(controller: tuple[Real, Real]) -> tuple[Real, Real]:
 
 
 def _axes(
-    saved: SavedPlane, law: tuple[Real, Real], held: list[PlaneModel], limits: tuple[tuple[str, float], ...]
+    saved: SavedPlane,
+    law: tuple[Real, Real],
+    omega: Real,
+    held: list[tuple[PlaneModel, Real]],
+    limits: tuple[tuple[str, float], ...],
 ) -> list[AxisCheck]:
-    omega = loop_grid(saved.model)
+    """Both axes from lines ``omega`` that show the best model's loop, and other models, each with its own."""
     best_peaks = sensitivity_peaks(saved.model, law)
     best = _figures(saved.model, law, omega)
-    others = list(zip(*(_figures(m, law, omega) for m in held), strict=True)) or [(), ()]
+    others = list(zip(*(_figures(m, law, own) for m, own in held), strict=True)) or [(), ()]
     found = []
     for j in range(2):
         # a draw's peak is read at the grid: only its ratio to the best model's, read there too, counts

@@ -1,4 +1,4 @@
-"""The sampled closed loop of an identified plane with any controller, and how well it predicts the measured one."""
+"""The sampled closed loop of an identified plane with any controller."""
 
 from __future__ import annotations
 
@@ -11,14 +11,9 @@ from scipy.linalg import companion as companion_matrix
 from scipy.linalg import expm
 
 from service.identification.arrays import Complex, Real
-from service.identification.loop.margins import computed_response, sensitivity
-from service.identification.measured.etfe import SingularInputError, etfe
-from service.identification.measured.known import computed
-from service.identification.measured.points import PlanePoints
 from service.identification.plane.amplifier import Amplifier
 from service.identification.plane.combine import physical_matrices
 from service.identification.plane.model import PlaneModel
-from service.identification.statistics.validation import nrmse_percent
 from sim.chain import Chain
 from sim.errors import AmbError
 from sim.rig import SHORTEST_LAG_S
@@ -269,38 +264,3 @@ def slowest_decay(poles: Complex, sample_time_s: float) -> float:
     10.05
     """
     return float(-np.log(np.max(np.abs(poles))) / sample_time_s)
-
-
-@dataclass(frozen=True)
-class Predicted:
-    """The measured closed loop against the one that model and controller predict: NRMSE, percent, (2, 2) each.
-
-    Rows are outputs, columns excited axes. The published figure of a real rig is 97.9 %.
-    """
-
-    u_percent: Real
-    """r -> u, the sensitivity."""
-    y_percent: Real
-    """r -> y."""
-
-
-def predicted_closed_loop(model: PlaneModel, controller: tuple[Real, Real], points: PlanePoints) -> Predicted | None:
-    """Fit of the predicted closed loop; None where r cannot tell the axes apart.
-
-    Parameters
-    ----------
-    points
-        Measured with ``controller`` running; best of a sweep that the model was not made from.
-    """
-    points = computed(points, model.known.chain)
-    try:
-        u, y = etfe(points, "r->u"), etfe(points, "r->y")
-    except SingularInputError:
-        return None
-    s = sensitivity(model, controller, u.omega)
-    t = np.asarray(computed_response(model, u.omega) @ s)
-    fits = [
-        np.array([[nrmse_percent(m.value[:, a, b], p[:, a, b]) for b in range(2)] for a in range(2)])
-        for m, p in ((u, s), (y, t))
-    ]
-    return Predicted(fits[0], fits[1])

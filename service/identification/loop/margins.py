@@ -12,13 +12,19 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from service.identification.arrays import Complex, Real
-from service.identification.loop.loop_margins import REST, loop_margins, moved
+from service.identification.loop.closed_loop import closed_loop_poles
+from service.identification.loop.loop_margins import CLOSE, REST, loop_margins, moved
 from service.identification.measured.etfe import FrequencyResponse
 from service.identification.plane.model import PlaneModel
 from service.identification.plane.zoh import discrete_response
 from service.identification.statistics.derivatives import central_differences, propagated_std
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import OptionsError
+
+PER_DECADE = 144
+"""Lines per decade where nothing rings."""
+RINGS = 0.1
+"""Damping ratio of a loop's pole below which lines are set about it."""
 
 
 @dataclass(frozen=True)
@@ -126,17 +132,44 @@ def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -
     return np.asarray(np.linalg.inv(loop), dtype=np.complex128)
 
 
-def dense_grid(model: PlaneModel) -> Real:
-    """Frequencies from 1 Hz to almost half the sample rate that show every peak of the model, rad/s."""
-    highest = 2 * np.pi * 0.49 / model.known.sample_time_s
-    base = _per_decade(2 * np.pi, highest, 144)
+def loop_grid(model: PlaneModel, poles: Complex) -> Real:
+    """Frequencies up to almost half the sample rate that show every peak of a plane and of a loop that it is in, rad/s.
+
+    From rest on, where a loop without an integrator has its lower gain margin.
+
+    Parameters
+    ----------
+    poles
+        Eigenvalues of the sampled loop: a strong law moves a lightly damped mode far from where the plant has it.
+    """
+    period = model.known.sample_time_s
+    highest = 2 * np.pi * 0.49 / period
+    slow, base = _per_decade(REST, 2 * np.pi, 60)[:-1], _per_decade(2 * np.pi, highest, PER_DECADE)
     near = [m[0] * (1 + np.linspace(-0.02, 0.02, 41)) for m in model.modes if 0 < m[0] < highest]
-    return np.unique(np.concatenate([base, *near]))
+    grid = np.unique(np.concatenate([slow, base, *near, *_about(poles, period)]))
+    return np.asarray(grid[grid <= highest])
 
 
-def loop_grid(model: PlaneModel) -> Real:
-    """The same from rest on, where a loop without an integrator has its lower gain margin."""
-    return np.concatenate([_per_decade(REST, 2 * np.pi, 60)[:-1], dense_grid(model)])
+def dense_grid(model: PlaneModel, poles: Complex) -> Real:
+    """The same from 1 Hz on."""
+    grid = loop_grid(model, poles)
+    return np.asarray(grid[grid >= 2 * np.pi])
+
+
+def _about(poles: Complex, period_s: float) -> list[Real]:
+    """Frequencies about each pole of a sampled loop that rings, rad/s: as close to each other as the loop turns there.
+
+    A quarter of the pole's half-width apart at the pole, a quarter of their distance to it farther away, up to where
+    the other lines are no farther apart.
+    """
+    s = np.log(poles[poles.imag > 0]) / period_s
+    w, zeta = np.abs(s), np.maximum(np.abs(s.real) / np.abs(s), CLOSE)
+    reach = np.arcsinh(math.log(10) / PER_DECADE / zeta)
+    return [
+        a * (1 + b * np.sinh(np.linspace(-r, r, 1 + 2 * math.ceil(4 * r))))
+        for a, b, r in zip(w, zeta, reach, strict=True)
+        if b < RINGS
+    ]
 
 
 def _per_decade(lowest: float, highest: float, number: int) -> Real:
@@ -160,7 +193,7 @@ def sensitivity_peaks(model: PlaneModel, controller: tuple[Real, Real]) -> tuple
     controller
         Numerator and denominator of the discrete law from -y to u.
     """
-    omega = loop_grid(model)
+    omega = loop_grid(model, closed_loop_poles(model, controller))
     size = np.abs(sensitivity(model, controller, omega))
     return _refined(model, controller, omega, size[:, 0, 0], 0), _refined(model, controller, omega, size[:, 1, 1], 1)
 
@@ -194,12 +227,11 @@ def axis_margins(
     measured
         ETFE r->u of the plane.
     """
-    omega = loop_grid(model)
+    omega = loop_grid(model, closed_loop_poles(model, controller))
     s = sensitivity(model, controller, omega)
-    peaks = sensitivity_peaks(model, controller)
     out = []
     for j in range(2):
-        peak = peaks[j]
+        peak = _refined(model, controller, omega, np.abs(s[:, j, j]), j)
         loop = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
         peak_std, *stds = _stds(model, controller, peak.omega, loop.places(), j, covariance, free)
         seen = seen_hz = seen_std = None

@@ -9,8 +9,9 @@ import numpy as np
 from service.identification.joint.refine import Refined
 from service.identification.joint.selection import Selected
 from service.identification.joint.uncertainty import Uncertainty, response_std, uncertainty_of
-from service.identification.loop.closed_loop import predicted_closed_loop
+from service.identification.loop.closed_loop import closed_loop_poles
 from service.identification.loop.margins import axis_margins, dense_grid
+from service.identification.loop.predicted import predicted_closed_loop
 from service.identification.measured.data import Data
 from service.identification.measured.etfe import FrequencyResponse, SingularInputError, etfe
 from service.identification.measured.known import computed
@@ -69,9 +70,9 @@ def assemble(
     fit, at_lines = frequency_fit(model, points, refined.amplitude)
     cross, cross_rms, validation_frf, validation_model = cross_validation(model, held_out, refined.reach)
     rms, tests = residual_tests(refined, points)
-    omega = dense_grid(model)
-    omega = omega[omega <= 1.2 * points.omega.max()]
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
+    omega = dense_grid(model, closed_loop_poles(model, controller))
+    omega = omega[omega <= 1.2 * points.omega.max()]
     seen = _measured_sensitivity(computed(points, model.known.chain))
     peaks = axis_margins(model, controller, u.covariance, u.free, seen)
     total = float(np.sqrt(np.mean(rms**2)))

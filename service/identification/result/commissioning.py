@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from service.identification.arrays import Real
-from service.identification.loop.closed_loop import Predicted
 from service.identification.loop.margins import AxisMargins, margins_document, zone
+from service.identification.loop.predicted import Predicted
 from service.identification.measured import known
 from service.identification.measured.coupling import CrossPlane
 from service.identification.plane.combine import StateSpace

@@ -7,9 +7,10 @@ import pytest
 
 from service.health import compare
 from service.identification.controller.check import check_controller
-from service.identification.loop import closed_loop
-from service.identification.loop.closed_loop import closed_loop_poles, predicted_closed_loop, sampled, slowest_decay
+from service.identification.loop import predicted
+from service.identification.loop.closed_loop import closed_loop_poles, sampled, slowest_decay
 from service.identification.loop.margins import computed_response, zone_table
+from service.identification.loop.predicted import predicted_closed_loop
 from service.identification.measured.points import plane_points
 from service.identification.result import assemble
 from service.identification.result.saved import saved_planes
@@ -203,7 +204,7 @@ def of_axes_excited_at_once():
 
 
 CALLERS = {
-    closed_loop: lambda model, points: closed_loop.predicted_closed_loop(model, LAW, points),
+    predicted: lambda model, points: predicted.predicted_closed_loop(model, LAW, points),
     assemble: lambda _, points: assemble._measured_sensitivity(points),
     compare: lambda _, points: compare._measured_peaks(points),
 }

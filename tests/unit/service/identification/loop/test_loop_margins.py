@@ -10,7 +10,7 @@ import pytest
 
 from service.identification.loop.closed_loop import closed_loop_poles
 from service.identification.loop.loop_margins import REST, loop_margins, moved
-from service.identification.loop.margins import axis_margins
+from service.identification.loop.margins import axis_margins, sensitivity, zone
 from service.identification.plane.model import PlaneModel
 from service.identification.result.commissioning import CommissioningResult
 from sim.reference import pid_with_biquad
@@ -83,6 +83,33 @@ def test_margins_that_a_loop_does_not_have_are_none(truth: dict[str, PlaneModel]
         assert (axis.phase_deg.value, axis.phase_deg.std) == (None, None)
         assert (axis.delay_s.value, axis.delay_s.std) == (None, None)
         assert axis.peak_std > 0
+
+
+STRONG = [
+    pytest.param((), id="the reference"),
+    pytest.param((34553.0, 69106.0, 89.7, 4435.0, 781.0, (0.59, 0.71)), id="from 907 to 951 Hz"),
+    pytest.param((20e3, 40e3, 154.0, 3900.0, 700.0, (0.57, 0.74)), id="from 907 to 982 Hz"),
+    pytest.param((18.7e3, 37.4e3, 133.0, 2400.0, 890.0, (0.16, 0.74)), id="from 493 to 507 Hz"),
+    pytest.param((22.3e3, 44.6e3, 78.0, 2000.0, 580.0, (0.54, 0.93)), id="from 907 to 936 Hz"),
+    pytest.param((45.2e3, 90.4e3, 130.0, 3600.0, 720.0, (0.26, 0.88)), id="from 493 to 503 Hz"),
+]
+
+
+@pytest.mark.parametrize("law", STRONG)
+def test_margins_are_those_of_very_many_lines_wherever_a_law_moves_the_modes(law, truth: dict[str, PlaneModel]) -> None:
+    """A strong law moves a sharp mode of its loop far from where the plant has it, and |S| peaks there."""
+    model, controller = truth["x"], pid_with_biquad(*law)
+    free = model.layout.free()
+    omega = np.unique(np.concatenate([np.geomspace(REST, 3e4, 20000), np.geomspace(2e3, 8e3, 60000)]))
+    s = sensitivity(model, controller, omega)
+    for j, axis in enumerate(axis_margins(model, controller, np.zeros((free.sum(), free.sum())), free, None)):
+        peak = np.abs(s[:, j, j]).max()
+        assert axis.sensitivity_peak == pytest.approx(peak, rel=0.01)
+        assert zone(axis.sensitivity_peak) == zone(peak)
+        told = [m.value for m in (axis.gain_down_db, axis.gain_up_db, axis.phase_deg, axis.delay_s)]
+        down, up, phase, delay = loop_margins(omega, 1 / s[:, j, j] - 1).values()
+        assert told[:2] == pytest.approx([down, up], abs=0.2)
+        assert told[2:] == pytest.approx([phase, delay], rel=0.03)
 
 
 def quick(slow: PlaneModel) -> PlaneModel:
