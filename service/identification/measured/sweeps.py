@@ -61,12 +61,14 @@ def chosen_sweeps(experiment: Experiment) -> Chosen:
     sweeps = experiment.sweeps
     slowest = [k for k in excited if not speeds or sweeps[k].speed_rad_s == speeds[0]]
     plant = [k for k in slowest if sweeps[k].comment not in NOT_PLANT]
-    main = _joined(experiment, plant or [k for k in slowest if sweeps[k].comment != "amplifier"] or excited[:1])
+    main = joined_sweep(experiment, plant or [k for k in slowest if sweeps[k].comment != "amplifier"] or excited[:1])
     assert main is not None
     of_amplifiers = [k for k in excited if sweeps[k].comment == "amplifier" and k not in main.places]
     others = [k for k in slowest if k not in main.places and sweeps[k].comment not in ("amplifier", "preliminary")]
     checks = [k for k in others if sweeps[k].comment == "validation"]
-    return Chosen(main, _joined(experiment, of_amplifiers), _joined(experiment, checks or others), tuple(speeds))
+    return Chosen(
+        main, joined_sweep(experiment, of_amplifiers), joined_sweep(experiment, checks or others), tuple(speeds)
+    )
 
 
 def speeds_of(experiment: Experiment) -> list[float]:
@@ -79,8 +81,14 @@ def _excites(sweep: Sweep) -> bool:
     return sweep.kind != "noise" and bool(np.any(sweep.amplitude_a > 0))
 
 
-def _joined(experiment: Experiment, places: Sequence[int]) -> Joined | None:
-    """The first of some sweeps, with the points of the others that excite axes which no sweep before them does."""
+def joined_sweep(experiment: Experiment, places: Sequence[int]) -> Joined | None:
+    """The first of some sweeps, with the points of the others that excite axes which no sweep before them does.
+
+    Parameters
+    ----------
+    places
+        Of the sweeps in the experiment; None of none.
+    """
     if not places:
         return None
     whole, used, notes = experiment.sweeps[places[0]], [places[0]], []

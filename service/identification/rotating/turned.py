@@ -12,7 +12,7 @@ from service.experiment.data import Experiment, Sweep
 from service.identification.arrays import Real
 from service.identification.joint.selection import Selected
 from service.identification.joint.uncertainty import Uncertainty, uncertainty_of
-from service.identification.measured.sweeps import NOT_PLANT
+from service.identification.measured.sweeps import NOT_PLANT, Joined, joined_sweep
 from service.identification.priors.split import Posterior, Split
 from service.identification.rotating.campbell import Campbell, campbell
 from service.identification.rotating.fit import RotatingFit, amplitude_of, fit_rotating, noise_of, turning
@@ -170,9 +170,9 @@ def turned(
         raise AmbError("the rotating model needs planes x and y, both excited; excite xA, xB, yA and yB at every speed")
     names = {id(s): f"sweeps/{k}" + (f" ({s.comment})" if s.comment else "") for k, s in enumerate(experiment.sweeps)}
     seen, unseen, warnings = _sweeps(experiment, names)
-    if not any(s.speed_rad_s for s in seen):
+    if not any(j.sweep.speed_rad_s for j in seen):
         raise AmbError("no stepped sine at speed is there; measure one")
-    data = tuple(speed_points(s, tuple(experiment.axes), names[id(s)]) for s in seen)
+    data = tuple(speed_points(j.sweep, tuple(experiment.axes), j.name) for j in seen)
     end = max(float(p.omega.max()) for p in data)
     refined, u = _fitted(begun(planes, end, bool(planes_speed_rad_s)), data, datasheet, end)
     layout = refined.model.layout
@@ -204,22 +204,29 @@ def turned(
     )
 
 
-def _sweeps(experiment: Experiment, names: dict[int, str]) -> tuple[list[Sweep], list[Sweep], list[str]]:
-    """Sweeps that are fitted, one a speed, those that check the fit, and what there is to say of others."""
-    seen: list[Sweep] = []
-    unseen: list[Sweep] = []
+def _sweeps(experiment: Experiment, names: dict[int, str]) -> tuple[list[Joined], list[Sweep], list[str]]:
+    """Sweeps that are fitted, one a speed, those that check the fit, and what there is to say of others.
+
+    One that was measured plane by plane is one, as for the planes.
+    """
+    by_speed: dict[float, list[int]] = {}
+    checks: list[int] = []
     warnings: list[str] = []
-    for sweep in experiment.sweeps:
+    for k, sweep in enumerate(experiment.sweeps):
         if sweep.kind == "noise" or not sweep.n_points or not np.any(sweep.amplitude_a > 0):
             continue
         if sweep.kind == "multisine":
             # its lines are there at once: what the force law adds to each is not in this model
             warnings.append(f"{names[id(sweep)]} is a multisine and is not in the rotating fit; use stepped sine")
-        elif sweep.comment not in NOT_PLANT and sweep.speed_rad_s not in [s.speed_rad_s for s in seen]:
-            seen.append(sweep)
+        elif sweep.comment not in NOT_PLANT:
+            by_speed.setdefault(sweep.speed_rad_s, []).append(k)
         elif sweep.comment not in ("amplifier", "preliminary"):
-            unseen.append(sweep)
-    return seen, unseen, warnings
+            checks.append(k)
+    seen = [j for places in by_speed.values() if (j := joined_sweep(experiment, places)) is not None]
+    fitted = {k for j in seen for k in j.places}
+    checks += [k for places in by_speed.values() for k in places if k not in fitted]
+    warnings += [note for j in seen for note in j.notes]
+    return seen, [experiment.sweeps[k] for k in sorted(checks)], warnings
 
 
 def _fitted(

@@ -428,6 +428,22 @@ def test_speeds_without_standstill_and_one_speed_alone_do_as_well(datasheet: Dat
         assert found.rotating.apart is None
 
 
+def test_a_speed_measured_plane_by_plane_is_one_sweep_of_the_rotating_model(datasheet: Datasheet) -> None:
+    """The same points in a sweep a plane: the rotor is that of the file that has them in one."""
+    hz = HZ[::2]
+    still, fast = sweep_at(0.0, 0, hz), sweep_at(314.0, 2, hz)
+    parts = [still.select(np.isin(still.axis, plane)) for plane in ((0, 1), (2, 3))]
+    found = identify(Experiment("reference", datasheet.axes, (*parts, fast)), datasheet).rotating
+    assert found is not None
+    assert [(p.name, p.speed_rad_s, len(p.omega)) for p in found.data] == [
+        ("sweeps/0 (main), sweeps/1 (main)", 0.0, still.n_points),
+        ("sweeps/2 (main)", 314.0, fast.n_points),
+    ]
+    assert found.unseen == ()
+    polar = found.estimate("polar_inertia_kgm2", "kg m2")
+    assert polar.value == pytest.approx(POLAR, abs=3.5 * polar.std)
+
+
 ANY_ZONE = (("any", 40.0), ("bad", np.inf))
 
 
