@@ -46,6 +46,15 @@ def alike(one_rad_s: float, other_rad_s: float) -> bool:
     return same(abs(one_rad_s), abs(other_rad_s))
 
 
+def at_standstill(speed_rad_s: float) -> bool:
+    """Whether a speed counts as none: a controller tells a little of a rotor that rests, too.
+
+    >>> at_standstill(0.02), at_standstill(-3.0)
+    (True, False)
+    """
+    return same(speed_rad_s, 0.0)
+
+
 def changed_speed(experiment: Experiment) -> list[str]:
     """That the rotor's speed changed while the experiment was measured, in a sentence; at which lines, where known."""
     found = [told for sweep in experiment.sweeps if (told := _elsewhere(sweep))]

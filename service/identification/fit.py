@@ -11,7 +11,7 @@ from service.experiment.data import Experiment
 from service.experiment.dead import require_live_channels
 from service.experiment.incomplete import incomplete
 from service.experiment.resting import held_at, load_in_words, resting_current
-from service.experiment.speeds import changed_speed
+from service.experiment.speeds import at_standstill, changed_speed
 from service.experiment.stated import stated_amplitudes
 from service.experiment.units import must_be_in_si, odd_rotor, odd_stiffness
 from service.identification.measured.coupling import cross_planes
@@ -19,7 +19,7 @@ from service.identification.measured.coupling import told as told_coupling
 from service.identification.measured.known import led_back
 from service.identification.measured.logged import checked
 from service.identification.measured.points import planes_of
-from service.identification.measured.sweeps import Chosen, chosen_sweeps
+from service.identification.measured.sweeps import Chosen, chosen_sweeps, speed_of
 from service.identification.options import Options
 from service.identification.plane_fit import FittedPlane, fit_plane, settled_alike
 from service.identification.result.commissioning import CommissioningResult, PlaneResult
@@ -66,12 +66,12 @@ def identify(
     fitted, doubts = _fitted_planes(prepared, options, say)
     planes = _results(prepared, fitted, say)
     main, of_planes = prepared.chosen.main, {plane: f.selected for plane, f in fitted.items()}
-    across = () if main.sweep.speed_rad_s else cross_planes(main.sweep, prepared.axes)
+    across = cross_planes(main.sweep, prepared.axes) if at_standstill(main.sweep.speed_rad_s) else ()
     doubts += [told_coupling(c) for c in across if c.coupled]
     rotating, of_speed = None, []
     if any(prepared.chosen.speeds_rad_s):
         try:
-            rotating = turned(prepared.experiment, prepared.datasheet, of_planes, main.sweep.speed_rad_s)
+            rotating = turned(prepared.experiment, prepared.datasheet, of_planes, speed_of(main.sweep))
             of_speed = [f"rotating: {w}" for w in rotating.warnings]
         except AmbError as error:  # the planes' results stand
             of_speed = [f"measured at speed, but the rotating model was not fitted: {error}"]
@@ -127,7 +127,7 @@ def _prepared(experiment: Experiment, twin: Folded) -> _Prepared:
     rig, main = rig_from_datasheet(datasheet), chosen.main.sweep
     if (resting := resting_current(main, rig)) is not None:
         warnings.append(f"{load_in_words(held_at(rig, resting), rig)}: what is identified is under this load")
-    if main.speed_rad_s:
+    if not at_standstill(main.speed_rad_s):
         remedy = "" if len(chosen.speeds_rad_s) > 1 else "; a sweep at standstill, or at another speed, tells more"
         warnings.append(
             f"planes measured at {main.speed_rad_s:.4g} rad/s: gyroscopic coupling is not in their models{remedy}"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Sweep
+from service.experiment.speeds import at_standstill
 from service.identification.arrays import Real
 from service.identification.joint.selection import Selected, choose_modes
 from service.identification.measured.block_length import block_samples
@@ -105,7 +106,7 @@ def _settled(
     suspected: bool = False,
 ) -> FittedPlane:
     """The plane fitted once more without what was still ringing, where anything was; the last two: see `settled`."""
-    if main.kind != "stepped-sine" or main.speed_rad_s:
+    if main.kind != "stepped-sine" or not at_standstill(main.speed_rad_s):
         return found
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
     refined = found.selected.refined

@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 
 from service.experiment.data import Experiment
+from service.experiment.speeds import at_standstill
 from service.identification.loop.margins import Margin
 from service.identification.result.commissioning import UNKNOWN, CommissioningResult, PlaneResult
 from service.identification.result.parts import ModeResult
@@ -79,7 +80,7 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
     if turned is None:
         return tone, text
     if turned.uncertainty.adequate:
-        if result.speed_rad_s and not all(p.adequate for p in result.planes.values()):
+        if not at_standstill(result.speed_rad_s) and not all(p.adequate for p in result.planes.values()):
             text += " The model of the turning rotor has what the planes lack, and describes every speed to the noise."
         return tone, text
     return "warn" if tone == "good" else tone, (

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiment.data import Sweep
+from service.experiment.speeds import at_standstill
 from service.identification.input_design import ClosedLoop, best_powers, closed_loop, line_information
 from service.identification.joint.refine import Refined
 from service.identification.loop.closed_loop import closed_loop_poles
@@ -141,7 +142,7 @@ def design_of(
         Told why there is none.
     """
     axes, controller = tuple(datasheet.axes), (np.array(datasheet.numerator), np.array(datasheet.denominator))
-    if pilot.speed_rad_s:
+    if not at_standstill(pilot.speed_rad_s):
         say("at speed, planes are coupled")
         return None
     low, high = (pilot.select(k) for k in (pilot.frequency_hz <= to_hz, pilot.frequency_hz > to_hz))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.experiment.data import Experiment, Sweep
+from service.experiment.speeds import at_standstill
 from sim.errors import AmbError
 
 NOT_PLANT = ("amplifier", "preliminary", "validation")
@@ -59,7 +60,7 @@ def chosen_sweeps(experiment: Experiment) -> Chosen:
         raise AmbError(f"experiment {experiment.rig!r} has no sweep with an excited point; nothing to identify")
     speeds = speeds_of(experiment)
     sweeps = experiment.sweeps
-    slowest = [k for k in excited if not speeds or sweeps[k].speed_rad_s == speeds[0]]
+    slowest = [k for k in excited if not speeds or speed_of(sweeps[k]) == speeds[0]]
     plant = [k for k in slowest if sweeps[k].comment not in NOT_PLANT]
     main = joined_sweep(experiment, plant or [k for k in slowest if sweeps[k].comment != "amplifier"] or excited[:1])
     assert main is not None
@@ -73,8 +74,13 @@ def chosen_sweeps(experiment: Experiment) -> Chosen:
 
 def speeds_of(experiment: Experiment) -> list[float]:
     """Speeds at which the plant was excited, slowest first."""
-    found = {float(s.speed_rad_s) for s in experiment.sweeps if _excites(s) and s.comment not in NOT_PLANT}
+    found = {speed_of(s) for s in experiment.sweeps if _excites(s) and s.comment not in NOT_PLANT}
     return sorted(found, key=abs)
+
+
+def speed_of(sweep: Sweep) -> float:
+    """Speed at which a sweep was measured, rad/s; 0 at standstill."""
+    return 0.0 if at_standstill(sweep.speed_rad_s) else float(sweep.speed_rad_s)
 
 
 def _excites(sweep: Sweep) -> bool:
@@ -117,7 +123,7 @@ def _apart(one: Sweep, other: Sweep) -> str:
     """What keeps two sweeps from being one; "" for nothing."""
     if one.kind != "stepped-sine" or other.kind != "stepped-sine":
         return "kind of excitation" if one.kind != other.kind else "set of lines that act together"
-    if one.speed_rad_s != other.speed_rad_s:
+    if speed_of(one) != speed_of(other):
         return "speed"
     if not np.isclose(one.sample_rate_hz, other.sample_rate_hz):
         return "sample rate"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from service.experiment.data import Sweep
 from service.identification.arrays import Complex, Real
 from service.identification.measured.points import SUSPECT, UNUSABLE, Blocks
+from service.identification.measured.sweeps import speed_of
 from sim.errors import AmbError
 
 ORDERS = (1, 2, 3)
@@ -95,7 +96,7 @@ def speed_points(sweep: Sweep, axes: tuple[str, ...], name: str) -> SpeedPoints:
     u, y, *i = (np.ascontiguousarray(x[keep], dtype=complex) for x in signals)
     points = SpeedPoints(
         name=name,
-        speed_rad_s=float(sweep.speed_rad_s),
+        speed_rad_s=speed_of(sweep),
         axes=axes,
         omega=2 * np.pi * sweep.frequency_hz[keep].astype(float),
         axis=sweep.axis[keep].astype(np.int64),

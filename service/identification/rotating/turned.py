@@ -12,7 +12,7 @@ from service.experiment.data import Experiment, Sweep
 from service.identification.arrays import Real
 from service.identification.joint.selection import Selected
 from service.identification.joint.uncertainty import Uncertainty, uncertainty_of
-from service.identification.measured.sweeps import NOT_PLANT, Joined, joined_sweep
+from service.identification.measured.sweeps import NOT_PLANT, Joined, joined_sweep, speed_of
 from service.identification.priors.split import Posterior, Split
 from service.identification.rotating.campbell import Campbell, campbell
 from service.identification.rotating.fit import RotatingFit, amplitude_of, fit_rotating, noise_of, turning
@@ -159,7 +159,7 @@ def turned(
     planes
         Joint fits of planes "x" and "y" by themselves, from which the search starts.
     planes_speed_rad_s
-        Speed at which those were measured.
+        Speed at which those were measured; 0 at standstill.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def turned(
         raise AmbError("the rotating model needs planes x and y, both excited; excite xA, xB, yA and yB at every speed")
     names = {id(s): f"sweeps/{k}" + (f" ({s.comment})" if s.comment else "") for k, s in enumerate(experiment.sweeps)}
     seen, unseen, warnings = _sweeps(experiment, names)
-    if not any(j.sweep.speed_rad_s for j in seen):
+    if not any(speed_of(j.sweep) for j in seen):
         raise AmbError("no stepped sine at speed is there; measure one")
     data = tuple(speed_points(j.sweep, tuple(experiment.axes), j.name) for j in seen)
     end = max(float(p.omega.max()) for p in data)
@@ -219,7 +219,7 @@ def _sweeps(experiment: Experiment, names: dict[int, str]) -> tuple[list[Joined]
             # its lines are there at once: what the force law adds to each is not in this model
             warnings.append(f"{names[id(sweep)]} is a multisine and is not in the rotating fit; use stepped sine")
         elif sweep.comment not in NOT_PLANT:
-            by_speed.setdefault(sweep.speed_rad_s, []).append(k)
+            by_speed.setdefault(speed_of(sweep), []).append(k)
         elif sweep.comment not in ("amplifier", "preliminary"):
             checks.append(k)
     seen = [j for places in by_speed.values() if (j := joined_sweep(experiment, places)) is not None]

@@ -58,6 +58,14 @@ def test_a_repeated_sweep_and_one_at_speed_are_no_part_of_the_main_one() -> None
     assert chosen.speeds_rad_s == (0.0, 100.0)
 
 
+def test_sweeps_of_a_rotor_that_rests_are_of_one_speed_whatever_little_the_controller_tells() -> None:
+    parts = [replace(of_axes(*p), speed_rad_s=w) for p, w in (((0, 1), 0.02), ((2, 3), -0.01))]
+    chosen = chosen_sweeps(experiment_of(*parts, replace(WHOLE, speed_rad_s=100.0)))
+    assert chosen.main.places == (0, 1)
+    assert chosen.notes == ()
+    assert chosen.speeds_rad_s == (0.0, 100.0)
+
+
 def test_of_parts_with_other_blocks_and_harmonics_what_both_have_is_used_and_told() -> None:
     y = of_axes(2, 3)
     more = {k: np.repeat(getattr(y, k), 2, axis=2)[:, :4] for k in "RUIY"}

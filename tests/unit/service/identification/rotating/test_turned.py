@@ -413,6 +413,17 @@ def test_one_speed_has_no_such_section(result: CommissioningResult) -> None:
     assert "rotating" not in result.document()
 
 
+def test_a_rotor_that_rests_is_not_identified_as_a_turning_one(experiment, datasheet, result) -> None:
+    """A controller that measures the speed tells a little of a rotor at rest, too, and nothing turns all the same."""
+    sweeps = tuple(replace(s, speed_rad_s=0.02) for s in experiment.sweeps)
+    found = identify(replace(experiment, sweeps=sweeps), datasheet)
+    assert found.rotating is None
+    assert found.cross_planes == result.cross_planes != ()
+    assert found.warnings == result.warnings
+    for plane, of_zero in result.planes.items():
+        np.testing.assert_array_equal(found.planes[plane].model.theta, of_zero.model.theta)
+
+
 def test_speeds_without_standstill_and_one_speed_alone_do_as_well(datasheet: Datasheet) -> None:
     """The search starts from planes whose models lack the coupling."""
     for speeds in ((157.0, -314.0), (314.0,)):
