@@ -12,6 +12,7 @@ from service.experiment.dead import dropped
 from service.gap.measured.condition import conditions_of
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.identification.measured.block_length import block_samples
+from service.identification.measured.sweeps import speed_of
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
 from sim.rig import Rig
@@ -35,13 +36,16 @@ single precision rounds it; noise makes a hundred times as much."""
 
 
 def sweeps_for(experiment: Experiment) -> list[tuple[str, Sweep]]:
-    """Excited sweeps of the plant with their names: the one to fit first, then those that may check it."""
+    """Excited sweeps of the plant with their names: the one to fit first, then those that may check it.
+
+    One at standstill has no speed, whatever a controller tells of a rotor that rests.
+    """
     plant = [(k, s) for k, s in enumerate(experiment.sweeps) if s.kind != "noise" and s.comment not in ELSEWHERE]
     tones = [(k, s) for k, s in plant if s.kind == "stepped-sine"]  # they show more effects than a multisine
     excited = tones or plant
     if not excited:
         raise GapError("the experiment has no stepped-sine or multisine sweep of the plant; run one, then diagnose")
-    return [(f"sweeps/{k}", s) for k, s in excited]
+    return [(f"sweeps/{k}", replace(s, speed_rad_s=speed_of(s))) for k, s in excited]
 
 
 def without_copies(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tuple[str, Sweep]], list[str]]:

@@ -37,6 +37,13 @@ def test_sweeps_that_are_not_of_the_plant_or_not_exact_enough_are_left_out() -> 
     assert [name for name, _ in named] == [f"sweeps/{SWEEPS.index(c)}" for c in ("main", "validation")]
 
 
+@pytest.mark.parametrize(("told_rad_s", "speed_rad_s"), [(0.02, 0.0), (-0.3, 0.0), (300.0, 300.0)])
+def test_a_rotor_that_rests_has_no_speed_though_its_controller_tells_a_little(told_rad_s, speed_rad_s) -> None:
+    """Else effects of a turning rotor would be weighed, and runout looked for at a turn in five minutes."""
+    named = sweeps_for(replace(MEASURED, sweeps=tuple(replace(s, speed_rad_s=told_rad_s) for s in MEASURED.sweeps)))
+    assert [sweep.speed_rad_s for _, sweep in named] == [speed_rad_s] * 2
+
+
 def test_of_several_sweeps_the_first_at_another_condition_is_the_one_to_check_on() -> None:
     others = [("sweeps/1", MAIN), ("sweeps/2", LOUDER), ("sweeps/3", LOUDER)]
     (name, _), unused = best_check(MAIN, others, RIG)
