@@ -117,11 +117,14 @@ def without_copied_blocks(sweeps: Sequence[tuple[str, Sweep]]) -> tuple[list[tup
 
 
 def _distinct_blocks(sweep: Sweep) -> list[int]:
-    """Blocks that are no copies of earlier ones at most points, all of their channels."""
-    alike_within = COPY_SHARE * np.abs(sweep.Y).max()
+    """Blocks that are no copies of earlier ones at most points, all of their channels; all where no point is whole."""
+    Y = sweep.Y[np.isfinite(sweep.Y).all(axis=(1, 2, 3))]
+    if not len(Y):
+        return list(range(sweep.Y.shape[1]))
+    alike_within = COPY_SHARE * np.abs(Y).max()
     distinct: list[int] = []
-    for b in range(sweep.Y.shape[1]):
-        apart = (np.abs(sweep.Y[:, a] - sweep.Y[:, b]).max(axis=(1, 2)) for a in distinct)
+    for b in range(Y.shape[1]):
+        apart = (np.abs(Y[:, a] - Y[:, b]).max(axis=(1, 2)) for a in distinct)
         if not any(np.mean(x <= alike_within) > MOST for x in apart):
             distinct.append(b)
     return distinct

@@ -78,6 +78,9 @@ def test_blocks_that_are_copies_of_one_another_are_left_out() -> None:
     np.testing.assert_array_equal(left.Y, MAIN.Y[:, :3])
     np.testing.assert_array_equal(left.U, MAIN.U[:, :3])
     assert "sweeps/0: of 6 blocks of a point 3 were measured" in told
+    lost = twice.Y.copy()
+    lost[3] = np.nan  # a point that was not measured says nothing for the others
+    assert len(without_copied_blocks([("sweeps/0", replace(twice, Y=lost))])[1]) == 1
     assert without_copied_blocks([("sweeps/0", MAIN), ("sweeps/1", LOUDER)])[1] == []
 
 
