@@ -173,7 +173,7 @@ def health_trend(
     with api.database.read() as session:
         rigs.get(session, rig_id)
         page = results.listed(session, HealthRow, rig_id, asked.after, asked.limit)
-    rows = sorted(page.items, key=lambda row: (row.created_at, row.id))  # a job that was tried again made it later
+    rows = page.items[::-1]
     history = [trends.Checked(row.created_at, row.document, row.id) for row in rows]
     series = {name: found.document() for name, found in trends.trend(history).items()} if history else {}
     found = TrendShape(rig=rig_id, checks=[row.id for row in rows], next=page.next, series=series)

@@ -14,7 +14,7 @@ AXES = ("xA", "xB")
 
 def test_it_is_a_covariance() -> None:
     """Six modes at 25 kHz, one of which the loop hardly damps: its powers keep no digit of the small states."""
-    _, rig, _, _ = next(levitating([10]))
+    _, rig, _, _ = next(levitating([69]))
     law = (rig.controller.numerator, rig.controller.denominator)
     truth = plane_model_of(rig, "x")
     theta = truth.theta.copy()
