@@ -1,20 +1,23 @@
 """An effect that the twin names and the rig has no longer is told as that, and no other effect is blamed for it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from service.gap.apply import applied
 from service.gap.diagnose import diagnose
 from service.gap.diagnosis import Diagnosis
 from service.gap.document import gap_document
-from service.gap.measured.observation import GapError
+from service.gap.measured.observation import GapError, Observation, observe
 from service.gap.outdated import judged_without, twins_without_effects
 from service.gap.weighing.verdict import Verdict
 from service.report.gap import gap_page
 from sim.datasheet import Datasheet
+from sim.rig import Rig
 from sim.twin import with_effects
-from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 DELAY = {"loop_delay": {"delay_s": 3.5e-5}}
@@ -34,6 +37,29 @@ def test_the_twin_is_tried_without_each_of_its_effects_and_without_all() -> None
         ("loop_delay", "support_resonance"): [],
     }
     assert dict(twins_without_effects(twin(sheet, DELAY))) == {("loop_delay",): sheet}
+
+
+def told(verdict: Verdict, before: Rig, after: Rig, o: Observation) -> SimpleNamespace:
+    """What is asked of a diagnosis: its verdict, where, both twins and the sweeps."""
+    null, chosen = (SimpleNamespace(fit=SimpleNamespace(rig=rig, groups=())) for rig in (before, after))
+    order = [SimpleNamespace(candidate=SimpleNamespace(effects=verdict.effects), log_evidence=0.0)]
+    of_plant = SimpleNamespace(path="plant")
+    return SimpleNamespace(
+        verdict=verdict, where=of_plant, null=null, chosen=chosen, order=order, observation=o, held_out=o
+    )
+
+
+def test_without_currents_what_amplifiers_leave_is_looked_for_in_the_plant() -> None:
+    """Amplifiers and plant are one part then, so that an amplifier's effect that the twin names is confirmed there."""
+    plain = true_rig(known_datasheet(seed=1)[1])
+    late = with_effects(plain, {"loop_delay": {"delay_s": 3e-5}})
+    measured = sweep(late, np.geomspace(13.0, 930.0, 16), 0.3, seed=7)
+    for currents, confirmed in ((None, True), (measured.I, False)):
+        o = observe(replace(measured, I=currents), plain)
+        twin = told(Verdict("effect", ("sensor_lag",), (), 0.9, ()), late, late, o)
+        without = told(Verdict("effect", ("loop_delay",), (), 0.9, ()), plain, late, o)
+        found = judged_without(twin, {("loop_delay",): without})
+        assert (found is not None and found[0].kind == "no_gap") is confirmed
 
 
 @pytest.mark.slow
