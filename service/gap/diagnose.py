@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 from service.experiment.data import Experiment
 from service.gap.compose import Composition, composed
@@ -19,13 +20,11 @@ from service.gap.hints import hints, one_point, unsettled_lines
 from service.gap.interference import Interference, at_speed, measured_by
 from service.gap.loop import loop_of
 from service.gap.lost_loop import LIMIT, LostLoop, with_limit
-from service.gap.next_experiment import Proposal
 from service.gap.observed import Observed, observed
 from service.gap.origin import origin
 from service.gap.outdated import judged_without, twins_without_effects, what_is_left
 from service.gap.overall_verdict import overall_verdict
 from service.gap.progress import Progress, ProgressCallback
-from service.gap.proposal.case import Grounds
 from service.gap.weighing.shrinkage import Shrinkage, Unseen, relative_gap, relative_noise, shrinkage
 from service.gap.weighing.verdict import LEAVES, MIXTURE_SHARE, Verdict
 from service.gap.where.discrepancy import discrepancy
@@ -37,6 +36,9 @@ from service.gap.with_interference import runout_notes, scatter_shrinkage, with_
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
 from sim.wording import in_words
+
+if TYPE_CHECKING:
+    from service.gap.next_experiment import Proposal
 
 FARTHEST = 5
 """Values of a datasheet that are named as off where something else may have drawn them all there."""
@@ -136,7 +138,7 @@ def _diagnosis(
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
     loop = fitter.beside(partial(loop_of, nu, null, chosen, o))
     pair = pair_to_separate(whole.order, verdict) if propose else None
-    proposal = Proposal(nu, pair, Grounds.of(data, datasheet), rig, fitter) if pair else None
+    proposal = _proposal(pair, data, datasheet, rig, fitter) if pair else None
     shrunk = _shrinkages(whole, data, found, verdict, sources)
     where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.nonlinear)
     diagnosis = Diagnosis(
@@ -160,6 +162,17 @@ def _diagnosis(
     )
     notes = (*data.notes, *found.notes, *runout_notes(data.sources), *not_weighed(fitter.lost, found.parts))
     return replace(diagnosis, notes=(*notes, *_notes(diagnosis, data, found), *_undecided(diagnosis, pair)))
+
+
+def _proposal(
+    pair: tuple[Candidate, Candidate], data: Observed, datasheet: Datasheet, rig: str, fitter: Fitter
+) -> Proposal:
+    """The search for the experiment that separates two explanations, begun."""
+    # with the campaign that it rehearses: takes a while to load, and only what is left together needs it
+    from service.gap.next_experiment import Proposal
+    from service.gap.proposal.case import Grounds
+
+    return Proposal(data.nuisance, pair, Grounds.of(data, datasheet), rig, fitter)
 
 
 def _fitted(found: Found, effect: str) -> bool:

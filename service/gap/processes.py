@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from service.pool import prepare
 
-LOADED = ("service.gap.fitting.candidates", "service.gap.loop", "service.gap.next_experiment")
+LOADED = ("service.gap.fitting.candidates", "service.gap.loop")
 
 
 def load() -> None:
