@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from datetime import datetime
 
 from sqlalchemy import select
@@ -43,6 +44,15 @@ def listed(
     wanted = ((AuditRow.rig_id, rig_id), (AuditRow.action, action), (AuditRow.resource, resource))
     conditions = [column == value for column, value in wanted if value is not None]
     return page(session, AuditRow, *conditions, after=after, limit=limit)
+
+
+def holding(session: Session, rig_id: str, jobs: Collection[str]) -> set[str]:
+    """Which of a rig's jobs have its controller's lease, as far as is written down: it began, and has not ended."""
+    both = (str(Action.rotor_excited), str(Action.rotor_released))
+    of_jobs = (AuditRow.rig_id == rig_id) & AuditRow.resource.in_(jobs) & AuditRow.action.in_(both)
+    in_order = select(AuditRow.resource, AuditRow.action).where(of_jobs).order_by(AuditRow.at)
+    last = dict(session.execute(in_order).all())
+    return {job for job, action in last.items() if action == str(Action.rotor_excited)}
 
 
 def stop_of_rig(session: Session, rig_id: str, since: datetime) -> AuditRow | None:

@@ -163,6 +163,11 @@ def cancel_moving(session: Session, rig_id: str, why: str, but: Collection[str] 
     return _cancel_all(session, _moving(rig_id) & JobRow.id.not_in(but), why)
 
 
+def moving(session: Session, rig_id: str) -> list[str]:
+    """Ids of the jobs of a rig that move its rotor or wait to do so."""
+    return list(session.scalars(select(JobRow.id).where(_moving(rig_id))))
+
+
 def controllers_moving(session: Session, rig_id: str) -> list[str]:
     """URLs by which the jobs of a rig that have not ended move its rotor: those of the versions that they are of."""
     of_job = (RigVersion.rig_id == JobRow.rig_id) & (RigVersion.version == JobRow.rig_version)

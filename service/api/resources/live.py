@@ -31,6 +31,7 @@ from service.aside import aside, within
 from service.campaign.leased import acknowledged
 from service.errors import ConflictError
 from service.storage import jobs, rigs
+from service.storage.audit import holding
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
@@ -241,7 +242,7 @@ class Lines:
         Returns
         -------
         holders
-            Who hears of it from a controller.
+            Who has the controllers' leases right after it.
         failures
             Why a URL was not reached.
         """
@@ -368,10 +369,12 @@ async def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> 
     same. Any of them can be tried again. Calculations go on; so do schedules, until they are switched off.
     """
     lines: Lines = request.app.state.lines
-    urls = await to_thread.run_sync(_moving, rig_id, api, limiter=lines.stops)
+    urls, leased = await to_thread.run_sync(_moving, rig_id, api, limiter=lines.stops)
     holders, failures = await lines.stop(urls)
+    # One whose lease began only after the stop has not heard of it, though the controller names it by now.
+    hear = holders & leased
     ended = await to_thread.run_sync(
-        _stopped, request, rig_id, who, api, urls, holders, bool(failures), limiter=lines.stops
+        _stopped, request, rig_id, who, api, urls, hear, bool(failures), limiter=lines.stops
     )
     if failures:
         told = "; ".join(f"{url}: {why}" for url, why in sorted(failures.items()))
@@ -380,19 +383,20 @@ async def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> 
     return Response(status_code=204)
 
 
-def _moving(rig_id: str, api: Services) -> set[str]:
-    """Controllers that may excite the rig now or soon, as far as others than a job reach them."""
+def _moving(rig_id: str, api: Services) -> tuple[set[str], set[str]]:
+    """Controllers that may excite the rig now or soon, as far as others than a job reach them; jobs with a lease."""
     with api.database.read() as session:
         current = rigs.version(session, rigs.get(session, rig_id)).controller_url
-        return {url for url in (current, *jobs.controllers_moving(session, rig_id)) if _seen_by_all(url)}
+        urls = {url for url in (current, *jobs.controllers_moving(session, rig_id)) if _seen_by_all(url)}
+        return urls, holding(session, rig_id, jobs.moving(session, rig_id))
 
 
 def _stopped(
-    request: Request, rig_id: str, who: Identity, api: Services, urls: set[str], holders: set[str], failed: bool
+    request: Request, rig_id: str, who: Identity, api: Services, urls: set[str], hear: set[str], failed: bool
 ) -> list[str]:
-    """Cancel the jobs that do not hear of the stop from a controller, and write it down; which ones."""
+    """Cancel the jobs that do not ``hear`` of the stop from a controller, and write it down; which ones."""
     with api.database.write() as session:
-        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=holders)]
+        ended = [job.id for job in jobs.cancel_moving(session, rig_id, STOPPED, but=hear)]
         if not urls and not ended:
             rig = rigs.get(session, rig_id)
             _must_be_seen(rig, rigs.version(session, rig).controller_url)

@@ -4,6 +4,8 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import httpx
@@ -13,11 +15,13 @@ from drivers.device.machine import RigDevice
 from drivers.device.serve import ModbusOptions, RtuOptions, serve_modbus, serve_modbus_rtu
 from drivers.errors import BusError, LimitError
 from service import bootstrap
+from service.access.audit import Action, AuditEvent
 from service.access.keys import Scope
 from service.api.app import THREADS
 from service.api.resources import live
 from service.config import Settings
 from service.errors import ConflictError
+from service.storage import audit
 from service.storage import jobs as rows
 from service.storage import rigs as rig_rows
 from sim.reference import reference_rig
@@ -254,6 +258,22 @@ def test_however_many_ask_for_a_controller_that_hangs_other_rigs_and_jobs_are_se
         assert time.monotonic() - began < 5
         assert {look.result().status_code for look in looks} == {200, 503}
     assert len(asked) <= 2 + live.STOPS_EACH
+
+
+@pytest.mark.parametrize("began", ["before the stop", "after it"])
+def test_a_stop_leaves_a_job_to_its_controller_only_if_its_lease_began_before(service, api, rig, tripping, began):
+    """One that leased the rig right after the stop is named as its holder, too, but has heard of nothing."""
+    changed(api, rig, tripping.url)
+    job = api.post("/jobs", json={"rig": rig, "kind": "experiment"}).json()["id"]
+    earlier = [AuditEvent(action, "", "", job, rig) for action in (Action.rotor_excited, Action.rotor_released)]
+    with service.services.database.write() as session:
+        rows.claim(session, job, 1, "w1")
+        for event in (*earlier, *earlier[: began == "before the stop"]):  # no rotor moves before it is written down
+            audit.record(session, replace(event, at=datetime.now(UTC)))
+    with bootstrap.connected(tripping.url) as controller, controller.lease(job):
+        assert api.post(f"/rigs/{rig}/stop").status_code == 204
+    with service.services.database.read() as session:
+        assert rows.get(session, job).cancel_requested is (began == "after it")
 
 
 def test_stops_of_one_rig_that_come_together_all_reach_it(api, rig, tripping):
