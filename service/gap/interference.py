@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from service.experiment.data import Sweep
 from service.gap.fitting.candidates import LAW_ERROR
@@ -132,7 +132,7 @@ def _most_central(sweep: Sweep, rig: Rig, variance: Real, measured: Sequence[Int
 
     def left(one: Interference) -> float:
         order = np.argsort(np.abs(at[cells] - one.frequency_hz), kind="stable")
-        return float(np.var(level[order] - isotonic_regression(level[order], increasing=False).x))
+        return float(np.var(level[order] - scipy.optimize.isotonic_regression(level[order], increasing=False).x))
 
     return min(measured, key=left)
 

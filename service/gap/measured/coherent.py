@@ -12,9 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.special import softmax
 
 from service.experiment.data import Sweep
 from service.gap.measured.estimate import Estimate, plain_mean
@@ -108,7 +107,7 @@ def hum_frequency(sweep: Sweep, signal: Complex, about_hz: float) -> tuple[float
     lowest = np.flatnonzero((on_grid[1:-1] <= on_grid[:-2]) & (on_grid[1:-1] <= on_grid[2:])) + 1
     minima = [_minimum(surprise, float(grid[k]), step) for k in lowest] or [(about_hz, farthest)]
     likelihood = np.array([-surprise(f) + np.log(deviation) for f, deviation in minima])
-    share = softmax(likelihood)
+    share = scipy.special.softmax(likelihood)
     best = minima[int(np.argmax(share))][0]
     spread = float(np.sqrt(sum(w * (s**2 + (f - best) ** 2) for w, (f, s) in zip(share, minima, strict=True))))
     return best, min(spread, farthest)
@@ -116,7 +115,7 @@ def hum_frequency(sweep: Sweep, signal: Complex, about_hz: float) -> tuple[float
 
 def _minimum(surprise: Callable[[float], float], about: float, step: float) -> tuple[float, float]:
     """A minimum of a negative log-likelihood within a step, and the standard deviation by its curvature."""
-    found = minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         surprise, bounds=(about - step, about + step), method="bounded", options={"xatol": step / 1e3}
     )
     f, h = float(found.x), step / 5

@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from service.gap.fitting.candidates import LAW_ERROR, Candidate
@@ -89,8 +90,6 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
     It is linearised at the nuisance values of the truth, as the derivatives with respect to them are of the fundamental
     only. Priors are those of a fit.
     """
-    from scipy.optimize import lsq_linear  # takes a while, and only what is left together needs it
-
     o, theta = truth.o, truth.candidate.fit.theta
     here = rival.at(theta, rival.values)
     w = weights(o)
@@ -113,7 +112,7 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
     free = np.full(len(widths), np.inf)
     low = np.concatenate([np.minimum(-TOLERANCE_BOUND - theta, -INSIDE), -free])
     high = np.concatenate([np.maximum(TOLERANCE_BOUND - theta, INSIDE), free])
-    moved = lsq_linear(root.T, explained, (low, high), method="bvls").x
+    moved = scipy.optimize.lsq_linear(root.T, explained, (low, high), method="bvls").x
     left = float(target @ target) - float(explained @ explained) + float(np.sum((root.T @ moved - explained) ** 2))
     return float(np.sqrt(max(left, 0.0)))
 

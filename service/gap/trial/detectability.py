@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from service.experiment.data import Sweep
 from service.gap.measured.observation import MODEL_FLOOR
@@ -306,7 +306,7 @@ def _nearest(change: Array, model: Callable[[Array], Array], theta: Array) -> Ar
         return np.array([(left(x + STEP * e) - here) / STEP for e in np.eye(n)]).T
 
     # iterated, as near a resonance the model is nonlinear within the tolerances
-    return np.asarray(least_squares(left, theta, slope, ftol=1e-3, max_nfev=ROUNDS).x)
+    return np.asarray(scipy.optimize.least_squares(left, theta, slope, ftol=1e-3, max_nfev=ROUNDS).x)
 
 
 def _noise(sweep: Sweep, C: Complex, at: NDArray[np.int64], n_lines: int) -> Complex:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fit import Problem
@@ -144,7 +144,9 @@ class _ModeProblem:
         bound = np.concatenate([np.full(len(x) - 2, TOLERANCE_BOUND), [np.inf, np.inf]])
         inside = np.clip(x, -0.999 * bound, 0.999 * bound)
         bounds = (-bound, bound)
-        return np.asarray(least_squares(self.residuals, inside, self.jacobian, bounds, max_nfev=MAX_EVALUATIONS).x)
+        return np.asarray(
+            scipy.optimize.least_squares(self.residuals, inside, self.jacobian, bounds, max_nfev=MAX_EVALUATIONS).x
+        )
 
     def cost(self, x: Real) -> float:
         """Chi-square and penalty."""

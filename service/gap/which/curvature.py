@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fit import Problem
@@ -110,7 +110,7 @@ def _bounded_minimum(hessian: Real, gradient: Real, low: Real, high: Real) -> Re
     observable = values > NOTHING * values[-1]
     root = np.sqrt(values[observable])
     rows, target = root[:, None] * along[:, observable].T, along[:, observable].T @ gradient / root
-    return np.asarray(lsq_linear(rows, target, (low - NOTHING, high + NOTHING)).x)
+    return np.asarray(scipy.optimize.lsq_linear(rows, target, (low - NOTHING, high + NOTHING)).x)
 
 
 def _system(

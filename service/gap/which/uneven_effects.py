@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.evidence import prior_precision
@@ -109,7 +109,7 @@ def _promise(ground: Ground, c: Candidate, name: str) -> _Promise | None:
     known = np.concatenate([*(stacked(J[..., beside]) for J in linear.columns), root])
     left, alone = np.concatenate([left, pull]), np.concatenate([alone, np.zeros((len(beside), len(corners)))])
     basis, _ = np.linalg.qr(known)
-    shares, root_left = nnls(alone - basis @ (basis.T @ alone), left - basis @ (basis.T @ left))
+    shares, root_left = scipy.optimize.nnls(alone - basis @ (basis.T @ alone), left - basis @ (basis.T @ left))
     if not shares.any():
         return None
     expected = cost(c) + root_left**2 - float(residuals @ residuals + pull @ pull)
