@@ -166,7 +166,7 @@ def _changes(
     """Every figure now and then. Errors of check and baseline are independent: other data, other days."""
     was, is_now = figures.of(saved.model), figures.of(now.model)
     std_was = _std(figures, saved, saved.covariance_from_data)
-    std_now, _ = now.uncertainty.std(now.model, figures.of)
+    std_now, _ = now.uncertainty.std(now.model, figures.beside(now.model))
     found = []
     for k, m in enumerate(figures.monitored):
         floor = REPRODUCIBILITY[m.kind] * abs(float(was[k]))
@@ -182,7 +182,8 @@ def _std(figures: PlaneFigures, saved: SavedPlane, covariance: Real) -> Real:
     """Standard deviations of the baseline's figures."""
     model, size = saved.model, np.sqrt(np.diag(covariance))
     steps = np.maximum(np.minimum(0.1 * size, 1e-5 * np.abs(model.theta[saved.free])), 1e-12)
-    gradient = central_differences(lambda theta: figures.of(model.at(theta)), model.theta, saved.free, steps)
+    of = figures.beside(model)
+    gradient = central_differences(lambda theta: of(model.at(theta)), model.theta, saved.free, steps)
     return propagated_std(gradient, covariance)
 
 

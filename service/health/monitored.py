@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from service.identification.arrays import Real
-from service.identification.loop.margins import sensitivity_peaks
+from service.identification.loop.margins import heights, sensitivity_peaks
 from service.identification.plane.model import PlaneModel
 from service.identification.result.saved import SavedPlane
 
@@ -48,6 +49,8 @@ class PlaneFigures:
     monitored: tuple[Monitored, ...]
     of: Callable[[PlaneModel], Real]
     """Model -> (K,) values in the order of ``monitored``."""
+    beside: Callable[[PlaneModel], Callable[[PlaneModel], Real]]
+    """Model -> the same as a function of its neighbours, for derivatives: the peaks are not looked for anew."""
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -76,11 +79,17 @@ def plane_figures(saved: SavedPlane, controller: tuple[Real, Real]) -> PlaneFigu
     ]
     modes = np.array(saved.rotor_modes, dtype=int)
 
-    def of(model: PlaneModel) -> Real:
+    def with_peaks(model: PlaneModel, heights_of_peaks: ArrayLike) -> Real:
         w, zeta = model.natural_frequencies[modes], model.damping_ratios[modes]
         amplifiers = [model.theta[place][:2] for place in model.layout.amplifiers]
-        peaks = [p.value for p in sensitivity_peaks(model, controller)]
-        return np.concatenate([model.theta[:4], np.stack([w, zeta], axis=1).ravel(), *amplifiers, peaks])
+        return np.concatenate([model.theta[:4], np.stack([w, zeta], axis=1).ravel(), *amplifiers, heights_of_peaks])
+
+    def of(model: PlaneModel) -> Real:
+        return with_peaks(model, [p.value for p in sensitivity_peaks(model, controller)])
+
+    def beside(model: PlaneModel) -> Callable[[PlaneModel], Real]:
+        peaks = sensitivity_peaks(model, controller)
+        return lambda other: with_peaks(other, heights(other, controller, peaks))
 
     assert len(orders) == 2
-    return PlaneFigures(tuple(found), of)
+    return PlaneFigures(tuple(found), of, beside)

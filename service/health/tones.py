@@ -294,8 +294,9 @@ def _gradient(design: _Design, model: PlaneModel) -> Real:
     """Derivatives of the figures, relative to their values, to the free parameters, (K, n)."""
     saved = design.saved
     sd = np.sqrt(np.diag(saved.covariance_from_data))
-    steps = np.maximum(np.minimum(0.3 * sd, 1e-4 * np.abs(model.theta[saved.free])), 1e-12)
-    gradient = central_differences(lambda theta: design.figures.of(model.at(theta)), model.theta, saved.free, steps)
+    steps = np.maximum(np.minimum(0.3 * sd, 1e-5 * np.abs(model.theta[saved.free])), 1e-12)
+    of = design.figures.beside(model)
+    gradient = central_differences(lambda theta: of(model.at(theta)), model.theta, saved.free, steps)
     return gradient / np.abs(design.values)[:, None]
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import eig
 
 from service.identification.arrays import Complex, Real
 from service.identification.joint.uncertainty import Uncertainty
-from service.identification.loop.margins import sensitivity, sensitivity_peaks
+from service.identification.loop.margins import heights, sensitivity_peaks
 from service.identification.measured.data import Data
 from service.identification.measured.noise import block_noise
 from service.identification.measured.points import PlanePoints
@@ -112,11 +112,8 @@ def correlations(
     peaks = sensitivity_peaks(model, controller)
 
     def every(m: PlaneModel) -> Real:
-        # to first order the height of a peak does not depend on its place
-        at = np.array([p.omega for p in peaks])
-        s = np.abs(sensitivity(m, controller, at))
         of_modes = [m.natural_frequencies[order], m.damping_ratios[order], m.modes[order, 2:6].ravel()]
-        return np.concatenate([m.ks, m.ki, [m.delay_s], *of_modes, [s[0, 0, 0], s[1, 1, 1]], m.theta[more]])
+        return np.concatenate([m.ks, m.ki, [m.delay_s], *of_modes, heights(m, controller, peaks), m.theta[more]])
 
     numbers = range(1, len(order) + 1)
     places = ("bearing A", "bearing B", "sensor A", "sensor B")

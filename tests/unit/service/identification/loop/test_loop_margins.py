@@ -10,9 +10,10 @@ import pytest
 
 from service.identification.loop.closed_loop import closed_loop_poles
 from service.identification.loop.loop_margins import REST, loop_margins, moved
-from service.identification.loop.margins import axis_margins, sensitivity, zone
+from service.identification.loop.margins import axis_margins, heights, sensitivity, sensitivity_peaks, zone
 from service.identification.plane.model import PlaneModel
 from service.identification.result.commissioning import CommissioningResult
+from service.identification.statistics.derivatives import central_differences
 from sim.reference import pid_with_biquad
 
 OMEGA = np.geomspace(REST, 1e2, 5000)
@@ -110,6 +111,24 @@ def test_margins_are_those_of_very_many_lines_wherever_a_law_moves_the_modes(law
         down, up, phase, delay = loop_margins(omega, 1 / s[:, j, j] - 1).values()
         assert told[:2] == pytest.approx([down, up], abs=0.2)
         assert told[2:] == pytest.approx([phase, delay], rel=0.03)
+
+
+@pytest.mark.parametrize("law", [(), *STRONG])
+def test_derivatives_of_a_peak_are_those_of_its_height_where_it_is(law, truth: dict[str, PlaneModel]) -> None:
+    """Though it moves with the parameters, and fast where a mode is sharp."""
+    model, controller = truth["x"], pid_with_biquad(*law)
+    peaks = sensitivity_peaks(model, controller)
+
+    def found_anew(theta: np.ndarray) -> np.ndarray:
+        return np.array([p.value for p in sensitivity_peaks(model.at(theta), controller)])
+
+    def where_they_are(theta: np.ndarray) -> np.ndarray:
+        return heights(model.at(theta), controller, peaks)
+
+    free = model.layout.free()
+    steps = 1e-6 * np.abs(model.theta[free]) + 1e-12
+    slow, quick = (central_differences(of, model.theta, free, steps) * steps for of in (found_anew, where_they_are))
+    np.testing.assert_allclose(quick, slow, atol=1e-3 * np.abs(slow).max())
 
 
 def quick(slow: PlaneModel) -> PlaneModel:
