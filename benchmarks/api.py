@@ -22,6 +22,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import _cpu
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

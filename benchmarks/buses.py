@@ -14,6 +14,7 @@ from typing import Any
 import _bus_faults
 import _bus_kills
 import _bus_speed
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 
 from drivers.canopen.codec import beat_bytes

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 
 from drivers.simulated.driver import SimulatedController

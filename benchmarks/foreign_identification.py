@@ -19,6 +19,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
+import _one_thread  # noqa: F401  before numpy
 import h5py
 import numpy as np
 from foreign.cases import AXES, PRACTICE, datasheet, levitates, other_rotor, toml

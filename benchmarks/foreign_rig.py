@@ -13,6 +13,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
 from foreign.cases import make
 from foreign.effects import CATALOGUE, UNKNOWN
 

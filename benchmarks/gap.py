@@ -21,6 +21,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import _one_thread  # noqa: F401  before numpy
 from foreign.values import in_terms_of_the_catalogue
 
 from service.campaign.multisine.plan import MultisineProfile

@@ -14,6 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import _one_thread  # noqa: F401  before numpy
 from gap import PRACTICE
 
 from service.experiment import file

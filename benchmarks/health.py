@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 from scipy.stats import norm
 

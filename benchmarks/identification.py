@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import _one_thread  # noqa: F401  before numpy
 import _peers
 import numpy as np
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import _one_thread  # noqa: F401  before numpy
 import httpx
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

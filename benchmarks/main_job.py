@@ -7,13 +7,11 @@ another program, where the sibling folder `shared/practice` is at hand.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import tempfile
 import time
 from pathlib import Path
+
+import _one_thread  # noqa: F401  before numpy
 
 from drivers.simulated.driver import SimulatedController
 from service.campaign.run import run_campaign

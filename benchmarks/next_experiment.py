@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -14,6 +14,8 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from service.access.keys import Scope

@@ -15,6 +15,7 @@ from collections import Counter
 from itertools import count, islice
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

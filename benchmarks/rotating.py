@@ -14,6 +14,7 @@ import sys
 import time
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
 import numpy as np
 from scipy.stats import binom
 

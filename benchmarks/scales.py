@@ -18,6 +18,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import _one_thread  # noqa: F401  before numpy
 import h5py
 import numpy as np
 from foreign.cases import make, toml

@@ -1,6 +1,6 @@
 """The rig in software: speed on one core, integration error, agreement with linear theory, and the field's own tools.
 
-Run with one thread: ``OMP_NUM_THREADS=1 python benchmarks/simulation.py``.
+Run as ``python benchmarks/simulation.py``.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+import _one_thread  # noqa: F401  before numpy
 import control
 import numpy as np
 from scipy.integrate import solve_ivp

@@ -11,6 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
+import _one_thread  # noqa: F401  before numpy
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import httpx
