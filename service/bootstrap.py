@@ -186,19 +186,6 @@ def identify_into(
     return Commissioned(result, document, files, seconds)
 
 
-def begin_processes(jobs: int = 0) -> int:
-    """Number of processes of a diagnosis, 0 for one per core; if several, they begin to load what they need.
-
-    Called again, it does no more. Worth calling before anything else is loaded: that takes seconds, too.
-    """
-    from service.gap import processes
-
-    jobs = jobs or os.cpu_count() or 1
-    if jobs > 1:
-        processes.load()
-    return jobs
-
-
 def diagnose_into(
     experiment: Experiment,
     datasheet: Datasheet,
@@ -225,8 +212,6 @@ def diagnose_into(
     AmbError
         The data do not allow a diagnosis, or the folder cannot be written.
     """
-    jobs = begin_processes(jobs)
-
     from service.gap.diagnose import diagnose
     from service.gap.document import gap_document
     from service.report.gap import gap_page
@@ -234,6 +219,7 @@ def diagnose_into(
     said = tell or (lambda phase, percent: None)
     ready_folder(out_dir)
     said("gap diagnosis", 2.0)
+    jobs = jobs or os.cpu_count() or 1
     diagnosis = diagnose(experiment, datasheet, jobs, lambda percent, words: said(words, 2.0 + 0.94 * percent))
     said("writing the report", 97.0)
     document = gap_document(diagnosis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -10,7 +11,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import forkserver, get_context, resource_tracker
-from types import TracebackType
+from pathlib import Path
+from types import FrameType, TracebackType
 from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -21,33 +23,46 @@ _ENDS = (signal.SIGINT,)
 
 
 def prepare(*modules: str) -> None:
-    """Load ``modules`` once, in the process that those of all pools begin as copies of, beside what goes on here.
+    """Have ``modules`` loaded once for all processes of a pool that cannot begin as copies of this one.
 
-    What they import takes seconds; where nobody says it in advance, every process loads for itself. Only the first call
-    in a process counts.
+    What they import takes seconds; where nobody says it in advance, every such process loads for itself. Only the first
+    pool in a process counts.
     """
     forkserver.set_forkserver_preload(["__main__", *modules])
-    with _ctrl_c_held_back():
-        forkserver.ensure_running()
 
 
 @contextmanager
 def _ctrl_c_held_back() -> Iterator[None]:
-    """What is started in here begins with Ctrl-C held back, as it inherits the mask of the thread that starts it."""
+    """Ctrl-C is heard after this block; what is started in it begins with the signal held back.
+
+    That it inherits from the thread that starts it. Another thread of this process may take the signal meanwhile, and
+    Python have the main one answer it: so the answer is held back, too.
+    """
     resource_tracker.ensure_running()  # which ends with the signal let through, were it started below
+    heard: list[tuple[int, FrameType | None]] = []
+    answer = signal.getsignal(signal.SIGINT)
+    hold = callable(answer) and threading.current_thread() is threading.main_thread()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+    if hold:
+        signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
     try:
         yield
     finally:
+        if hold:
+            signal.signal(signal.SIGINT, answer)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if heard and callable(answer):
+            answer(*heard[0])
 
 
 class Workers(ProcessPoolExecutor):
     """A pool that is left at once where an error or Ctrl-C ends its block."""
 
     def __init__(self, jobs: int) -> None:
-        # Copies of a process that has only loaded: those of this one would inherit locks of its threads.
-        super().__init__(jobs, mp_context=get_context("forkserver"), initializer=_end_when_asked)
+        # Copies of this process begin at once, with all that it has loaded. Of one with other threads they would
+        # inherit locks that nobody opens: then they are copies of a process that has only loaded.
+        method = "fork" if _has_one_thread() else "forkserver"
+        super().__init__(jobs, mp_context=get_context(method), initializer=_begin)
 
     def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """As any pool's; a process that is started for it is known to the pool before Ctrl-C is heard."""
@@ -65,12 +80,23 @@ class Workers(ProcessPoolExecutor):
 
 
 def workers(jobs: int) -> Workers:
-    """``jobs`` processes, each started as soon as work for it comes; `prepare` says what they have loaded then.
+    """``jobs`` processes, started as soon as work comes; they have loaded what this one has, or what `prepare` says.
 
     Ctrl-C reaches every process of a terminal: until a worker can answer it by ending at once, it holds the signal
     back, also while Python itself loads. A worker whose command is gone ends, too.
     """
     return Workers(jobs)
+
+
+def _has_one_thread() -> bool:
+    """Whether no library has a thread in this process, either; where that cannot be told, it may."""
+    tasks = Path("/proc/self/task")
+    return tasks.is_dir() and len(list(tasks.iterdir())) == 1
+
+
+def _begin() -> None:
+    gc.freeze()  # what came from the other process is no garbage: to search it costs time, and memory that is shared
+    _end_when_asked()
 
 
 def _end_when_asked() -> None:

@@ -29,9 +29,6 @@ def diagnose(
 ) -> None:
     """Diagnose the gap between a rig's experiment and its twin; write gap.json and gap.html."""
     from service import bootstrap
-
-    jobs = bootstrap.begin_processes(jobs)  # to load takes them as long as this one, which goes on beside
-
     from service.cli.progress import percent_progress
     from service.experiment import file
     from service.output import results_in

@@ -12,6 +12,6 @@ from service.pool import prepare
 LOADED = ("service.gap.fitting.candidates", "service.gap.loop")
 
 
-def load() -> None:
-    """Start to load the modules of the worker processes; early, as that takes as long as starting a command."""
+def prepared() -> None:
+    """Have the modules loaded once where the worker processes cannot begin as copies of this one."""
     prepare(*LOADED)

@@ -185,7 +185,7 @@ class Fitter:
         """explanations that could not be fitted: every start led to an impossible rig"""
         self._pool: Workers | None = None
         if jobs > 1:
-            processes.load()
+            processes.prepared()
             self._pool = workers(jobs)
 
     def __enter__(self) -> Fitter:

@@ -17,11 +17,14 @@ if any("forkserver" in argument for argument in sys.orig_argv):
     open(os.path.join(os.environ["LOADING"], str(os.getpid())), "w").close()
     time.sleep(1.0)
 """
-COMMAND = """
-import sys, time
+BUSY_THREAD = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
+"""With it processes begin as copies of one that has only loaded, else as copies of the command."""
+COMMAND = f"""
+import sys, threading, time
 from service.pool import workers
 
 if __name__ == "__main__":
+    {BUSY_THREAD}
     try:
         with workers(3) as pool:
             for future in [pool.submit(time.sleep, 600) for _ in range(3)]:
@@ -33,23 +36,40 @@ SLOW = """
 import os
 LOADED_BY = os.getpid()
 """
-PREPARED = """
+PREPARED = f"""
+import threading, time
 from service.pool import prepare, workers
 
 def ask(number):
-    import os, time, slow
+    import os, slow
     time.sleep(0.5)
     return slow.LOADED_BY, os.getpid()
 
 if __name__ == "__main__":
+    {BUSY_THREAD}
     prepare("slow")
     with workers(2) as pool:
         (a, one), (b, other) = pool.map(ask, range(2))
     assert a == b
     print(a, one, other)
 """
+COPIED = """
+import slow, time
+from service.pool import workers
+
+def ask(number):
+    import os
+    time.sleep(0.5)
+    return slow.LOADED_BY, os.getpid()
+
+if __name__ == "__main__":
+    with workers(2) as pool:
+        (a, one), (b, other) = pool.map(ask, range(2))
+    assert a == b == slow.LOADED_BY
+    print(a, one, other)
+"""
 BUSY = """
-import os, sys, time
+import os, sys, threading, time
 from pathlib import Path
 from service.pool import workers
 
@@ -58,6 +78,8 @@ def work(folder):
     time.sleep(600)
 
 if __name__ == "__main__":
+    if sys.argv[2] == "with a thread":
+        threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
     try:
         with workers(2) as pool:
             for future in [pool.submit(work, sys.argv[1]) for _ in range(2)]:
@@ -121,9 +143,10 @@ def test_ctrl_c_while_processes_load_ends_them_all_without_a_traceback(tmp_path:
     assert end_soon(loading)
 
 
-def test_what_is_said_in_advance_is_loaded_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize("program", [PREPARED, COPIED], ids=["said in advance", "loaded by the command"])
+def test_what_is_known_beforehand_is_loaded_once(program: str, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
-    (tmp_path / "command.py").write_text(PREPARED)
+    (tmp_path / "command.py").write_text(program)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
     command = [sys.executable, str(tmp_path / "command.py")]
     told = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout
@@ -132,17 +155,31 @@ def test_what_is_said_in_advance_is_loaded_once(tmp_path: Path) -> None:
     assert own != other
 
 
-def test_an_interrupt_of_the_command_alone_does_not_wait_for_what_runs(tmp_path: Path) -> None:
-    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy")) as command:
+threads = pytest.mark.parametrize("threads", ["alone", "with a thread"])
+
+
+@threads
+def test_an_interrupt_of_the_command_alone_does_not_wait_for_what_runs(threads: str, tmp_path: Path) -> None:
+    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy"), threads) as command:
         command.send_signal(signal.SIGINT)
         _, said = command.communicate(timeout=20)
         assert said == "interrupted\n"
         assert all(map(gone, os.listdir(tmp_path / "busy")))
 
 
+@threads
+def test_ctrl_c_ends_what_runs_without_a_word(threads: str, tmp_path: Path) -> None:
+    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy"), threads) as command:
+        os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+        _, said = command.communicate(timeout=20)
+        assert said == "interrupted\n"
+        assert end_soon(tmp_path / "busy")
+
+
+@threads
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_processes_end_with_a_command_that_was_killed(number: signal.Signals, tmp_path: Path) -> None:
-    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy")) as command:
+def test_processes_end_with_a_command_that_was_killed(number: signal.Signals, threads: str, tmp_path: Path) -> None:
+    with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy"), threads) as command:
         command.send_signal(number)
         command.wait(20)
         assert end_soon(tmp_path / "busy")
