@@ -16,8 +16,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +25,7 @@ from foreign.values import in_terms_of_the_catalogue
 from service.campaign.multisine.plan import MultisineProfile
 from service.experiment import file
 from service.gap.trial.scoring import Outcome, score
+from service.pool import workers
 from service.trial import diagnose, measure, run_blind_trial
 from sim.errors import AmbError
 from sim.rig_file import parse
@@ -105,7 +104,7 @@ def outcome(number: int, truth: dict[str, Any], report: dict[str, Any], seconds:
 
 def run_folder(folders: list[Path], jobs: int) -> list[Outcome]:
     outcomes = []
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         for k, (folder, result) in enumerate(zip(folders, pool.map(diagnosed, folders), strict=True)):
             truth, report, seconds = result
             o = outcome(k, truth, report, seconds)
@@ -221,7 +220,7 @@ def by_multisines(number: int, seed: int, out: Path) -> tuple[Outcome, str] | st
 def multisines(cases: int, seed: int, out: Path, jobs: int) -> None:
     """Print what is found, case by case, and how often it is right, no gap, or wrong."""
     count = {"right": 0, "no gap": 0, "WRONG": 0}
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         for done in pool.map(by_multisines, range(cases), [seed] * cases, [out] * cases):
             if isinstance(done, str):
                 print(done, flush=True)
@@ -238,7 +237,7 @@ def made_foreign(count: int, seed: int, folder: Path, jobs: int) -> None:
     from foreign.cases import make
 
     start = time.perf_counter()
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         list(pool.map(make, range(count), [seed] * count, [folder] * count))
     print(f"made {count} cases in {time.perf_counter() - start:.0f} s")
 

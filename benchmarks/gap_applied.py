@@ -9,8 +9,6 @@ effects has nothing to add.
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from gap import PRACTICE
 
 from service.experiment import file
 from service.gap.apply import applied
+from service.pool import workers
 from service.trial import diagnose
 from sim import rig_file
 
@@ -44,7 +43,7 @@ def main() -> None:
     if not folders:
         parser.error(f"no case folders in {args.folder}")
     gone = added = 0
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+    with workers(args.jobs) as pool:
         for folder, (first, second) in zip(folders, pool.map(twice, folders), strict=True):
             named = " + ".join(first["verdict"]["effects"]) or first["verdict"]["kind"]
             if second is None:

@@ -12,9 +12,7 @@ import json
 import tempfile
 import tomllib
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,8 @@ import h5py
 import numpy as np
 from foreign.cases import make, toml
 from gap import PRACTICE, diagnosed
+
+from service.pool import workers
 
 DRAWN = 8
 """Cases of another program that are drawn where none are at hand."""
@@ -130,7 +130,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     out = Path(tempfile.mkdtemp(prefix="scales-"))
-    with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
+    with workers(given.jobs) as pool:
         if not any(given.cases.glob("*/truth.json")):
             print(f"no cases in {given.cases.name}; {DRAWN} of another program are drawn")
             given.cases = out / "drawn"
