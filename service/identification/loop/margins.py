@@ -204,8 +204,8 @@ def sensitivity_peaks(model: PlaneModel, controller: tuple[Real, Real]) -> tuple
 def heights(model: PlaneModel, controller: tuple[Real, Real], peaks: tuple[Peak, Peak]) -> Real:
     """|S_jj| of both axes where a neighbouring model has its peaks, (2,).
 
-    To first order the height of a peak does not depend on its place: for its derivatives to the parameters it need not
-    be found anew with each of them.
+    To first order the height of a peak does not depend on its place (the envelope theorem): for its derivatives to the
+    parameters it need not be found anew with each of them.
     """
     s = sensitivity(model, controller, np.array([peak.omega for peak in peaks]))
     return np.abs(s[[0, 1], [0, 1], [0, 1]])
@@ -284,6 +284,7 @@ def _stds(
         return np.append(np.abs(s[-1]), moved(places, loops.reshape(places.shape)))
 
     std = np.sqrt(np.maximum(np.diag(covariance), 0))
+    # longer ones of a sharp mode's frequency leave the part of its resonance that is straight
     steps = np.minimum(0.1 * std, 1e-5 * np.abs(model.theta[free]))
     gradient = central_differences(of, model.theta, free, np.where(steps == 0, 1e-12, steps))
     return [float(v) for v in propagated_std(gradient, covariance)]

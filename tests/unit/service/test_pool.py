@@ -17,14 +17,14 @@ if any("forkserver" in argument for argument in sys.orig_argv):
     open(os.path.join(os.environ["LOADING"], str(os.getpid())), "w").close()
     time.sleep(1.0)
 """
-BUSY_THREAD = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
+ANOTHER_THREAD = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
 """With it processes begin as copies of one that has only loaded, else as copies of the command."""
 COMMAND = f"""
 import sys, threading, time
 from service.pool import workers
 
 if __name__ == "__main__":
-    {BUSY_THREAD}
+    {ANOTHER_THREAD}
     try:
         with workers(3) as pool:
             for future in [pool.submit(time.sleep, 600) for _ in range(3)]:
@@ -46,7 +46,7 @@ def ask(number):
     return slow.LOADED_BY, os.getpid()
 
 if __name__ == "__main__":
-    {BUSY_THREAD}
+    {ANOTHER_THREAD}
     prepare("slow")
     with workers(2) as pool:
         (a, one), (b, other) = pool.map(ask, range(2))
@@ -68,7 +68,7 @@ if __name__ == "__main__":
     assert a == b == slow.LOADED_BY
     print(a, one, other)
 """
-BUSY = """
+BUSY = f"""
 import os, sys, threading, time
 from pathlib import Path
 from service.pool import workers
@@ -79,7 +79,7 @@ def work(folder):
 
 if __name__ == "__main__":
     if sys.argv[2] == "with a thread":
-        threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
+        {ANOTHER_THREAD}
     try:
         with workers(2) as pool:
             for future in [pool.submit(work, sys.argv[1]) for _ in range(2)]:
@@ -155,10 +155,10 @@ def test_what_is_known_beforehand_is_loaded_once(program: str, tmp_path: Path) -
     assert own != other
 
 
-threads = pytest.mark.parametrize("threads", ["alone", "with a thread"])
+both_ways = pytest.mark.parametrize("threads", ["alone", "with a thread"])
 
 
-@threads
+@both_ways
 def test_an_interrupt_of_the_command_alone_does_not_wait_for_what_runs(threads: str, tmp_path: Path) -> None:
     with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy"), threads) as command:
         command.send_signal(signal.SIGINT)
@@ -167,7 +167,7 @@ def test_an_interrupt_of_the_command_alone_does_not_wait_for_what_runs(threads: 
         assert all(map(gone, os.listdir(tmp_path / "busy")))
 
 
-@threads
+@both_ways
 def test_ctrl_c_ends_what_runs_without_a_word(threads: str, tmp_path: Path) -> None:
     with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy"), threads) as command:
         os.killpg(command.pid, signal.SIGINT)  # as a terminal does
@@ -176,7 +176,7 @@ def test_ctrl_c_ends_what_runs_without_a_word(threads: str, tmp_path: Path) -> N
         assert end_soon(tmp_path / "busy")
 
 
-@threads
+@both_ways
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_processes_end_with_a_command_that_was_killed(number: signal.Signals, threads: str, tmp_path: Path) -> None:
     with started(BUSY, tmp_path, tmp_path / "busy", 2, str(tmp_path / "busy"), threads) as command:
