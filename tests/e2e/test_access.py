@@ -31,6 +31,7 @@ def bearer(key: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {key}"}
 
 
+@pytest.mark.slow
 def test_from_one_machine_to_keys_on_the_network(tmp_path):
     home = tmp_path / "a home"
     with service(home, "sqlite", "--no-worker", host="0.0.0.0", log_level="debug") as running:

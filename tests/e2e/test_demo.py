@@ -11,7 +11,10 @@ import pytest
 from service.experiment import file
 from tests.support.command import Running, refusal, wait_until
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc, as on Linux"),
+]
 
 
 def _started_by(pid: int) -> dict[int, str]:

@@ -58,6 +58,7 @@ def interrupted(command, out, number):
     return kept
 
 
+@pytest.mark.slow
 def test_a_campaign_terminated_and_then_ended_by_ctrl_c_is_kept_and_resumed(rig, command, out):
     first = interrupted(command, out, signal.SIGTERM)
     assert not _excited(rig[0])

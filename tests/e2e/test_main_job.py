@@ -55,6 +55,7 @@ def test_the_result_file_is_what_was_printed(demo):
         assert Path(path).exists()
 
 
+@pytest.mark.slow
 def test_in_process_it_gives_the_same(demo, tmp_path):
     """The demo goes through the service to a device process. Same seed: the plan takes the same way, to each figure."""
     _, document, _ = demo

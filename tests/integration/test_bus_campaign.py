@@ -25,6 +25,7 @@ from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from sim.reference import reference_datasheet, reference_rig
 
+pytestmark = pytest.mark.slow
 SEED = 7
 FAULTS = ",".join(f"{kind}=0.0002" for kind in KINDS if kind not in ("corrupt", "stale")) + ",corrupt=1e-5,stale=1e-5"
 """Wrong values are rarer than lost ones: a raw record has thousands of frames, and one CRC."""

@@ -70,6 +70,7 @@ def test_the_same_seed_gives_the_same_experiment(whole, tmp_path):
     assert_same(campaign(reference_rig(), tmp_path), whole[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frequencies_hz", [None, (430.0, 850.0)])
 def test_peaks_are_found_and_resolved_wherever_the_rig_has_them(tmp_path, frequencies_hz):
     rig = reference_rig()

@@ -12,7 +12,7 @@ from tests.support.service import QUICK, reference_sheet, rig_device, service
 
 LONG = {**QUICK, "points": 120, "rig_seconds": 240}
 """A plan that outlasts the outage."""
-pytestmark = pytest.mark.pg
+pytestmark = [pytest.mark.pg, pytest.mark.slow]
 
 
 @pytest.fixture

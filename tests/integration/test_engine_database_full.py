@@ -10,6 +10,7 @@ import pytest
 from tests.support.processes import wait_for
 from tests.support.service import QUICK, reference_sheet, rig_device, service
 
+pytestmark = pytest.mark.slow
 REFUSALS = {
     "a step": "BEFORE INSERT ON operation_outputs",
     "an end": "BEFORE UPDATE OF status ON workflow_status",

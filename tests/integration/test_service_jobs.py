@@ -15,7 +15,7 @@ from tests.support.processes import ROOT, wait_for
 from tests.support.service import QUICK, SLOW, Running, free_port, reference_sheet, rig_device, service
 from tests.support.two_axes import one_plane
 
-DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)]
+DATABASES = ["sqlite", pytest.param("postgresql", marks=[pytest.mark.pg, pytest.mark.slow])]
 TINY = {**QUICK, "points": 6, "validation_points": 2, "amplifier_points": 2, "rig_seconds": 15}
 """For jobs of which only the beginning and the end matter."""
 on_sqlite = pytest.mark.parametrize("running", ["sqlite"], indirect=True)

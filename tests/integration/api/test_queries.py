@@ -18,25 +18,25 @@ def operations(document):
     return [(path, method, told) for path, ways in document["paths"].items() for method, told in ways.items()]
 
 
-def test_every_address_refuses_a_query_parameter_that_it_does_not_know(service, operations):
+def test_every_address_refuses_a_query_parameter_that_it_does_not_know(service, api, operations):
     assert len(operations) > 40
     for path, method, told in operations:
         known = [p["name"] for p in told.get("parameters", ()) if p["in"] == "query"]
         address = service.url + re.sub(r"\{(\w+)_id\}", r"\1_1", path)
         for name in ("stat", "LIMIT", "Rig", "after[]", ""):
-            answer = httpx.request(method, address, params={name: "failed"})
+            answer = api.request(method, address, params={name: "failed"})
             assert_problem(answer, 422, f"unknown query parameter {name!r}", *known)
             assert [e["field"] for e in answer.json()["errors"]] == [f"query.{name}"]
             assert known or "it knows none" in answer.json()["detail"]
             assert "422" in told["responses"], f"{method} {path} does not announce it"
 
 
-def test_every_parameter_that_is_described_is_known(service, operations):
+def test_every_parameter_that_is_described_is_known(service, api, operations):
     for path, method, told in operations:
         for parameter in told.get("parameters", ()):
             if parameter["in"] == "query":
                 address = service.url + re.sub(r"\{(\w+)_id\}", r"\1_1", path)
-                answer = httpx.request(method, address, params={parameter["name"]: "x"})
+                answer = api.request(method, address, params={parameter["name"]: "x"})
                 assert "unknown query" not in answer.text, (method, path, parameter["name"])
 
 

@@ -86,6 +86,7 @@ def test_one_lost_frame_costs_no_second_start(size: int) -> None:
         assert line.run() == content, f"without frame {lost} of {len(frames)}"
 
 
+@pytest.mark.slow
 def test_a_line_that_loses_one_frame_in_fifty_gives_the_content() -> None:
     """A first segment that was lost had the block before it acknowledged twice, and the device skip one."""
     generator = np.random.default_rng(2)

@@ -75,6 +75,7 @@ def test_a_channel_that_is_dead_in_the_other_sweep_is_named_with_that_sweep() ->
         observed(replace(EXPERIMENT, sweeps=(main, replace(other, Y=y), *rest)), SHEET)
 
 
+@pytest.mark.slow
 def test_points_at_which_the_log_was_interrupted_are_left_out_and_told() -> None:
     main = EXPERIMENT.main
     lost = np.isin(np.arange(main.n_points), [4, 5, 9])
@@ -88,6 +89,7 @@ def test_points_at_which_the_log_was_interrupted_are_left_out_and_told() -> None
     assert len(observed(y_alone, SHEET).o.line) == len(whole.o.line), "one channel may read zero, as a coarse one does"
 
 
+@pytest.mark.slow
 def test_the_datasheet_of_another_rig_is_told_by_its_name() -> None:
     notes = observed(EXPERIMENT, replace(SHEET, name="compressor 2")).notes
     assert any("datasheet of rig compressor 2" in note for note in notes)

@@ -52,7 +52,7 @@ def test_a_clean_rig_has_no_gap_and_the_way_there_is_told() -> None:
             0.3,
             marks=pytest.mark.slow,
         ),
-        ("magnetic_saturation", {"saturation_inverse_per_a": 0.6}, "plant", 0.05),
+        pytest.param("magnetic_saturation", {"saturation_inverse_per_a": 0.6}, "plant", 0.05, marks=pytest.mark.slow),
     ],
 )
 def test_a_withheld_effect_is_named_measured_and_closed(

@@ -63,6 +63,7 @@ def test_an_offset_that_the_twin_names_is_not_told_again(experiment: Experiment,
     assert found.chain.logging_offset_samples == 1
 
 
+@pytest.mark.slow
 def test_the_plant_is_the_same_from_a_log_out_of_step(
     experiment: Experiment, datasheet: Datasheet, result: CommissioningResult, truth: dict[str, PlaneModel]
 ) -> None:
