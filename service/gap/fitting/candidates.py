@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
 from types import TracebackType
@@ -29,8 +29,9 @@ Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 
-KEPT_STARTS = 2
-"""Best vectors that are kept after each rough stage of a fit."""
+KEPT_STARTS, SAME_END = 2, 0.01
+"""Best vectors that are kept after each rough stage of a fit, if they differ by more than this in some value: in units
+of a tolerance, of a parameter's scale, or in nats."""
 LAW_ERROR = 0.01
 """Relative error of a parameter that no data remove: two programs' laws of one effect agree no better (loop delays of
 an independent program are found 0.25 us short)."""
@@ -71,6 +72,8 @@ class Task:
     good_start: bool = False
     """Whether a start may be so good, and the effect so faint, that rough stages would only move it away: the best one
     also skips them."""
+    most_left: Mapping[Stage, float] = field(default_factory=dict)
+    """What some rough stages may leave beyond noise, per residual, for further ones to be worth their time."""
 
 
 def fit_task(task: Task) -> Candidate:
@@ -108,12 +111,16 @@ def _fit_all(task: Task) -> Candidate:
         dormant -= BY_SPEED
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)
     unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
-    vectors = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
-    may_skip = (problem.model.nonlinear or task.good_start) and rough and len(vectors) > 1
-    skipping = _best_start(problem, vectors) if may_skip else []
+    first = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
+    vectors, may_skip = first, (problem.model.nonlinear or task.good_start) and rough and len(first) > 1
     for stage in rough:
-        vectors = _best_after(problem, vectors, stage)
-    vectors += skipping
+        ends = _ends_of(problem, vectors, stage)
+        vectors = _apart([x for _, x in ends[:KEPT_STARTS]])
+        if ends and ends[0][0] > task.most_left.get(stage, np.inf):
+            vectors, may_skip = vectors[:1], False
+            break
+    if may_skip:
+        vectors += _best_start(problem, first)
     best: Fit | None = None
     for x in vectors:
         try:
@@ -127,14 +134,23 @@ def _fit_all(task: Task) -> Candidate:
     return Candidate(task.effects, best, occam(unknowns, best), _deviations(unknowns, best))
 
 
-def _best_after(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list[Real]:
-    """The best ends of a rough stage that is run from each vector."""
+def _ends_of(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list[tuple[float, Real]]:
+    """Where a rough stage ends that is run from each vector, and what it leaves per residual; the best end first."""
     ends: list[tuple[float, Real]] = []
     for x in vectors:
         with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to an impossible rig; another may not
             fit = problem.run(x, stage)
-            ends.append((fit.cost, problem.unknowns.vector(fit)))
-    return [x for _, x in sorted(ends, key=lambda end: end[0])[:KEPT_STARTS]]
+            ends.append((problem.left_by(fit, stage), problem.unknowns.vector(fit)))
+    return sorted(ends, key=lambda end: end[0])
+
+
+def _apart(vectors: Sequence[Real]) -> list[Real]:
+    """The vectors without those that are as good as an earlier one: starts often lead to the same minimum."""
+    kept: list[Real] = []
+    for x in vectors:
+        if all(np.abs(x - other).max(initial=0.0) > SAME_END for other in kept):
+            kept.append(x)
+    return kept
 
 
 def _best_start(problem: Problem, vectors: Sequence[Real]) -> list[Real]:

@@ -213,6 +213,10 @@ class Problem:
         objective = Objective(self.model, stage)
         return objective.within_floor(objective.fresh_state(self.unknowns.vector(fit)))
 
+    def left_by(self, fit: Fit, stage: Stage) -> float:
+        """What the ``fit`` in which a pass of a stage ended leaves beyond noise and the stage's floor, per residual."""
+        return (fit.cost - Objective(self.model, stage).noise) / fit.n_residuals
+
     def residuals(self, fit: Fit) -> list[Complex]:
         """Weighted residuals of a fit of this part, (P, H, n) per sweep."""
         return Objective(self.model, EXACT).state(self.unknowns.vector(fit), [None] * len(self.observations)).residuals

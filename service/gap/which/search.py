@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT, PROBE
-from service.gap.fitting.unknowns import slow_first, slow_to_compute
 from service.gap.measured.observation import GapError
 from service.gap.weighing.ranking import Ranked, noise_levels, ranked
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, MAX_SHARE_LEFT_BY_SEVERAL
@@ -20,6 +19,7 @@ from service.gap.which.amplifiers_apart import with_amplifiers_apart
 from service.gap.which.beyond_tolerance import beyond_tolerance
 from service.gap.which.curvature import CHI_SQUARE_SHOWN, curvatures
 from service.gap.which.explained import Explained
+from service.gap.which.first_fits import first_fits
 from service.gap.which.mixtures import (
     as_fewer,
     extended,
@@ -28,7 +28,7 @@ from service.gap.which.mixtures import (
     with_one_more,
     without_superfluous,
 )
-from service.gap.which.one_more_effect import GOOD_START, residuals, rough_beside, rough_stages, task_beside
+from service.gap.which.one_more_effect import residuals, rough_stages
 from service.gap.which.optional_parameters import (
     on_modes_that_split,
     softer_in_one_plane,
@@ -134,7 +134,8 @@ class _Search:
         continued = [] if before is None else self.fitter.run(_continued(self.ground, before))
         done = {c.effects[0] for c in continued if _in_same_minimum(c, self.null)}
         others = [name for name in self.ground.part.effects if name not in done]
-        probed = _cheapest_of_each([*self.fitter.run(self._first_fits(others, before)), *continued])
+        first = first_fits(self.fitter, self.ground, (self.null, self.plain), others, before, continued)
+        probed = _cheapest_of_each([*first, *continued])
         found = refitted(self.fitter, self.ground, self.null, probed)
         if better_null := better_without_one_effect(
             self.fitter, self.ground, self.null, min(found, key=cost, default=self.null)
@@ -143,25 +144,6 @@ class _Search:
             found = refitted(self.fitter, self.ground, self.null, found)
         self.found = refitted_from_best(self.fitter, self.ground, found)
         self.order = ranked(self.null, self.found)
-
-    def _first_fits(self, names: Iterable[str], before: Explained | None) -> Iterable[Task]:
-        """A first fit of each effect: of a linear one from its solution in ``before``, else from its own starts.
-
-        An effect of the rig biases the plain twin's nuisance values, a large one up to their bounds. So a fit starts
-        from the datasheet's values; from the plain twin's where an effect is slow to compute, or a resonance whose
-        start needs small residuals, if the gap is small beside the floor of a rough stage.
-        """
-        known = {} if before is None else {r.candidate.effects: r.candidate for r in before.order}
-        rough = rough_beside(self.null, self.ground)
-        near = rough != rough_stages(self.ground)
-        for name in slow_first(names):
-            if (name,) in known and not CATALOGUE[name].nonlinear:
-                c = known[name,]
-                yield Task(self.ground, (name,), (c.fit.values,), c.fit.theta, (PROBE,))
-            else:
-                from_plain = near and (slow_to_compute(name) or name in GOOD_START)
-                theta = self.null.fit.theta if from_plain else self.ground.theta
-                yield task_beside(name, self.null, self.null, self.plain, self.ground, theta, rough)
 
     def curved(self) -> bool:
         """Whether a curved characteristic explains most of the gap and more than any effect: no mixtures then.

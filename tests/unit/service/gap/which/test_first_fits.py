@@ -1,0 +1,95 @@
+"""What takes long to fit is given up where another effect explains the gap, and only there."""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from service.gap.fitting.candidates import Candidate, Fitter
+from service.gap.fitting.fit import Problem
+from service.gap.fitting.fitted import Fit
+from service.gap.fitting.stage import COARSE, MIDDLE, PROBE, Stage
+from service.gap.which import first_fits as module
+from service.gap.which.first_fits import OUT_OF_REACH, first_fits, most_left_by_another
+from service.gap.which.one_more_effect import rough_beside
+from tests.unit.service.gap.where.test_dependence import plant
+
+Real = NDArray[np.float64]
+pytestmark = pytest.mark.slow
+LONG = ("extra_flexible_mode", "magnetic_hysteresis", "magnetic_saturation", "off_centre_rotor", "support_resonance")
+
+
+PASSES: dict[str, set[Stage]] = defaultdict(set)
+"""Stages that fits of each effect have gone through, since a test cleared them."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def recorded() -> Iterator[None]:
+    run = Problem.run
+
+    def recording(self: Problem, x: Real, stage: Stage) -> Fit:
+        for effect in self.unknowns.effects:
+            PASSES[effect.id].add(stage)
+        return run(self, x, stage)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Problem, "run", recording)
+        yield
+
+
+def found_in(kind: str, *names: str) -> dict[str, Candidate]:
+    PASSES.clear()
+    e, _ = plant(kind)
+    with Fitter(1) as fitter:
+        found = first_fits(fitter, e.ground, (e.null.candidate, e.plain), names)
+    return {c.effects[0]: c for c in found}
+
+
+@pytest.fixture(scope="module")
+def of_a_lag() -> dict[str, Candidate]:
+    found = found_in("linear", *LONG, "sensor_gain", "sensor_lag")
+    assert all(PASSES[name] == {COARSE, PROBE} for name in LONG)
+    assert all(PASSES[name] == {COARSE, MIDDLE, PROBE} for name in ("sensor_gain", "sensor_lag"))
+    return found
+
+
+def test_no_effect_is_left_out_and_the_true_one_is_fitted_to_its_end(of_a_lag: dict[str, Candidate]) -> None:
+    assert set(of_a_lag) == {*LONG, "sensor_gain", "sensor_lag"}
+    best = min(of_a_lag.values(), key=lambda c: c.fit.cost)
+    assert best.effects == ("sensor_lag",)
+    assert best.fit.cost < 1.2 * best.fit.n_residuals, "to noise"
+    null = plant("linear")[0].null.candidate
+    assert all(of_a_lag[name].fit.cost > 10 * best.fit.cost for name in LONG)
+    assert all(of_a_lag[name].fit.cost < 2 * null.fit.cost for name in LONG), "given up, but not thrown away"
+
+
+def test_what_was_given_up_is_no_better_when_it_is_not(
+    of_a_lag: dict[str, Candidate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "OUT_OF_REACH", math.inf)
+    to_the_end = found_in("linear", *LONG, "sensor_lag")
+    assert all(PASSES[name] == {COARSE, MIDDLE, PROBE} for name in LONG)
+    for name in LONG:
+        assert to_the_end[name].fit.cost > 10 * of_a_lag["sensor_lag"].fit.cost
+        assert to_the_end[name].fit.cost > 0.5 * of_a_lag[name].fit.cost
+
+
+def test_a_limit_is_set_by_the_gap_and_only_where_an_effect_explains_it(of_a_lag: dict[str, Candidate]) -> None:
+    e, null = plant("linear")[0], plant("linear")[0].null.candidate
+    assert rough_beside(null, e.ground) == (COARSE, MIDDLE)
+    lag, gain = of_a_lag["sensor_lag"], of_a_lag["sensor_gain"]
+    assert most_left_by_another(e.ground, null, [], (COARSE,)) == {}
+    assert most_left_by_another(e.ground, null, [gain], (COARSE,)) == {}
+    most = most_left_by_another(e.ground, null, [gain, lag], (COARSE, MIDDLE))
+    plain_left = (null.fit.cost - null.fit.n_residuals) / null.fit.n_residuals
+    assert 0 < most[COARSE] < most[MIDDLE] < OUT_OF_REACH * plain_left, "of the gap beyond the floor of the stage"
+
+
+def test_the_true_effect_is_found_though_it_takes_long() -> None:
+    found = found_in("bent", *LONG, "sensor_gain", "sensor_lag")
+    best = min(found.values(), key=lambda c: c.fit.cost)
+    assert best.effects == ("magnetic_saturation",)
+    assert best.fit.values[0]["saturation_inverse_per_a"] == pytest.approx(0.6, rel=0.1)
