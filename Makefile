@@ -1,7 +1,7 @@
 # Everything sets itself up: a fresh machine needs Python 3.11 and make, no root and no activated environment.
 #   make demo    the main job on a simulated rig
 #   make test    the tests and doctests, with branch coverage
-#   make long    the tests marked slow: whole diagnoses, fits and campaigns
+#   make long    the tests marked slow: whole diagnoses, fits, campaigns, outages
 #   make check   style, types and import arrows
 #   make bench   every benchmark, one after another
 # Another interpreter: make test PYTHON=/path/to/python3
@@ -31,7 +31,7 @@ PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist loadscope -
 test: $(VENV)/.dev ## the tests and doctests, with branch coverage
 	$(PYTEST) -m "not slow" --cov --cov-report=term $(ARGS)
 
-long: $(VENV)/.dev ## the tests marked slow: whole diagnoses, fits and campaigns
+long: $(VENV)/.dev ## the tests marked slow: whole diagnoses, fits, campaigns, outages
 	$(PYTEST) -m slow $(ARGS)
 
 check: $(VENV)/.dev ## ruff, mypy (strict but for benchmarks), import-linter

@@ -25,7 +25,6 @@ from service.campaign.run import run_campaign
 from service.experiment.data import Experiment
 from sim.reference import reference_datasheet, reference_rig
 
-pytestmark = pytest.mark.slow
 SEED = 7
 FAULTS = ",".join(f"{kind}=0.0002" for kind in KINDS if kind not in ("corrupt", "stale")) + ",corrupt=1e-5,stale=1e-5"
 """Wrong values are rarer than lost ones: a raw record has thousands of frames, and one CRC."""
@@ -48,6 +47,7 @@ def in_process(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     return campaign(SimulatedController(reference_rig(), SEED), tmp_path_factory.mktemp("in-process"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "serve",
     [
@@ -75,6 +75,7 @@ class Terse(RigDevice):
         return replace(super().capabilities(), raw_records=False)
 
 
+@pytest.mark.slow
 def test_experiment_over_canopen_equals_the_one_in_process(tmp_path: Path) -> None:
     reference = campaign(SimulatedController(Terse(reference_rig(), SEED)), tmp_path / "in process")
     served = serve_canopen(Terse(reference_rig(), SEED), CanOptions())

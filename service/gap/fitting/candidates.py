@@ -112,14 +112,15 @@ def _fit_all(task: Task) -> Candidate:
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)
     unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
     first = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
-    vectors, may_skip = first, (problem.model.nonlinear or task.good_start) and rough and len(first) > 1
+    vectors, given_up = first, False
     for stage in rough:
         ends = _ends_of(problem, vectors, stage)
-        vectors = _apart([x for _, x in ends[:KEPT_STARTS]])
-        if ends and ends[0][0] > task.most_left.get(stage, np.inf):
-            vectors, may_skip = vectors[:1], False
+        vectors = _apart([unknowns.vector(fit) for fit in ends[:KEPT_STARTS]])
+        given_up = bool(ends) and problem.left_by(ends[0], stage) > task.most_left.get(stage, np.inf)
+        if given_up:
+            vectors = vectors[:1]
             break
-    if may_skip:
+    if rough and not given_up and len(first) > 1 and (problem.model.nonlinear or task.good_start):
         vectors += _best_start(problem, first)
     best: Fit | None = None
     for x in vectors:
@@ -134,14 +135,13 @@ def _fit_all(task: Task) -> Candidate:
     return Candidate(task.effects, best, occam(unknowns, best), _deviations(unknowns, best))
 
 
-def _ends_of(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list[tuple[float, Real]]:
-    """Where a rough stage ends that is run from each vector, and what it leaves per residual; the best end first."""
-    ends: list[tuple[float, Real]] = []
+def _ends_of(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list[Fit]:
+    """Where a rough stage ends that is run from each vector, the best end first."""
+    ends: list[Fit] = []
     for x in vectors:
         with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to an impossible rig; another may not
-            fit = problem.run(x, stage)
-            ends.append((problem.left_by(fit, stage), problem.unknowns.vector(fit)))
-    return sorted(ends, key=lambda end: end[0])
+            ends.append(problem.run(x, stage))
+    return sorted(ends, key=lambda fit: fit.cost)
 
 
 def _apart(vectors: Sequence[Real]) -> list[Real]:

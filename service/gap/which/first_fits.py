@@ -46,7 +46,9 @@ def first_fits(
     Parameters
     ----------
     plain_fit
-        The plain twin and its residuals, as of `service.gap.which.search.plain_twin`.
+        The plain twin and its weighted residuals, (P, H, n) per sweep, as of `service.gap.which.search.plain_twin`.
+    names
+        Effects of the part to be fitted; one of which no start leads to a possible rig is left out.
     before
         The result on fewer sweeps.
     continued
