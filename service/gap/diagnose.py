@@ -118,6 +118,8 @@ def _diagnosis(
     whole = with_drift_rate(composed(nu, found.parts), nu.rig, data.duration_s)
     null = whole.null.candidate
     sources = _measured_sources(data, whole)
+    likely = whole.order[0].candidate  # which the verdict will most often name: its loop is computed meanwhile
+    loop = fitter.beside(partial(loop_of, nu, null, likely, o))
     lost = None if data.erratic is None else LostLoop.of(data.erratic, null.fit.rig)
     verdict = overall_verdict(
         found.parts,
@@ -136,7 +138,8 @@ def _diagnosis(
         whole = with_limit(whole, nu, lost)
     whole = with_interference(whole, verdict.effects, sources)
     chosen = next((r.candidate for r in whole.order if r.candidate.effects == verdict.effects), null)
-    loop = fitter.beside(partial(loop_of, nu, null, chosen, o))
+    if chosen is not likely:
+        loop = fitter.beside(partial(loop_of, nu, null, chosen, o))
     pair = pair_to_separate(whole.order, verdict) if propose else None
     proposal = _proposal(pair, data, datasheet, rig, fitter) if pair else None
     shrunk = _shrinkages(whole, data, found, verdict, sources)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,8 +19,9 @@ import numpy as np
 from service.distributions import normal_tail
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.nuisance import Nuisance
-from service.gap.proposal.case import Case, Grounds, case
+from service.gap.proposal.case import Grounds, case
 from service.gap.proposal.options import Option, options
+from service.gap.proposal.rehearsal import Rehearsal
 from service.gap.proposal.separation import separations
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
@@ -36,38 +37,46 @@ BY_HAND = 0.05
 class _Outlook:
     """How well an option's experiment would separate two explanations."""
 
-    case: Case
+    option: Option
+    """as it is submitted"""
+    campaign: Rehearsal
     distances: tuple[float, float]
     """of the predictions, in standard deviations, if the one explanation is true and if the other is"""
 
     @property
     def odds(self) -> float:
-        """Probability that the true one explains the outcome better, with even prior odds."""
-        return float(np.mean([normal_tail(-d / 2) for d in self.distances]))
+        """As `odds` of the distances."""
+        return odds(self.distances)
 
     def order(self) -> tuple[bool, bool, float]:
         """Sort key, the best one first."""
-        by_hand = bool(self.case.option.by_hand)
+        by_hand = bool(self.option.by_hand)
         if self.odds < SURE:
             return True, False, BY_HAND * by_hand - self.odds
-        return False, by_hand, self.case.rig_seconds
+        return False, by_hand, self.campaign.rig_seconds
 
     def figures(self) -> dict[str, float]:
         """As in gap.json; of the two distances the smaller one."""
         return {
             "distance_sd": min(self.distances),
             "odds_of_telling_apart": self.odds,
-            "rig_seconds": self.case.rig_seconds,
+            "rig_seconds": self.campaign.rig_seconds,
         }
 
 
+def odds(distances: tuple[float, float]) -> float:
+    """Probability that the true explanation explains the outcome better, with even prior odds."""
+    return float(np.mean([normal_tail(-d / 2) for d in distances]))
+
+
 def _outlook(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, option: Option) -> _Outlook | None:
-    """How well an option would separate two explanations; None where it has been measured or cannot be."""
+    """How well an option would separate two explanations; None where it is not worth its time or cannot be measured."""
     try:
         planned = case(option, a.fit.rig, nuisance.rig, grounds)
         if planned is None:
             return None
-        return _Outlook(planned, separations(nuisance, a, b, planned.main, planned.option))
+        distances = separations(nuisance, a, b, planned.main, planned.option)
+        return _Outlook(planned.option, planned.campaign.whole(), distances) if odds(distances) >= WORTH else None
     except (AmbError, ValueError, np.linalg.LinAlgError):
         return None  # this rig cannot be brought to that condition
 
@@ -101,13 +110,13 @@ class Proposal:
 
     def document(self) -> dict[str, Any] | None:
         """The proposal as in gap.json, once it is found; None where no affordable option separates them."""
-        ranking = _worth(self._started)
+        ranking = [t for t in self._started if t is not None]
         if not any(t.odds >= SURE for t in ranking):
-            ranking += _worth(self._outlooks(by_hand=True))
+            ranking += [t for t in self._outlooks(by_hand=True) if t is not None]
         if not ranking:
             return None
         best, *others = sorted(ranking, key=_Outlook.order)
-        option = best.case.option
+        option = best.option
         return {
             "separates": ["+".join(c.effects) or "none" for c in self._pair],
             "experiment": option.name,
@@ -115,18 +124,14 @@ class Proposal:
             **best.figures(),
             "speed_rad_s": option.speed_rad_s,
             "set_point_share_of_gap": option.offset,
-            "tones": tones(best.case, self._pair[0].fit.rig.axes),
+            "tones": tones(best.campaign, self._pair[0].fit.rig.axes),
             "by_hand": list(option.by_hand),
             **submission(option, self._name),
-            "alternatives": [{"experiment": other.case.option.name, **other.figures()} for other in others],
+            "alternatives": [{"experiment": other.option.name, **other.figures()} for other in others],
         }
 
 
-def _worth(outlooks: Iterable[_Outlook | None]) -> list[_Outlook]:
-    return [t for t in outlooks if t is not None and t.odds >= WORTH]
-
-
-def tones(planned: Case, axes: tuple[str, ...]) -> list[dict[str, Any]]:
+def tones(campaign: Rehearsal, axes: tuple[str, ...]) -> list[dict[str, Any]]:
     """Tones that the campaign is expected to play in the sweeps that a diagnosis uses."""
     return [
         {
@@ -136,7 +141,7 @@ def tones(planned: Case, axes: tuple[str, ...]) -> list[dict[str, Any]]:
             "amplitude_a": p.request.amplitude_a,
         }
         for sweep in ("main", "validation")
-        for p in sorted(planned.points.get(sweep, ()), key=lambda p: (p.frequency_hz, p.request.axis))
+        for p in sorted(campaign.points.get(sweep, ()), key=lambda p: (p.frequency_hz, p.request.axis))
     ]
 
 

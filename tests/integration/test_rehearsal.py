@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.gap.proposal.case import limits_of
-from service.gap.proposal.rehearsal import rehearsed
+from service.gap.proposal.rehearsal import BegunCampaign
 from service.gap.proposal.sensor_noise import SensorNoise
 from sim.reference import reference_rig
 from tests.support.campaigns import SHEET, SMALL
@@ -14,7 +14,7 @@ def test_the_rehearsal_tells_what_the_rig_gets(whole):
     _, experiment, _ = whole
     main = experiment.named("main")
     noise = SensorNoise.of(main, reference_rig())
-    told = rehearsed(reference_rig(), limits_of(SHEET), SMALL, noise)
+    told = BegunCampaign(reference_rig(), limits_of(SHEET), SMALL, noise).whole()
     assert told.rig_seconds == pytest.approx(float(experiment.attributes["rig_seconds"]), rel=0.15)
     assert set(told.points) == {"preliminary", "main", "validation", "amplifier"}
     for name, points in told.points.items():

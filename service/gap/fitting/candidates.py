@@ -29,6 +29,8 @@ Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 
+Starts = tuple[tuple[Values, ...], ...]
+
 KEPT_STARTS, SAME_END = 2, 0.01
 """Best vectors that are kept after each rough stage of a fit, if they differ by more than this in some value: in units
 of a tolerance, of a parameter's scale, or in nats."""
@@ -57,8 +59,8 @@ class Task:
 
     ground: Ground
     effects: tuple[str, ...]
-    starts: tuple[tuple[Values, ...], ...]
-    """Alternative starting values, one mapping per effect each."""
+    starts: Starts | Callable[[], Starts]
+    """Alternative starting values, one mapping per effect each; or what finds them, where they are fitted."""
     theta: Real
     """(k,) deviations to start from"""
     stages: tuple[Stage, ...] = (COARSE, MIDDLE, EXACT)
@@ -75,13 +77,18 @@ class Task:
     most_left: Mapping[Stage, float] = field(default_factory=dict)
     """What some rough stages may leave beyond noise, per residual, for further ones to be worth their time."""
 
+    def all_starts(self) -> Starts:
+        """The starting values, found now where they are not given."""
+        return self.starts() if callable(self.starts) else self.starts
+
 
 def fit_task(task: Task) -> Candidate:
     """Fit one explanation from each of its starts, and keep the best."""
-    return _fit_all(task) if task.frozen is None else _fit_beside(task, task.frozen)
+    starts = task.all_starts()
+    return _fit_all(task, starts) if task.frozen is None else _fit_beside(task, starts, task.frozen)
 
 
-def _fit_beside(task: Task, frozen: Candidate) -> Candidate:
+def _fit_beside(task: Task, starts: Starts, frozen: Candidate) -> Candidate:
     """Fit an explanation's effects but for the nonlinear ones of ``frozen``, which stay as they are."""
     fixed = {name: v for name, v in zip(frozen.effects, frozen.fit.values, strict=True) if slow_to_compute(name)}
     rest = [k for k, name in enumerate(task.effects) if name not in fixed]
@@ -89,10 +96,9 @@ def _fit_beside(task: Task, frozen: Candidate) -> Candidate:
         task,
         ground=replace(task.ground, found=(*task.ground.found, *fixed.items())),
         effects=tuple(task.effects[k] for k in rest),
-        starts=tuple(tuple(start[k] for k in rest) for start in task.starts),
         frozen=None,
     )
-    c = _fit_all(free)
+    c = _fit_all(free, tuple(tuple(start[k] for k in rest) for start in starts))
     values = {**fixed, **dict(zip(c.effects, c.fit.values, strict=True))}
     deviations = {
         **dict(zip(frozen.effects, frozen.standard_deviations, strict=True)),
@@ -104,14 +110,14 @@ def _fit_beside(task: Task, frozen: Candidate) -> Candidate:
     return Candidate(task.effects, fit, occam_factor, tuple(deviations[name] for name in task.effects))
 
 
-def _fit_all(task: Task) -> Candidate:
+def _fit_all(task: Task, starts: Starts) -> Candidate:
     """Fit all effects of an explanation: rough stages sort its starts, the last stage goes on from the best ones."""
-    dormant = frozenset.intersection(*(dormant_at_null(task.effects, values) for values in task.starts))
+    dormant = frozenset.intersection(*(dormant_at_null(task.effects, values) for values in starts))
     if len({o.speed_rad_s for o in task.ground.observations}) > 1:
         dormant -= BY_SPEED
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)
     unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
-    first = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in task.starts]
+    first = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in starts]
     vectors, given_up = first, False
     for stage in rough:
         ends = _ends_of(problem, vectors, stage)

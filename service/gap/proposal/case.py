@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe
 from service.gap.observed import Observed
 from service.gap.proposal.options import LOUD, Option
-from service.gap.proposal.rehearsal import HARMONICS, MOST_SAMPLES, Rehearsal, rehearsed
+from service.gap.proposal.rehearsal import HARMONICS, MOST_SAMPLES, BegunCampaign
 from service.gap.proposal.sensor_noise import SensorNoise, fed_back
 from sim.datasheet import Datasheet
 from sim.harmonic_balance import STATIC_HZ, Responder, respond_to_excitation, time_points
@@ -59,13 +59,11 @@ def limits_of(datasheet: Datasheet) -> Limits:
 
 @dataclass(frozen=True)
 class Case:
-    """An option's campaign on a twin."""
+    """An option's campaign on a twin, up to its main sweep."""
 
     option: Option
     """as it is submitted, with the accuracy that leads to the wanted amplitude"""
-    points: Mapping[str, Sequence[Point]]
-    """by sweep"""
-    rig_seconds: float
+    campaign: BegunCampaign
     main: Observation
     """the sweep that a diagnosis would fit"""
 
@@ -93,10 +91,10 @@ def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
         if max(reached, 1 / reached) < ANOTHER_AMPLITUDE or (reached > 1) != (option.amplitude > 1):
             return None
     sweep = predicted(excited, at_condition, grounds)
-    return Case(option, campaign.points, campaign.rig_seconds, observe(thinned(sweep), twin))
+    return Case(option, campaign, observe(thinned(sweep), twin))
 
 
-def _at_amplitude(option: Option, rig: Rig, grounds: Grounds) -> tuple[Option, Rehearsal]:
+def _at_amplitude(option: Option, rig: Rig, grounds: Grounds) -> tuple[Option, BegunCampaign]:
     """The option with the accuracy for which the planner chooses the wanted amplitude, and its campaign.
 
     The accuracy is scaled from a first rehearsal, as amplitudes are inversely proportional to it.
@@ -104,15 +102,15 @@ def _at_amplitude(option: Option, rig: Rig, grounds: Grounds) -> tuple[Option, R
     if (times := option.amplitude) is not None:
         if times > 1:
             option = replace(option, profile={**option.profile, **LOUD})
-        tried = _excited(rehearsed(rig, grounds.limits, option.plan(), grounds.noise, main_only=True))
+        tried = _excited(BegunCampaign(rig, grounds.limits, option.plan(), grounds.noise))
         wanted = Profile().accuracy * _ratio(tried, times > 1, grounds) / times
         accuracy = float(f"{np.clip(wanted, FINEST, COARSEST):.3g}")
         option = replace(option, profile={**option.profile, "accuracy": accuracy})
-    return option, rehearsed(rig, grounds.limits, option.plan(), grounds.noise)
+    return option, BegunCampaign(rig, grounds.limits, option.plan(), grounds.noise)
 
 
-def _excited(campaign: Rehearsal) -> list[Point]:
-    return [p for p in campaign.points.get("main", ()) if p.excited]
+def _excited(campaign: BegunCampaign) -> list[Point]:
+    return [p for p in campaign.main if p.excited]
 
 
 def _ratio(points: Sequence[Point], largest: bool, grounds: Grounds) -> float:

@@ -6,7 +6,7 @@ sensors and with the transient of each start, so that the planner waits for sett
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,25 +122,42 @@ def _per_ampere(rig: Rig, frequency_hz: Real) -> Complex:
     return np.stack([u_per_r, model.i_per_u @ u_per_r, model.y_per_u @ u_per_r])
 
 
-def rehearsed(rig: Rig, limits: Limits, profile: Profile, noise: SensorNoise, main_only: bool = False) -> Rehearsal:
-    """The campaign of a profile on a rig; with ``main_only`` it stops after the main sweep.
+class BegunCampaign:
+    """The campaign of a profile on a rig, rehearsed up to its main sweep."""
 
-    Raises
-    ------
-    LevitationError
-        Its controller does not hold that rig.
-    CampaignError
-        The planner cannot go on.
-    """
-    rate = limits.sample_rate_hz
-    spectra = noise.spectra(rig, rate / 2)
-    recorder = Recorder(_LinearRig(rig, rate, spectra), [], lambda _: None, rate, HARMONICS)
-    done: dict[str, list[Point]] = {}
-    phases = Phases(recorder, limits, profile, Meter(None), done)
-    phases.knowledge = Knowledge(spectra, rig.n_axes)
-    phases.preliminary_sweep()
-    phases.main_sweep()
-    if not main_only:
-        phases.validation_sweep()
-        phases.amplifier_sweep()
-    return Rehearsal(done, recorder.rig_seconds + NOISE_S + PERIODIC_S * rig.n_axes)
+    def __init__(self, rig: Rig, limits: Limits, profile: Profile, noise: SensorNoise) -> None:
+        """Rehearse it.
+
+        Raises
+        ------
+        LevitationError
+            Its controller does not hold that rig.
+        CampaignError
+            The planner cannot go on.
+        """
+        rate = limits.sample_rate_hz
+        spectra = noise.spectra(rig, rate / 2)
+        self._recorder = Recorder(_LinearRig(rig, rate, spectra), [], lambda _: None, rate, HARMONICS)
+        self._n_axes = rig.n_axes
+        self._done: dict[str, list[Point]] = {}
+        self._phases = Phases(self._recorder, limits, profile, Meter(None), self._done)
+        self._phases.knowledge = Knowledge(spectra, rig.n_axes)
+        self._phases.preliminary_sweep()
+        self._phases.main_sweep()
+
+    @property
+    def main(self) -> Sequence[Point]:
+        """Points of the main sweep."""
+        return self._done.get("main", ())
+
+    def whole(self) -> Rehearsal:
+        """The campaign with the sweeps that follow; asked for once.
+
+        Raises
+        ------
+        CampaignError
+            The planner cannot go on.
+        """
+        self._phases.validation_sweep()
+        self._phases.amplifier_sweep()
+        return Rehearsal(self._done, self._recorder.rig_seconds + NOISE_S + PERIODIC_S * self._n_axes)

@@ -31,8 +31,9 @@ STARTS = (*((s * sign, 0.0) for s in SIZES for sign in (1, -1)), *((0.0, s) for 
 """Starts of a fit: changes of frequency and of damping at the largest amplitude, in half widths of the peak."""
 FITTED_STARTS = 2
 """Number of (mode, start), those of least cost, that are fitted."""
-MAX_EVALUATIONS = 25
-"""Of a fit."""
+MAX_EVALUATIONS, PRECISION = 25, 1e-4
+"""Of a fit: evaluations, and the relative decrease of the cost or step of the solution at which it ends. Where no mode
+changes it ends after a few steps, and where one does, far within the chi-square that it has to explain."""
 AMPLITUDE_ITERATIONS = 60
 """Fixed-point iterations for the amplitude of a mode that depends on its own amplitude."""
 
@@ -143,9 +144,16 @@ class _ModeProblem:
         """The solution of least squares from a start."""
         bound = np.concatenate([np.full(len(x) - 2, TOLERANCE_BOUND), [np.inf, np.inf]])
         inside = np.clip(x, -0.999 * bound, 0.999 * bound)
-        bounds = (-bound, bound)
         return np.asarray(
-            scipy.optimize.least_squares(self.residuals, inside, self.jacobian, bounds, max_nfev=MAX_EVALUATIONS).x
+            scipy.optimize.least_squares(
+                self.residuals,
+                inside,
+                self.jacobian,
+                (-bound, bound),
+                ftol=PRECISION,
+                xtol=PRECISION,
+                max_nfev=MAX_EVALUATIONS,
+            ).x
         )
 
     def cost(self, x: Real) -> float:

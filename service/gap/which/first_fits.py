@@ -69,9 +69,11 @@ def first_fits(
 
     if not rough:
         return fitter.run(tasks(names, {}))
-    quick = fitter.run(tasks((name for name in names if not _takes_long(name)), {}))
-    most_left = most_left_by_another(ground, null, [*quick, *continued], rough)
-    return [*quick, *fitter.run(tasks((name for name in names if _takes_long(name)), most_left))]
+    found: list[Candidate] = []
+    for some in _rounds(names):
+        most_left = most_left_by_another(ground, null, [*found, *continued], rough) if found else {}
+        found += fitter.run(tasks(some, most_left))
+    return found
 
 
 def most_left_by_another(
@@ -94,9 +96,11 @@ def most_left_by_another(
     return left
 
 
-def _takes_long(name: str) -> bool:
-    """Whether an effect takes long to fit: slow to compute, or with many local minima."""
-    return slow_to_compute(name) or name in RESONANCES
+def _rounds(names: Sequence[str]) -> list[list[str]]:
+    """The effects by how long they take to fit: quick ones, those of many local minima, those slow to compute."""
+    slow = [name for name in names if slow_to_compute(name)]
+    resonances = [name for name in names if name in RESONANCES]
+    return [[name for name in names if name not in {*slow, *resonances}], resonances, slow]
 
 
 def _solved(name: str, before: Explained | None) -> Candidate | None:

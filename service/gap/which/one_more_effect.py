@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def task_beside(
 
     It starts from the nuisance vector ``theta``; ``rough`` are the rough stages for effects with a good start.
     """
-    effect_starts, effects = _starts(first, name, left, ground), (*first.effects, name)
+    effect_starts, effects = partial(_starts, first, name, tuple(left), ground), (*first.effects, name)
     frozen = first if any(slow_to_compute(e) for e in first.effects) else None
     if name in NARROW_MINIMUM:
         return Task(ground, effects, effect_starts, first.fit.theta, (PROBE,), frozen, null.occam)

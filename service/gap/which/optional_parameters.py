@@ -7,14 +7,15 @@ it acts (`Parameter.wakes`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.gap.fitting.candidates import Candidate, Fitter, Task
+from service.gap.fitting.candidates import Candidate, Fitter, Starts, Task
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
@@ -116,8 +117,12 @@ def with_all_parameters(task: Task) -> Task | None:
     """The task with the dormant parameters of its last effect fitted, from each of its starts; None without any."""
     *_, name = task.effects
     dormant = _dormant_starts(name, task.ground)
-    starts = tuple((*others, {**own, **more}) for *others, own in task.starts for more in dormant)
-    return replace(task, starts=starts) if dormant else None
+    return replace(task, starts=partial(_woken, task, dormant)) if dormant else None
+
+
+def _woken(task: Task, dormant: Sequence[Mapping[str, float]]) -> Starts:
+    """Every start of a task, with each of the starts of its last effect's ``dormant`` parameters."""
+    return tuple((*others, {**own, **more}) for *others, own in task.all_starts() for more in dormant)
 
 
 def _tasks(ground: Ground, c: Candidate) -> Iterator[Task]:

@@ -11,7 +11,7 @@ from service.gap.measured.condition import ANOTHER_AMPLITUDE
 from service.gap.measured.observation import MODEL_FLOOR, observe
 from service.gap.proposal.case import Case, Grounds, amplitude_there, case, limits_of, measured_already
 from service.gap.proposal.options import LOUD, Option, options
-from service.gap.proposal.rehearsal import rehearsed
+from service.gap.proposal.rehearsal import BegunCampaign
 from service.gap.proposal.sensor_noise import SensorNoise
 from sim.errors import LevitationError
 from tests.support.synthetic import known_datasheet, sweep, true_rig
@@ -46,7 +46,7 @@ def test_every_case_rises_within_limits_and_is_no_condition_that_was_measured(ca
         assert np.all(np.diff(c.main.frequency_hz) > 0), name
         assert c.main.frequency_hz[0] >= 0.99 * plan.from_hz, name
         assert c.main.frequency_hz[-1] <= min(1.01 * plan.to_hz, limits.max_frequency_hz), name
-        points = [p for p in c.points["main"] if p.excited]
+        points = [p for p in c.campaign.main if p.excited]
         assert np.mean([measured_already(c.option, p, KNOWN.sweeps) for p in points]) <= 0.5, name
         f = c.main.fundamental
         assert max(p.request.amplitude_a for p in points) <= limits.max_amplitude_a
@@ -57,13 +57,13 @@ def test_every_case_rises_within_limits_and_is_no_condition_that_was_measured(ca
 
 
 def test_larger_means_larger_than_the_second_sweep_too(cases: dict[str, Case]) -> None:
-    points = [p for p in cases["larger_amplitude"].points["main"] if p.excited]
+    points = [p for p in cases["larger_amplitude"].campaign.main if p.excited]
     ratios = [p.request.amplitude_a / amplitude_there(KNOWN.sweeps[1], p.request.axis, p.frequency_hz) for p in points]
     assert np.median(ratios) > ANOTHER_AMPLITUDE
 
 
 def test_smaller_means_smaller_than_the_first_sweep_too(cases: dict[str, Case]) -> None:
-    points = [p for p in cases["smaller_amplitude"].points["main"] if p.excited]
+    points = [p for p in cases["smaller_amplitude"].campaign.main if p.excited]
     ratios = [p.request.amplitude_a / amplitude_there(KNOWN.sweeps[0], p.request.axis, p.frequency_hz) for p in points]
     assert np.median(ratios) < 1 / ANOTHER_AMPLITUDE
 
@@ -77,7 +77,7 @@ def test_what_has_been_run_is_not_proposed_again(cases: dict[str, Case]) -> None
 
 
 def test_a_condition_is_speed_set_point_band_and_amplitude(cases: dict[str, Case]) -> None:
-    (point,) = [p for p in cases["set_point"].points["main"] if p.request.axis == 0 and p.frequency_hz > 80][:1]
+    (point,) = [p for p in cases["set_point"].campaign.main if p.request.axis == 0 and p.frequency_hz > 80][:1]
     swept_there = amplitude_there(KNOWN.sweeps[0], 0, point.frequency_hz)
     assert swept_there == pytest.approx(0.04)
     point = replace(point, request=point.request.with_amplitude(swept_there))
@@ -92,17 +92,17 @@ def test_a_condition_is_speed_set_point_band_and_amplitude(cases: dict[str, Case
 
 
 def test_what_the_rig_has_done_at_its_limits_is_not_asked_for_again() -> None:
-    loudest = rehearsed(RIG, KNOWN.limits, replace(OPTIONS["larger_amplitude"].plan(), **LOUD), KNOWN.noise)
-    most = max(p.request.amplitude_a for p in loudest.points["main"])
+    loudest = BegunCampaign(RIG, KNOWN.limits, replace(OPTIONS["larger_amplitude"].plan(), **LOUD), KNOWN.noise)
+    most = max(p.request.amplitude_a for p in loudest.main)
     assert case(OPTIONS["larger_amplitude"], RIG, RIG, grounds([swept(0.04), swept(most)])) is None
 
 
 def test_a_case_is_the_campaign_of_the_profile_that_is_submitted(cases: dict[str, Case]) -> None:
     c = cases["larger_amplitude"]
-    again = rehearsed(RIG, KNOWN.limits, c.option.plan(), KNOWN.noise)
-    assert again.rig_seconds == c.rig_seconds
+    campaign, again = c.campaign.whole(), BegunCampaign(RIG, KNOWN.limits, c.option.plan(), KNOWN.noise).whole()
+    assert again.rig_seconds == campaign.rig_seconds
     tones = {name: [(p.frequency_hz, p.request) for p in points] for name, points in again.points.items()}
-    assert tones == {name: [(p.frequency_hz, p.request) for p in points] for name, points in c.points.items()}
+    assert tones == {name: [(p.frequency_hz, p.request) for p in points] for name, points in campaign.points.items()}
     assert {"preliminary", "main", "validation"} == set(tones), "nothing that no diagnosis uses, and a second sweep"
 
 
@@ -120,7 +120,7 @@ def test_floors_follow_the_planned_signal_and_noise_does_not(times: float) -> No
         sd[name] = c.main.sd_y[:, f][own], np.abs(c.main.Y[:, f][own])
     away = np.abs(np.log(sd["quiet"][1] / np.median(sd["quiet"][1]))) < 3
     assert sd["quiet"][0][away] == pytest.approx(MODEL_FLOOR * sd["quiet"][1][away], rel=0.3)
-    record_s = [p.request.blocks * p.request.samples / 1e4 for p in c.points["main"]]
+    record_s = [p.request.blocks * p.request.samples / 1e4 for p in c.campaign.main]
     expected = np.sqrt(np.median(KNOWN.noise.of_y) / np.median(record_s))
     assert np.median(np.sqrt(np.maximum(sd["loud"][0] ** 2 - (MODEL_FLOOR * sd["loud"][1]) ** 2, 0))) == pytest.approx(
         expected, rel=0.3

@@ -56,7 +56,7 @@ def test_the_true_one_explains_the_outcome_better_as_often_as_predicted() -> Non
     """Twenty noisy outcomes of the proposed experiment, both explanations fitted to each."""
     planned = named("larger_amplitude", grounds())
     d = left_over(*(Predicted(NU, c, planned.main, planned.option) for c in (A, B)))
-    points = sorted((p for p in planned.points["main"] if p.excited), key=lambda p: (p.frequency_hz, p.request.axis))
+    points = sorted((p for p in planned.campaign.main if p.excited), key=lambda p: (p.frequency_hz, p.request.axis))
     hz, draws = np.unique([p.frequency_hz for p in points]), 20
     amplitude = np.array([p.request.amplitude_a for p in points])
     block_s = float(np.median([p.request.samples / 1e4 for p in points]))
