@@ -51,8 +51,8 @@ def log_fault(
     if not gap or gap_significance(plain[1], ground.observations) <= SIGNIFICANT:
         return None
     if "controller" in gap and "logging_offset" not in gap["controller"].order[0].candidate.effects:
-        computed, as_uncertain = _with_displacement_computed(ground)
-        if _plain_excess(fitter, computed) < CURED * _plain_excess(fitter, as_uncertain):
+        cured, logged_alike = _plain_excesses(fitter, *_with_displacement_computed(ground))
+        if cured < CURED * logged_alike:
             return DISPLACEMENT
     if "amplifier" in gap:
         amplifiers = gap["amplifier"].ground
@@ -63,7 +63,7 @@ def log_fault(
         # than with the effects that the logged current shows in the amplifiers.
         c = gap["amplifier"].order[0].candidate
         found = (*amplifiers.found, *zip(c.effects, c.fit.values, strict=True))
-        cured, believed = (_plain_excess(fitter, g) for g in (ground_without_i, replace(ground_without_i, found=found)))
+        cured, believed = _plain_excesses(fitter, ground_without_i, replace(ground_without_i, found=found))
         if cured < CURED * min(_excess(plain[0].fit), believed):
             return "the logged coil current is not the one that moves the rotor"
     return None
@@ -114,10 +114,9 @@ def as_the_controller_saw(ground: Ground, o: Observation) -> Observation:
     return replace(o, Y=Y, sd_y=sd_y)
 
 
-def _plain_excess(fitter: Fitter, ground: Ground) -> float:
-    """Excess of the plain twin, refitted on this ground; infinite where it cannot be fitted."""
-    (plain,) = fitter.each([_plain(ground)])
-    return np.inf if plain is None else _excess(plain.fit)
+def _plain_excesses(fitter: Fitter, *grounds: Ground) -> list[float]:
+    """Excess of the plain twin, refitted on each ground; infinite where it cannot be fitted."""
+    return [np.inf if plain is None else _excess(plain.fit) for plain in fitter.each(map(_plain, grounds))]
 
 
 def _plain(ground: Ground) -> Task:

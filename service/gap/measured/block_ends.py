@@ -10,7 +10,7 @@ do blocks that are not consecutive. The share of each is estimated from the corr
 from __future__ import annotations
 
 import numpy as np
-import scipy
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from service.gap.measured.estimate import Estimate, plain_mean
@@ -58,7 +58,9 @@ def mean_variance_ratio(deviations: Complex, variance: Real, frequency_hz: Real,
     seen = np.array([_lagged_sum(e, lag) for lag in (0, 1)])[:, None]  # (2, 1, P)
     sums = np.concatenate([expected, seen], axis=1)[..., order]
     pooled = np.empty_like(sums)
-    pooled[..., order] = scipy.ndimage.uniform_filter1d(sums, 2 * NEIGHBOURS + 1, axis=-1)
+    # a running mean; ``scipy.ndimage``, which has one, takes longer to load than a whole experiment to be read
+    mirrored = np.pad(sums, [(0, 0), (0, 0), (NEIGHBOURS, NEIGHBOURS)], mode="symmetric")
+    pooled[..., order] = sliding_window_view(mirrored, 2 * NEIGHBOURS + 1, axis=-1).mean(axis=-1)
     systems = np.moveaxis(pooled, -1, 0)  # (P, 2, 3)
     systems[~enough, :, :2] = np.eye(2)  # not singular; what they give is not used
     block_variance, covariance = np.linalg.solve(systems[..., :2], systems[..., 2:])[..., 0].T

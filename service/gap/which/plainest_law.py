@@ -7,7 +7,7 @@ a fit of both ends anywhere along a valley, and neither value means anything. On
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from service.gap.fitting.stage import EXACT
 from service.gap.weighing.ranking import LOG_EVIDENCE_PER_EFFECT, Ranked, ranked, renormalised
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
+
+LeftOut = frozenset[tuple[str, str]]
+"""(effect, parameter) that are held at their null."""
 
 WORTH_BY_CHANCE = 1 / 70
 """Probability with which optional parameters that are null explain as much chi-square by chance, all together, below
@@ -43,8 +46,7 @@ def weighed_plainly(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) -> 
     least, others = 2 * LOG_EVIDENCE_PER_EFFECT, [r for r in order if r is not null]
     doubted = [r for r in others if cost(null.candidate) - cost(r.candidate) > least * len(r.candidate.effects)]
     found, price = [r.candidate for r in others], {}
-    for r in doubted:
-        plain = plainer_law(fitter, ground, r.candidate)
+    for r, plain in zip(doubted, plainer_laws(fitter, ground, [r.candidate for r in doubted]), strict=True):
         if plain is not r.candidate:
             found.append(plain)
             price[id(plain)] = LOG_EVIDENCE_PER_CHOICE * (len(_used(r.candidate)) - len(_used(plain)))
@@ -59,39 +61,65 @@ def weighed_plainly(fitter: Fitter, ground: Ground, order: Sequence[Ranked]) -> 
 
 
 def plainer_law(fitter: Fitter, ground: Ground, best: Candidate) -> Candidate:
-    """The explanation fitted without optional parameters, as many of them as cost little chi-square.
+    """As `plainer_laws` of one explanation."""
+    return plainer_laws(fitter, ground, [best])[0]
+
+
+def plainer_laws(fitter: Fitter, ground: Ground, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The explanations fitted without optional parameters, as many of them as cost little chi-square.
 
     Without all of them; or else without all that can be left out one by one; or else without one. Standard deviations
     stay those of the full law, as nothing says that the parameters left out are exactly null.
     """
-    used = _used(best)
-    per_residual = max(1.0, best.fit.chi_square / best.fit.n_residuals)
-    plain: dict[frozenset[tuple[str, str]], Candidate] = {}  # by the parameters left out
-
-    def fit(without: Sequence[frozenset[tuple[str, str]]]) -> None:
-        tasks = [Task(ground, best.effects, (best.fit.values,), best.fit.theta, (EXACT,), nulled=w) for w in without]
-        for task, c in zip(tasks, fitter.each(tasks), strict=True):
+    laws = [_Laws(c) for c in candidates]
+    for without in (_Laws.at_first, _Laws.several):
+        wanted = [(law, left_out) for law in laws for left_out in without(law)]
+        tasks = [law.task(ground, left_out) for law, left_out in wanted]
+        for (law, left_out), c in zip(wanted, fitter.each(tasks), strict=True):
             if c is not None:
-                plain[task.nulled] = replace(c, standard_deviations=best.standard_deviations)
+                law.plainer[left_out] = replace(c, standard_deviations=law.full.standard_deviations)
+    return [law.plainest() for law in laws]
 
-    def as_good() -> dict[frozenset[tuple[str, str]], Candidate]:
+
+@dataclass
+class _Laws:
+    """An explanation and what is fitted of it without some of its optional parameters."""
+
+    full: Candidate
+    plainer: dict[LeftOut, Candidate] = field(default_factory=dict)
+    """by the parameters left out"""
+
+    def at_first(self) -> list[LeftOut]:
+        """What to leave out at first: each parameter, and all of them."""
+        one_by_one = [frozenset([one]) for one in _used(self.full)]
+        return [*one_by_one, frozenset().union(*one_by_one)] if len(one_by_one) > 1 else one_by_one
+
+    def several(self) -> list[LeftOut]:
+        """What to leave out then: all that cost little one by one, where all parameters together cost more."""
+        used, good = frozenset(_used(self.full)), self._good()
+        several = frozenset().union(*(left_out for left_out in good if len(left_out) == 1))
+        return [several] if used not in good and len(several) > 1 and several != used else []
+
+    def task(self, ground: Ground, left_out: LeftOut) -> Task:
+        """The fit without some parameters."""
+        fit = self.full.fit
+        return Task(ground, self.full.effects, (fit.values,), fit.theta, (EXACT,), nulled=left_out)
+
+    def plainest(self) -> Candidate:
+        """The fit without most parameters that is about as good as the best; the full one where none is."""
+        good = self._good()
+        return max(good.items(), key=lambda one: (len(one[0]), -one[1].fit.cost))[1] if good else self.full
+
+    def _good(self) -> dict[LeftOut, Candidate]:
         """Those of the fits that are about as good as the best."""
         # along a valley the fit of the full law may have ended above its optimum, which a plainer one is nearer to
-        least = min([best.fit.cost, *(c.fit.cost for c in plain.values())])
+        least = min([self.full.fit.cost, *(c.fit.cost for c in self.plainer.values())])
+        per_residual = max(1.0, self.full.fit.chi_square / self.full.fit.n_residuals)
         return {
             left_out: c
-            for left_out, c in plain.items()
+            for left_out, c in self.plainer.items()
             if c.fit.cost - least < per_residual * chi2_above(WORTH_BY_CHANCE, len(left_out))
         }
-
-    everything, one_by_one = frozenset(used), [frozenset([one]) for one in used]
-    fit([*one_by_one, everything] if len(used) > 1 else one_by_one)
-    good = as_good()
-    several = frozenset().union(*(one for one in one_by_one if one in good))
-    if everything not in good and len(several) > 1 and several != everything:
-        fit([several])
-        good = as_good()
-    return max(good.items(), key=lambda one: (len(one[0]), -one[1].fit.cost))[1] if good else best
 
 
 def _used(c: Candidate) -> list[tuple[str, str]]:
