@@ -1,6 +1,6 @@
 # Everything sets itself up: a fresh machine needs Python 3.11 and make, no root and no activated environment.
 #   make demo    the main job on a simulated rig
-#   make test    the tests and doctests, with branch coverage
+#   make test    the tests and doctests; make test COVERAGE=yes measures branch coverage, too
 #   make long    the tests marked slow: whole diagnoses, fits, campaigns, outages
 #   make check   style, types and import arrows
 #   make bench   every benchmark, one after another
@@ -28,8 +28,8 @@ demo: $(VENV)/.demo ## commission a simulated rig, from nothing to result.json a
 
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder
 
-test: $(VENV)/.dev ## the tests and doctests, with branch coverage
-	$(PYTEST) -m "not slow" --cov --cov-report=term $(ARGS)
+test: $(VENV)/.dev ## the tests and doctests; with COVERAGE=yes their branch coverage, too
+	$(PYTEST) -m "not slow" $(if $(COVERAGE),--cov --cov-report=term) $(ARGS)
 
 long: $(VENV)/.dev ## the tests marked slow: whole diagnoses, fits, campaigns, outages
 	$(PYTEST) -m slow $(ARGS)
