@@ -105,6 +105,26 @@ def test_a_limit_is_set_by_the_gap_and_only_where_an_effect_explains_it(of_a_lag
     assert 0 < most[COARSE] < most[MIDDLE] < OUT_OF_REACH * plain_left, "of the gap beyond the floor of the stage"
 
 
+def test_what_is_slow_to_compute_is_given_up_where_a_resonance_explains_the_gap() -> None:
+    found, passes = found_in("resonant", *LONG, "sensor_gain"), dict(PASSES)
+    true = found["support_resonance"].fit
+    assert true.cost < 1.2 * true.n_residuals, "to noise"
+    assert all(MIDDLE in passes[name] for name in ("extra_flexible_mode", "support_resonance")), (
+        "nothing explained it yet"
+    )
+    assert all(MIDDLE not in passes[name] for name in ("magnetic_hysteresis", "magnetic_saturation"))
+
+
+def test_starts_are_those_that_are_given_or_that_are_found_where_they_are_fitted() -> None:
+    e, _ = plant("linear")
+    starts = (({"time_constant_s": 1e-5},), ({"time_constant_s": 1e-6},))
+    given, sought = (
+        fit_task(Task(e.ground, ("sensor_lag",), of, e.ground.theta, (EXACT,))) for of in (starts, lambda: starts)
+    )
+    assert given.fit.cost == sought.fit.cost
+    assert given.fit.values == sought.fit.values
+
+
 def test_the_true_effect_is_found_though_it_takes_long() -> None:
     found = found_in("bent", *LONG, "sensor_gain", "sensor_lag")
     best = min(found.values(), key=lambda c: c.fit.cost)

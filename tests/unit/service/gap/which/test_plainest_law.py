@@ -10,7 +10,7 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.which.explained import Explained
-from service.gap.which.plainest_law import plainer_law
+from service.gap.which.plainest_law import plainer_law, plainer_laws
 from service.gap.which.search import explain
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
@@ -49,6 +49,22 @@ def test_a_delay_that_a_pole_does_not_explain_stays_one() -> None:
     free, plain = fitted({"time_constant_s": 1e-7, "delay_s": delay_s}, BOTH, noise=1.0)
     assert plain is free
     assert plain.fit.values[0]["delay_s"] == pytest.approx(delay_s, rel=0.1)
+
+
+def test_explanations_together_are_as_each_alone() -> None:
+    datasheet, truth = known_datasheet(seed=4)
+    nu = nuisance(datasheet)
+    rig = with_effects(true_rig(truth), {"sensor_lag": {"time_constant_s": 8e-6, "delay_s": 0.0}})
+    o = observe(sweep(rig, lines(30), 0.4, 3, 3.0), nu.rig)
+    ground = Ground(nu, parts(nu, (o,))[-1], (o,), np.zeros(len(nu)))
+    gain = dict.fromkeys(("gain_change_xA", "gain_change_yA", "gain_change_xB", "gain_change_yB"), 0.01)
+    with Fitter(1) as fitter:
+        free = fitter.run(
+            [Task(ground, (e,), ((s,),), ground.theta) for e, s in [("sensor_lag", BOTH), ("sensor_gain", gain)]]
+        )
+        alone, together = [plainer_law(fitter, ground, c) for c in free], plainer_laws(fitter, ground, free)
+    assert [c.effects for c in together] == [("sensor_lag",), ("sensor_gain",)]
+    assert [c.fit.values for c in together] == [c.fit.values for c in alone]
 
 
 def test_of_three_shapes_the_two_that_are_not_needed_are_left_out_together() -> None:
