@@ -65,16 +65,12 @@ INTERRUPTED = 130
 """What typer makes of Ctrl-C; told and turned into `FAILED`."""
 
 
-RARELY = 100_000, 20, 20
-"""Thresholds of garbage collection: a command makes little garbage, and would be searched for it dozens of times while
-it loads."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """The matrices here are small: threads of linear algebra only wait for one another, and long on a busy machine."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: 0 done, 1 the job failed (one line on stderr), 2 bad usage (one line on stderr)."""
-    gc.set_threshold(*RARELY)
     status = run(sys.argv[1:] if arguments is None else arguments)
     gc.freeze()  # on its way out Python would search all that is loaded for garbage: about a second of a diagnosis
     sys.exit(status)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.console import Json, print_json, stdout
+from service.cli.garbage import seldom_collected
 from service.remarks import say
 from sim.wording import in_words
 
@@ -28,17 +29,18 @@ def diagnose(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON on stdout.")] = False,
 ) -> None:
     """Diagnose the gap between a rig's experiment and its twin; write gap.json and gap.html."""
-    from service import bootstrap
-    from service.cli.progress import percent_progress
-    from service.experiment import file
-    from service.output import results_in
-    from sim.rig_file import read
+    with seldom_collected():
+        from service import bootstrap
+        from service.cli.progress import percent_progress
+        from service.experiment import file
+        from service.output import results_in
+        from sim.rig_file import read
 
-    datasheet = read(rig)
-    with results_in(out):
-        measured = file.read(experiment)
-        with percent_progress("reading the experiment") as tell:
-            document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs, tell)
+        datasheet = read(rig)
+        with results_in(out):
+            measured = file.read(experiment)
+            with percent_progress("reading the experiment") as tell:
+                document, files = bootstrap.diagnose_into(measured, datasheet, out, jobs, tell)
     if as_json:
         print_json(document | {"files": {k: str(v) for k, v in files.items()}})
         return
