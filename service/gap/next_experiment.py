@@ -65,7 +65,10 @@ class _Outlook:
 
 
 def odds(distances: tuple[float, float]) -> float:
-    """Probability that the true explanation explains the outcome better, with even prior odds."""
+    """Probability that the true explanation explains the outcome better, with even prior odds.
+
+    ``distances`` are in standard deviations, as of `service.gap.proposal.separation.separations`.
+    """
     return float(np.mean([normal_tail(-d / 2) for d in distances]))
 
 

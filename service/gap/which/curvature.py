@@ -98,20 +98,23 @@ def _fitted(
     now = null.fit.theta[ground.part.active]
     low, high = (np.full(len(scale), far) for far in (-np.inf, np.inf))
     low[: len(now)], high[: len(now)] = -TOLERANCE_BOUND - now, TOLERANCE_BOUND - now
-    x = _bounded_minimum(hessian / np.outer(scale, scale), gradient / scale, low * scale, high * scale) / scale
+    x = bounded_minimum(hessian / np.outer(scale, scale), gradient / scale, low * scale, high * scale) / scale
     variance = np.diag(inverse)
     std = np.where(variance > 0, np.sqrt(np.maximum(variance, 0)), np.inf)
     return Curvature(ground, null, law, powers, x, std, float(2 * gradient @ x - x @ hessian @ x))
 
 
-def _bounded_minimum(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
-    """The minimum of x^T hessian x / 2 - gradient^T x between bounds."""
+def bounded_minimum(hessian: Real, gradient: Real, low: Real, high: Real) -> Real:
+    """The minimum x, (u,), of x^T hessian x / 2 - gradient^T x between bounds.
+
+    ``hessian`` is (u, u), positive semidefinite; the others are (u,).
+    """
     values, along = np.linalg.eigh(hessian)
     observable = values > NOTHING * values[-1]
     root = np.sqrt(values[observable])
     rows, target = root[:, None] * along[:, observable].T, along[:, observable].T @ gradient / root
     free = np.linalg.lstsq(rows, target, rcond=None)[0]
-    if np.all((low <= free) & (free <= high)):  # most often; to load the library below takes a third of a second
+    if np.all((low <= free) & (free <= high)):  # often; to load the library below takes a third of a second
         return np.asarray(free)
     return np.asarray(scipy.optimize.lsq_linear(rows, target, (low - NOTHING, high + NOTHING)).x)
 

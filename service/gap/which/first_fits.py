@@ -70,8 +70,10 @@ def first_fits(
     if not rough:
         return fitter.run(tasks(names, {}))
     found: list[Candidate] = []
+    most_left: Mapping[Stage, float] = {}
     for some in _rounds(names):
-        most_left = most_left_by_another(ground, null, [*found, *continued], rough) if found else {}
+        if found and not most_left:  # what a gap allows is the same for every effect that explains it
+            most_left = most_left_by_another(ground, null, [*found, *continued], rough)
         found += fitter.run(tasks(some, most_left))
     return found
 
