@@ -10,7 +10,7 @@ from sim.harmonic_balance import Responder, respond_to_excitation, time_points
 from sim.reference import reference_rig
 from sim.rig import Noise, Rig
 from sim.stepping import Simulation
-from sim.twin import linear_model
+from sim.twin import linear_model, with_effects
 
 QUIET = reference_rig(noise=Noise())
 FREQUENCY_HZ = np.array([23.0, 140.0, 610.0])
@@ -136,3 +136,30 @@ def test_what_is_beyond_the_linear_answer_is_all_but_that(name, harmonics):
     expected = of.displacement(U, seen=Y)
     expected[:, harmonics.index(1)] -= linear
     np.testing.assert_allclose(of.beyond_linear(U, seen=Y), expected, rtol=1e-9, atol=1e-12 * np.abs(linear).max())
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"magnetic_saturation": {}},
+        {"magnetic_hysteresis": {}},
+        {"off_centre_rotor": {}},
+        {"support_resonance": {}, "magnetic_saturation": {"saturation_inverse_per_a": 0.4}},
+    ],
+    ids=lambda effects: " + ".join(effects) or "plain",
+)
+def test_at_a_displacement_that_was_seen_the_force_has_settled(effects):
+    """To 1e-6 of the largest signal; off centre to 1e-3, as much as two programs' integrators differ by."""
+    rig = with_effects(QUIET, effects)
+    frequency_hz, line = np.array([23.0, 140.0, 433.0, 610.0]), np.arange(4)
+    R = np.zeros((4, 4, 4), dtype=complex)
+    R[:, 1, 1] = 0.3, 0.7, 0.9, 0.9
+    responder = Responder(rig, frequency_hz, line)
+    U, answer = respond_to_excitation(responder, R)
+    seen = answer.Y * np.exp(0.02j)  # not quite where the model has it
+    settled = responder.displacement(U, rounds=12, seen=seen)
+    size = np.abs(answer.Y[:, 1]).max(axis=1)[:, None, None]
+    error = np.abs(responder.displacement(U, seen=seen) - settled) / size
+    assert error.max() < (1e-3 if "off_centre_rotor" in effects else 1e-6)
+    assert np.abs(responder.displacement(U, rounds=1, seen=seen) - settled).max() > 3 * (error * size).max()
