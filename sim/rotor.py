@@ -6,7 +6,9 @@ unit modal mass); then, where the rig has a support, one displacement per plane 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +53,9 @@ def plane_maps(rig: Rig, plane: int) -> tuple[Array, Array]:
     rotor = rig.rotor
     modes = rotor.modes[plane]
     (a, b), (sa, sb) = rotor.bearing_from_cog_m, rotor.sensor_from_cog_m
-    bearings = np.column_stack([[1.0, 1.0], [a, -b], *(m.shape_at_bearings for m in modes)])
-    sensors = np.column_stack([[1.0, 1.0], [sa, -sb], *(m.shape_at_sensors for m in modes)])
-    return bearings, sensors
+    bearings = np.array([[1.0, 1.0], [a, -b], *(m.shape_at_bearings for m in modes)])
+    sensors = np.array([[1.0, 1.0], [sa, -sb], *(m.shape_at_sensors for m in modes)])
+    return bearings.T, sensors.T
 
 
 def mechanics(rig: Rig) -> Mechanics:
@@ -65,14 +67,13 @@ def mechanics(rig: Rig) -> Mechanics:
     """
     rotor, n, speed = rig.rotor, rig.n_axes, rig.speed_rad_s
     sizes = [2 + len(m) for m in rotor.modes]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    n_rotor = int(starts[-1])
+    *starts, n_rotor = accumulate(sizes, initial=0)
     housings = [h for plane in range(rig.n_planes) for h in _housings(rig, plane)]
     n_q = n_rotor + len(housings)
     mass, damping, stiffness = np.zeros((n_q, n_q)), np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
     bearing_map, sensor_map, sensor_slope_map = (np.zeros((n, n_q)) for _ in range(3))
     for plane, modes in enumerate(rotor.modes):
-        s, rows = int(starts[plane]), slice(2 * plane, 2 * plane + 2)
+        s, rows = starts[plane], slice(2 * plane, 2 * plane + 2)
         columns = slice(s, s + sizes[plane])
         mass[s, s], mass[s + 1, s + 1] = rotor.mass_kg, rotor.transverse_inertia_kgm2
         for k, m in enumerate(modes, start=s + 2):
@@ -177,7 +178,7 @@ def _housings(rig: Rig, plane: int) -> list[_Housing]:
     mean = (of_a + of_b) / 2
     lean = np.sqrt(np.array([of_a, of_b]) / mean) if mean > LEAST_SHARE else np.ones(2)
     of_both = (1 - share) * mean
-    slopes = np.array([1.0, -1.0]) / np.mean(rig.rotor.bearing_from_cog_m)
+    slopes = np.array([1.0, -1.0]) / (sum(rig.rotor.bearing_from_cog_m) / 2)
     bearings, sensors = slopes * rig.rotor.bearing_from_cog_m, slopes * rig.rotor.sensor_from_cog_m
     one = np.ones(1)
     translating = ([a, b], (lean, lean, 0 * lean), of_both, w, zeta)
@@ -199,10 +200,10 @@ def _housings(rig: Rig, plane: int) -> list[_Housing]:
     return out
 
 
-def _turning(rig: Rig, starts: Array, damping: Array, stiffness: Array) -> None:
+def _turning(rig: Rig, starts: Sequence[int], damping: Array, stiffness: Array) -> None:
     """Gyroscopic and circulatory coupling of the two planes at speed, added in place."""
     rotor, speed = rig.rotor, rig.speed_rad_s
-    x, y = int(starts[0]) + 1, int(starts[1]) + 1
+    x, y = starts[0] + 1, starts[1] + 1
     for disc in rotor.discs:
         tilts = np.zeros(1 + min(map(len, rotor.modes)))
         slopes = (1.0, *disc.slopes_per_m_sqrt_kg)[: len(tilts)]

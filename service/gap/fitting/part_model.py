@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.gap.fitting.jacobian import current_jacobian, displacement_jacobian
-from service.gap.fitting.predict import at_speed_of, beyond_linear, control, current, displacement, whole_displacement
+from service.gap.fitting.predict import at_speed_of, beyond_linear, control, current, whole_displacement
 from service.gap.fitting.unknowns import Unknowns, slow_to_compute
 from service.gap.measured.observation import Observation
 from sim.at_points import responses
 from sim.rig import Rig
-from sim.twin import LinearModel, linear_model
+from sim.twin import LinearModel, linear_model, passing_model, small_signal
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -49,13 +49,8 @@ class PartModel:
             return current(rig, o)
         if nonlinearity is None and not closed:
             return whole_displacement(rig, o)
-        f = o.fundamental
         out = self.beyond_linear(rig, o) if nonlinearity is None else nonlinearity.copy()
-        if closed:
-            model = linear_model(at_speed_of(rig, o), o.frequency_hz)
-            out[:, f] += responses(model.y_per_u, o.line, self._closed_control(o, model))
-        else:
-            out[:, f] += displacement(rig, o)
+        out[:, o.fundamental] += self._small_signal(rig, o, closed)
         return out
 
     def nonlinearity(self, rig: Rig) -> Nonlinearity:
@@ -87,7 +82,8 @@ class PartModel:
         amplifiers = self.ground.part.from_control or self.ground.inherited is not None
         if not closed:
             return displacement_jacobian(nuisance, rig, o, amplifiers)[:, :, active]
-        model = linear_model(at_speed_of(rig, o), o.frequency_hz)
+        rig = _small(rig, o)
+        model = linear_model(rig, o.frequency_hz)
         U = o.U.copy()
         U[:, o.fundamental] = self._closed_control(o, model)
         J = displacement_jacobian(nuisance, rig, replace(o, U=U), amplifiers)[:, :, active]
@@ -99,7 +95,9 @@ class PartModel:
     ) -> list[Complex]:
         """Derivatives of the ``predictions`` at ``x`` with respect to effect parameters, (P, H, n, len(of)) per sweep.
 
-        ``of`` are their indices, counted from the first effect's first. Columns of held parameters are zero.
+        ``of`` are their indices, counted from the first effect's first. Columns of held parameters are zero. As
+        parameters of linear effects move, the magnets' nonlinearity stays what it is: a given one, and with ``closed``,
+        which allows an error, any.
         """
         low, high, a = self.unknowns.low, self.unknowns.high, self.unknowns.n_nuisance
         columns = [np.zeros((*p.shape, len(of)), dtype=complex) for p in predictions]
@@ -108,10 +106,24 @@ class PartModel:
                 continue
             moved, at = x.copy(), a + j
             moved[at] += STEP if moved[at] + STEP <= high[j] else -STEP
-            rig = self.unknowns.build(moved)
+            rig, step = self.unknowns.build(moved), moved[at] - x[at]
+            linear = self.signal == "y" and not self.unknowns.slow[j]
             for column, o, c, p in zip(columns, self.observations, nonlinearity, predictions, strict=True):
-                column[..., column_of] = (self.predict(rig, o, closed, c) - p) / (moved[at] - x[at])
+                f = o.fundamental
+                if linear and (closed or c is not None):
+                    here = self._small_signal(self.unknowns.build(x), o, closed) if c is None else (p - c)[:, f]
+                    there = self._small_signal(rig, o, closed, passing_model)
+                    column[:, f, :, column_of] = (there - here) / step
+                else:
+                    column[..., column_of] = (self.predict(rig, o, closed, c) - p) / step
         return columns
+
+    def _small_signal(
+        self, rig: Rig, o: Observation, closed: bool, model_of: Callable[[Rig, Real], LinearModel] = linear_model
+    ) -> Complex:
+        """Small-signal displacement, (P, n), for the measured control signal, or ``closed`` in the twin's own loop."""
+        model = model_of(_small(rig, o), o.frequency_hz)
+        return responses(model.y_per_u, o.line, self._closed_control(o, model) if closed else o.U[:, o.fundamental])
 
     def _closed_control(self, o: Observation, model: LinearModel) -> Complex:
         """Control signal, (P, n), of the twin's loop for the excitation u + C y.
@@ -123,3 +135,8 @@ class PartModel:
         C, late = model.controllers[o.line], model.log_phase[o.line, None]
         excitation = late * o.U[:, f] + C * o.Y[:, f]
         return responses(model.u_per_r, o.line, excitation)
+
+
+def _small(rig: Rig, o: Observation) -> Rig:
+    """The rig at the speed of the observation, as small signals meet it: many that are tried differ in the rest."""
+    return small_signal(at_speed_of(rig, o))

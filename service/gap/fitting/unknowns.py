@@ -69,10 +69,14 @@ class Unknowns:
         """(number of the effect, parameter), of the effects to be fitted, then of inherited ones"""
         self.n_own = sum(len(e.parameters) for e in effects)
         """number of parameters of the effects to be fitted"""
+        self.slow = [slow_to_compute(self._all_effects[k].id) for k, _ in self.parameters]
+        """whether each parameter is of an effect that is evaluated in the time domain"""
         if other is not None:
             self.active = np.concatenate([self.active, other.active])
         """(a,) indices of the nuisance values that are fitted"""
         self.n_nuisance = len(self.active)
+        self._logarithmic = np.array([p.scale == "log" for _, p in self.parameters], dtype=bool)
+        self._ranges = tuple(np.array([getattr(p, end) for _, p in self.parameters]) for end in ("low", "high"))
         self.scale: Real = np.array([_scale(p) for _, p in self.parameters], dtype=float)
         """(e,) size of a unit of each parameter in the vector; with a log scale, in nats"""
         ranges = [self._range(k, p) for k, p in self.parameters]
@@ -127,10 +131,12 @@ class Unknowns:
     def values(self, e: Real) -> tuple[dict[str, float], ...]:
         """Parameters by name, one dict per effect and then per inherited one, from their part (e,) of the vector."""
         inside = np.clip(e, self.low, self.high) * self.scale
+        np.exp(inside, out=inside, where=self._logarithmic)
+        # clipped again, as rounding may put a value at its bound just beyond it
+        inside = np.clip(inside, *self._ranges)
         out: list[dict[str, float]] = [{} for _ in self._all_effects]
-        for (k, p), v in zip(self.parameters, inside, strict=True):
-            # clipped again, as rounding may put a value at its bound just beyond it
-            out[k][p.name] = float(np.clip(np.exp(v) if p.scale == "log" else v, p.low, p.high))
+        for (k, p), v in zip(self.parameters, inside.tolist(), strict=True):
+            out[k][p.name] = v
         for k, effect in enumerate(self.effects):
             out[k] |= {p.name: p.null for p in effect.parameters if (effect.id, p.name) in self._held}
         return tuple(out)
