@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import LAW_ERROR, Candidate
 from service.gap.fitting.jacobian import answer_jacobian
 from service.gap.fitting.nuisance import Nuisance
-from service.gap.fitting.predict import answer, centred, control, weights
-from service.gap.fitting.unknowns import TOLERANCE_BOUND
+from service.gap.fitting.predict import answer, centred, control, linear_answer, weights
+from service.gap.fitting.unknowns import TOLERANCE_BOUND, slow_to_compute
 from service.gap.measured.observation import Observation
 from service.gap.proposal.options import Option
 from sim.effect import Parameter
@@ -78,10 +78,21 @@ class Predicted:
 
     def at(self, theta: Real, values: Sequence[Mapping[str, float]]) -> Complex:
         """The prediction with other nuisance values and parameters of effects."""
+        return self._of(self._rig(theta, values))
+
+    def small_signal(self, theta: Real, values: Sequence[Mapping[str, float]]) -> Complex:
+        """The same without what the magnets' nonlinearity makes of i and y, in a third of the time."""
+        rig, f, n = self._rig(theta, values), self.o.fundamental, self.nuisance.rig.n_axes
+        u = control(rig, self.o)
+        out = np.concatenate([u, np.zeros((*u.shape[:2], 2 * n), dtype=complex)], axis=2)
+        out[:, f, n:] = linear_answer(rig, self.o)
+        return out
+
+    def _rig(self, theta: Real, values: Sequence[Mapping[str, float]]) -> Rig:
         rig = self.nuisance.at(theta)
         for name, own in zip(self.candidate.effects, values, strict=True):
             rig = CATALOGUE[name].on(rig, **own)
-        return self._of(self.option.rig(rig))
+        return self.option.rig(rig)
 
 
 def left_over(truth: Predicted, rival: Predicted) -> float:
@@ -112,7 +123,9 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
     free = np.full(len(widths), np.inf)
     low = np.concatenate([np.minimum(-TOLERANCE_BOUND - theta, -INSIDE), -free])
     high = np.concatenate([np.maximum(TOLERANCE_BOUND - theta, INSIDE), free])
-    moved = scipy.optimize.lsq_linear(root.T, explained, (low, high), method="bvls").x
+    moved = np.linalg.solve(root.T, explained)
+    if not np.all((low <= moved) & (moved <= high)):  # the library takes a third of a second to load
+        moved = scipy.optimize.lsq_linear(root.T, explained, (low, high), method="bvls").x
     left = float(target @ target) - float(explained @ explained) + float(np.sum((root.T @ moved - explained) ** 2))
     return float(np.sqrt(max(left, 0.0)))
 
@@ -120,18 +133,21 @@ def left_over(truth: Predicted, rival: Predicted) -> float:
 def _effect_columns(c: Predicted, theta: Real, here: Complex, w: Real) -> tuple[Complex, Real]:
     """Weighted derivatives with respect to effect parameters, (P, H, 3 n, e), and the widths of their ranges, (e,).
 
-    Per relative change with a log scale, else per width of the range.
+    Per relative change with a log scale, else per width of the range. As a linear effect changes, the magnets'
+    nonlinearity stays what it is.
     """
     columns, widths = [], []
+    small = c.small_signal(theta, c.values)
     for k, name in enumerate(c.candidate.effects):
+        of, before = (c.at, here) if slow_to_compute(name) else (c.small_signal, small)
         for p in CATALOGUE[name].of(c.nuisance.rig).parameters:
             moved, step, width = _moved(p, c.values[k].get(p.name, p.typical))
             changed = [*c.values[:k], {**c.values[k], p.name: moved}, *c.values[k + 1 :]]
             try:
-                there = c.at(theta, changed)
+                there = of(theta, changed)
             except AmbError:
                 continue  # an impossible rig: this parameter stays
-            columns.append(centred(there - here, w, c.o) * w / step)
+            columns.append(centred(there - before, w, c.o) * w / step)
             widths.append(width)
     if not columns:
         return np.zeros((*w.shape, 0), dtype=complex), np.zeros(0)

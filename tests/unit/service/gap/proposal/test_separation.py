@@ -98,6 +98,14 @@ def test_what_another_law_of_the_true_effect_leaves_tells_nothing() -> None:
     assert odds[0] < WORTH < SURE < odds[1]
 
 
+def test_parameters_of_linear_effects_leave_the_magnets_nonlinearity_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which takes a third of the time, and moves no odds."""
+    planned = named("larger_amplitude", grounds())
+    quick = separations(NU, A, B, planned.main, planned.option)
+    monkeypatch.setattr("service.gap.proposal.separation.slow_to_compute", lambda name: True)
+    assert quick == pytest.approx(separations(NU, A, B, planned.main, planned.option), rel=2e-3)
+
+
 def test_more_noise_separates_less_and_more_amplitude_more() -> None:
     quiet, loud = grounds(), grounds(4 * NOISE)
     distances = [separations(NU, A, B, (c := named("speed", there)).main, c.option)[0] for there in (quiet, loud)]
