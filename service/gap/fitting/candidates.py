@@ -76,6 +76,8 @@ class Task:
     also skips them."""
     most_left: Mapping[Stage, float] = field(default_factory=dict)
     """What some rough stages may leave beyond noise, per residual, for further ones to be worth their time."""
+    most_left_by_first: Mapping[Stage, float] = field(default_factory=dict)
+    """What they may leave from the first start, which is the best, for the others to be worth theirs."""
 
     def all_starts(self) -> Starts:
         """The starting values, found now where they are not given."""
@@ -118,15 +120,19 @@ def _fit_all(task: Task, starts: Starts) -> Candidate:
     problem = Problem(task.ground, [CATALOGUE[name] for name in task.effects], task.nulled | dormant)
     unknowns, rough = problem.unknowns, [s for s in task.stages if s.closed]
     first = [np.concatenate([task.theta[unknowns.active], unknowns.scaled(values)]) for values in starts]
-    vectors, given_up = first, False
+    vectors, given_up, first_alone = first, False, False
     for stage in rough:
-        ends = _ends_of(problem, vectors, stage)
+        ends = _ends_of(problem, vectors[:1], stage)
+        first_alone |= bool(ends) and _leaves_more(problem, ends[0], stage, task.most_left_by_first)
+        if not first_alone:
+            ends = sorted([*ends, *_ends_of(problem, vectors[1:], stage)], key=lambda fit: fit.cost)
         vectors = _apart([unknowns.vector(fit) for fit in ends[:KEPT_STARTS]])
-        given_up = bool(ends) and problem.left_by(ends[0], stage) > task.most_left.get(stage, np.inf)
+        given_up = bool(ends) and _leaves_more(problem, ends[0], stage, task.most_left)
         if given_up:
             vectors = vectors[:1]
             break
-    if rough and not given_up and len(first) > 1 and (problem.model.nonlinear or task.good_start):
+    all_count = not given_up and not first_alone and len(first) > 1
+    if rough and all_count and (problem.model.nonlinear or task.good_start):
         vectors += _best_start(problem, first)
     best: Fit | None = None
     for x in vectors:
@@ -142,12 +148,17 @@ def _fit_all(task: Task, starts: Starts) -> Candidate:
 
 
 def _ends_of(problem: Problem, vectors: Sequence[Real], stage: Stage) -> list[Fit]:
-    """Where a rough stage ends that is run from each vector, the best end first."""
+    """Where a rough stage ends that is run from each vector."""
     ends: list[Fit] = []
     for x in vectors:
         with suppress(AmbError, np.linalg.LinAlgError):  # this one leads to an impossible rig; another may not
             ends.append(problem.run(x, stage))
-    return sorted(ends, key=lambda fit: fit.cost)
+    return ends
+
+
+def _leaves_more(problem: Problem, end: Fit, stage: Stage, most_left: Mapping[Stage, float]) -> bool:
+    """Whether the fit in which a stage ended leaves more than it may, by stage, beyond noise and per residual."""
+    return stage in most_left and problem.left_by(end, stage) > most_left[stage]
 
 
 def _apart(vectors: Sequence[Real]) -> list[Real]:

@@ -36,4 +36,5 @@ class Stage:
 COARSE = Stage(closed=True, relative_floor=0.03, iterations=10, tolerance=5e-3, chord=1, approach=6)
 MIDDLE = Stage(closed=True, relative_floor=0.003, iterations=8, tolerance=5e-3, smallest_drop=0.5)
 PROBE = Stage(closed=False, relative_floor=0.0, iterations=4, tolerance=5e-3)
+WHOLE_PROBE = Stage(closed=False, relative_floor=0.0, iterations=8, tolerance=5e-3, smallest_drop=0.5)
 EXACT = Stage(closed=False, relative_floor=0.0, iterations=15, tolerance=5e-4, smallest_drop=0.5)

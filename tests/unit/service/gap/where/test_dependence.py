@@ -24,14 +24,16 @@ from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 DATASHEET, TRUTH = known_datasheet(seed=2)
 NU = nuisance(DATASHEET)
 LINEAR = {"sensor_lag": {"time_constant_s": 2e-5}}
+GROSS = {"sensor_lag": {"time_constant_s": 6e-5}}
 RESONANT = {"support_resonance": {"inverse_mass_per_kg": 1e-3, "frequency_hz": 430.0, "damping_ratio": 0.01}}
 BENT = {"magnetic_saturation": {"saturation_inverse_per_a": 0.6}}
+PLANTS = {"linear": LINEAR, "gross": GROSS, "bent": BENT, "resonant": RESONANT, "none": {}}
 
 
 @cache
 def plant(effect: str) -> tuple[Explained, Observation]:
     """The plant's plain twin on the main sweep of a rig with an effect, and the other sweep at twice the amplitude."""
-    rig = with_effects(true_rig(TRUTH), {"linear": LINEAR, "bent": BENT, "resonant": RESONANT, "none": {}}[effect])
+    rig = with_effects(true_rig(TRUTH), PLANTS[effect])
     main, other = (observe(s, NU.rig) for s in experiment(rig).sweeps)
     part = next(p for p in parts(NU, (main,)) if p.path == "plant")
     ground = Ground(NU, part, (main,), np.zeros(len(NU)))

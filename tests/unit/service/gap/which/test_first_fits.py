@@ -3,6 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Task, fit_task
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.fitted import Fit
-from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, PROBE, Stage
+from service.gap.fitting.stage import COARSE, EXACT, MIDDLE, PROBE, WHOLE_PROBE, Stage
 from service.gap.which import first_fits as module
-from service.gap.which.first_fits import OUT_OF_REACH, first_fits, most_left_by_another
+from service.gap.which.first_fits import HIDDEN, OUT_OF_REACH, Limits, ends_of_plain_twin, first_fits, limits_of
 from service.gap.which.one_more_effect import rough_beside
+from sim.effects import CATALOGUE
 from tests.unit.service.gap.where.test_dependence import plant
 
 Real = NDArray[np.float64]
@@ -51,7 +53,7 @@ def found_in(kind: str, *names: str) -> dict[str, Candidate]:
 
 @pytest.fixture(scope="module")
 def fits_of_a_lag() -> tuple[dict[str, Candidate], Passes]:
-    return found_in("linear", *LONG, "sensor_gain", "sensor_lag"), dict(PASSES)
+    return found_in("gross", *LONG, "sensor_gain", "sensor_lag"), dict(PASSES)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +82,7 @@ def test_no_effect_is_left_out_and_the_true_one_is_fitted_to_its_end(of_a_lag: d
     best = min(of_a_lag.values(), key=lambda c: c.fit.cost)
     assert best.effects == ("sensor_lag",)
     assert best.fit.cost < 1.2 * best.fit.n_residuals, "to noise"
-    null = plant("linear")[0].null.candidate
+    null = plant("gross")[0].null.candidate
     assert all(of_a_lag[name].fit.cost > 10 * best.fit.cost for name in LONG)
     assert all(of_a_lag[name].fit.cost < 2 * null.fit.cost for name in LONG), "given up, but not thrown away"
 
@@ -89,20 +91,70 @@ def test_what_was_given_up_is_no_better_when_it_is_not(
     of_a_lag: dict[str, Candidate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "OUT_OF_REACH", math.inf)
-    to_the_end = found_in("linear", *LONG, "sensor_lag")
+    to_the_end = found_in("gross", *LONG, "sensor_lag")
     assert all(set(PASSES[name]) == {COARSE, MIDDLE, PROBE} for name in LONG)
     assert all(to_the_end[name].fit.cost > 10 * of_a_lag["sensor_lag"].fit.cost for name in LONG)
 
 
 def test_a_limit_is_set_by_the_gap_and_only_where_an_effect_explains_it(of_a_lag: dict[str, Candidate]) -> None:
-    e, null = plant("linear")[0], plant("linear")[0].null.candidate
+    e, null = plant("gross")[0], plant("gross")[0].null.candidate
     assert rough_beside(null, e.ground) == (COARSE, MIDDLE)
     lag, gain = of_a_lag["sensor_lag"], of_a_lag["sensor_gain"]
-    assert most_left_by_another(e.ground, null, [], (COARSE,)) == {}
-    assert most_left_by_another(e.ground, null, [gain], (COARSE,)) == {}
-    most = most_left_by_another(e.ground, null, [gain, lag], (COARSE, MIDDLE))
-    plain_left = (null.fit.cost - null.fit.n_residuals) / null.fit.n_residuals
+    ends = ends_of_plain_twin(e.ground, null, (COARSE, MIDDLE))
+    for found in ([], [gain]):
+        none = limits_of(e.ground, null, found, ends)
+        assert none.most_left == none.by_first == {}
+    limits = limits_of(e.ground, null, [gain, lag], ends)
+    most, plain_left = limits.most_left, (null.fit.cost - null.fit.n_residuals) / null.fit.n_residuals
     assert 0 < most[COARSE] < most[MIDDLE] < OUT_OF_REACH * plain_left, "of the gap beyond the floor of the stage"
+    assert all(most[stage] < limits.by_first[stage] < ends[stage].left for stage in (COARSE, MIDDLE))
+
+
+def test_other_starts_are_not_tried_where_the_best_one_leaves_most_of_a_gap_that_another_effect_explains(
+    fits_of_a_lag: tuple[dict[str, Candidate], Passes],
+) -> None:
+    _, passes = fits_of_a_lag
+    assert all(passes[name][COARSE] == 1 for name in LONG)
+
+
+@pytest.mark.parametrize(("least", "passes"), [(0.5, {COARSE: 1, MIDDLE: 1, EXACT: 1}), (2.0, None)])
+def test_the_first_start_alone_counts_where_it_leaves_more_than_it_may(least: float, passes: dict | None) -> None:
+    """In units of what it leaves; the others are tried where it leaves no more."""
+    e, _ = plant("linear")
+    starts = (({"gain_change_xA": 0.02},), ({"gain_change_xA": -0.02},))
+    task = Task(e.ground, ("sensor_gain",), starts, e.ground.theta, (COARSE, MIDDLE, EXACT))
+    problem = Problem(e.ground, [CATALOGUE["sensor_gain"]])
+    x = np.concatenate([task.theta[problem.unknowns.active], problem.unknowns.scaled(starts[0])])
+    left = problem.left_by(problem.run(x, COARSE), COARSE)
+    PASSES.clear()
+    fit_task(replace(task, most_left_by_first={COARSE: least * left}))
+    assert PASSES["sensor_gain"][COARSE] == (1 if passes else 2)
+    assert passes is None or PASSES["sensor_gain"] == passes
+
+
+def test_a_stage_that_cannot_see_the_gap_sorts_no_starts() -> None:
+    e, _ = plant("linear")
+    null = e.null.candidate
+    ends = ends_of_plain_twin(e.ground, null, rough_beside(null, e.ground))
+    assert ends[COARSE].left < HIDDEN < ends[MIDDLE].left
+    found_in("linear", "magnetic_saturation", "off_centre_rotor", "sensor_gain", "support_resonance")
+    assert all(COARSE not in PASSES[name] and PASSES[name][MIDDLE] > 1 for name in LONG if name in PASSES)
+    assert COARSE in PASSES["sensor_gain"], "what is quick goes the whole way"
+    assert limits_of(e.ground, null, [], ends) == Limits(), "and a first start proves nothing there"
+
+
+def test_without_a_gap_a_nonlinear_effect_is_fitted_to_its_end_at_once() -> None:
+    """Four steps from its starts would leave it some nats away; rough stages, whose floor is above all of it, twice."""
+    names = ("magnetic_hysteresis", "magnetic_saturation", "off_centre_rotor", "support_resonance", "touchdown_contact")
+    e, null = plant("none")[0], plant("none")[0].null.candidate
+    assert rough_beside(null, e.ground) == ()
+    found = found_in("none", *names)
+    assert all(set(PASSES[name]) == {WHOLE_PROBE} for name in names[:3])
+    assert all(set(PASSES[name]) == {PROBE} for name in names[3:])
+    for name in names[:3]:
+        first = found[name].fit
+        on = fit_task(Task(e.ground, (name,), (first.values,), first.theta, (EXACT,)))
+        assert first.cost < on.fit.cost + 1.0, "nothing is left to gain"
 
 
 def test_what_is_slow_to_compute_is_given_up_where_a_resonance_explains_the_gap() -> None:
