@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from service.gap.doubts.curved_signal import Seen, curvatures_in_words, systematic
 from service.gap.weighing.ranking import noise_levels
 from service.gap.weighing.verdict import MAX_SHARE_LEFT
-from service.gap.which.curvature import CHI_SQUARE_SHOWN, Curvature, curvatures
+from service.gap.which.curvature import CHI_SQUARE_SHOWN, Curvature
 from service.gap.which.explained import Explained
 
 Complex = NDArray[np.complex128]
@@ -44,7 +44,7 @@ def _compared(e: Explained, plain: Seen, best: Seen) -> list[tuple[float, Curvat
     noise = sum(noise_levels(null, [r.candidate for r in e.order]))
     on_fitted, on_unseen = null.fit.cost - named.fit.cost, _chi_square(plain[1]) - _chi_square(best[1])
     enough = max(CHI_SQUARE_SHOWN, (1 - MAX_SHARE_LEFT) * (null.fit.cost - noise), on_fitted - CHI_SQUARE_SHOWN)
-    clear = [c for c in curvatures(e.ground, null, e.plain) if c.explained >= enough]
+    clear = [c for c in e.curvatures if c.explained >= enough]
     by_effects = on_fitted + on_unseen
     compared = [(c.explained + c.explained_on(*plain) - by_effects, c) for c in clear]
     return sorted(compared, key=lambda one: -one[0])

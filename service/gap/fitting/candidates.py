@@ -131,8 +131,8 @@ def _fit_all(task: Task, starts: Starts) -> Candidate:
         if given_up:
             vectors = vectors[:1]
             break
-    all_count = not given_up and not first_alone and len(first) > 1
-    if rough and all_count and (problem.model.nonlinear or task.good_start):
+    several = len(first) > 1 and not given_up and not first_alone
+    if rough and several and (problem.model.nonlinear or task.good_start):
         vectors += _best_start(problem, first)
     best: Fit | None = None
     for x in vectors:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from service.gap.fitting.predict import TINY_SIGNAL, TINY_WEIGHT, measured_signa
 from service.gap.measured.observation import Observation
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.significance import significance
+from service.gap.which.curvature import Curvature, curvatures
 
 Complex = NDArray[np.complex128]
 
@@ -47,6 +49,11 @@ class Explained:
     def null(self) -> Ranked:
         """The plain twin."""
         return next(r for r in self.order if not r.candidate.effects)
+
+    @cached_property
+    def curvatures(self) -> list[Curvature]:
+        """Each possible curved characteristic of the part; several doubts ask for them."""
+        return curvatures(self.ground, self.null.candidate, self.plain)
 
     @property
     def significance(self) -> float:

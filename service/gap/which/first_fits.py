@@ -19,13 +19,7 @@ from service.gap.weighing.another_rig import RESONANCES
 from service.gap.weighing.ranking import ranked
 from service.gap.which.explained import Explained
 from service.gap.which.mixtures import leaves_more_than_law_error
-from service.gap.which.one_more_effect import (
-    GOOD_START,
-    NARROW_MINIMUM,
-    rough_beside,
-    rough_stages,
-    task_beside,
-)
+from service.gap.which.one_more_effect import GOOD_START, NARROW_MINIMUM, rough_beside, rough_stages, task_beside
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
@@ -144,11 +138,14 @@ def ends_of_plain_twin(ground: Ground, null: Candidate, rough: Sequence[Stage]) 
 
 @dataclass(frozen=True)
 class Limits:
-    """What rough stages may leave of the gap for an effect to be fitted further; fields as of `Task`."""
+    """What rough stages may leave of the gap, beyond noise and per residual, for an effect to be fitted further."""
 
     most_left: Mapping[Stage, float] = field(default_factory=dict)
+    """as `Task.most_left`"""
     by_first: Mapping[Stage, float] = field(default_factory=dict)
+    """as `Task.most_left_by_first`"""
     by_first_of_slow: Mapping[Stage, float] = field(default_factory=dict)
+    """the same of an effect that is slow to compute"""
 
     def on(self, task: Task) -> Task:
         """A task within these limits."""
