@@ -250,7 +250,7 @@ def linear_model(rig: Rig, frequency_hz: Array) -> LinearModel:
 
 
 def passing_model(rig: Rig, frequency_hz: Array) -> LinearModel:
-    """`linear_model` of a rig that is asked for once: to read and keep it would take a fifth as long again."""
+    """`linear_model` of a rig that is asked for once: to read and keep it would take a third as long again."""
     omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
     period = rig.controller.sample_time_s
     delay = rig.amplifiers.delay_s + rig.controller.computing_delay_s

@@ -81,7 +81,7 @@ class Predicted:
         return self._of(self._rig(theta, values))
 
     def small_signal(self, theta: Real, values: Sequence[Mapping[str, float]]) -> Complex:
-        """The same without what the magnets' nonlinearity makes of i and y, in a third of the time."""
+        """The same without what the magnets' nonlinearity makes of i and y, which takes long to compute."""
         rig, f, n = self._rig(theta, values), self.o.fundamental, self.nuisance.rig.n_axes
         u = control(rig, self.o)
         out = np.concatenate([u, np.zeros((*u.shape[:2], 2 * n), dtype=complex)], axis=2)

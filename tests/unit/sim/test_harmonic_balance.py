@@ -150,7 +150,7 @@ def test_what_is_beyond_the_linear_answer_is_all_but_that(name, harmonics):
     ids=lambda effects: " + ".join(effects) or "plain",
 )
 def test_at_a_displacement_that_was_seen_the_force_has_settled(effects):
-    """To 1e-6 of the largest signal; off centre to 1e-3, as much as two programs' integrators differ by."""
+    """To 1e-6 of the largest signal; off centre to 6e-4, twice what two programs' integrators differ by."""
     rig = with_effects(QUIET, effects)
     frequency_hz, line = np.array([23.0, 140.0, 433.0, 610.0]), np.arange(4)
     R = np.zeros((4, 4, 4), dtype=complex)
@@ -161,5 +161,5 @@ def test_at_a_displacement_that_was_seen_the_force_has_settled(effects):
     settled = responder.displacement(U, rounds=12, seen=seen)
     size = np.abs(answer.Y[:, 1]).max(axis=1)[:, None, None]
     error = np.abs(responder.displacement(U, seen=seen) - settled) / size
-    assert error.max() < (1e-3 if "off_centre_rotor" in effects else 1e-6)
+    assert error.max() < (6e-4 if "off_centre_rotor" in effects else 1e-6)
     assert np.abs(responder.displacement(U, rounds=1, seen=seen) - settled).max() > 3 * (error * size).max()

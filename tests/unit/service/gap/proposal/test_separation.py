@@ -99,7 +99,7 @@ def test_what_another_law_of_the_true_effect_leaves_tells_nothing() -> None:
 
 
 def test_parameters_of_linear_effects_leave_the_magnets_nonlinearity_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which takes a third of the time, and moves no odds."""
+    """That moves no odds."""
     planned = named("larger_amplitude", grounds())
     quick = separations(NU, A, B, planned.main, planned.option)
     monkeypatch.setattr("service.gap.proposal.separation.slow_to_compute", lambda name: True)
