@@ -278,14 +278,13 @@ def _of_support(rig: Rig) -> list[Mode]:
     mean = (at_a + at_b) / 2
     of_both = (1 - share) * mean
     lean = (math.sqrt(at_a / mean), math.sqrt(at_b / mean))
-    lever = float(np.mean(rig.rotor.bearing_from_cog_m))
-    bearings, sensors = (
-        (a / lever, -b / lever) for a, b in (rig.rotor.bearing_from_cog_m, rig.rotor.sensor_from_cog_m)
-    )
-    of_one = damping * support.damping_quotient
+    lever, more = float(np.mean(rig.rotor.bearing_from_cog_m)), support.rocking_imbalance
+    beyond_a, beyond_b = np.subtract(rig.rotor.sensor_from_cog_m, rig.rotor.bearing_from_cog_m) / lever
+    bearings, sensors = (more + 1.0, more - 1.0), (more + 1.0 + float(beyond_a), more - 1.0 - float(beyond_b))
+    of_rocking, of_one = damping * support.rocking_damping_quotient, damping * support.damping_quotient
     parts = (
         (of_both, lean, lean, hz, damping),
-        (support.rocking * of_both, bearings, sensors, hz * support.rocking_frequency_ratio, damping),
+        (support.rocking * of_both, bearings, sensors, hz * support.rocking_frequency_ratio, of_rocking),
         (share * at_a, (1.0, 0.0), (1.0, 0.0), hz, damping),
         (share * at_b, (0.0, 1.0), (0.0, 1.0), hz * support.frequency_ratio, of_one),
     )

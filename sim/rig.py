@@ -84,10 +84,14 @@ class Support:
     plane_frequency_ratio: float = 1.0
     """Natural frequency in y over that in x, of housing and pedestals."""
     rocking: float = 0.0
-    """Inverse inertia with which the housing of both bearings also rocks about the rotor's centre of gravity, times the
-    square of the bearings' mean distance, over the inverse mass; 0 where it only translates."""
+    """Inverse inertia with which the housing of both bearings also rocks, times the square of half their distance, over
+    the inverse mass; 0 where it only translates."""
     rocking_frequency_ratio: float = 1.5
     """Natural frequency of its rocking over that of its translation."""
+    rocking_damping_quotient: float = 1.0
+    """Damping ratio of its rocking over that of its translation."""
+    rocking_imbalance: float = 0.0
+    """By which it moves bearing A more and bearing B less than their mean as it rocks, 0 about the middle between."""
     shares: tuple[float, ...] = ()
     """Inverse mass at each axis over the mean, n; () for the same everywhere. A housing has the mean of its plane, and
     moves either bearing as the root of its share: where they differ it leans as it moves."""

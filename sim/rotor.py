@@ -179,7 +179,8 @@ def _housings(rig: Rig, plane: int) -> list[_Housing]:
     lean = np.sqrt(np.array([of_a, of_b]) / mean) if mean > LEAST_SHARE else np.ones(2)
     of_both = (1 - share) * mean
     slopes = np.array([1.0, -1.0]) / (sum(rig.rotor.bearing_from_cog_m) / 2)
-    bearings, sensors = slopes * rig.rotor.bearing_from_cog_m, slopes * rig.rotor.sensor_from_cog_m
+    bearings = np.array([1.0, -1.0]) + support.rocking_imbalance
+    sensors = bearings + slopes * np.subtract(rig.rotor.sensor_from_cog_m, rig.rotor.bearing_from_cog_m)
     one = np.ones(1)
     translating = ([a, b], (lean, lean, 0 * lean), of_both, w, zeta)
     rocking = (
@@ -187,7 +188,7 @@ def _housings(rig: Rig, plane: int) -> list[_Housing]:
         (bearings, sensors, slopes),
         support.rocking * of_both,
         w * support.rocking_frequency_ratio,
-        zeta,
+        zeta * support.rocking_damping_quotient,
     )
     under_a = ([a], (one, one, 0 * one), share * of_a, w, zeta)
     under_b = ([b], (one, one, 0 * one), share * of_b, w * support.frequency_ratio, zeta_b)

@@ -4,13 +4,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from sim.effect import Effect, Parameter, rarely_needed
 from sim.errors import EffectError
 from sim.imbalance import NAMES, OF_PLANES, parameters, shares
 from sim.rig import Rig, Support
 from sim.sizes import MASS
 
-ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
+ROCKING, ROCKING_FREQUENCY_RATIO, ROCKING_DAMPING_QUOTIENT = (0.0, 10.0), (0.1, 10.0), (0.1, 10.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
 
 LEANS, AT_ONE_END = 0.05, 0.98
@@ -37,6 +39,8 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         p["plane_frequency_ratio"],
         p["rocking"],
         p["rocking_frequency_ratio"],
+        p["rocking_damping_quotient"],
+        p["rocking_imbalance"],
         own,
     )
     return replace(rig, support=support)
@@ -71,7 +75,10 @@ def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[
     (_, most), (least, greatest) = ROCKING, ROCKING_FREQUENCY_RATIO
     if max(against) >= 0 or not 0 < rocking < most or not least < ratio < greatest:
         return {}
-    return {**own, "pedestals": 0.0, "rocking": rocking, "rocking_frequency_ratio": ratio}
+    quotient = float(np.clip(mode["damping_ratio"] / own["damping_ratio"], *ROCKING_DAMPING_QUOTIENT))
+    more = 0.5 * (mode["bearing_A_per_sqrt_kg"] + mode["bearing_B_per_sqrt_kg"]) / at_bearings
+    shape = {"rocking_frequency_ratio": ratio, "rocking_damping_quotient": quotient, "rocking_imbalance": more}
+    return {**own, "pedestals": 0.0, "rocking": rocking, **shape}
 
 
 EFFECT = Effect(
@@ -139,8 +146,8 @@ EFFECT = Effect(
             "1",
             *ROCKING,
             0.0,
-            description="inverse inertia of a housing that rocks too, times the square of the bearings' mean distance "
-            "from the centre of gravity, over the inverse mass",
+            description="inverse inertia of a housing that rocks too, times the square of half the bearings' distance, "
+            "over the inverse mass",
         ),
         rarely_needed(
             "rocking_frequency_ratio",
@@ -150,13 +157,29 @@ EFFECT = Effect(
             "log",
             "of its rocking over that of its translation",
         ),
+        rarely_needed(
+            "rocking_damping_quotient",
+            "1",
+            *ROCKING_DAMPING_QUOTIENT,
+            1.0,
+            "log",
+            "damping ratio of its rocking over that of its translation",
+        ),
+        rarely_needed(
+            "rocking_imbalance",
+            "1",
+            -1.0,
+            1.0,
+            0.0,
+            description="0: it rocks about the middle between the bearings, 1: about bearing B, which it does not move",
+        ),
         *parameters("supports", dormant=True),
     ),
     apply=_apply,
     law="mh xh'' + dh xh' + kh xh = -sum f, of both bearings or of either; bearings and sensors see the rotor relative "
     "to xh; where some move more, 1/mh goes as (1 +- e)(1 +- p), + at A, + in x; a housing of both has their mean and "
     "moves either end as their root, so that it leans; kh goes as the square of the plane's frequency; an angle of a "
-    "housing that rocks about the rotor's centre of gravity likewise",
+    "housing that rocks likewise, about a point between the bearings and with a damping of its own",
     signature="a pair of pole and zero close together in y/i, in every channel with one sign; splits a peak nearby",
     aliases=("extra_flexible_mode",),
     likened={"extra_flexible_mode": _like_a_mode},

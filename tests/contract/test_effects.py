@@ -198,7 +198,8 @@ def test_each_of_its_parameters_counts(one):
     """
     of_pedestals = {"pedestals": 0.5} if one.id == "support_resonance" else {}  # where there are any
     beside = dict.fromkeys(("frequency_ratio", "damping_quotient", "end_imbalance"), of_pedestals)
-    beside["rocking_frequency_ratio"] = {"rocking": 2.0}
+    of_rocking = ("rocking_frequency_ratio", "rocking_damping_quotient", "rocking_imbalance")
+    beside |= {name: {"rocking": 2.0} for name in of_rocking}
     beside["coupling_imbalance"] = {"mode_coupling": 0.02}
     beside |= {shape: {"filter_mid_change": -0.2} for shape in ("filter_frequency_hz", "filter_damping_ratio")}
     beside["opposite_share"] = {"end_imbalance": 0.5}

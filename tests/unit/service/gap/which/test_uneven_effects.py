@@ -78,16 +78,19 @@ def test_a_mode_that_is_softer_in_one_plane_is_told_with_both_frequencies(hz: fl
     assert found["plane_frequency_ratio"] == pytest.approx(ratio, abs=2e-3)
 
 
-def test_a_heavy_housing_that_rocks_too_is_told_though_each_of_its_resonances_leaves_the_other() -> None:
+@pytest.mark.parametrize("quotient", [1.0, 0.5])
+def test_a_heavy_housing_that_rocks_too_is_told_though_each_of_its_resonances_leaves_the_other(quotient: float) -> None:
     """One per cent in a few lines, below the floor of the rough stages of a fit."""
     values = {"inverse_mass_per_kg": 5.3e-5, "frequency_hz": 71.4, "damping_ratio": 0.044}
-    e, _ = explained("plant", "support_resonance", {**values, "rocking": 1.17, "rocking_frequency_ratio": 2.0}, 0.6)
+    rocks = {"rocking": 1.17, "rocking_frequency_ratio": 2.0, "rocking_damping_quotient": quotient}
+    e, _ = explained("plant", "support_resonance", values | rocks, 0.6)
     best = e.order[0].candidate
     assert best.effects == ("support_resonance",)
     assert best.fit.cost < 1.2 * best.fit.n_residuals
     (found,) = best.fit.values
     assert found["inverse_mass_per_kg"] == pytest.approx(5.3e-5, rel=0.05)
     assert found["rocking_frequency_ratio"] == pytest.approx(2.0, rel=0.01)
+    assert found["rocking_damping_quotient"] == pytest.approx(quotient, rel=0.1)
 
 
 def test_a_ladder_of_lags_is_told_as_eddy_currents_with_the_share_that_is_free_of_them() -> None:
