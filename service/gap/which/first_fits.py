@@ -31,9 +31,8 @@ OUT_OF_REACH = 0.1
 than the error of its law: no further stage will make it the better one."""
 FAR_OUT, USELESS = 0.5, 0.95
 """Share that it must leave from an effect's first start, the best one, for the others not to be tried: where another
-explains the gap, and where none does and the effect is slow to compute. Where a stage
-sees the gap, all starts of such an effect ended within 2 % of each other; of a resonance the first nearly always ends
-lowest or next to it."""
+explains the gap, and where none does and the effect is slow to compute. Where a stage sees the gap, all starts of such
+an effect ended within 2 % of each other; of a resonance the first nearly always ends lowest or next to it."""
 VISIBLE = 0.2
 """What the coarse stage must leave of the gap without an effect, per residual, for a first start to be useless: of
 less, which is 0.45 of the stage's floor, rms, every start leaves what chance has it."""

@@ -82,7 +82,7 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
         return None
     # Even where no single effect beats the plain twin: one may explain half of a large gap, and two all of it.
     singles = [r for r in order if r.candidate.effects]
-    base = order[0] if size > 1 or not singles else next((r for r in singles if not _strained(r)), singles[0])
+    base = order[0] if size > 1 or not singles else next((r for r in singles if not strained(r)), singles[0])
     if len(base.candidate.effects) < size:
         return None
     if size == 1 and singles:
@@ -119,7 +119,7 @@ def with_one_more(
 def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
     """Whether an explanation leaves more than another program's law of the same effects would."""
     # Such a law leaves a small share of a large gap, without implausible nuisance values.
-    little = max(best.apart) < MIXTURE_SHARE and not _strained(best) and not _at_bound(best)
+    little = max(best.apart) < MIXTURE_SHARE and not strained(best) and not _at_bound(best)
     if little and not _of_one_law(best):
         return False
     sweeps = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
@@ -128,7 +128,7 @@ def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
     return any(alone_hz(ground.part, z, o) is not None for z, o in sweeps)
 
 
-def _strained(r: Ranked, borne: float = 0.0) -> bool:
+def strained(r: Ranked, borne: float = 0.0) -> bool:
     """Whether the penalty of the nuisance values is beyond chance and ``borne``: they make up for what is missing."""
     n = len(r.candidate.fit.active)
     return bool(r.candidate.fit.penalty > n + STRAINED * np.sqrt(2 * n) + borne)
@@ -263,7 +263,7 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     left = np.array(mixture.apart)
     gap = _gap_of_groups(order)
     # The others' nuisance values are implausible.
-    allowed = [r for r in smaller if not _strained(r, _borne(r, gap)) and (_at_bound(mixture) or not _at_bound(r))]
+    allowed = [r for r in smaller if not strained(r, _borne(r, gap)) and (_at_bound(mixture) or not _at_bound(r))]
     exact = not alias and _leaves_nothing(mixture)
 
     def leaves_too_much(r: Ranked) -> bool:

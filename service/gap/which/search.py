@@ -24,6 +24,7 @@ from service.gap.which.mixtures import (
     as_fewer,
     extended,
     leaves_more_than_law_error,
+    strained,
     with_aliases,
     with_one_more,
     without_superfluous,
@@ -164,8 +165,10 @@ class _Search:
         """
         best = self.order[0].candidate
         needed = leaves_more_than_law_error(self.ground, self.order[0]) or leaves_much(self.null, self.order)
-        # an alias of the best explanation is always compared with it by all of its law
-        wider = [c for c in of if needed or differ_by_alias(c, best)]
+        # An alias of the best explanation is always compared with it by all of its law. The best one's own may be all
+        # that is missing where the datasheet's values make up for it, and nothing is left.
+        makes_up = strained(self.order[0])
+        wider = [c for c in of if needed or differ_by_alias(c, best) or (makes_up and c is best)]
         woken = with_optional_parameters(self.fitter, self.ground, wider)
         woken += self.fitter.run(softer_in_one_plane(self.ground, self.null, self.plain, wider))
         woken += self.fitter.run(on_modes_that_split(self.ground, wider)) if needed else []

@@ -13,6 +13,7 @@ from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.which.explained import Explained
 from service.gap.which.optional_parameters import on_modes_that_split
 from service.gap.which.search import explain
+from sim.datasheet import Tolerance
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
@@ -32,12 +33,15 @@ def explained(
 
 
 def measured(
-    effects: dict[str, dict[str, float]], polar_inertia_kgm2: float = 1.9, damper_ns_per_m: float = 0.0
+    effects: dict[str, dict[str, float]],
+    polar_inertia_kgm2: float = 1.9,
+    damper_ns_per_m: float = 0.0,
+    mode_shape: float = Tolerance.mode_shape,
 ) -> Ground:
-    """What is measured of the plant of such a rig."""
+    """What is measured of the plant of such a rig; ``mode_shape`` is the datasheet's tolerance of shapes."""
     datasheet, truth = known_datasheet(seed=15)
     sheet, true = (replace(d, polar_inertia_kgm2=polar_inertia_kgm2) for d in (datasheet, truth))
-    nu = nuisance(sheet)
+    nu = nuisance(replace(sheet, tolerance=replace(sheet.tolerance, mode_shape=mode_shape)))
     rig = with_effects(replace(true_rig(true), speed_rad_s=SPEED_RAD_S), effects)
     rig = replace(rig, seal_damping_ns_per_m=rig.seal_damping_ns_per_m + damper_ns_per_m * np.eye(2))
     o = observe(replace(sweep(rig, lines(14), 0.15, seed=1), speed_rad_s=SPEED_RAD_S), nu.rig)
@@ -110,6 +114,19 @@ def test_a_sensor_elsewhere_is_named_alone_though_a_mode_has_a_node_there() -> N
     best = explained({"sensor_position": moved}).order[0].candidate
     assert best.effects == ("sensor_position",)
     assert {name: best.fit.values[0][name] for name in moved} == pytest.approx(moved, rel=0.1, abs=2e-3)
+
+
+def test_a_sensor_far_off_is_named_with_the_slopes_of_modes_that_their_shapes_would_make_up_for() -> None:
+    """Nothing is left either way, but without the slopes mode shapes are many of their tolerances off."""
+    slopes = {"mode1_slope_A_per_m_sqrt_kg": 2.0, "mode2_slope_A_per_m_sqrt_kg": 3.0}
+    moved = {"sensor_position": {"shift_A_m": -0.019, "shift_B_m": 0.0, **slopes}}
+    with Fitter(1) as fitter:
+        best = explain(fitter, measured(moved, mode_shape=0.06)).order[0].candidate
+    assert best.effects == ("sensor_position",)
+    assert best.fit.penalty < len(best.fit.active)
+    found = best.fit.values[0]
+    assert found["shift_A_m"] == pytest.approx(-0.019, rel=0.05)
+    assert {name: found[name] for name in slopes} == pytest.approx(slopes, rel=0.2)
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.75])
