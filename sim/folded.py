@@ -73,6 +73,8 @@ NOT_IN_MODEL = {
     "mean",
     "rotor.discs": "its disc couples tilts and modes with one another, and a model of several speeds couples each with "
     "its own copy in the other plane alone",
+    "rotor.gyroscopic_between": "it couples modes with others, and a model of several speeds couples each with its own "
+    "copy in the other plane alone",
     "amplifiers.slew_limit_a_per_s": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
     "amplifiers.slope_noise_share": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
     "amplifiers.slew_seen": _SMALL.format(what="amplifier", figures="amplifiers and delay"),
@@ -282,9 +284,10 @@ def _of_support(rig: Rig) -> list[Mode]:
     beyond_a, beyond_b = np.subtract(rig.rotor.sensor_from_cog_m, rig.rotor.bearing_from_cog_m) / lever
     bearings, sensors = (more + 1.0, more - 1.0), (more + 1.0 + float(beyond_a), more - 1.0 - float(beyond_b))
     of_rocking, of_one = damping * support.rocking_damping_quotient, damping * support.damping_quotient
+    rocking_hz = hz * support.rocking_frequency_ratio * math.sqrt(support.rocking_plane_quotient)
     parts = (
         (of_both, lean, lean, hz, damping),
-        (support.rocking * of_both, bearings, sensors, hz * support.rocking_frequency_ratio, of_rocking),
+        (support.rocking * of_both, bearings, sensors, rocking_hz, of_rocking),
         (share * at_a, (1.0, 0.0), (1.0, 0.0), hz, damping),
         (share * at_b, (0.0, 1.0), (0.0, 1.0), hz * support.frequency_ratio, of_one),
     )

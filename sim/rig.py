@@ -60,6 +60,9 @@ class Rotor:
     """modes[plane][k]."""
     discs: tuple[Disc, ...] = ()
     """Whose polar inertias are beyond ``polar_inertia_kgm2``, which tilts with the rigid body alone."""
+    gyroscopic_between: tuple[tuple[int, int, float], ...] = ()
+    """(j, k, g): two modes that the moments of a whole shaft couple across the planes as `FlexibleMode.gyroscopic`
+    couples one mode's copies, beyond what discs do."""
 
     @property
     def whole_polar_inertia_kgm2(self) -> float:
@@ -90,6 +93,8 @@ class Support:
     """Natural frequency of its rocking over that of its translation."""
     rocking_damping_quotient: float = 1.0
     """Damping ratio of its rocking over that of its translation."""
+    rocking_plane_quotient: float = 1.0
+    """``plane_frequency_ratio`` of its rocking over that of its translation."""
     rocking_imbalance: float = 0.0
     """By which it moves bearing A more and bearing B less than their mean as it rocks, 0 about the middle between."""
     shares: tuple[float, ...] = ()

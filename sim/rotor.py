@@ -187,7 +187,7 @@ def _housings(rig: Rig, plane: int) -> list[_Housing]:
         [a, b],
         (bearings, sensors, slopes),
         support.rocking * of_both,
-        w * support.rocking_frequency_ratio,
+        w * support.rocking_frequency_ratio * support.rocking_plane_quotient**plane,
         zeta * support.rocking_damping_quotient,
     )
     under_a = ([a], (one, one, 0 * one), share * of_a, w, zeta)
@@ -215,6 +215,10 @@ def _turning(rig: Rig, starts: Sequence[int], damping: Array, stiffness: Array) 
         damping[of_y, of_x] -= moment
     damping[x, y] += rotor.polar_inertia_kgm2 * speed
     damping[y, x] -= rotor.polar_inertia_kgm2 * speed
+    for j, k, g in rotor.gyroscopic_between:
+        for in_x, in_y in ((x + 1 + j, y + 1 + k), (x + 1 + k, y + 1 + j)):
+            damping[in_x, in_y] += g * speed
+            damping[in_y, in_x] -= g * speed
     for mx, my in zip(rotor.modes[0], rotor.modes[1], strict=True):
         x, y = x + 1, y + 1
         gyroscopic = 0.5 * (mx.gyroscopic + my.gyroscopic) * speed

@@ -4,17 +4,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from sim.effect import Effect, Parameter, rarely_needed
 from sim.errors import EffectError
 from sim.imbalance import NAMES, OF_PLANES, parameters, shares
 from sim.rig import Rig, Support
 from sim.sizes import MASS
 
-ROCKING, ROCKING_FREQUENCY_RATIO, ROCKING_DAMPING_QUOTIENT = (0.0, 10.0), (0.1, 10.0), (0.1, 10.0)
+ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
+ROCKING_DAMPING_QUOTIENT, ROCKING_PLANE_QUOTIENT = (0.1, 10.0), (0.5, 2.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
 
+SOFTER_PLANE = "plane_frequency_ratio"
 LEANS, AT_ONE_END = 0.05, 0.98
 """Imbalance of both ends from which a mode is likened to a housing that leans, and from which it moves one end alone,
 whichever way the tenth of it goes that is left at the other."""
@@ -40,6 +40,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         p["rocking"],
         p["rocking_frequency_ratio"],
         p["rocking_damping_quotient"],
+        p["rocking_plane_quotient"],
         p["rocking_imbalance"],
         own,
     )
@@ -75,10 +76,21 @@ def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[
     (_, most), (least, greatest) = ROCKING, ROCKING_FREQUENCY_RATIO
     if max(against) >= 0 or not 0 < rocking < most or not least < ratio < greatest:
         return {}
-    quotient = float(np.clip(mode["damping_ratio"] / own["damping_ratio"], *ROCKING_DAMPING_QUOTIENT))
-    more = 0.5 * (mode["bearing_A_per_sqrt_kg"] + mode["bearing_B_per_sqrt_kg"]) / at_bearings
-    shape = {"rocking_frequency_ratio": ratio, "rocking_damping_quotient": quotient, "rocking_imbalance": more}
-    return {**own, "pedestals": 0.0, "rocking": rocking, **shape}
+    alike = own.get(SOFTER_PLANE, 1.0), mode.get(SOFTER_PLANE, 1.0)
+    return {
+        **own,
+        "pedestals": 0.0,
+        "rocking": rocking,
+        "rocking_frequency_ratio": ratio,
+        "rocking_damping_quotient": _within(ROCKING_DAMPING_QUOTIENT, mode["damping_ratio"] / own["damping_ratio"]),
+        "rocking_plane_quotient": _within(ROCKING_PLANE_QUOTIENT, alike[1] / alike[0]),
+        "rocking_imbalance": 0.5 * (mode["bearing_A_per_sqrt_kg"] + mode["bearing_B_per_sqrt_kg"]) / at_bearings,
+    }
+
+
+def _within(limits: tuple[float, float], value: float) -> float:
+    low, high = limits
+    return min(max(value, low), high)
 
 
 EFFECT = Effect(
@@ -164,6 +176,14 @@ EFFECT = Effect(
             1.0,
             "log",
             "damping ratio of its rocking over that of its translation",
+        ),
+        rarely_needed(
+            "rocking_plane_quotient",
+            "1",
+            *ROCKING_PLANE_QUOTIENT,
+            1.0,
+            "log",
+            "plane_frequency_ratio of its rocking over that of its translation",
         ),
         rarely_needed(
             "rocking_imbalance",

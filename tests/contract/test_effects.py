@@ -190,6 +190,14 @@ def with_slow_sensors(rig: Rig) -> Rig:
     return replace(rig, sensors=replace(rig.sensors, bandwidth_rad_s=np.full(rig.n_axes, 2 * np.pi * 50e3)))
 
 
+def with_a_third_mode(rig: Rig) -> Rig:
+    mode = FlexibleMode(2 * np.pi * 1400, 0.005, (0.05, -0.04), (0.05, -0.04))
+    return replace(rig, rotor=replace(rig.rotor, modes=tuple((*modes, mode) for modes in rig.rotor.modes)))
+
+
+ROCKS = ("frequency_ratio", "damping_quotient", "plane_quotient", "imbalance")
+
+
 @every_effect
 def test_each_of_its_parameters_counts(one):
     """Strengths set to null and shapes moved, one at a time, beside typical values of the others.
@@ -198,8 +206,7 @@ def test_each_of_its_parameters_counts(one):
     """
     of_pedestals = {"pedestals": 0.5} if one.id == "support_resonance" else {}  # where there are any
     beside = dict.fromkeys(("frequency_ratio", "damping_quotient", "end_imbalance"), of_pedestals)
-    of_rocking = ("rocking_frequency_ratio", "rocking_damping_quotient", "rocking_imbalance")
-    beside |= {name: {"rocking": 2.0} for name in of_rocking}
+    beside |= {f"rocking_{name}": {"rocking": 2.0} for name in ROCKS}
     beside["coupling_imbalance"] = {"mode_coupling": 0.02}
     beside |= {shape: {"filter_mid_change": -0.2} for shape in ("filter_frequency_hz", "filter_damping_ratio")}
     beside["opposite_share"] = {"end_imbalance": 0.5}
@@ -224,6 +231,7 @@ def test_each_of_its_parameters_counts(one):
         rig = with_low_pass(rig) if p.name.startswith("lowpass") else rig
         rig = with_slow_sensors(rig) if p.name == "moved_share" else rig
         rig = of_first_order(rig) if p.name == "second_order_term" else rig
+        rig = with_a_third_mode(rig) if "mode3" in p.name else rig
         others = beside.get(p.name, {})
         typical = answer(one.on(rig, **others))
         # shapes only a little: what one axis alone has is four times as strong there, and the loop need not hold it
@@ -362,8 +370,11 @@ def slope_noise_a_per_s(rig: Rig, noise_m: float) -> float:
 
 @pytest.mark.parametrize("lag_s", [0.0, 5e-6])
 def test_a_voltage_that_suffices_changes_nothing_on_first_order_amplifiers(lag_s):
-    """1 A at 200 Hz asks for 1.3 kA/s, with the steps of u 2 kA/s, of 4 kA/s."""
-    rig = of_first_order(reference_rig(), lag_s)
+    """1 A at 200 Hz asks for 1.3 kA/s, with the steps of u 2 kA/s, of 4 kA/s.
+
+    Without the converters' steps, of which one would be another where a processor rounds otherwise.
+    """
+    rig = replace(of_first_order(reference_rig(), lag_s), noise=Noise(displacement_m=2e-9, current_a=2e-4))
     t = np.arange(4000)[:, None] * 1e-4
     r = np.cos(2 * np.pi * 200 * t) * np.minimum(1, t / 0.05) * [1.0, 0, 0, 0]
     plain, limited = (Simulation(one, seed=1).advance(r) for one in (rig, CATALOGUE["amplifier_voltage_limit"].on(rig)))

@@ -30,6 +30,9 @@ SET_THE_SCALE = frozenset({"magnetic_saturation", "magnetic_hysteresis", "touchd
 """Nonlinear effects beside which no error of the datasheet is named, nor another rig's datasheet where they explain
 nearly all. The current or displacement at which their law bends gives the scale of masses and gains, which are aliases
 of the magnets' stiffnesses else: an error of the law would be theirs."""
+DRAWING = SET_THE_SCALE | {"amplifier_voltage_limit"}
+"""Effects of which the error of a law may draw the datasheet's values off: a voltage that ends in real coils, with the
+windup of their current controllers, drew amplifiers' frequencies by four tolerances where it explained 99 %."""
 STRANGE = 0.03
 """Relative gap from which such a datasheet is said to be another rig's: with those of other rotors it was 0.09 to 0.17.
 With a smaller gap the values are biased by something in this rig that no effect describes."""
@@ -64,7 +67,7 @@ def drawn_by_its_law(best: Ranked, remaining: float) -> bool:
     The effect explains nearly all of a gap so large that the rest is far beyond noise, as of a stop with damping and
     friction. Beside that rest the tolerances hardly count. ``remaining`` is the significance of what is left.
     """
-    bends = not SET_THE_SCALE.isdisjoint(best.candidate.effects)
+    bends = not DRAWING.isdisjoint(best.candidate.effects)
     return bends and remaining > LEAVES and best.unexplained <= MIXTURE_SHARE
 
 

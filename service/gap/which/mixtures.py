@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,7 +17,7 @@ from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
-from service.gap.weighing.verdict import MIXTURE_SHARE
+from service.gap.weighing.verdict import MAX_SHARE_LEFT_BY_SEVERAL, MIXTURE_SHARE
 from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
 from service.gap.which.optional_parameters import with_all_parameters
 from service.gap.which.refits import LOST_COST, best_of_each, better_without_one_effect, cost, exact_tasks, refitted
@@ -43,8 +43,13 @@ harmonics that held 0.005 of it, and that was explained as eddy currents."""
 HOPEFUL = 0.75
 """Factor by which one more effect must reduce the residuals of a group (fundamental or harmonics of a sweep) for a
 further one to be tried: a law outside the catalogue is approximated in many small steps."""
-MOST = 0.5
-"""Share of what the likeliest single effect leaves at which another one, that leaves no more, is extended instead."""
+MOST, NEARLY_ALL, MUCH = 0.5, 0.9, 0.75
+"""Share of what the likeliest single effect leaves at which another one, that leaves no more, is extended instead; and
+where the likeliest leaves nearly all of the gap. Each of two effects that couple the planes explains about half of the
+coupling."""
+GROSS, DEMOTED = 4e4, 15.0
+"""Chi-square beyond noise of a gross gap, a thousand times the independent values of a law's error; and log evidence by
+which what leaves nearly all of it comes behind what leaves next to nothing."""
 OF_ONE_LAW = frozenset(
     {"cross_coupled_stiffness", "gyroscopic_coupling", "magnetic_cross_coupling", "channel_crosstalk"}
 )
@@ -89,7 +94,8 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
         # one that explains most of a large gap is no likelier than one that explains nothing, while its values make up
         # for what the second explains
         closest = min(singles, key=lambda r: r.unexplained)
-        if closest.unexplained < MOST * base.unexplained:
+        most = MUCH if base.unexplained > NEARLY_ALL else MOST
+        if closest.unexplained < most * base.unexplained:
             base = closest
     leaves = leaves_more_than_law_error(ground, base)
     promising = ground.part.effects if leaves else _explaining_more(base, order)
@@ -243,7 +249,23 @@ def as_fewer(fitter: Fitter, ground: Ground, best: Candidate) -> list[Candidate]
 
 def without_superfluous(everything: Sequence[Ranked]) -> list[Ranked]:
     """The explanations that need all of their effects, by falling evidence."""
-    return renormalised([r for r in everything if needs_all_effects(r, everything)])
+    order = beside_a_gross_gap(everything)
+    return renormalised([r for r in order if needs_all_effects(r, order)])
+
+
+def beside_a_gross_gap(order: Sequence[Ranked]) -> list[Ranked]:
+    """The order with what leaves nearly all of a gross gap behind what leaves next to nothing of it.
+
+    Evidence takes what is left for the error of a law of a few independent values, and that says next to nothing where
+    it is all of a gross gap: two effects that left a hundredth were no likelier than one that left all, as their
+    parameters cost more.
+    """
+    close = [r for r in order if r.candidate.effects and r.unexplained <= MAX_SHARE_LEFT_BY_SEVERAL]
+    if not close or _gap_of_groups(order).sum() < GROSS:
+        return list(order)
+    most = max(r.log_evidence for r in close) - DEMOTED
+    lowered = (replace(r, log_evidence=min(r.log_evidence, most)) if r.unexplained > NEARLY_ALL else r for r in order)
+    return sorted(lowered, key=lambda r: -r.log_evidence)
 
 
 def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:

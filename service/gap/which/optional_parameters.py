@@ -126,17 +126,24 @@ def _woken(task: Task, dormant: Sequence[Mapping[str, float]]) -> Starts:
 
 
 def _tasks(ground: Ground, c: Candidate) -> Iterator[Task]:
-    """Fits of one effect's dormant parameters: from the strength of its basic law, and from a visible one."""
+    """Fits of one effect's dormant parameters: from the strength of its basic law, and from a visible one.
+
+    Of an effect some of whose parameters are awake, the others wake beside them as these were fitted.
+    """
     sleeping = dormant_at_null(c.effects, c.fit.values)
     for k, name in enumerate(c.effects):
         parameters = CATALOGUE[name].of(ground.nuisance.rig).parameters
         visible = {p.name: p.null + VISIBLE * (p.typical - p.null) for p in parameters if p.strength}
-        for more in _dormant_starts(name, ground):
-            if all((name, parameter) in sleeping for parameter in more):
-                own = c.fit.values[k]
-                own_starts = ({**own, **more}, {**own, **visible, **more})
-                starts = tuple((*c.fit.values[:k], start, *c.fit.values[k + 1 :]) for start in own_starts)
-                yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
+        woken = []
+        for at in _dormant_starts(name, ground):
+            more = {parameter: value for parameter, value in at.items() if (name, parameter) in sleeping}
+            if not more or more in woken:
+                continue
+            woken.append(more)
+            own = c.fit.values[k]
+            own_starts = [{**own, **more}, *([{**own, **visible, **more}] if len(more) == len(at) else [])]
+            starts = tuple((*c.fit.values[:k], start, *c.fit.values[k + 1 :]) for start in own_starts)
+            yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
 
 
 def _dormant_starts(name: str, ground: Ground) -> list[dict[str, float]]:

@@ -129,6 +129,8 @@ class _Search:
     found: list[Candidate] = field(default_factory=list)
     order: list[Ranked] = field(default_factory=list)
     """candidates found and the plain twin, by falling evidence"""
+    widest: Candidate | None = None
+    """the last mixture of which wider laws were looked for"""
 
     def single_effects(self, before: Explained | None) -> None:
         """Fit every effect of the part alone; ``before`` is the result on fewer sweeps."""
@@ -174,6 +176,8 @@ class _Search:
         woken += self.fitter.run(on_modes_that_split(self.ground, wider)) if needed else []
         uneven = with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else []
         self._add([*uneven, *woken])
+        if best not in wider and differ_by_alias(best, self.order[0].candidate):  # its alias leads by a wider law alone
+            self._add(with_optional_parameters(self.fitter, self.ground, [best]))
         if needed and leaves_more_than_law_error(self.ground, self.order[0]):
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
@@ -199,6 +203,7 @@ class _Search:
         """
         fewer = next(r for r in self.order if r.candidate is self.null)
         for size in range(1, most):
+            self.widen_mixture()  # all of the laws of two before a third effect
             extension = extended(self.ground, self.order, fewer, size)
             if extension is None:
                 break
@@ -211,9 +216,14 @@ class _Search:
             more += as_fewer(self.fitter, self.ground, best)
             self.found = best_of_each(self.null, [*self.found, *more])
             self.order = without_superfluous(ranked(self.null, self.found))
+        self.widen_mixture()
+
+    def widen_mixture(self) -> None:
+        """Add wider laws of the best explanation's effects, where it is a mixture whose laws are not known as wide."""
         best = self.order[0].candidate
-        if len(best.effects) > 1:
+        if len(best.effects) > 1 and best is not self.widest:
             self.add_wider_laws([best])
+            self.widest = self.order[0].candidate
 
 
 def _continued(ground: Ground, before: Explained) -> Iterable[Task]:

@@ -103,6 +103,29 @@ def symmetric_modes(zeta: float) -> Rig:
     return replace(RIG, rotor=replace(RIG.rotor, modes=((mode,), (mode,)), polar_inertia_kgm2=1.9))
 
 
+def test_the_moments_of_a_whole_shaft_are_those_of_its_parts():
+    """Three discs where modes tilt them otherwise, as one effect: what tilts is coupled by a matrix of any rank."""
+    mode = FlexibleMode(2 * np.pi * 1400, 0.005, (0.05, -0.04), (0.05, -0.04))
+    rig = replace(RIG, rotor=replace(RIG.rotor, modes=tuple((*modes, mode) for modes in RIG.rotor.modes)))
+    parts = ((0.8, (0.2, -0.1, 0.05)), (0.7, (-0.1, 0.3, 0.1)), (0.4, (0.05, 0.1, -0.2)))
+    of_parts = replace(rig, rotor=replace(rig.rotor, discs=tuple(Disc(*part) for part in parts)))
+    G = sum(inertia * np.outer([1, *slopes], [1, *slopes]) for inertia, slopes in parts)
+    inertia, slopes = G[0, 0], G[0, 1:] / G[0, 0]
+    more = G[1:, 1:] - inertia * np.outer(slopes, slopes)
+    mean = (more[0, 0] + more[1, 1]) / 2
+    whole = effect("gyroscopic_coupling").on(
+        rig,
+        polar_inertia_kgm2=inertia,
+        mode_coupling=mean,
+        coupling_imbalance=(more[0, 0] - more[1, 1]) / (2 * mean),
+        mode3_coupling=more[2, 2] - mean,
+        **{f"mode{k + 1}_slope_per_m_sqrt_kg": slope for k, slope in enumerate(slopes)},
+        **{f"mode{j + 1}_to_mode{k + 1}_coupling": more[j, k] for j, k in ((0, 1), (0, 2), (1, 2))},
+    )
+    one, other = (rotor.mechanics(turning(r, 300.0)).damping for r in (whole, of_parts))
+    np.testing.assert_allclose(one, other, atol=1e-9 * np.abs(other).max())
+
+
 def test_the_gyroscopic_coupling_of_a_mode_splits_it_in_proportion_to_speed():
     rig = turning(effect("gyroscopic_coupling").on(symmetric_modes(0.0), mode_coupling=0.02), 600.0)
     poles = whirl_poles(rig)

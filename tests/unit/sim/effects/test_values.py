@@ -185,6 +185,10 @@ def test_mass_and_inertia_change_apart():
     heavier = alone("rotor_inertia", mass_change=0.1).rotor
     assert (heavier.mass_kg, heavier.transverse_inertia_kgm2) == pytest.approx((308.0, 10.87))
     longer = alone("rotor_inertia", inertia_change=0.1).rotor
+    overhung = alone("rotor_inertia", centre_shift_m=0.01).rotor
+    for places in ("bearing_from_cog_m", "sensor_from_cog_m"):
+        (a, b), (own_a, own_b) = getattr(RIG.rotor, places), getattr(overhung, places)
+        assert (own_a, own_b) == pytest.approx((a - 0.01, b + 0.01))
     assert (longer.mass_kg, longer.transverse_inertia_kgm2) == pytest.approx((280.0, 11.957))
 
 

@@ -13,7 +13,7 @@ from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import MIXTURE_SHARE
-from service.gap.which.mixtures import needs_all_effects, refitted_in_turn
+from service.gap.which.mixtures import needs_all_effects, refitted_in_turn, without_superfluous
 from service.gap.which.refits import best_of_each, cost
 from sim.reference import reference_rig
 from sim.twin import with_effects
@@ -59,6 +59,17 @@ def test_a_second_effect_that_values_of_the_datasheet_made_up_for_is_told_beside
     both = leaving(gap, (first, second), -10.0, (0.0,))
     alone = [leaving(gap, (first,), -10.0 - lead, (5e-6,), penalty=2.0), leaving(gap, (second,), -99.0, (0.9,))]
     assert needs_all_effects(both, [both, *alone]) is told
+
+
+@pytest.mark.parametrize(("gap", "first"), [(1e7, (CROSS, "gyroscopic_coupling")), (1e3, ("sensor_lag",))])
+def test_two_effects_that_explain_a_gross_gap_lead_what_leaves_all_of_it(gap: float, first: tuple[str, ...]) -> None:
+    """Though their parameters cost more evidence than a law's error of that size can tell."""
+    both = leaving((gap,), (CROSS, "gyroscopic_coupling"), -455.0, (0.008,))
+    alone = [leaving((gap,), (CROSS,), -487.0, (0.55,)), leaving((gap,), ("gyroscopic_coupling",), -473.0, (0.89,))]
+    nothing = [leaving((gap,), ("sensor_lag",), -446.0, (1.0,)), leaving((gap,), (), -451.0, (1.0,))]
+    order = without_superfluous([*nothing, both, *alone])
+    assert order[0].candidate.effects == first
+    assert sum(r.probability for r in order) == pytest.approx(1.0)
 
 
 def test_a_second_effect_that_one_alone_makes_needless_is_not_worth_it() -> None:

@@ -11,7 +11,7 @@ from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.which.explained import Explained
-from service.gap.which.optional_parameters import on_modes_that_split
+from service.gap.which.optional_parameters import on_modes_that_split, with_optional_parameters
 from service.gap.which.search import explain
 from sim.datasheet import Tolerance
 from sim.effects import CATALOGUE
@@ -88,6 +88,36 @@ def test_a_pole_of_the_sensors_that_has_moved_is_a_lag_of_the_sensors() -> None:
     (values,) = lag.candidate.fit.values
     assert values["moved_share"] == pytest.approx(1.0, abs=0.1)
     assert values["time_constant_s"] + values["delay_s"] == pytest.approx(slower_s, rel=0.03)
+
+
+OF_A_SHAFT = {
+    "polar_inertia_kgm2": 1.0,
+    "mode_coupling": 0.05,
+    "coupling_imbalance": -0.3,
+    "mode1_slope_per_m_sqrt_kg": 0.15,
+    "mode2_slope_per_m_sqrt_kg": 0.2,
+    "mode1_to_mode2_coupling": 0.05,
+}
+
+
+@pytest.mark.parametrize("seal", [{}, {"cross_coupled_stiffness": {"stiffness_n_per_m": 3e5, "between": 1.0}}])
+def test_the_moments_of_a_whole_shaft_are_told_also_beside_a_seal(seal: dict[str, dict[str, float]]) -> None:
+    best = explained({"gyroscopic_coupling": OF_A_SHAFT, **seal}).order[0].candidate
+    assert set(best.effects) == {"gyroscopic_coupling", *seal}
+    found = best.fit.values[best.effects.index("gyroscopic_coupling")]
+    assert found["mode1_to_mode2_coupling"] == pytest.approx(0.05, rel=0.2)
+
+
+def test_parameters_that_sleep_wake_beside_those_that_were_fitted() -> None:
+    """Starts by split peaks wake a disc's slopes: what a whole shaft has more had stayed asleep then."""
+    ground = measured({"gyroscopic_coupling": OF_A_SHAFT})
+    of_disc = {p.name: p.null for p in CATALOGUE["gyroscopic_coupling"].parameters} | OF_A_SHAFT
+    of_disc["mode1_to_mode2_coupling"] = 0.0
+    with Fitter(1) as fitter:
+        (disc,) = fitter.run([Task(ground, ("gyroscopic_coupling",), ((of_disc,),), ground.theta)])
+        (shaft,) = with_optional_parameters(fitter, ground, [disc])
+    assert shaft.fit.cost < disc.fit.cost - 100
+    assert shaft.fit.values[0]["mode1_to_mode2_coupling"] == pytest.approx(0.05, rel=0.2)
 
 
 def test_a_disc_that_modes_tilt_is_found_beside_another_effect() -> None:
