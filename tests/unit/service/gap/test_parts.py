@@ -15,7 +15,7 @@ from service.gap.interference import interference
 from service.gap.measured.observation import observe
 from service.gap.weighing.significance import SIGNIFICANT, significance
 from sim.twin import with_effects
-from tests.support.synthetic import experiment, known_datasheet, true_rig
+from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.slow
@@ -85,6 +85,16 @@ def test_hum_of_the_mains_is_heard_in_the_scatter_and_named() -> None:
     d = diagnose(loud, datasheet)
     assert d.verdict.effects == ("mains_interference",)
     assert gap_document(d)["where"]["path"] == "additive"
+
+
+def test_noise_that_is_less_above_the_mains_is_no_hum() -> None:
+    """As where low lines are measured in shorter blocks than those above: near 50 Hz it is what it is at 25 Hz."""
+    datasheet, truth = known_datasheet(seed=15)
+    s, rng = sweep(true_rig(truth), lines(80), 0.15, seed=1), np.random.default_rng(3)
+    at = s.frequency_hz[:, None] * np.array(s.harmonics)
+    sd = np.where(at < 56.0, 600e-9, 20e-9)[:, None, :, None]
+    white = rng.standard_normal(s.Y.shape) + 1j * rng.standard_normal(s.Y.shape)
+    assert interference(replace(s, Y=s.Y + sd * white), nuisance(datasheet).rig) == []
 
 
 def test_without_the_current_amplifier_and_plant_are_one_part() -> None:
