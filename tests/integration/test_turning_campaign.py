@@ -50,7 +50,7 @@ def test_two_campaigns_give_the_rotor_at_speed(measured: list[Path], tmp_path: P
     assert polar["value"] == pytest.approx(POLAR, rel=0.02)
     for mode in found["modes"]:
         assert mode["gyroscopic"]["value"] == pytest.approx(COUPLING, abs=3.5 * mode["gyroscopic"]["std"])
-        assert mode["gyroscopic"]["value"] == pytest.approx(COUPLING, rel=0.02)
+        assert mode["gyroscopic"]["std"] < 0.025 * COUPLING
     at_speed = next(s for s in found["sweeps"] if s["speed_rad_s"] == pytest.approx(SPEED))
     assert at_speed["synchronous"][0]["seen"]
     assert at_speed["rms_over_sigma"] < 1.5
