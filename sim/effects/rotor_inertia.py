@@ -1,4 +1,4 @@
-"""Rotor heavier or longer than the datasheet says."""
+"""Rotor heavier or longer than the datasheet says, or with its centre of gravity elsewhere."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -11,8 +11,8 @@ from sim.rig import Rig, Support
 from sim.sizes import MASS
 
 ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
-ROCKING_DAMPING_QUOTIENT, ROCKING_PLANE_QUOTIENT = (0.1, 10.0), (0.5, 2.0)
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
+ROCKING_DAMPING_QUOTIENT, ROCKING_PLANE_QUOTIENT = (0.1, 10.0), (0.5, 2.0)
 
 SOFTER_PLANE = "plane_frequency_ratio"
 LEANS, AT_ONE_END = 0.05, 0.98

@@ -18,6 +18,7 @@ from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT_BY_SEVERAL, MIXTURE_SHARE
+from service.gap.which.accepted_instead import DEMOTED
 from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
 from service.gap.which.optional_parameters import with_all_parameters
 from service.gap.which.refits import LOST_COST, best_of_each, better_without_one_effect, cost, exact_tasks, refitted
@@ -43,13 +44,13 @@ harmonics that held 0.005 of it, and that was explained as eddy currents."""
 HOPEFUL = 0.75
 """Factor by which one more effect must reduce the residuals of a group (fundamental or harmonics of a sweep) for a
 further one to be tried: a law outside the catalogue is approximated in many small steps."""
-MOST, NEARLY_ALL, MUCH = 0.5, 0.9, 0.75
-"""Share of what the likeliest single effect leaves at which another one, that leaves no more, is extended instead; and
-where the likeliest leaves nearly all of the gap. Each of two effects that couple the planes explains about half of the
-coupling."""
-GROSS, DEMOTED = 4e4, 15.0
-"""Chi-square beyond noise of a gross gap, a thousand times the independent values of a law's error; and log evidence by
-which what leaves nearly all of it comes behind what leaves next to nothing."""
+MOST = 0.5
+"""Share of what the likeliest single effect leaves at which another one, that leaves no more, is extended instead."""
+NEARLY_ALL, MUCH = 0.9, 0.75
+"""Share of the gap from which the likeliest leaves nearly all of it, and what `MOST` is then: each of two effects that
+couple the planes explains about half of the coupling."""
+GROSS = 4e4
+"""Chi-square beyond noise of a gross gap, a thousand times the independent values of a law's error."""
 OF_ONE_LAW = frozenset(
     {"cross_coupled_stiffness", "gyroscopic_coupling", "magnetic_cross_coupling", "channel_crosstalk"}
 )

@@ -130,7 +130,7 @@ class _Search:
     order: list[Ranked] = field(default_factory=list)
     """candidates found and the plain twin, by falling evidence"""
     widest: Candidate | None = None
-    """the last mixture of which wider laws were looked for"""
+    """the best mixture once its wider laws had been looked for"""
 
     def single_effects(self, before: Explained | None) -> None:
         """Fit every effect of the part alone; ``before`` is the result on fewer sweeps."""

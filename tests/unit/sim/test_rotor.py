@@ -279,7 +279,7 @@ def test_what_carries_the_bearings_may_be_softer_in_one_direction(pedestals):
 @pytest.mark.parametrize("imbalance", [0.0, 0.3])
 def test_a_housing_that_rocks_turns_about_a_point_between_the_bearings(imbalance):
     """One more receptance of an inertia on a spring, as each bearing and sensor is away from that point."""
-    mass, hz, zeta, rocking, ratio, quotient = 900.0, 110.0, 0.03, 2.5, 1.6, 0.4
+    mass, hz, zeta, rocking, ratio, quotient, softer = 900.0, 110.0, 0.03, 2.5, 1.6, 0.4, 1.3
     values = {"inverse_mass_per_kg": 1 / mass, "frequency_hz": hz, "damping_ratio": zeta}
     still, rocks = (
         rotor.receptances(rotor.mechanics(effect("support_resonance").on(RIG, **values, **own)), OMEGA)[1]
@@ -289,16 +289,22 @@ def test_a_housing_that_rocks_turns_about_a_point_between_the_bearings(imbalance
                 "rocking": rocking,
                 "rocking_frequency_ratio": ratio,
                 "rocking_damping_quotient": quotient,
+                "rocking_plane_quotient": softer,
                 "rocking_imbalance": imbalance,
             },
         )
     )
     (a, b), (sa, sb) = RIG.rotor.bearing_from_cog_m, RIG.rotor.sensor_from_cog_m
-    inertia, w = mass / rocking * ((a + b) / 2) ** 2, 2 * np.pi * hz * ratio
-    angle = 1 / (inertia * (w**2 - OMEGA**2 + 2j * zeta * quotient * w * OMEGA))
+    inertia = mass / rocking * ((a + b) / 2) ** 2
+    angles = [
+        1 / (inertia * (w**2 - OMEGA**2 + 2j * zeta * quotient * w * OMEGA))
+        for w in 2 * np.pi * hz * ratio * np.array([1.0, softer])
+    ]
     centre = (a - b) / 2 - imbalance * (a + b) / 2  # from the centre of gravity towards A
     arms = np.outer([sa - centre, -sb - centre], [a - centre, -b - centre])
-    expected = np.kron(np.eye(2), arms) * angle[:, None, None]
+    expected = sum(
+        np.kron(np.diag(plane), arms) * angle[:, None, None] for plane, angle in zip(np.eye(2), angles, strict=True)
+    )
     np.testing.assert_allclose(rocks - still, expected, rtol=1e-9, atol=1e-15)
 
 

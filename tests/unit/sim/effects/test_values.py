@@ -185,11 +185,14 @@ def test_mass_and_inertia_change_apart():
     heavier = alone("rotor_inertia", mass_change=0.1).rotor
     assert (heavier.mass_kg, heavier.transverse_inertia_kgm2) == pytest.approx((308.0, 10.87))
     longer = alone("rotor_inertia", inertia_change=0.1).rotor
+    assert (longer.mass_kg, longer.transverse_inertia_kgm2) == pytest.approx((280.0, 11.957))
+
+
+def test_a_centre_of_gravity_nearer_to_a_is_farther_from_b():
     overhung = alone("rotor_inertia", centre_shift_m=0.01).rotor
     for places in ("bearing_from_cog_m", "sensor_from_cog_m"):
         (a, b), (own_a, own_b) = getattr(RIG.rotor, places), getattr(overhung, places)
         assert (own_a, own_b) == pytest.approx((a - 0.01, b + 0.01))
-    assert (longer.mass_kg, longer.transverse_inertia_kgm2) == pytest.approx((280.0, 11.957))
 
 
 def test_sensors_move_away_from_the_centre_of_gravity():

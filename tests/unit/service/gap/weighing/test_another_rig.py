@@ -82,6 +82,7 @@ def test_a_resonance_that_a_fit_wants_below_every_line_is_another_rotor(
     ("effect", "unexplained", "stands"),
     [
         ("touchdown_contact", 0.01, True),
+        ("amplifier_voltage_limit", 0.01, True),
         ("touchdown_contact", 0.04, False),  # more than a law's error leaves: it may be no stop
         ("support_resonance", 0.01, False),  # it has no scale of its own that a wrong mass could not have
     ],

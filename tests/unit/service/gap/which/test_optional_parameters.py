@@ -159,6 +159,15 @@ def test_a_sensor_far_off_is_named_with_the_slopes_of_modes_that_their_shapes_wo
     assert {name: found[name] for name in slopes} == pytest.approx(slopes, rel=0.2)
 
 
+def test_a_centre_of_gravity_that_moved_is_no_gain_of_the_sensors_alone() -> None:
+    """Gains of each plane's sensors imitate it: both are told, or it leads."""
+    hub = {"mass_change": 0.02, "inertia_change": 0.02, "centre_shift_m": -0.01}
+    order = explained({"rotor_inertia": hub}).order
+    rotor = next(r for r in order if r.candidate.effects == ("rotor_inertia",))
+    assert rotor.log_evidence > order[0].log_evidence - ALIKE_LOG_EVIDENCE
+    assert rotor.candidate.fit.values[0]["centre_shift_m"] == pytest.approx(-0.01, rel=0.2)
+
+
 @pytest.mark.parametrize("damping", [0.0, 0.75])
 def test_a_seal_is_named_with_its_damping_or_without_any(damping: float) -> None:
     """By its stiffness alone it drove the datasheet's values to their bounds."""
