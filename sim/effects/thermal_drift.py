@@ -1,18 +1,24 @@
-"""Magnets whose factors drift while they warm up, all alike or one bearing or plane more than another."""
+"""Magnets whose factors drift while they warm up: alike, one bearing or plane more than another, or each by its own."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import parameters, shares
 from sim.rig import Drift, Rig
+
+AXES = ("xA", "xB", "yA", "yB")
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     of_axes, duration = shares(rig, p), p["duration_s"]
-    ki, ks = p["ki_change"] * of_axes, p["ks_change"] * of_axes
+    ki, ks = (
+        p[f"{factor}_change"] * of_axes + np.array([p[f"{factor}_change_{axis}"] for axis in rig.axes])
+        for factor in ("ki", "ks")
+    )
     if (known := rig.drift) is not None:  # more of the drift that the rig has, with its course in time
         whole = known.progress(np.array(duration / known.duration_s))
         return replace(
@@ -23,15 +29,33 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
     """The same drift, with its changes stated after the time ``duration_s`` of ``like``."""
-    change = np.array([values["ki_change"]]), np.array([values["ks_change"]])
-    again = Drift(*change, values["duration_s"], values["curvature"]).over(like["duration_s"])
+    names = [[f"{factor}_change{of}" for of in ("", *(f"_{axis}" for axis in AXES))] for factor in ("ki", "ks")]
+    ki, ks = (np.array([values[name] for name in of_factor]) for of_factor in names)
+    again = Drift(ki, ks, values["duration_s"], values["curvature"]).over(like["duration_s"])
     return {
         **values,
-        "ki_change": float(again.ki_change[0]),
-        "ks_change": float(again.ks_change[0]),
+        **dict(zip(names[0], again.ki_change.tolist(), strict=True)),
+        **dict(zip(names[1], again.ks_change.tolist(), strict=True)),
         "duration_s": again.duration_s,
         "curvature": again.curvature,
     }
+
+
+def _has(axis: str, rig: Rig) -> bool:
+    return axis in rig.axes
+
+
+def _of_one_magnet(factor: str, axis: str) -> Parameter:
+    return rarely_needed(
+        f"{factor}_change_{axis}",
+        "1",
+        -0.2,
+        0.2,
+        0.0,
+        description=f"what {factor} of the magnet in {axis} changes beside: each has its own gap and temperature",
+        wakes=(0.005,),
+        needs=partial(_has, axis),
+    )
 
 
 EFFECT = Effect(
@@ -55,11 +79,12 @@ EFFECT = Effect(
             optional=True,
         ),
         *parameters("magnets"),
+        *(_of_one_magnet(factor, axis) for factor in ("ki", "ks") for axis in AXES),
     ),
     apply=_apply,
     restated=_restated,
-    law="ki (1 + dki a g), ks (1 + dks a g), g = (1 - exp(-c t/T)) / (1 - exp(-c)), t/T for c = 0; "
-    "a = (1 +- e)(1 +- p), + at A, + in x",
+    law="ki (1 + (dki a + di) g), ks (1 + (dks a + ds) g), g = (1 - exp(-c t/T)) / (1 - exp(-c)), t/T for c = 0; "
+    "a = (1 +- e)(1 +- p), + at A, + in x; di, ds of each magnet alone",
     signature="error of y/i grows with the time of the point, not with its frequency or amplitude",
     aliases=("off_centre_rotor",),
     separated_by="the first points repeated last",

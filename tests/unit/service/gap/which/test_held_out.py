@@ -16,6 +16,7 @@ from service.gap.weighing.ranking import ranked
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import held_out, on_sweep
 from service.gap.which.one_more_effect import residuals
+from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
 from tests.support.two_axes import one_plane
@@ -42,6 +43,25 @@ def test_magnets_that_drift_are_told_from_one_sweep_alone() -> None:
     assert d.shrinkage.closure == pytest.approx(1.0, abs=0.05)
     share = 0.8  # of the campaign that the sweep took; the file does not tell that there was more
     assert d.chosen.fit.values[0]["ki_change"] == pytest.approx(share * -0.05, rel=0.15)
+
+
+def test_magnets_that_each_warm_up_by_their_own_are_told() -> None:
+    """Gaps close by unlike amounts while the iron loses permeance: ki of one axis falls, that of another rises."""
+    datasheet, truth = known_datasheet(seed=18)
+    closes, loses = {"xA": 0.012, "xB": 0.009, "yA": 0.003, "yB": 0.01}, 0.02
+    ki = {axis: 2 * share - loses for axis, share in closes.items()}  # ki ~ k/s^2, ks ~ k/s^3
+    ks = {axis: 3 * share - loses for axis, share in closes.items()}
+    own = {f"ki_change_{axis}": change for axis, change in ki.items()}
+    own |= {f"ks_change_{axis}": change for axis, change in ks.items()}
+    drift = {"thermal_drift": {"ki_change": 0.0, "ks_change": 0.0, "duration_s": 300.0, **own}}
+    d = diagnose(experiment(with_effects(true_rig(truth), drift)), datasheet)
+    assert d.verdict.effects == ("thermal_drift",)
+    found = CATALOGUE["thermal_drift"].on(nuisance(datasheet).rig, **d.chosen.fit.values[0]).drift
+    assert found is not None
+    axes = nuisance(datasheet).rig.axes
+    at_the_end = found.progress(np.array(300.0 / found.duration_s))
+    np.testing.assert_allclose(found.ki_change * at_the_end, [ki[axis] for axis in axes], atol=1.5e-3)
+    np.testing.assert_allclose(found.ks_change * at_the_end, [ks[axis] for axis in axes], atol=5e-3)
 
 
 def test_a_mode_below_the_lines_of_the_check_is_judged_where_it_is() -> None:
