@@ -1,4 +1,4 @@
-"""Share of one channel's control signal in another amplifier, of the same plane or of the same bearing."""
+"""Share of one channel's control signal in another amplifier, of the same plane, of the same bearing or of neither."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,6 +8,9 @@ import numpy as np
 from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_plane
 from sim.rig import Rig
+
+ACROSS = (("xA", "yB"), ("xB", "yA"), ("yA", "xB"), ("yB", "xA"))
+"""Amplifiers and the control signals in them of the other plane at the other bearing."""
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -19,6 +22,8 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
         share = np.kron(np.diag([1 + more, 1 - more]), plane)
         for (x, y), end in zip(((0, 2), (1, 3)), "AB", strict=True):
             share[x, y], share[y, x] = p[f"share_xy_{end}"], p[f"share_yx_{end}"]
+        for into, out_of in ACROSS:
+            share[rig.axes.index(into), rig.axes.index(out_of)] = p[f"share_{into}_{out_of}"]
     return replace(rig, amplifiers=replace(rig.amplifiers, crosstalk=rig.amplifiers.crosstalk + share))
 
 
@@ -45,12 +50,24 @@ EFFECT = Effect(
             for end in "AB"
             for into, out_of in ("xy", "yx")
         ),
+        *(
+            rarely_needed(
+                f"share_{into}_{out_of}",
+                "1",
+                -0.2,
+                0.2,
+                0.0,
+                description=f"share of u_{out_of} in amplifier {into}; not used on one plane",
+                wakes=(0.01,),
+            )
+            for into, out_of in ACROSS
+        ),
         of_plane("the crosstalk", dormant=True),
     ),
     apply=_apply,
     law="i_A = A (u_A + c_AB u_B), i_B = A (u_B + c_BA u_A), in each plane; shares c (1 + p) in x and c (1 - p) in y; "
-    "at either bearing c_xy u_y in i_x, c_yx u_x in i_y",
-    signature="off-diagonal of i/u within a plane or a bearing, in phase with the diagonal",
+    "at either bearing c_xy u_y in i_x, c_yx u_x in i_y, and the same from one bearing to the other",
+    signature="off-diagonal of i/u, within a plane or a bearing as a rule, in phase with the diagonal",
     aliases=(),
     separated_by="logged i; without it the off-diagonals of y/u, which sensor position and mode shapes change too",
     source="Ott, Electromagnetic Compatibility Engineering, Wiley 2009, section 2.1 (crosstalk between channels)",

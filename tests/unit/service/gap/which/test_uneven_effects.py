@@ -180,8 +180,13 @@ def test_a_support_whose_frequencies_and_damping_are_unlike_is_one_effect(other:
     assert {name: found[name] for name in other} == pytest.approx(other, rel=0.05, abs=0.01)
 
 
-def test_crosstalk_between_the_planes_is_told_with_both_ways() -> None:
-    only = {"share_ab": 0.0, "share_ba": 0.0, "share_xy_A": 0.03, "share_yx_A": -0.02}
+@pytest.mark.parametrize(
+    "between_planes",
+    [{"share_xy_A": 0.03, "share_yx_A": -0.02}, {"share_yx_A": 0.04, "share_yB_xA": 0.025}],
+    ids=["both ways", "into both amplifiers of the other plane"],
+)
+def test_crosstalk_between_the_planes_is_told(between_planes: dict[str, float]) -> None:
+    only = {"share_ab": 0.0, "share_ba": 0.0, **between_planes}
     e, rig = explained("amplifier", "channel_crosstalk", only)
     best = e.order[0].candidate
     assert best.effects == ("channel_crosstalk",)
