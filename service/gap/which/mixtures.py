@@ -30,6 +30,9 @@ PAIRED = 5
 """Number of the best single effects that are also tried in pairs."""
 REMAINS = 4.0
 """Significance of an explanation's residuals from which one more effect is searched for."""
+FEW_LINES_SHARE, FEW_LINES_DEVIATES = 0.1, 10.0
+"""Share of a group, and standard deviations of its chi-square, from which one more effect is searched for where no band
+shows that anything is left."""
 STRAINED = 3.0
 """Standard deviations of a chi-square variable by which the nuisance values' penalty is beyond chance."""
 ANOTHER_LAW = 0.15
@@ -61,9 +64,11 @@ TRUSTED = 15.0
 """Lead in log evidence by which a second effect is told beside such a one though that leaves no more than noise: values
 of the datasheet make up for it, each within its tolerance, and no error of a law can have drawn them there."""
 FAR_CLOSER = 0.05
-"""Share of what one nonlinear effect leaves, up to which two that are aliases may leave it for both to be told. An
-alias beside takes up a part of the error of a law, not nearly all of it: beside plays of every kind, Bouc-Wen
-hysteresis, and five laws of saturation none did."""
+"""Share of what an explanation leaves, up to which one with another effect beside may leave it for both to be told:
+what takes up the error of a law takes up a part of it, not nearly all. Of nonlinear effects that holds for aliases:
+beside plays of every kind, Bouc-Wen hysteresis, and five laws of saturation none did."""
+CLEAR_GAIN = 100.0
+"""Cost that an effect must take off beside one that leaves next to nothing of the gap."""
 APART = 1.3
 """Ratio of the frequencies of two resonances from which they are two."""
 
@@ -98,7 +103,7 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
         most = MUCH if base.unexplained > NEARLY_ALL else MOST
         if closest.unexplained < most * base.unexplained:
             base = closest
-    leaves = leaves_more_than_law_error(ground, base)
+    leaves = leaves_more_than_noise(ground, base)
     promising = ground.part.effects if leaves else _explaining_more(base, order)
     # Of single effects any may show a prospect: one that needs implausible nuisance values alone may not need them
     # beside another.
@@ -117,22 +122,39 @@ def with_one_more(
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
-        if leaves_more_than_law_error(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
+        if leaves_more_than_noise(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
             everything += refitted_in_turn(fitter, ground, null, best, everything)
             everything += with_aliases(fitter, ground, best, everything)
     return best_of_each(null, [*everything, *better_without_one_effect(fitter, ground, null, *everything)])
 
 
 def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
-    """Whether an explanation leaves more than another program's law of the same effects would."""
-    # Such a law leaves a small share of a large gap, without implausible nuisance values.
+    """Whether an explanation leaves more than another program's law of the same effects would.
+
+    Such a law leaves a small share of a large gap, without implausible nuisance values.
+    """
     little = max(best.apart) < MIXTURE_SHARE and not strained(best) and not _at_bound(best)
-    if little and not _of_one_law(best):
-        return False
+    return (not little or _of_one_law(best)) and leaves_more_than_noise(ground, best)
+
+
+def leaves_more_than_noise(ground: Ground, best: Ranked) -> bool:
+    """Whether something is left of the gap that noise does not make: an error of the law, or one more effect."""
     sweeps = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
-    if any(significance(z, o) > REMAINS for z, o in sweeps):
+    if any(significance(z, o) > REMAINS for z, o in sweeps) or _leaves_a_few_lines(best):
         return True
     return any(alone_hz(ground.part, z, o) is not None for z, o in sweeps)
+
+
+def _leaves_a_few_lines(r: Ranked) -> bool:
+    """Whether an explanation leaves a good share of a group, far beyond chance, though no band shows it.
+
+    A narrow resonance is in two lines of a band, each of which counts up to a bound only in `significance`.
+    """
+    groups = (*r.candidate.fit.groups, *r.candidate.fit.across)
+    return any(
+        share > FEW_LINES_SHARE and chi - count > FEW_LINES_DEVIATES * np.sqrt(2 * count)
+        for share, (chi, count) in zip(r.apart, groups, strict=True)
+    )
 
 
 def strained(r: Ranked, borne: float = 0.0) -> bool:
@@ -295,9 +317,20 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
 
     return all(
         leaves_too_much(r)
+        or (not alias and _explains_the_rest(mixture, r))
         or (exact and _of_one_law(r) and (not _leaves_nothing(r) or mixture.log_evidence - r.log_evidence > TRUSTED))
         for r in allowed
     )
+
+
+def _explains_the_rest(mixture: Ranked, r: Ranked) -> bool:
+    """Whether a mixture explains nearly all that ``r`` leaves, however small a share of a gross gap that is.
+
+    An effect that is no alias takes up some of the error of another one's law, and leaves more than a twentieth of it.
+    """
+    gained = r.candidate.fit.cost - mixture.candidate.fit.cost
+    believed = gained > CLEAR_GAIN and mixture.log_evidence - r.log_evidence > TRUSTED
+    return believed and mixture.unexplained < FAR_CLOSER * r.unexplained
 
 
 def _far_closer(mixture: Ranked, r: Ranked) -> bool:

@@ -230,3 +230,20 @@ def test_a_class_lists_the_three_likeliest_and_the_others_are_not_lost() -> None
     assert verdict.indistinguishable == (("a", "b", "c"), ("e", "f"))
     assert verdict.also_alike == ("d",)
     assert verdict.with_classes([("a", "d", "b", "g")]).also_alike == ("d", "g"), "what was left out before stays told"
+
+
+@pytest.mark.parametrize(("more", "in_class"), [(1.1, True), (1.4, False)])
+def test_an_alias_that_leaves_little_more_of_what_neither_law_explains_is_in_the_class(
+    more: float, in_class: bool
+) -> None:
+    """A ladder of five lags in the place of a slab's law: a delay left 9.8 % of the gap, the lag of a slab 10.8 %."""
+
+    def leaving(effects: tuple[str, ...], evidence: float, chi_square: float) -> Ranked:
+        r = explanation(effects, evidence, 0.1, (0.1,))
+        return replace(r, candidate=replace(r.candidate, fit=replace(r.candidate.fit, groups=((chi_square, 2000),))))
+
+    best, other = leaving(("sensor_lag",), -600.0, 2e5), leaving(("eddy_currents",), -620.0, more * 2e5)
+    plain = leaving((), -900.0, 2e6)
+    verdict = decide([best, other, plain], 2.0, CLOSED, significant=50.0)
+    assert verdict.effects == ("sensor_lag",)
+    assert verdict.indistinguishable == ((("sensor_lag", "eddy_currents"),) if in_class else ())
