@@ -13,6 +13,7 @@ from scipy.optimize import nnls
 
 from foreign.physics import N_LADDER, N_PLAYS
 from foreign.rig import Truth, four
+from foreign.shaft import gyroscopic_matrix, stations
 
 Rng = np.random.Generator
 Change = dict[str, object]
@@ -262,15 +263,37 @@ def mains_interference(t: Truth, rng: Rng, level: float) -> Change:
 
 
 def gyroscopic_coupling(t: Truth, rng: Rng, level: float) -> Change:
-    if rng.random() < 0.5:
+    law = rng.random()
+    if law < 0.35:
         t.gyroscopic = t.polar * size(level, 0.03, 5.0)
         return {"kind": "polar inertia", "polar_inertia_kgm2": t.gyroscopic}
+    if law < 0.65:
+        return _whole_shaft(t, rng, t.polar * size(level, 0.02, 1.5))
     # a disc where the modes have a slope: it couples all that tilts there
     slope = np.zeros(7)
     slope[1], slope[2:4] = 1.0, rng.choice([-1.0, 1.0], 2) * rng.uniform(0.1, 1.0, 2)
     disc = size(level, 0.02, 0.6) * t.mass / 280.0
     t.plant["gyro"] = lambda g: g + disc * np.outer(slope, slope)
     return {"kind": "disc", "polar_inertia_kgm2": disc, "slopes": slope[1:4].tolist()}
+
+
+def _whole_shaft(t: Truth, rng: Rng, polar: float) -> Change:
+    """Every slice turns: as its mass is spread, and in some rotors a wheel somewhere has a part of it."""
+    z, mass = stations(t)
+    wheel, at = float(rng.uniform(0.1, 0.7)) * (rng.random() < 0.6), int(rng.integers(len(z)))
+    matrix = gyroscopic_matrix(t, polar * ((1 - wheel) * mass / mass.sum() + wheel * (np.arange(len(z)) == at)))
+    # a slice resists tilting with half its polar inertia, a part of what tilt and modes weigh: G is below 2 M; here M
+    root = np.sqrt(np.array([t.inertia, 1.0, 1.0]))
+    most = np.linalg.eigvalsh(matrix[1:4, 1:4] / np.outer(root, root))[-1]
+    polar, matrix = polar / max(1.0, most), matrix / max(1.0, most)
+    t.plant["gyro"] = lambda g: g + matrix
+    return {
+        "kind": "whole shaft",
+        "polar_inertia_kgm2": polar,
+        "share_of_wheel": wheel,
+        "wheel_at_m": float(z[at]),
+        "of_tilt_and_modes": matrix[1:4, 1:4].tolist(),
+    }
 
 
 def internal_damping(t: Truth, rng: Rng, level: float) -> Change:
