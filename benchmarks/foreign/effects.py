@@ -205,10 +205,25 @@ def support_resonance(t: Truth, rng: Rng, level: float) -> Change:
         "mass": size(level, 500.0, 2.5) * t.mass,
         "hz": float(np.exp(rng.uniform(np.log(15), np.log(800)))),
         "zeta": float(np.exp(rng.uniform(np.log(5e-3), np.log(8e-2)))),
-        "each": bool(rng.random() < 0.35),
-        "ratio": float(rng.uniform(0.9, 1.1)),
     }
+    law = rng.random()
+    t.housing |= {"each": bool(law < 0.35), "ratio": float(rng.uniform(0.9, 1.1))}
+    if law > 0.65:
+        t.housing |= _rocking(t, rng)
     return {f"house_{k}": v for k, v in t.housing.items()}
+
+
+def _rocking(t: Truth, rng: Rng) -> Change:
+    """A housing that rocks, too: its inertia, centre and springs, as shares of half the distance of the bearings."""
+    half, h = (t.d[0] + t.d[1]) / 2, t.housing or {}
+    return {
+        "rocks": True,
+        "inertia": h["mass"] * (half * float(rng.uniform(0.6, 1.4))) ** 2,
+        "tilt_hz": h["hz"] * float(np.exp(rng.uniform(np.log(0.5), np.log(2.5)))),
+        "tilt_zeta": float(np.exp(rng.uniform(np.log(5e-3), np.log(8e-2)))),
+        "centre_m": half * float(rng.uniform(-0.5, 0.5)),
+        "spring_m": half * float(rng.uniform(-0.4, 0.4)) if rng.random() < 0.5 else 0.0,
+    }
 
 
 def touchdown_contact(t: Truth, rng: Rng, level: float) -> Change:

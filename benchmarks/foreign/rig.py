@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.linalg import expm
+from scipy.linalg import eigh, expm
 from scipy.signal import bilinear
 
 from foreign.physics import C0, I0, L0, N_LADDER, N_PLAYS, N_STATES, P0, PLANT, S0, Z0, Loop, derivative
@@ -97,6 +97,52 @@ def _plain_loop() -> dict:
     }
 
 
+class Stator(NamedTuple):
+    """One way in which what bears magnets and sensors moves: where it takes them per unit, and on what spring."""
+
+    at_bearings: np.ndarray
+    at_sensors: np.ndarray
+    inverse_mass: float
+    w: float
+    zeta: float
+
+
+def stators(h: dict, d: tuple, s: tuple) -> list[Stator]:
+    """One housing that shifts, one per bearing, or one that shifts and rocks."""
+    if h.get("rocks"):
+        return rocking(h, np.array([d[0], -d[1]]), np.array([s[0], -s[1]]))
+    moved = np.eye(2) if h["each"] else np.ones((1, 2))
+    w = 2 * np.pi * h["hz"] * np.array([1.0, h.get("ratio", 1.0)])
+    return [Stator(m, m, 1 / h["mass"], float(w[k]), h["zeta"]) for k, m in enumerate(moved)]
+
+
+def rocking(h: dict, bearings: np.ndarray, sensors: np.ndarray) -> list[Stator]:
+    """Both modes of a rigid housing on springs, of unit modal mass; places in m from the rotor's centre of gravity.
+
+    Its mass and inertia are at ``centre_m``, its springs and dampers across ``spring_m`` beyond that: a force away from
+    there tilts it, against springs and dampers of its own, and with ``spring_m`` either mode shifts and tilts it.
+    """
+    mass = np.diag([h["mass"], h["inertia"]])
+    across, tilting = np.array([1.0, h["spring_m"]]), np.array([0.0, 1.0])
+    w, w_tilt = 2 * np.pi * h["hz"], 2 * np.pi * h["tilt_hz"]
+
+    def joined(shift: float, tilt: float) -> np.ndarray:
+        return h["mass"] * shift * np.outer(across, across) + h["inertia"] * tilt * np.outer(tilting, tilting)
+
+    squares, shapes = eigh(joined(w**2, w_tilt**2), mass)
+    damping = joined(2 * h["zeta"] * w, 2 * h["tilt_zeta"] * w_tilt)
+    return [
+        Stator(
+            v[0] + v[1] * (bearings - h["centre_m"]),
+            v[0] + v[1] * (sensors - h["centre_m"]),
+            1.0,
+            float(np.sqrt(square)),
+            float(v @ damping @ v / (2 * np.sqrt(square))),  # what it couples between both modes is left out: light
+        )
+        for square, v in zip(squares, shapes.T, strict=True)
+    ]
+
+
 @dataclass
 class Truth:
     """The rig as it is. Modes: (frequency rad/s, zeta, shape at bearings, shape at sensors); both planes alike."""
@@ -127,7 +173,7 @@ class Truth:
     running: dict | None = None
     """The controller that really runs, when it is not the datasheet's."""
     housing: dict | None = None
-    """mass, hz, zeta; each: one housing per bearing."""
+    """mass, hz, zeta; each: one housing per bearing; rocks: see ``rocking``."""
     drift: tuple = (0.0, 0.0, 1.0)
     """(k, gap) relative change at the end, and the time constant as a share of the campaign."""
     drifting: np.ndarray = field(default_factory=lambda: np.ones(4))
@@ -156,6 +202,7 @@ class Truth:
         """What bearings and sensors see of rigid body, modes and housings, and how these are sprung."""
         tb, ts = np.zeros((2, 2, 7)), np.zeros((2, 2, 7))
         minv, w, zeta = np.zeros((2, 7)), np.zeros((2, 7)), np.zeros((2, 7))
+        parts = stators(self.housing, self.d, self.s) if self.housing else []
         for plane in range(2):
             tb[plane, :, 0] = ts[plane, :, 0] = 1.0
             tb[plane, :, 1] = self.d[0], -self.d[1]
@@ -164,15 +211,10 @@ class Truth:
             for j, (wj, zj, at_b, at_s) in enumerate(self.modes):
                 tb[plane, :, 2 + j], ts[plane, :, 2 + j] = at_b, at_s
                 minv[plane, 2 + j], w[plane, 2 + j], zeta[plane, 2 + j] = 1.0, wj, zj
-            first = 2 + len(self.modes)
-            if self.housing:
-                h = self.housing
-                for end, scale in enumerate((1.0, h.get("ratio", 1.0))[: 2 if h["each"] else 1]):
-                    minv[plane, first + end], zeta[plane, first + end] = 1 / h["mass"], h["zeta"]
-                    w[plane, first + end] = 2 * np.pi * h["hz"] * scale
-                    seen = slice(end, end + 1) if h["each"] else slice(0, 2)
-                    tb[plane, seen, first + end] = ts[plane, seen, first + end] = -1.0
-        nq = 2 + len(self.modes) + ((2 if self.housing["each"] else 1) if self.housing else 0)
+            for k, part in enumerate(parts, 2 + len(self.modes)):
+                tb[plane, :, k], ts[plane, :, k] = -part.at_bearings, -part.at_sensors
+                minv[plane, k], w[plane, k], zeta[plane, k] = part.inverse_mass, part.w, part.zeta
+        nq = 2 + len(self.modes) + len(parts)
         gyro = np.zeros((7, 7))
         gyro[1, 1] = self.gyroscopic
         seal_at = np.stack([tb[0, 0], tb[0, 1], (tb[0, 0] + tb[0, 1]) / 2])

@@ -57,7 +57,9 @@ _OF = {
     ),
     "rotor_inertia": _inertia,
     "modal_damping": _modes,
-    "support_resonance": lambda c: {} if c["house_each"] else {"inverse_mass_per_kg": 1 / c["house_mass"]},
+    "support_resonance": lambda c: (  # of one that rocks, how far either end moves
+        {} if c["house_each"] or c.get("house_rocks") else {"inverse_mass_per_kg": 1 / c["house_mass"]}
+    ),
     "touchdown_contact": lambda c: {"stiffness_n_per_m": c["stiffness"]},
     "sensor_lag": lambda c: {"time_constant_s": 1 / (2 * np.pi * c["sensor_hz"])} if "sensor_hz" in c else {},
     "sensor_gain": lambda c: {f"gain_change_{('xA', 'xB', 'yA', 'yB')[c['axis']]}": c["relative"]},
