@@ -63,9 +63,16 @@ def amplifier_bandwidth(t: Truth, rng: Rng, level: float) -> Change:
 def amplifier_voltage_limit(t: Truth, rng: Rng, level: float) -> Change:
     # what the tones ask for is up to 0.6 A x 2 pi 1 kHz = 3.8e3 A/s at the main amplitude
     limit = size(level, 5.5e3, 2.2e3)
-    r_over_l = float(rng.choice([0.0, 80.0, 250.0]))
+    kind, r_over_l = [("slope", 0.0), ("slope", 80.0), ("slope", 250.0), ("PI", 0.0), ("P", 0.0)][int(rng.integers(5))]
+    change: Change = {"kind": kind, "slew_a_per_s": limit}
+    if kind != "slope":  # a coil under a current loop, its resistance as may be
+        r_over_l = size(float(rng.random()), 20.0, 400.0)
+        t.plant["coil"] = 1 if kind == "PI" else 2
+    if kind == "P":
+        t.plant["coil_gain"] = t.amp_w * float(rng.uniform(0.5, 2.0))
+        change["p_over_l_per_s"] = t.plant["coil_gain"].tolist()
     t.plant["slew"], t.plant["slew_resistive"] = four(limit), four(r_over_l)
-    return {"slew_a_per_s": limit, "r_over_l_per_s": r_over_l}
+    return change | {"r_over_l_per_s": r_over_l}
 
 
 def channel_crosstalk(t: Truth, rng: Rng, level: float) -> Change:

@@ -18,7 +18,7 @@ from numba import njit
 NQ = 7
 N_LADDER = 9
 N_PLAYS = 6
-I0, V0, P0, S0, Z0, C0, L0 = 28, 32, 36, 40, 44, 48, 56
+I0, V0, P0, S0, Z0, C0, F0, L0 = 28, 32, 36, 40, 44, 48, 56, 60
 N_STATES = L0 + 8 * N_LADDER
 FAST = {"contract", "reassoc", "arcp", "nsz"}
 
@@ -52,8 +52,10 @@ PLANT = np.dtype(
         ("amp_zeta", "f8", (4,)),
         ("amp_gain", "f8", (4,)),
         ("amp_extra", "f8", (4,)),  # rad/s of a third pole, 0 none
-        ("slew", "f8", (4,)),  # A/s at no current, inf none
+        ("slew", "f8", (4,)),  # A/s at no current, inf none: U/L
         ("slew_resistive", "f8", (4,)),  # 1/s, R/L
+        ("coil", "i8"),  # 0 limited slope of a filter, 1 coil under PI, 2 under P with feed-forward
+        ("coil_gain", "f8", (4,)),  # 1/s, P of 2 over L
         ("u_mix", "f8", (4, 4)),
         ("dead_band", "f8", (4,)),  # A
         ("drive_limit", "f8", (4,)),  # A, inf none
@@ -125,6 +127,31 @@ def magnet_force(p, a, i, x, drift_k, drift_gap, swing):
 
 
 @njit(cache=True, fastmath=FAST, inline="always")
+def _coil(p, a, drive, s, ds):
+    """Current of a coil under a current loop whose voltage is limited: L i' = v - R i, |v| <= U, all over L.
+
+    Within the limit either loop is the datasheet's amplifier. PI: a lag in front cancels its zero; its integral is the
+    limited voltage behind a lag (automatic reset), so it does not wind up. P: it holds the current at what a filter
+    as on the datasheet makes of the drive, and adds the voltage that the coil needs for that.
+    """
+    i, f, w, r = s[I0 + a], s[F0 + a], p.amp_w[a], p.slew_resistive[a]
+    damped = 2.0 * p.amp_zeta[a] * w
+    if p.coil == 1:
+        gain = damped - r
+        v = gain * (f - i) + s[V0 + a]
+    else:
+        v = s[V0 + a] + r * f + p.coil_gain[a] * (f - i)
+    limited = min(max(v, -p.slew[a]), p.slew[a])
+    ds[I0 + a] = limited - r * i
+    if p.coil == 1:
+        ds[F0 + a] = w * w / gain * (drive - f)
+        ds[V0 + a] = w * w / gain * (limited - s[V0 + a])
+    else:
+        ds[F0 + a] = s[V0 + a]
+        ds[V0 + a] = w * w * (drive - f) - damped * s[V0 + a]
+
+
+@njit(cache=True, fastmath=FAST, inline="always")
 def _amplifier(p, a, t, s, u, ds):
     """Current of axis a, driven by what u becomes on its way.
 
@@ -150,6 +177,10 @@ def _amplifier(p, a, t, s, u, ds):
     if p.amp_extra[a] > 0.0:
         ds[P0 + a] = p.amp_extra[a] * (drive - s[P0 + a])
         drive = s[P0 + a]
+    ds[F0 + a] = 0.0
+    if p.coil > 0:
+        _coil(p, a, drive, s, ds)
+        return
     rate = s[V0 + a]
     if p.slew[a] < 1e30:
         rate = min(max(rate, -p.slew[a] - p.slew_resistive[a] * i), p.slew[a] - p.slew_resistive[a] * i)

@@ -10,7 +10,7 @@ from numba import njit
 from scipy.linalg import eigh, expm
 from scipy.signal import bilinear
 
-from foreign.physics import C0, I0, L0, N_LADDER, N_PLAYS, N_STATES, P0, PLANT, S0, Z0, Loop, derivative
+from foreign.physics import C0, F0, I0, L0, N_LADDER, N_PLAYS, N_STATES, P0, PLANT, S0, Z0, Loop, derivative
 
 TS = 1e-4
 
@@ -54,6 +54,8 @@ def _absent() -> dict:
         "amp_extra": np.zeros(4),
         "slew": four(np.inf),
         "slew_resistive": np.zeros(4),
+        "coil": 0,
+        "coil_gain": np.zeros(4),
         "u_mix": np.eye(4),
         "dead_band": np.zeros(4),
         "drive_limit": four(np.inf),
@@ -237,7 +239,8 @@ def _in_use(plant: np.ndarray | np.void) -> np.ndarray:
     used[:14] = used[14:28] = (plant["minv"] > 0).ravel()
     used[I0:P0] = True
     used[P0:S0], used[S0:Z0] = plant["amp_extra"] > 0, plant["sensor_w"] > 0  # friction keeps a position: eigenvalue 1
-    used[C0:L0] = np.tile(plant["cable_share"] > 0, 2)
+    used[C0:F0] = np.tile(plant["cable_share"] > 0, 2)
+    used[F0:L0] = plant["coil"] > 0
     half = L0 + 4 * N_LADDER
     used[L0:half], used[half:] = plant["ladder"] > 0, plant["ladder"] == 2
     return used
