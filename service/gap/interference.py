@@ -34,7 +34,7 @@ from sim.twin import linear_model
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-MAINS_HZ = tuple(mains * k for k in (1, 2, 3, 6) for mains in (50.0, 60.0))
+MAINS_HZ = tuple(mains * k for k in (1, 2, 3, 5, 6) for mains in (50.0, 60.0))
 """The mains, and the multiples of it that rectifiers make."""
 MULTIPLES = (1, 2, 3, 5)
 """Multiples of a source's frequency at which it also adds to the signals."""

@@ -146,12 +146,13 @@ def test_a_drift_beside_a_controller_that_differs_is_no_fault_of_the_log() -> No
     assert set(d.verdict.effects) == set(both)
 
 
-def test_the_hum_of_a_rectifier_is_heard_too() -> None:
+@pytest.mark.parametrize("hz", [100.0, 250.0])
+def test_the_hum_of_a_rectifier_is_heard_too(hz: float) -> None:
     datasheet, truth = known_datasheet(seed=15)
     measured = experiment(true_rig(truth))
-    loud = replace(measured, sweeps=tuple(hummed(s, 100.0, 30e-9, seed=k) for k, s in enumerate(measured.sweeps)))
+    loud = replace(measured, sweeps=tuple(hummed(s, hz, 30e-9, seed=k) for k, s in enumerate(measured.sweeps)))
     heard = interference(loud.sweeps[0], nuisance(datasheet).rig)
-    assert [(s.effect, s.frequency_hz) for s in heard] == [("mains_interference", 100.0)]
+    assert [(s.effect, s.frequency_hz) for s in heard] == [("mains_interference", hz)]
 
 
 def test_a_controller_is_held_to_its_law_as_closely_as_arithmetic_allows() -> None:
