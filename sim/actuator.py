@@ -147,6 +147,39 @@ def stop_stiffness(contact: Contact) -> tuple[float, float]:
     return k * min(1.0, 1.0 + contact.side), k * min(1.0, 1.0 - contact.side)
 
 
+def stop_rows(contact: Contact | None, n_axes: int, n_planes: int) -> Array:
+    """Rows of the stops as compiled code takes them, (5, n).
+
+    Clearance (m), inf without stops, stiffness above and below (N/m), middle (m), and the share of a ring (1), which
+    one plane alone has none of.
+    """
+    if contact is None:
+        return np.vstack([np.full(n_axes, np.inf), np.zeros((4, n_axes))])
+    above, below = stop_stiffness(contact)
+    ring = contact.ring if n_planes > 1 else 0.0
+    return np.vstack(
+        [np.broadcast_to(row, n_axes) for row in (contact.clearance_m, above, below, contact.centre_m, ring)]
+    )
+
+
+def stop_force(rows: Array, x: Array) -> Array:
+    """Force of stops on the rotor, N, (..., n), at displacements x of the bearings, m; ``rows`` as of `stop_rows`.
+
+    Each axis has f = -k (|d| - c) sign d beyond its clearance c, d from the middle; a ring f = -k (1 - 1/rho) d in both
+    planes, rho = |(d_x/c_x, d_y/c_y)|, beyond rho = 1 (Black 1968), which in one axis alone is the same.
+    """
+    clearance, above, below, middle, ring = rows
+    away = x - middle
+    stiffness = np.where(away > 0, above, below)
+    depth = np.maximum(np.abs(away) - clearance, 0.0)
+    apart = -stiffness * np.copysign(depth, away)
+    if not np.any(ring):
+        return np.asarray(apart)
+    in_planes = (away / clearance).reshape(*x.shape[:-1], 2, -1)
+    rho = np.maximum(np.tile(np.hypot(in_planes[..., 0, :], in_planes[..., 1, :]), 2), 1.0)
+    return np.asarray(apart + ring * (-stiffness * (1 - 1 / rho) * away - apart))
+
+
 def rayleigh_coefficient(m: Magnets) -> Array:
     """alpha of the Rayleigh loop b = (1 + alpha A) i +- alpha/2 (A^2 - i^2), 1/A, (n,).
 

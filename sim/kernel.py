@@ -134,6 +134,21 @@ def plain_corrections(now, at, law, d):  # type: ignore[no-untyped-def]
 
 
 @_compiled
+def _stop(contact, a, now, at):  # type: ignore[no-untyped-def]
+    """Force of the stops of an axis, as `sim.actuator.stop_force` has it; ``at`` is where displacements begin."""
+    n = contact.shape[1]
+    away, ring = now[at + a] - contact[3, a], contact[4, a]
+    stiffness, depth = contact[1 if away > 0.0 else 2, a], abs(away) - contact[0, a]
+    force = -stiffness * math.copysign(depth, away) if depth > 0.0 else 0.0
+    if ring > 0.0:
+        b = (a + n // 2) % n  # the other plane at the same bearing
+        rho = math.hypot(away / contact[0, a], (now[at + b] - contact[3, b]) / contact[0, b])
+        radial = -stiffness * (1.0 - 1.0 / rho) * away if rho > 1.0 else 0.0
+        force += ring * (radial - force)
+    return force
+
+
+@_compiled
 def corrections(  # type: ignore[no-untyped-def]
     now, at, law, rotation, contact, slews, slew, driven, lag, fall, plays, play_w, play_t, scale, f, d
 ):
@@ -173,11 +188,7 @@ def corrections(  # type: ignore[no-untyped-def]
         total = law[6, a]
         for b in range(n):
             total += rotation[a, b] * (f[b] - law[4, b] * now[at + b] - law[5, b] * now[at + n + b])
-        x = now[at + n + a]
-        depth = abs(x) - contact[0, a]
-        if depth > 0.0:
-            total -= contact[1 if x > 0.0 else 2, a] * math.copysign(depth, x)
-        d[a] = total
+        d[a] = total + _stop(contact, a, now, at + n)
 
 
 @_compiled

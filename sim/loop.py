@@ -46,9 +46,7 @@ class Loop:
         self._law = magnetic_force.law_rows(rig.magnets, self._point)
         self._rotation = force_rotation(rig)
         m, c, d = rig.magnets, rig.contact, rig.drift
-        self._contact = np.array([np.full(rig.n_axes, np.inf), np.zeros(rig.n_axes), np.zeros(rig.n_axes)])
-        if c:
-            self._contact = np.stack([c.clearance_m, *(np.full(rig.n_axes, k) for k in actuator.stop_stiffness(c))])
+        self._contact = actuator.stop_rows(c, rig.n_axes, rig.n_planes)
         self._slew = np.minimum(rig.amplifiers.slew_limit_a_per_s, NONE)
         self._slews = bool(np.any(self._slew < NONE))
         self._general = bool(

@@ -95,7 +95,5 @@ def beyond_linear(
     if np.any(point.load_n):
         excess = excess + point.load_n
     if rig.contact:
-        above, below = actuator.stop_stiffness(rig.contact)
-        depth = np.maximum(np.abs(x_t) - rig.contact.clearance_m, 0.0)
-        excess = excess - np.where(x_t > 0, above, -below) * depth
+        excess = excess + actuator.stop_force(actuator.stop_rows(rig.contact, n, rig.n_planes), x_t)
     return np.asarray(excess)

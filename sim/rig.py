@@ -115,6 +115,11 @@ class Contact:
     stiffness_n_per_m: float
     side: float = 0.0
     """0 stops to either side alike, 1 only where displacement is positive, -1 only where it is negative"""
+    centre_m: Array | float = 0.0
+    """(n,) where the middle between the stops of an axis is, as an auxiliary bearing is never centred"""
+    ring: float = 0.0
+    """1 where the stops of both planes at a bearing are one ring, which pushes along the radius; 0 where each axis has
+    its own, between them that share of either"""
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, rarely_needed
 from sim.errors import EffectError
 from sim.rig import Contact, Rig
 from sim.sizes import AIR_GAP, STIFFNESS
+
+AXES = ("xA", "xB", "yA", "yB")
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -17,7 +20,16 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     if rig.contact is not None:
         raise EffectError(f"rig {rig.name} already has a contact; change that one instead of adding another")
     clearance = np.array([p[f"clearance_{axis}_m"] for axis in rig.axes])
-    return replace(rig, contact=Contact(clearance, p["stiffness_n_per_m"], p["side"]))
+    centre = clearance * [p[f"centre_{axis}"] for axis in rig.axes]
+    return replace(rig, contact=Contact(clearance, p["stiffness_n_per_m"], p["side"], centre, p["ring"]))
+
+
+def _has(axis: str, rig: Rig) -> bool:
+    return axis in rig.axes
+
+
+def _two_planes(rig: Rig) -> bool:
+    return rig.n_planes > 1
 
 
 EFFECT = Effect(
@@ -41,11 +53,33 @@ EFFECT = Effect(
                 goes_with=AIR_GAP,
                 strength=False,
             )
-            for axis in ("xA", "xB", "yA", "yB")
+            for axis in AXES
+        ),
+        rarely_needed(
+            "ring",
+            "1",
+            0.0,
+            1.0,
+            0.0,
+            description="1 where the stops of both planes at a bearing are one ring; not used on one plane",
+            needs=_two_planes,
+        ),
+        *(
+            rarely_needed(
+                f"centre_{axis}",
+                "1",
+                -0.8,
+                0.8,
+                0.0,
+                description=f"where the middle of the free way in {axis} is, over half of it",
+                needs=partial(_has, axis),
+            )
+            for axis in AXES
         ),
     ),
     apply=_apply,
-    law="f = -k (|x| - c) sign x where |x| > c, to either side or to one",
+    law="f = -k (|x| - c) sign x where |x| > c, to either side or to one; of a ring f = -k (1 - c/r) (x, y) where "
+    "r = |(x, y)| > c; x, y from its middle",
     signature="nothing below a threshold in displacement, above it gain falls, jumps, rich odd harmonics in y",
     aliases=("magnetic_saturation",),
     separated_by="a lower amplitude; the threshold is in displacement at low frequency, saturation's is in current",

@@ -212,6 +212,9 @@ def test_each_of_its_parameters_counts(one):
     beside["opposite_share"] = {"end_imbalance": 0.5}
     beside["overhang"] = {"end_imbalance": 0.5, "between": 1.0}
     beside["turned_whole"] = {"rotation_rad": 0.04}
+    beside |= {
+        f"centre_{axis}": {f"clearance_{axis}_m": 1e-6} for axis in ("xA", "xB", "yA", "yB")
+    }  # else out of reach
 
     tone = np.zeros((1, 4, 4), dtype=complex)
     tone[0, 1] = 1.2

@@ -17,7 +17,7 @@ from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
-from service.gap.weighing.verdict import MAX_SHARE_LEFT_BY_SEVERAL, MIXTURE_SHARE
+from service.gap.weighing.verdict import MAX_SHARE_LEFT_BY_SEVERAL, MIXTURE_SHARE, WHOLE_OF_ANOTHER_LAW
 from service.gap.which.accepted_instead import DEMOTED
 from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
 from service.gap.which.optional_parameters import with_all_parameters
@@ -40,10 +40,6 @@ ANOTHER_LAW = 0.15
 HARMONICS_OF_ANOTHER_LAW = 0.05
 """Share of the harmonics that another program's law of a nonlinear effect may leave: a stop whose force lags at release
 left 1.8 or 2.3 %, depending on which half of a sweep's lines was fitted, and that was explained as hysteresis."""
-WHOLE_OF_ANOTHER_LAW = 0.01
-"""Share of the whole gap that another law of a nonlinear effect may leave in one group, however much of that group it
-is: a law's error is in proportion to the whole effect. Six plays, fitted by a band of them, left 0.0024 of the gap in
-harmonics that held 0.005 of it, and that was explained as eddy currents."""
 HOPEFUL = 0.75
 """Factor by which one more effect must reduce the residuals of a group (fundamental or harmonics of a sweep) for a
 further one to be tried: a law outside the catalogue is approximated in many small steps."""

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from service.gap.fitting.candidates import Candidate, Fitter, Starts, Task
 from service.gap.fitting.fit import Problem
 from service.gap.fitting.part import Ground
-from service.gap.fitting.stage import EXACT
+from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.starts import added_filters
 from service.gap.fitting.starts.resonances import unlike_planes
 from service.gap.fitting.starts.splits import by_couplings, by_slopes
+from service.gap.fitting.starts.stops import off_centre
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.fitting.unknowns import TURNING, dormant_at_null
 from service.gap.which.one_more_effect import rough_beside, rough_stages
@@ -32,6 +33,7 @@ Complex = NDArray[np.complex128]
 
 SUPPORT, MODE, GYROSCOPIC = "support_resonance", "extra_flexible_mode", "gyroscopic_coupling"
 CONTROLLER = "controller_mismatch"
+STOP = "touchdown_contact"
 EDDY, DISPLACEMENT_SHARE = "eddy_currents", "displacement_share"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
@@ -85,6 +87,24 @@ def on_modes_that_split(ground: Ground, found: Sequence[Candidate]) -> Iterator[
                 yield Task(ground, c.effects, split, ground.theta, (*rough_stages(ground), EXACT))
 
 
+def on_stops_off_centre(
+    ground: Ground, null: Candidate, plain: Sequence[Complex], found: Sequence[Candidate]
+) -> Iterator[Task]:
+    """Task to fit a stop whose axes and sides have clearances of their own, and rings; none where ``found`` has none.
+
+    ``plain`` are the residuals of the plain twin ``null``.
+    """
+    basic = next((c for c in found if c.effects == (STOP,)), None)
+    if basic is None:
+        return
+    effect = CATALOGUE[STOP].of(ground.nuisance.rig)
+    furthest = max(range(len(plain)), key=lambda k: float(np.abs(ground.observations[k].Y).max()))
+    unexplained = SweepResiduals(null.fit.rig, plain[furthest], ground.observations[furthest], ground)
+    if starts := off_centre(effect, basic.fit.values[0], unexplained):
+        held = frozenset({(STOP, "side")})  # which sides there are is told by where the middle is
+        yield Task(ground, (STOP,), tuple((start,) for start in starts), null.fit.theta, (PROBE, EXACT), nulled=held)
+
+
 def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candidate]) -> Iterator[Task]:
     """Task to fit a controller with a filter that its datasheet has not; none where ``found`` has no such controller.
 
@@ -96,7 +116,7 @@ def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candid
     own = {p.name: p.null for p in effect.parameters}
     own |= added_filters.start(effect, null.fit.rig, ground.observations[0])
     held = frozenset({(CONTROLLER, "gain_change")})
-    yield Task(ground, (CONTROLLER,), ((own,),), null.fit.theta, (EXACT,), nulled=held)
+    yield Task(ground, (CONTROLLER,), ((own,),), null.fit.theta, (PROBE, EXACT), nulled=held)
 
 
 def with_the_lag_of_the_displacement(ground: Ground, best: Candidate) -> Iterator[Task]:

@@ -32,6 +32,7 @@ from service.gap.which.mixtures import (
 from service.gap.which.one_more_effect import residuals, rough_stages
 from service.gap.which.optional_parameters import (
     on_modes_that_split,
+    on_stops_off_centre,
     softer_in_one_plane,
     with_an_added_filter,
     with_optional_parameters,
@@ -174,6 +175,7 @@ class _Search:
         woken = with_optional_parameters(self.fitter, self.ground, wider)
         woken += self.fitter.run(softer_in_one_plane(self.ground, self.null, self.plain, wider))
         woken += self.fitter.run(on_modes_that_split(self.ground, wider)) if needed else []
+        woken += self.fitter.run(on_stops_off_centre(self.ground, self.null, self.plain, wider)) if needed else []
         uneven = with_uneven_effects(self.fitter, self.ground, self.null, of) if needed else []
         self._add([*uneven, *woken])
         if best not in wider and differ_by_alias(best, self.order[0].candidate):  # its alias leads by a wider law alone

@@ -9,7 +9,7 @@ from sim import actuator
 from sim.effects import effect
 from sim.harmonic_balance import Responder
 from sim.reference import reference_rig
-from sim.rig import Drift, Noise
+from sim.rig import Contact, Drift, Noise
 from sim.stepping import Simulation
 
 QUIET = reference_rig(noise=Noise())
@@ -28,6 +28,9 @@ def steady(rig, amplitude_a: float, periods: int = 30, samples: int = 250):
     return FS / samples, [basis @ getattr(record, name)[last] for name in "uiy"]
 
 
+STOPS = {f"clearance_{axis}_m": 6e-6 for axis in QUIET.axes}
+
+
 @pytest.mark.parametrize(
     ("name", "values", "tolerance"),
     [
@@ -35,6 +38,7 @@ def steady(rig, amplitude_a: float, periods: int = 30, samples: int = 250):
         ("magnetic_hysteresis", {"loss_angle_rad": 0.1, "narrowest_a": 0.02, "widest_inverse_per_a": 6.0}, 0.05),
         ("magnetic_saturation", {"saturation_inverse_per_a": 0.02, "flux_share": 0.6, "flux_power": 4.0}, 0.05),
         ("touchdown_contact", {"side": 1.0, **{f"clearance_{a}_m": 4e-6 for a in QUIET.axes}}, 0.1),
+        ("touchdown_contact", {"ring": 1.0, "centre_xA": 0.5, "centre_yA": -0.4, **STOPS}, 0.1),
     ],
 )
 def test_the_change_that_a_law_makes_is_the_time_simulations(name, values, tolerance) -> None:
@@ -93,3 +97,22 @@ def test_a_seal_that_damps_does_so_in_time_as_in_frequency() -> None:
         steady_y.append(y[1])
     undamped, damped = steady_y
     assert np.abs(damped - undamped).max() > 0.02 * np.abs(damped).max(), "the damping shows"
+
+
+@pytest.mark.parametrize("angle_rad", [0.3, 2.0, -1.2])
+def test_a_ring_pushes_along_the_radius_from_its_middle(angle_rad: float) -> None:
+    ring = Contact(np.full(4, 20e-6), 1e7, centre_m=np.array([3e-6, 0.0, -5e-6, 0.0]), ring=1.0)
+    away = 26e-6 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    x = np.array([3e-6 + away[0], 0.0, -5e-6 + away[1], 0.0])
+    force = actuator.stop_force(actuator.stop_rows(ring, 4, 2), x)
+    np.testing.assert_allclose(force[[0, 2]], -1e7 * 6e-6 * away / 26e-6, rtol=1e-12)
+    np.testing.assert_allclose(force[[1, 3]], 0.0)
+
+
+def test_a_ring_is_a_stop_of_one_axis_where_the_other_does_not_move() -> None:
+    x = np.outer(np.linspace(-40e-6, 40e-6, 21), [1.0, 0.0, 0.0, 0.0])
+    forces = [
+        actuator.stop_force(actuator.stop_rows(Contact(np.full(4, 20e-6), 1e7, ring=ring), 4, 2), x)
+        for ring in (0.0, 1.0)
+    ]
+    np.testing.assert_allclose(*forces, atol=1e-9)

@@ -247,3 +247,14 @@ def test_an_alias_that_leaves_little_more_of_what_neither_law_explains_is_in_the
     verdict = decide([best, other, plain], 2.0, CLOSED, significant=50.0)
     assert verdict.effects == ("sensor_lag",)
     assert verdict.indistinguishable == ((("sensor_lag", "eddy_currents"),) if in_class else ())
+
+
+@pytest.mark.parametrize(
+    ("effect", "left", "named"),
+    [("touchdown_contact", 0.004, True), ("touchdown_contact", 0.02, False), ("extra_flexible_mode", 0.004, False)],
+)
+def test_half_of_a_quiet_sweep_s_gap_may_be_the_error_of_a_law_that_a_loud_one_sets(
+    effect: str, left: float, named: bool
+) -> None:
+    best = explanation((effect,), 0.0, left, (0.56, 0.0, 0.001, 0.0))
+    assert (said(best, remaining=20.0) == "effect") is named

@@ -202,3 +202,16 @@ def test_a_wall_that_one_axis_touches_on_one_side_is_a_stop() -> None:
     assert best.effects == ("touchdown_contact",)
     assert best.fit.cost < 1.2 * best.fit.n_residuals
     assert {name: best.fit.values[0][name] for name in wall} == pytest.approx(wall, rel=0.05)
+
+
+def test_an_auxiliary_bearing_that_is_not_centred_is_a_stop() -> None:
+    """A ring, touched in x on one side and in y on the other; stops of each axis between two like sides left half."""
+    ring = {"stiffness_n_per_m": 1e6, "side": 0.0, "ring": 1.0, "centre_xA": -0.3, "centre_yA": 0.12}
+    way = {f"clearance_{axis}_m": 9e-6 if axis[1] == "A" else 2.5e-4 for axis in ("xA", "xB", "yA", "yB")}
+    e, _ = explained("plant", "touchdown_contact", {**ring, **way})
+    best = e.order[0].candidate
+    assert best.effects == ("touchdown_contact",)
+    assert best.fit.cost < 1.2 * best.fit.n_residuals
+    (found,) = best.fit.values
+    assert found["ring"] == pytest.approx(1.0, abs=0.1)
+    assert [found[name] for name in ("centre_xA", "centre_yA")] == pytest.approx([-0.3, 0.12], abs=0.05)
