@@ -147,12 +147,12 @@ def rejected(best: Ranked, remaining: float) -> bool:
     allowed = MAX_SHARE_LEFT_BY_SEVERAL if strict else MAX_SHARE_LEFT
     if has_added_filter(best.candidate):
         allowed = MAX_SHARE_LEFT_BY_A_FILTER
-    of_one_sweep = 0.0 if _by_the_error_of_a_bending_law(best) else _worst_sweep_share(best)
+    of_one_sweep = 0.0 if leaves_an_error_of_a_bending_law(best) else _worst_sweep_share(best)
     return remaining > LEAVES and (best.unexplained > allowed or of_one_sweep > MAX_SHARE_LEFT)
 
 
-def _by_the_error_of_a_bending_law(best: Ranked) -> bool:
-    """Whether what is left of a sweep's gap may be the error of a nonlinear effect's law, which goes with the whole.
+def leaves_an_error_of_a_bending_law(best: Ranked) -> bool:
+    """Whether what is left may be the error of a nonlinear effect's law, which goes with the whole effect.
 
     Where a stop is reached in a few lines of a quiet sweep, and in most of a loud one, the gap of the loud one is
     hundreds of times as large, and the law's error there is what is fitted.

@@ -17,7 +17,12 @@ from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
 from service.gap.weighing.significance import alone_hz, significance
-from service.gap.weighing.verdict import MAX_SHARE_LEFT_BY_SEVERAL, MIXTURE_SHARE, WHOLE_OF_ANOTHER_LAW
+from service.gap.weighing.verdict import (
+    MAX_SHARE_LEFT_BY_SEVERAL,
+    MIXTURE_SHARE,
+    WHOLE_OF_ANOTHER_LAW,
+    leaves_an_error_of_a_bending_law,
+)
 from service.gap.which.accepted_instead import DEMOTED
 from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
 from service.gap.which.optional_parameters import with_all_parameters
@@ -304,7 +309,12 @@ def needs_all_effects(mixture: Ranked, order: Sequence[Ranked]) -> bool:
     left = np.array(mixture.apart)
     gap = _gap_of_groups(order)
     # The others' nuisance values are implausible.
-    allowed = [r for r in smaller if not strained(r, _borne(r, gap)) and (_at_bound(mixture) or not _at_bound(r))]
+    ended = [_at_bound(r) and not leaves_an_error_of_a_bending_law(r) for r in smaller]
+    allowed = [
+        r
+        for r, at_end in zip(smaller, ended, strict=True)
+        if not strained(r, _borne(r, gap)) and (_at_bound(mixture) or not at_end)
+    ]
     exact = not alias and _leaves_nothing(mixture)
 
     def leaves_too_much(r: Ranked) -> bool:

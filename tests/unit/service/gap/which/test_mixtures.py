@@ -205,6 +205,14 @@ def test_one_effect_beside_a_value_as_far_off_as_any_may_be_makes_two_not_needle
         assert needs_all_effects(both, [both, single]) is worth
 
 
+def test_a_value_that_the_error_of_a_stop_s_law_drew_to_its_bound_asks_for_no_second_effect() -> None:
+    """Of a stop by Hertz's law 0.0025 was left, with a sensor 4 mm off, and drifting magnets took a third of that."""
+    both = explanation(("touchdown_contact", "thermal_drift"), -10.0, (0.34, 0.001))
+    for left, worth in ((0.0025, False), (0.06, True)):
+        single = explanation(("touchdown_contact",), -50.0, (0.55, 0.001), off=TOLERANCE_BOUND)
+        assert needs_all_effects(both, [both, replace(single, unexplained=left)]) is worth
+
+
 def test_what_couples_the_planes_is_found_beside_what_makes_a_gap_fifty_times_as_large() -> None:
     datasheet, truth = known_datasheet(seed=55)
     both = {
