@@ -12,7 +12,7 @@ from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
 from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.ranking import Ranked
-from service.gap.weighing.verdict import LEAVES, MIXTURE_SHARE, SURE_OF_NONE, Verdict
+from service.gap.weighing.verdict import LEAVES, MIXTURE_SHARE, SURE_OF_NONE, WHOLE_OF_ANOTHER_LAW, Verdict
 from sim.wording import in_words
 
 IMPLAUSIBLE = 5.0
@@ -65,10 +65,13 @@ def drawn_by_its_law(best: Ranked, remaining: float) -> bool:
     """Whether the error of an effect's law may have drawn the datasheet's values off.
 
     The effect explains nearly all of a gap so large that the rest is far beyond noise, as of a stop with damping and
-    friction. Beside that rest the tolerances hardly count. ``remaining`` is the significance of what is left.
+    friction: beside that rest the tolerances hardly count. Or it leaves a hundredth of the gap, with what the values
+    bear: as of a voltage that ends in real coils beside slower amplifiers, whose frequencies were drawn off by three
+    tolerances. ``remaining`` is the significance of what is left.
     """
     bends = not DRAWING.isdisjoint(best.candidate.effects)
-    return bends and remaining > LEAVES and best.unexplained <= MIXTURE_SHARE
+    allowed = MIXTURE_SHARE if remaining > LEAVES else WHOLE_OF_ANOTHER_LAW
+    return bends and best.unexplained <= allowed
 
 
 def free_body(ground: Ground, fit: Fit) -> str | None:

@@ -10,7 +10,7 @@ from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.overall_verdict import verdict_of
-from service.gap.weighing.another_rig import free_body, with_datasheet_off
+from service.gap.weighing.another_rig import drawn_by_its_law, free_body, with_datasheet_off
 from service.gap.weighing.verdict import HeldOut, Verdict
 from sim.effects import CATALOGUE
 from tests.support.synthetic import known_datasheet, lines, sweep, true_rig
@@ -103,3 +103,25 @@ def test_what_a_bending_law_leaves_of_a_gross_gap_makes_no_datasheet_another_rig
     verdict = verdict_of([replace(e, order=(best, *e.order))], {"plant": there}, other)
     assert (verdict.effects == (effect,)) is stands
     assert (AWAY in " ".join(verdict.reasons)) is not stands
+
+
+@pytest.mark.parametrize(
+    ("effect", "unexplained", "remaining", "drawn"),
+    [
+        ("amplifier_voltage_limit", 0.005, 3.0, True),
+        ("amplifier_voltage_limit", 0.015, 3.0, False),  # what the values bear is more than a law's error
+        ("amplifier_voltage_limit", 0.015, 20.0, True),  # so much is left that tolerances hardly count
+        ("support_resonance", 0.005, 20.0, False),
+    ],
+)
+def test_a_bending_law_draws_values_off_where_it_leaves_a_hundredth_with_what_they_bear(
+    effect: str, unexplained: float, remaining: float, drawn: bool
+) -> None:
+    e, _ = plant("bent")
+    best = replace(
+        e.order[0],
+        candidate=replace(e.order[0].candidate, effects=(effect,)),
+        unexplained=unexplained,
+        shares=(0.0, 0.0),
+    )
+    assert drawn_by_its_law(best, remaining) is drawn
