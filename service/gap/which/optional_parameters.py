@@ -116,7 +116,7 @@ def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candid
     own = {p.name: p.null for p in effect.parameters}
     own |= added_filters.start(effect, null.fit.rig, ground.observations[0])
     held = frozenset({(CONTROLLER, "gain_change")})
-    yield Task(ground, (CONTROLLER,), ((own,),), null.fit.theta, (PROBE, EXACT), nulled=held)
+    yield Task(ground, (CONTROLLER,), ((own,),), null.fit.theta, (EXACT,), nulled=held)
 
 
 def with_the_lag_of_the_displacement(ground: Ground, best: Candidate) -> Iterator[Task]:
