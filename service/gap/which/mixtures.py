@@ -104,7 +104,7 @@ def extended(ground: Ground, order: Sequence[Ranked], fewer: Ranked, size: int) 
         most = MUCH if base.unexplained > NEARLY_ALL else MOST
         if closest.unexplained < most * base.unexplained:
             base = closest
-    leaves = leaves_more_than_noise(ground, base)
+    leaves = leaves_to_explain(ground, base)
     promising = ground.part.effects if leaves else _explaining_more(base, order)
     # Of single effects any may show a prospect: one that needs implausible nuisance values alone may not need them
     # beside another.
@@ -123,7 +123,7 @@ def with_one_more(
     everything = [*found, *larger]
     if larger:
         best = min(larger, key=cost)
-        if leaves_more_than_noise(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
+        if leaves_to_explain(ground, next(r for r in ranked(null, everything) if r.candidate is best)):
             everything += refitted_in_turn(fitter, ground, null, best, everything)
             everything += with_aliases(fitter, ground, best, everything)
     return best_of_each(null, [*everything, *better_without_one_effect(fitter, ground, null, *everything)])
@@ -136,6 +136,16 @@ def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
     """
     little = max(best.apart) < MIXTURE_SHARE and not strained(best) and not _at_bound(best)
     return (not little or _of_one_law(best)) and leaves_more_than_noise(ground, best)
+
+
+def leaves_to_explain(ground: Ground, best: Ranked) -> bool:
+    """Whether so much is left that a wider law or one more effect is looked for.
+
+    In the plant all that noise does not make, as effects there may differ in size by hundreds of times; elsewhere what
+    is no error of a law: filters of a controller and limits of amplifiers would follow that error at length.
+    """
+    of_plant = ground.part.path == "plant"
+    return leaves_more_than_noise(ground, best) if of_plant else leaves_more_than_law_error(ground, best)
 
 
 def leaves_more_than_noise(ground: Ground, best: Ranked) -> bool:

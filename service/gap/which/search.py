@@ -23,7 +23,7 @@ from service.gap.which.first_fits import first_fits
 from service.gap.which.mixtures import (
     as_fewer,
     extended,
-    leaves_more_than_noise,
+    leaves_to_explain,
     strained,
     with_aliases,
     with_one_more,
@@ -167,7 +167,7 @@ class _Search:
         Effects that differ from axis to axis, and laws with their dormant parameters.
         """
         best = self.order[0].candidate
-        needed = leaves_more_than_noise(self.ground, self.order[0]) or leaves_much(self.null, self.order)
+        needed = leaves_to_explain(self.ground, self.order[0]) or leaves_much(self.null, self.order)
         # An alias of the best explanation is always compared with it by all of its law. The best one's own may be all
         # that is missing where the datasheet's values make up for it, and nothing is left.
         makes_up = strained(self.order[0])
@@ -180,7 +180,7 @@ class _Search:
         self._add([*uneven, *woken])
         if best not in wider and differ_by_alias(best, self.order[0].candidate):  # its alias leads by a wider law alone
             self._add(with_optional_parameters(self.fitter, self.ground, [best]))
-        if needed and leaves_more_than_noise(self.ground, self.order[0]):
+        if needed and leaves_to_explain(self.ground, self.order[0]):
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
             # filters that the datasheet knows are tuned otherwise sooner than there is one more
