@@ -29,13 +29,13 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
 
 def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping[str, float]:
     """The same drift, with its changes stated after the time ``duration_s`` of ``like``."""
-    names = [[f"{factor}_change{of}" for of in ("", *(f"_{axis}" for axis in AXES))] for factor in ("ki", "ks")]
-    ki, ks = (np.array([values[name] for name in of_factor]) for of_factor in names)
+    of_ki, of_ks = ([name for name in values if name.startswith(f"{factor}_change")] for factor in ("ki", "ks"))
+    ki, ks = (np.array([values[name] for name in names]) for names in (of_ki, of_ks))
     again = Drift(ki, ks, values["duration_s"], values["curvature"]).over(like["duration_s"])
     return {
         **values,
-        **dict(zip(names[0], again.ki_change.tolist(), strict=True)),
-        **dict(zip(names[1], again.ks_change.tolist(), strict=True)),
+        **dict(zip(of_ki, again.ki_change.tolist(), strict=True)),
+        **dict(zip(of_ks, again.ks_change.tolist(), strict=True)),
         "duration_s": again.duration_s,
         "curvature": again.curvature,
     }
