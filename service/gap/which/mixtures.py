@@ -13,6 +13,7 @@ from service.gap.fitting.candidates import Candidate, Fitter, Task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT, PROBE
 from service.gap.fitting.unknowns import slow_first
+from service.gap.measured.observation import Observation
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.another_rig import RESONANCES, at_bound, hopeless
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, Ranked, beyond_chance, noise_levels, ranked, renormalised
@@ -30,6 +31,7 @@ from service.gap.which.refits import LOST_COST, best_of_each, better_without_one
 from sim.effects import CATALOGUE, aliases
 
 Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 PAIRED = 5
 """Number of the best single effects that are also tried in pairs."""
@@ -151,21 +153,25 @@ def leaves_to_explain(ground: Ground, best: Ranked) -> bool:
 def leaves_more_than_noise(ground: Ground, best: Ranked) -> bool:
     """Whether something is left of the gap that noise does not make: an error of the law, or one more effect."""
     sweeps = list(zip(residuals(ground, best.candidate), ground.observations, strict=True))
-    if any(significance(z, o) > REMAINS for z, o in sweeps) or _leaves_a_few_lines(best):
+    if any(significance(z, o) > REMAINS for z, o in sweeps):
+        return True
+    of_sweeps = best.shares[::2]  # of the fundamentals
+    if any(
+        share > FEW_LINES_SHARE and few_lines_stand_out(z, o) for share, (z, o) in zip(of_sweeps, sweeps, strict=False)
+    ):
         return True
     return any(alone_hz(ground.part, z, o) is not None for z, o in sweeps)
 
 
-def _leaves_a_few_lines(r: Ranked) -> bool:
-    """Whether an explanation leaves a good share of a group, far beyond chance, though no band shows it.
+def few_lines_stand_out(z: Complex, o: Observation) -> bool:
+    """Whether residuals of the fundamental are far beyond chance, though no band may show it.
 
-    A narrow resonance is in two lines of a band, each of which counts up to a bound only in `significance`.
+    A narrow resonance is in two lines of a band, each of which counts up to a bound only in `significance`. Points at
+    which the rig still rang do not count: no twin predicts them.
     """
-    groups = (*r.candidate.fit.groups, *r.candidate.fit.across)
-    return any(
-        share > FEW_LINES_SHARE and chi - count > FEW_LINES_DEVIATES * np.sqrt(2 * count)
-        for share, (chi, count) in zip(r.apart, groups, strict=True)
-    )
+    settled = z[~o.drifting, o.fundamental]
+    count = 2 * settled.size
+    return bool(float((np.abs(settled) ** 2).sum()) - count > FEW_LINES_DEVIATES * np.sqrt(2 * count))
 
 
 def strained(r: Ranked, borne: float = 0.0) -> bool:
