@@ -143,10 +143,10 @@ def leaves_more_than_law_error(ground: Ground, best: Ranked) -> bool:
 def leaves_to_explain(ground: Ground, best: Ranked) -> bool:
     """Whether so much is left that a wider law or one more effect is looked for.
 
-    In the plant all that noise does not make, as effects there may differ in size by hundreds of times; elsewhere what
-    is no error of a law: filters of a controller and limits of amplifiers would follow that error at length.
+    Beside effects of the plant all that noise does not make, as they may differ in size by hundreds of times; elsewhere
+    what is no error of a law: filters of a controller and limits of amplifiers would follow that error at length.
     """
-    of_plant = ground.part.path == "plant"
+    of_plant = ground.part.path == "plant" and best.candidate.effects
     return leaves_more_than_noise(ground, best) if of_plant else leaves_more_than_law_error(ground, best)
 
 
