@@ -141,12 +141,6 @@ def _at(m: Magnets, current: Array, load: Array) -> OperatingPoint:
     return OperatingPoint(current, load, ki, ks)
 
 
-def stop_stiffness(contact: Contact) -> tuple[float, float]:
-    """Stiffness of the stops on the positive and on the negative side, N/m."""
-    k = contact.stiffness_n_per_m
-    return k * min(1.0, 1.0 + contact.side), k * min(1.0, 1.0 - contact.side)
-
-
 def stop_rows(contact: Contact | None, n_axes: int, n_planes: int) -> Array:
     """Rows of the stops as compiled code takes them, (5, n).
 
@@ -155,7 +149,8 @@ def stop_rows(contact: Contact | None, n_axes: int, n_planes: int) -> Array:
     """
     if contact is None:
         return np.vstack([np.full(n_axes, np.inf), np.zeros((4, n_axes))])
-    above, below = stop_stiffness(contact)
+    k = contact.stiffness_n_per_m
+    above, below = k * min(1.0, 1.0 + contact.side), k * min(1.0, 1.0 - contact.side)
     ring = contact.ring if n_planes > 1 else 0.0
     return np.vstack(
         [np.broadcast_to(row, n_axes) for row in (contact.clearance_m, above, below, contact.centre_m, ring)]

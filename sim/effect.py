@@ -136,6 +136,16 @@ def rarely_needed(
     )
 
 
+def has_axis(axis: str, rig: Rig) -> bool:
+    """Whether a rig has an axis: what a parameter of it needs."""
+    return axis in rig.axes
+
+
+def has_two_planes(rig: Rig) -> bool:
+    """Whether a rig has both planes: what a parameter that joins them needs."""
+    return rig.n_planes > 1
+
+
 @dataclass(frozen=True)
 class Effect:
     """An unmodelled effect that a twin can lack."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effect import Effect, Parameter, rarely_needed
+from sim.effect import Effect, Parameter, has_two_planes, rarely_needed
 from sim.imbalance import of_plane
 from sim.rig import Rig
 
@@ -46,6 +46,7 @@ EFFECT = Effect(
                 0.0,
                 description=f"share of u_{out_of}{end} in amplifier {into}{end}; not used on one plane",
                 wakes=(0.01,),
+                needs=has_two_planes,
             )
             for end in "AB"
             for into, out_of in ("xy", "yx")
@@ -59,6 +60,7 @@ EFFECT = Effect(
                 0.0,
                 description=f"share of u_{out_of} in amplifier {into}; not used on one plane",
                 wakes=(0.01,),
+                needs=has_two_planes,
             )
             for into, out_of in ACROSS
         ),

@@ -6,11 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from sim.effect import Effect, Parameter, rarely_needed
+from sim.datasheet import AXES
+from sim.effect import Effect, Parameter, has_axis, rarely_needed
 from sim.imbalance import parameters, shares
 from sim.rig import Drift, Rig
-
-AXES = ("xA", "xB", "yA", "yB")
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -41,10 +40,6 @@ def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping
     }
 
 
-def _has(axis: str, rig: Rig) -> bool:
-    return axis in rig.axes
-
-
 def _of_one_magnet(factor: str, axis: str) -> Parameter:
     return rarely_needed(
         f"{factor}_change_{axis}",
@@ -54,7 +49,7 @@ def _of_one_magnet(factor: str, axis: str) -> Parameter:
         0.0,
         description=f"what {factor} of the magnet in {axis} changes beside: each has its own gap and temperature",
         wakes=(0.005,),
-        needs=partial(_has, axis),
+        needs=partial(has_axis, axis),
     )
 
 

@@ -6,12 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from sim.effect import Effect, Parameter, rarely_needed
+from sim.datasheet import AXES
+from sim.effect import Effect, Parameter, has_axis, has_two_planes, rarely_needed
 from sim.errors import EffectError
 from sim.rig import Contact, Rig
 from sim.sizes import AIR_GAP, STIFFNESS
-
-AXES = ("xA", "xB", "yA", "yB")
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -22,14 +21,6 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     clearance = np.array([p[f"clearance_{axis}_m"] for axis in rig.axes])
     centre = clearance * [p[f"centre_{axis}"] for axis in rig.axes]
     return replace(rig, contact=Contact(clearance, p["stiffness_n_per_m"], p["side"], centre, p["ring"]))
-
-
-def _has(axis: str, rig: Rig) -> bool:
-    return axis in rig.axes
-
-
-def _two_planes(rig: Rig) -> bool:
-    return rig.n_planes > 1
 
 
 EFFECT = Effect(
@@ -62,7 +53,7 @@ EFFECT = Effect(
             1.0,
             0.0,
             description="1 where the stops of both planes at a bearing are one ring; not used on one plane",
-            needs=_two_planes,
+            needs=has_two_planes,
         ),
         *(
             rarely_needed(
@@ -71,8 +62,8 @@ EFFECT = Effect(
                 -0.8,
                 0.8,
                 0.0,
-                description=f"where the middle of the free way in {axis} is, over half of it",
-                needs=partial(_has, axis),
+                description=f"where the middle of the free way in {axis} is, over half of its width",
+                needs=partial(has_axis, axis),
             )
             for axis in AXES
         ),

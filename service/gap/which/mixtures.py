@@ -38,8 +38,8 @@ PAIRED = 5
 REMAINS = 4.0
 """Significance of an explanation's residuals from which one more effect is searched for."""
 FEW_LINES_SHARE, FEW_LINES_DEVIATES = 0.1, 10.0
-"""Share of a group, and standard deviations of its chi-square, from which one more effect is searched for where no band
-shows that anything is left."""
+"""Share left of a sweep's fundamental, and standard deviations of its chi-square, from which one more effect is
+searched for where no band shows that anything is left."""
 STRAINED = 3.0
 """Standard deviations of a chi-square variable by which the nuisance values' penalty is beyond chance."""
 ANOTHER_LAW = 0.15
@@ -157,13 +157,13 @@ def leaves_more_than_noise(ground: Ground, best: Ranked) -> bool:
         return True
     of_sweeps = best.shares[::2]  # of the fundamentals
     if any(
-        share > FEW_LINES_SHARE and few_lines_stand_out(z, o) for share, (z, o) in zip(of_sweeps, sweeps, strict=False)
+        share > FEW_LINES_SHARE and _few_lines_stand_out(z, o) for share, (z, o) in zip(of_sweeps, sweeps, strict=True)
     ):
         return True
     return any(alone_hz(ground.part, z, o) is not None for z, o in sweeps)
 
 
-def few_lines_stand_out(z: Complex, o: Observation) -> bool:
+def _few_lines_stand_out(z: Complex, o: Observation) -> bool:
     """Whether residuals of the fundamental are far beyond chance, though no band may show it.
 
     A narrow resonance is in two lines of a band, each of which counts up to a bound only in `significance`. Points at
