@@ -7,7 +7,7 @@ frequency-domain model are built from that rig, so an effect is written once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -168,9 +168,9 @@ class Effect:
     restated: Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]] = lambda values, like: values
     """(values, like) -> the same effect as ``values``, with redundant parameters (as the sign of a mode shape, the time
     over which a drift is stated) chosen as in ``like``, so that both can be compared."""
-    likened: Mapping[str, Callable[[Mapping[str, float]], Mapping[str, float]]] = field(default_factory=dict)
-    """By id of an alias: the alias's values -> those with which this effect is most like it; empty where it cannot
-    be."""
+    likened: Mapping[str, Callable[[Mapping[str, float]], Sequence[Mapping[str, float]]]] = field(default_factory=dict)
+    """By id of an alias: the alias's values -> those with which this effect is most like it, several where that leaves
+    open what the alias does not have; none where it cannot be."""
     includes: Mapping[str, Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]]] = field(
         default_factory=dict
     )

@@ -1,7 +1,7 @@
 """A flexible mode that the twin does not have."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter, rarely_needed
@@ -36,15 +36,16 @@ def _restated(values: Mapping[str, float], like: Mapping[str, float]) -> Mapping
     return {**values, **{name: -values[name] for name in shape}}
 
 
-def _like_a_support(values: Mapping[str, float]) -> Mapping[str, float]:
+def _like_a_support(values: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
     """The mode that imitates a resonant support: a housing of mass m moves bearings and sensors alike, by 1/sqrt(m)."""
     shape = math.sqrt(values["inverse_mass_per_kg"])
-    return {
+    alike = {
         "frequency_hz": values["frequency_hz"],
         "damping_ratio": min(values["damping_ratio"], HIGHEST_DAMPING),
         **{f"{place}_per_sqrt_kg": shape for place in ("bearing_A", "bearing_B", "sensor_A", "sensor_B")},
         **{name: values[name] for name in OF_PLANES if name in values},
     }
+    return [alike]
 
 
 EFFECT = Effect(

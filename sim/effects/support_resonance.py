@@ -1,7 +1,7 @@
 """Housing or foundation that moves under the magnets' reaction."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from sim.effect import Effect, Parameter, rarely_needed
@@ -10,11 +10,14 @@ from sim.imbalance import NAMES, OF_PLANES, parameters, shares
 from sim.rig import Rig, Support
 from sim.sizes import MASS
 
-ROCKING, ROCKING_FREQUENCY_RATIO = (0.0, 10.0), (0.1, 10.0)
+ROCKING, ROCKING_FREQUENCY_RATIO, OF_A_SLAB = (0.0, 10.0), (0.1, 10.0), 3.0
 """A slab as long as from bearing to bearing has an inertia of a third of its mass there: rocking 3."""
+HIGHEST_DAMPING = 0.3
 ROCKING_DAMPING_QUOTIENT, ROCKING_PLANE_QUOTIENT = (0.1, 10.0), (0.5, 2.0)
 
 SOFTER_PLANE = "plane_frequency_ratio"
+HIDDEN_RATIOS, HIDDEN_DAMPING = (0.5, 0.7, 1.4, 2.0), 1.5
+"""Frequencies of rocking over those of a translation that does not show, and how much more that may be damped."""
 LEANS, AT_ONE_END = 0.05, 0.98
 """Imbalance of both ends from which a mode is likened to a housing that leans, and from which it moves one end alone,
 whichever way the tenth of it goes that is left at the other."""
@@ -47,10 +50,11 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
     return replace(rig, support=support)
 
 
-def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
-    """The support that is most like a mode: a housing of the mean of its residues, which leans as the mode does.
+def _like_a_mode(values: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
+    """The supports that are most like a mode: a housing of the mean of its residues, which leans as the mode does.
 
-    One that swings moves the ends against each other: of it no more than the mean is a housing's that translates.
+    One that swings moves the ends against each other: of it no more than the mean is a housing's that translates. Or it
+    is one that rocks, whose translation is somewhere else and does not show.
     """
     (at_a, sensed_a), (at_b, sensed_b) = (
         tuple(values[f"{place}_{end}_per_sqrt_kg"] for place in ("bearing", "sensor")) for end in "AB"
@@ -60,9 +64,17 @@ def _like_a_mode(values: Mapping[str, float]) -> Mapping[str, float]:
     both, more = at_a * sensed_a + at_b * sensed_b, at_a * sensed_a - at_b * sensed_b
     same_way = at_a * at_b >= 0 or abs(more) > AT_ONE_END * both
     if same_way and LEANS * both < abs(more) <= both:
-        return {"inverse_mass_per_kg": both / 2, "end_imbalance": more / both, **shape}
+        return [{"inverse_mass_per_kg": both / 2, "end_imbalance": more / both, **shape}]
     translation = (at_a + at_b) * (sensed_a + sensed_b) / 4
-    return {"inverse_mass_per_kg": translation, **shape} if translation > 0 else {}
+    of_mean = [{"inverse_mass_per_kg": translation, **shape}] if translation > 0 else []
+    slab = {
+        **{parameter.name: parameter.null for parameter in EFFECT.parameters},
+        **shape,
+        "inverse_mass_per_kg": (at_a - at_b) * (sensed_a - sensed_b) / 4 / OF_A_SLAB,
+        "damping_ratio": min(HIDDEN_DAMPING * values["damping_ratio"], HIGHEST_DAMPING),
+    }
+    hidden = [{**slab, "frequency_hz": values["frequency_hz"] / ratio} for ratio in HIDDEN_RATIOS]
+    return of_mean + [rocks for own in hidden if slab["inverse_mass_per_kg"] > 0 and (rocks := _that_rocks(own, values))]
 
 
 def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[str, float]:
@@ -109,7 +121,7 @@ EFFECT = Effect(
             goes_with=MASS**-1,
         ),
         Parameter("frequency_hz", "Hz", 5.0, 1500.0, 430.0, 430.0, "log", "of the part on its spring", strength=False),
-        Parameter("damping_ratio", "1", 1e-3, 0.3, 0.01, 0.01, "log", strength=False),
+        Parameter("damping_ratio", "1", 1e-3, HIGHEST_DAMPING, 0.01, 0.01, "log", strength=False),
         Parameter(
             "pedestals",
             "1",

@@ -534,7 +534,8 @@ def test_an_effect_likened_to_its_alias_answers_like_it(one):
         other = CATALOGUE[name]
         alike = {p.name: 0.02 if p.name.endswith("sqrt_kg") else p.typical for p in other.parameters}
         rig = rig_for(one)
-        a, b = (linear_model(r, TONES_HZ) for r in (other.on(rig, **alike), one.on(rig, **likened(alike))))
+        (own,) = likened(alike)
+        a, b = (linear_model(r, TONES_HZ) for r in (other.on(rig, **alike), one.on(rig, **own)))
         assert differences(a.y_per_u, b.y_per_u).max() < 1e-9
 
 

@@ -40,7 +40,8 @@ def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     # what explains most may be half of a mixture, and no likelier alone than what explains nothing
     near += [c for c in sorted((r.candidate for r in order), key=cost)[:1] if c not in near]
     refitted = [*fitter.run(exact_tasks(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
-    from_aliases = {frozenset(c.effects): c for c in fitter.run(_from_aliases(ground, refitted[: len(near)], refitted))}
+    likened = sorted(fitter.run(_from_aliases(ground, refitted[: len(near)], refitted)), key=cost, reverse=True)
+    from_aliases = {frozenset(c.effects): c for c in likened}  # of each the cheapest
     best = []
     for c in refitted:
         other = from_aliases.pop(frozenset(c.effects), c)
@@ -79,11 +80,12 @@ def _from_aliases(ground: Ground, solved: Sequence[Candidate], known: Sequence[C
                 these = frozenset(effects)
                 if likened is None or alias not in ground.part.effects or len(these) < len(effects) or these in tried:
                     continue
-                values = likened(c.fit.values[k])
-                if values and costs.get(these, np.inf) > cost(c):
+                if costs.get(these, np.inf) <= cost(c):
+                    continue
+                for own in likened(c.fit.values[k]):  # apart, as a parameter may sleep in one of them
                     tried.add(these)
-                    starts = ((*c.fit.values[:k], values, *c.fit.values[k + 1 :]),)
-                    yield Task(ground, effects, starts, c.fit.theta, (EXACT,))
+                    start = (*c.fit.values[:k], own, *c.fit.values[k + 1 :])
+                    yield Task(ground, effects, (start,), c.fit.theta, (EXACT,))
 
 
 def better_without_one_effect(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:

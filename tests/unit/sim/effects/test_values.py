@@ -389,14 +389,14 @@ ONE_PLANE, SOFTER = {"plane_imbalance": -0.9}, {"plane_imbalance": 0.3, "plane_f
 def test_a_support_likened_to_a_mode_leans_as_it_does(at_a: float, at_b: float, planes: dict[str, float]):
     ends = {f"{place}_{end}_per_sqrt_kg": v for place in ("bearing", "sensor") for end, v in (("A", at_a), ("B", at_b))}
     values = {"frequency_hz": 310.0, "damping_ratio": 0.01, **ends, **planes}
-    likened = CATALOGUE["support_resonance"].likened["extra_flexible_mode"](values)
+    (likened,) = CATALOGUE["support_resonance"].likened["extra_flexible_mode"](values)
     assert_alike({"extra_flexible_mode": values, "support_resonance": likened})
 
 
 @pytest.mark.parametrize("planes", [{}, ONE_PLANE, SOFTER])
 def test_a_mode_likened_to_a_support_is_its_in_either_plane(planes: dict[str, float]):
     values = {"inverse_mass_per_kg": 9e-4, "frequency_hz": 310.0, "damping_ratio": 0.01, **planes}
-    likened = CATALOGUE["extra_flexible_mode"].likened["support_resonance"](values)
+    (likened,) = CATALOGUE["extra_flexible_mode"].likened["support_resonance"](values)
     assert_alike({"extra_flexible_mode": likened, "support_resonance": values})
 
 
@@ -413,14 +413,36 @@ def assert_alike(effects: dict[str, dict[str, float]]) -> None:
     np.testing.assert_allclose(one, other, rtol=0, atol=(1e-7 if alike else 0.04) * np.abs(one).max())
 
 
-def test_a_mode_that_swings_is_likened_to_what_of_it_translates():
+def test_a_mode_that_swings_is_likened_to_what_of_it_translates_and_to_a_housing_that_rocks():
     shape = {"bearing_A_per_sqrt_kg": 0.05, "bearing_B_per_sqrt_kg": -0.02}
     shape |= {"sensor_A_per_sqrt_kg": 0.06, "sensor_B_per_sqrt_kg": -0.02}
     likened = CATALOGUE["support_resonance"].likened["extra_flexible_mode"]
     mean = {"inverse_mass_per_kg": 0.03 * 0.04 / 4, "frequency_hz": 310.0, "damping_ratio": 0.01}
-    assert likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **shape}) == pytest.approx(mean)
+    translates, *rocking = likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **shape})
+    assert translates == pytest.approx(mean)
+    for own in rocking:
+        assert own["rocking"] * own["inverse_mass_per_kg"] == pytest.approx(0.035 * 0.04), "its residue at the ends"
+        assert own["frequency_hz"] * own["rocking_frequency_ratio"] == pytest.approx(310.0)
+        assert own["damping_ratio"] * own["rocking_damping_quotient"] == pytest.approx(0.01)
+    assert min(own["frequency_hz"] for own in rocking) < 200 < 600 < max(own["frequency_hz"] for own in rocking)
     at_a = {**shape, "bearing_B_per_sqrt_kg": -1e-5, "sensor_B_per_sqrt_kg": -1e-5}
-    alone = likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **at_a})
+    (alone,) = likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **at_a})
     assert alone["end_imbalance"] == pytest.approx(1.0, abs=1e-4), "next to nothing at the other end, whichever way"
     against = {**shape, "sensor_A_per_sqrt_kg": -0.06}
-    assert likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **against}) == {}
+    assert not likened({"frequency_hz": 310.0, "damping_ratio": 0.01, **against})
+
+
+def test_a_housing_likened_to_a_mode_rocks_as_it_swings():
+    (a, b), (sa, sb) = RIG.rotor.bearing_from_cog_m, RIG.rotor.sensor_from_cog_m
+    shape = {"bearing_A": a, "bearing_B": -b, "sensor_A": sa, "sensor_B": -sb}
+    mode = {"frequency_hz": 310.0, "damping_ratio": 0.01}
+    mode |= {f"{place}_per_sqrt_kg": 0.02 * size for place, size in shape.items()}
+    hz = np.array([250.0, 300.0, 310.0, 320.0, 370.0])
+    plain = linear_model(RIG, hz).y_per_u
+    swings = linear_model(effect("extra_flexible_mode").on(RIG, **mode), hz).y_per_u - plain
+    housings = CATALOGUE["support_resonance"].likened["extra_flexible_mode"](mode)
+    rocking = [own for own in housings if own.get("rocking")]
+    assert rocking
+    for own in rocking:
+        rocks = linear_model(effect("support_resonance").on(RIG, **own), hz).y_per_u - plain
+        assert np.abs(rocks - swings).max() < 0.3 * np.abs(swings).max(), "the translation is elsewhere"
