@@ -12,11 +12,15 @@ from service.gap.fitting.candidates import Candidate
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.shrinkage import Closed
+from service.gap.weighing.significance import OUTLIER
 from sim.effects import CATALOGUE
 from sim.wording import in_words
 
 FEW_POINTS = 10.0
 """Ratio of gap and noise from which the gap is in a few points, where no band and no channel shows it."""
+
+WORSE = 0.005
+"""Share by which a gap grows on unseen data from which it is not said to close by 0 %."""
 
 
 def verdict_path(d: Diagnosis) -> str:
@@ -242,10 +246,13 @@ def sentence(d: Diagnosis) -> str:
             f"The twin explains the rig to {gap}, which is noise, but only with its datasheet off by more than its "
             f"tolerances let one believe: {words}{unsure} ({sure})."
         )
-    far = (
-        "; the unseen sweep does not show this gap, so how much of it closes is not known"
-        if s.closure is None
-        else f", which closes {100 * s.closure:z.0f} % of the gap on unseen data"
-    )
+    if s.closure is not None and s.closure < -WORSE:
+        far = f", which closes nothing of the gap on unseen data: it is {-100 * s.closure:.0f} % larger there"
+    elif s.closure is not None:
+        far = f", which closes {100 * s.closure:z.0f} % of the gap on unseen data"
+    elif s.before > OUTLIER * s.noise_floor:
+        far = "; a few lines alone show this gap on unseen data, too few to tell how much of it closes"
+    else:
+        far = "; the unseen sweep does not show this gap, so how much of it closes is not known"
     behind = f"; far less likely, though about as good a fit: {unlikely}" if unlikely else ""
     return f"The rig differs from its twin by {gap} in the {_blamed(d)}: {words}{unsure} ({sure}){far}{behind}."

@@ -115,7 +115,8 @@ class Unseen:
             for b in sorted(set(o.axis.tolist()))
             for a in range(n)
         }
-        self._shown = shows(self._z, o) or bool(alone)
+        # together with the channels of other paths, those of one that shows it are diluted
+        self._shown = shows(self._z, o) or any(cell.shown for cell in self._paths.values())
 
     def shrinkage(self, after: Rig) -> Shrinkage:
         """Closure from the twin before to the twin ``after``: of the whole, and of every path and channel."""

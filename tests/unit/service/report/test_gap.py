@@ -115,6 +115,20 @@ def test_a_gap_that_the_unseen_sweep_does_not_show_is_not_said_to_close_by_nothi
     assert "closes" not in lead(page).replace("how much of it closes", "")
 
 
+def test_a_gap_that_a_few_lines_alone_show_on_unseen_data_is_not_said_to_be_hidden(diagnosis):
+    unseen = replace(diagnosis.shrinkage, before=1020.0, after=127.0, closure=None, closure_95=(None, None))
+    first = lead(gap_page(replace(diagnosis, shrinkage=unseen)))
+    assert "a few lines alone show this gap on unseen data" in first
+    assert "does not show" not in first
+
+
+def test_an_effect_that_makes_unseen_data_worse_is_not_said_to_close_a_negative_share(diagnosis):
+    worse = replace(diagnosis.shrinkage, before=36.9, after=40.8, closure=-0.11, closure_95=(-0.2, 0.0))
+    first = lead(gap_page(replace(diagnosis, shrinkage=worse)))
+    assert "which closes nothing of the gap on unseen data: it is 11 % larger there" in first
+    assert "-11" not in first
+
+
 def test_a_gap_below_the_noise_has_a_reason_beside_it(diagnosis):
     """The floor holds an error that any twin is allowed, so one that is right may come nearer."""
     page = gap_page(replace(diagnosis, gap_before=5.7e-4, noise_floor=1.33e-3))

@@ -41,6 +41,13 @@ def test_a_controller_held_exactly_hides_no_faint_gap() -> None:
     assert s.closure is not None
 
 
+def test_a_gap_that_a_few_lines_of_one_path_show_is_not_diluted_by_the_other_paths() -> None:
+    nearer = with_effects(TWIN, {"sensor_position": {"shift_A_m": 1.5e-3, "shift_B_m": 0.0}})
+    s = shrinkage(TWIN, nearer, observe(sweep(nearer, np.geomspace(13.0, 130.0, 6), 0.3, seed=7), TWIN), "sweeps/1")
+    assert s.paths["plant"].closure == pytest.approx(1.0, abs=0.1)
+    assert s.closure == pytest.approx(1.0, abs=0.1)
+
+
 def test_an_interval_holds_what_lies_between_one_in_forty_on_either_side() -> None:
     evenly = np.linspace(0.0, 1.0, 1001)
     assert interval_95(np.random.default_rng(0).permutation(evenly), 1001) == pytest.approx((0.025, 0.975))
