@@ -70,7 +70,8 @@ class Parameter:
     """Of a dormant one, starts of the fits in which it is free, once the effect without it leaves too much; empty where
     something else decides on that."""
     needs: Callable[[Rig], bool] | None = None
-    """Of a dormant one, whether a rig has the part that it shapes: on others it does nothing, and never wakes."""
+    """Whether a rig has the part that it acts on. On others it does nothing: the effect does without it (`Effect.of`),
+    or where the law's others are stated with it, as dormant ones are, it never wakes."""
     goes_with: Size | None = None
     """The size of a rig with which the range scales; None where it is the same on every rig. The range is stated for
     the reference rig."""
@@ -141,6 +142,11 @@ def has_axis(axis: str, rig: Rig) -> bool:
     return axis in rig.axes
 
 
+def has_modes(rig: Rig, number: int) -> bool:
+    """Whether each plane of a rig has that many flexible modes: what a parameter of the last of them needs."""
+    return min(map(len, rig.rotor.modes)) >= number
+
+
 def has_two_planes(rig: Rig) -> bool:
     """Whether a rig has both planes: what a parameter that joins them needs."""
     return rig.n_planes > 1
@@ -197,8 +203,9 @@ class Effect:
         return self.apply(rig, {name: values.get(name, p.typical) for name, p in known.items()})
 
     def of(self, rig: Rig) -> Effect:
-        """The effect with the ranges of its parameters scaled to a rig."""
-        return replace(self, parameters=tuple(p.of(rig) for p in self.parameters))
+        """The effect with the ranges of its parameters scaled to a rig, without those of axes and modes that it has not."""
+        used = (p for p in self.parameters if p.dormant or p.needs is None or p.needs(rig))
+        return replace(self, parameters=tuple(p.of(rig) for p in used))
 
     def null(self) -> dict[str, float]:
         """Parameter values at which the effect vanishes; shape parameters stay typical."""

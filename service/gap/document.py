@@ -49,9 +49,9 @@ def stated(c: Candidate) -> dict[str, dict[str, Any]]:
         for name, value in values.items():
             # a parameter without a deviation was not fitted
             end = c.fit.ends.get((effect, name)) if sds.get(name) else None
-            # so that a deviation of 0 is not read as one that is known exactly
             given = {"given": True} if (effect, name) in c.given else {}
-            out[prefix + name] = {"value": value, "std": sds[name], "at_bound": end, **given}
+            std = sds[name] if sds[name] or given else None  # held where the law is simplest, and not known exactly
+            out[prefix + name] = {"value": value, "std": std, "at_bound": end, **given}
     return out
 
 

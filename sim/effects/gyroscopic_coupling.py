@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain, repeat
 
-from sim.effect import Effect, Parameter, rarely_needed
+from sim.effect import Effect, Parameter, has_modes, rarely_needed
 from sim.rig import Disc, FlexibleMode, Rig
 from sim.sizes import INERTIA, SLOPE
 
@@ -52,7 +52,7 @@ def _slope(mode: int) -> Parameter:
         0.0,
         description=f"tilt of that inertia per displacement of mode {mode}; 0: it tilts with the rigid body alone",
         wakes=(0.3, -0.3) if mode < SLOPED else (0.1,),  # a slope of the other sign is another local minimum
-        needs=partial(_has_modes, number=mode),
+        needs=partial(has_modes, number=mode),
         goes_with=SLOPE,
     )
 
@@ -67,12 +67,8 @@ def _between(pair: tuple[int, int]) -> Parameter:
         0.0,
         description=f"the same between mode {first} of one plane and mode {second} of the other, beyond a disc's",
         wakes=(0.002,),
-        needs=partial(_has_modes, number=second),
+        needs=partial(has_modes, number=second),
     )
-
-
-def _has_modes(rig: Rig, number: int) -> bool:
-    return min(map(len, rig.rotor.modes)) >= number
 
 
 EFFECT = Effect(
@@ -118,7 +114,7 @@ EFFECT = Effect(
             0.0,
             description="g of the third mode beyond that mean",
             wakes=(0.002,),
-            needs=partial(_has_modes, number=3),
+            needs=partial(has_modes, number=3),
         ),
         *map(_between, PAIRS),
     ),

@@ -3,8 +3,9 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, has_modes
 from sim.errors import EffectError
 from sim.rig import FlexibleMode, Rig
 
@@ -28,7 +29,16 @@ EFFECT = Effect(
     path="plant",
     parameters=(
         Parameter("mode1_log_ratio", "1", -3.0, 3.5, 1.1, 0.0, description="ln of the ratio of damping, first mode"),
-        Parameter("mode2_log_ratio", "1", -3.0, 3.5, 1.1, 0.0, description="ln of the ratio of damping, second mode"),
+        Parameter(
+            "mode2_log_ratio",
+            "1",
+            -3.0,
+            3.5,
+            1.1,
+            0.0,
+            description="ln of the ratio of damping, second mode; not used on a rig with one",
+            needs=partial(has_modes, number=2),
+        ),
     ),
     apply=_apply,
     law="zeta_k exp(v_k) of the first two modes",

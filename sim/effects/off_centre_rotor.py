@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, has_axis
 from sim.errors import EffectError
 from sim.rig import Rig
 from sim.sizes import AIR_GAP
@@ -37,6 +38,7 @@ EFFECT = Effect(
             typical,
             0.0,
             description=f"magnetic against sensor centre in {axis}; not used on a rig without that axis",
+            needs=partial(has_axis, axis),
             goes_with=AIR_GAP,
         )
         for axis, typical in _TYPICAL.items()

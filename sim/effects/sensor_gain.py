@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from sim.effect import Effect, Parameter
+from sim.effect import Effect, Parameter, has_axis
 from sim.rig import Rig
 
 _TYPICAL = {"xA": 0.05, "xB": -0.03, "yA": -0.04, "yB": 0.02}
@@ -28,6 +29,7 @@ EFFECT = Effect(
             typical,
             0.0,
             description=f"relative, sensor {axis}; not used on a rig without that axis",
+            needs=partial(has_axis, axis),
         )
         for axis, typical in _TYPICAL.items()
     ),

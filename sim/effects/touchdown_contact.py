@@ -41,6 +41,7 @@ EFFECT = Effect(
                 12e-6,
                 "log",
                 f"free way in {axis}; not used on a rig without that axis",
+                needs=partial(has_axis, axis),
                 goes_with=AIR_GAP,
                 strength=False,
             )

@@ -452,6 +452,17 @@ def test_a_rig_of_one_plane_gets_it_or_a_reason(one):
     assert differences(found.y_per_u, model.y_per_u).max() < 3e-3
 
 
+@every_effect
+def test_on_a_rig_of_one_plane_and_one_mode_nothing_is_fitted_of_others(one):
+    """Its report would else tell a value of a sensor that is not there."""
+    rig = plane_of(rig_for(one))
+    rig = replace(rig, rotor=replace(rig.rotor, modes=(rig.rotor.modes[0][:1],)))
+    awake = {p.name for p in one.of(rig).parameters if not p.dormant}
+    assert awake
+    assert not [name for name in awake if any(other in name for other in ("_yA", "_yB", "mode2", "mode3"))]
+    assert awake <= {p.name for p in one.of(rig_for(one)).parameters}
+
+
 def assert_answers(rig: Rig) -> None:
     """Every response of the rig is a finite number and the displacement one that is not zero."""
     model = linear_model(rig, TONES_HZ)

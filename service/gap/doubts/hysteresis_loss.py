@@ -48,8 +48,7 @@ def lag_share(e: Explained) -> tuple[float, float]:
     """Share of the fitted hysteresis's lag that the data show, and its standard deviation."""
     c = e.order[0].candidate
     problem = Problem.of(e.ground, c.fit)
-    first = sum(len(CATALOGUE[name].parameters) for name in c.effects[: c.effects.index(HYSTERESIS)])
-    own = range(first, first + len(CATALOGUE[HYSTERESIS].parameters))
+    own = [k for k, (which, _) in enumerate(problem.unknowns.own) if c.effects[which] == HYSTERESIS]
     without = e.ground.fitted_rig(c.fit.theta, c.fit.inherited)
     for name, values in zip(c.effects, c.fit.values, strict=True):
         if name != HYSTERESIS:

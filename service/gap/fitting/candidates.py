@@ -48,7 +48,7 @@ class Candidate:
     occam: float
     """log Occam factor: posterior over prior volume of the parameters"""
     standard_deviations: tuple[dict[str, float], ...]
-    """of each effect's parameters, by name"""
+    """of each effect's parameters, by name; 0 for one that was not fitted"""
     given: frozenset[tuple[str, str]] = frozenset()
     """(effect, parameter) that was not fitted but stated, as the time over which a drift is stated"""
 
@@ -203,6 +203,7 @@ def _deviations(unknowns: Unknowns, fit: Fit) -> tuple[dict[str, float], ...]:
     widened = max(1.0, fit.chi_square / fit.n_residuals)
     sd = np.sqrt(np.maximum(np.diag(covariance)[at], 0) * widened) * unknowns.scale[: len(own)]
     sd = np.hypot(np.where(logarithmic & ~strength, value * sd, sd), LAW_ERROR * np.abs(value))
+    sd[width == 0] = 0.0  # held
     out: list[dict[str, float]] = [{} for _ in unknowns.effects]
     for (which, p), s in zip(own, sd, strict=True):
         out[which][p.name] = float(s)

@@ -67,7 +67,7 @@ class Unknowns:
         self._all_effects = (*self.effects, *inherited)
         self.parameters = [(k, p) for k, e in enumerate(self._all_effects) for p in e.parameters]
         """(number of the effect, parameter), of the effects to be fitted, then of inherited ones"""
-        self.n_own = sum(len(e.parameters) for e in effects)
+        self.n_own = sum(len(e.parameters) for e in self.effects)
         """number of parameters of the effects to be fitted"""
         self.slow = [slow_to_compute(self._all_effects[k].id) for k, _ in self.parameters]
         """whether each parameter is of an effect that is evaluated in the time domain"""

@@ -1,5 +1,7 @@
 """A drift that was found is stated over the time that the experiment took."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,13 @@ def test_the_time_is_told_as_given_and_not_as_found() -> None:
     assert told["duration_s"] == {"value": 1200.0, "std": 0.0, "at_bound": None, "given": True}
     assert told["ki_change"] == {"value": FOUND["ki_change"], "std": 0.001, "at_bound": None}
     assert not any("given" in e for e in stated(found().order[0].candidate).values())
+
+
+def test_what_a_fit_held_is_not_told_as_known_exactly() -> None:
+    candidate = found().order[0].candidate
+    held = replace(candidate, standard_deviations=({**candidate.standard_deviations[0], "curvature": 0.0},))
+    assert stated(held)["curvature"]["std"] is None
+    assert stated(held)["ki_change"]["std"] == 0.001
 
 
 def test_without_a_clock_or_beside_a_drift_of_the_datasheet_it_stays_as_it_is() -> None:
