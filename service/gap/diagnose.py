@@ -220,7 +220,7 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
         yield from unsettled_lines(found.parts)
     else:
         yield from hints(d.chosen, nu.rig, (d.observation, d.held_out), data.polar_inertia_kgm2)
-    if not verdict.effects and not data.o.together:
+    if not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
     if far := nu.far_off(d.chosen.fit.theta):
         yield f"the datasheet is off beyond its tolerances: {values_off(far, leaves_some(verdict, found.parts))}"

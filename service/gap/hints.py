@@ -19,6 +19,7 @@ from service.gap.which.held_out import on_sweep
 from sim.rig import Rig
 from sim.wording import in_words
 
+Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 OF_THAT_MODE = 0.01
@@ -33,6 +34,8 @@ PLAIN = 300.0
 """Least excess of a point that is noted, in squared residuals over their expectation."""
 SHARE_OF_ONE_POINT = 0.8
 """Share of a part's excess that one point must have to be noted."""
+SHARE_UNEXPLAINED = 0.5
+"""Share of a point's excess that a named effect must leave for it to be noted: of a sharp peak it leaves less."""
 
 
 def hints(
@@ -128,17 +131,23 @@ def _tells_apart(one: Rig, other: Rig, o: Observation) -> bool:
 
 
 def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str, str]) -> list[str]:
-    """Points with nearly all of the plain twin's excess in a part, in words: each may be one bad measurement.
+    """Points with nearly all of the excess that a part's twin leaves, in words: each may be one bad measurement.
 
-    ``names`` are those of the fitted sweep and of the unseen one.
+    That is the twin with the part's effects, if it has any: they explain nearly nothing of such a point. ``names`` are
+    those of the fitted sweep and of the unseen one. A point that draws the fit leaves an excess in the unseen sweep,
+    too, which is not told beside the larger one.
     """
     points: dict[tuple[str, float, int], None] = {}
     for e in parts:
-        sweeps = ((e.ground.observations[0], e.plain[0]), on_sweep(e, e.null.candidate, unseen))
-        for name, (o, z) in zip(names, sweeps, strict=True):
-            k = _worst(z)
-            if k is not None:
-                points[name, float(o.points_hz[k]), int(o.axis[k])] = None
+        worst: list[tuple[float, tuple[str, float, int]]] = []
+        seen, plain = on_sweep(e, e.null.candidate, unseen)
+        left = on_sweep(e, e.chosen, unseen)[1] if e.chosen.effects else plain
+        sweeps = (e.ground.observations[0], e.plain[0], e.left[0]), (seen, plain, left)
+        for name, (o, before, after) in zip(names, sweeps, strict=True):
+            k = _worst(after)
+            if k is not None and _excess(after)[k] > SHARE_UNEXPLAINED * _excess(before)[k]:
+                worst.append((float(_excess(after)[k]), (name, float(o.points_hz[k]), int(o.axis[k]))))
+        points |= dict.fromkeys([point for _, point in sorted(worst, reverse=True)][:1])
     axes = parts[0].ground.nuisance.rig.axes
     return [
         f"nearly all of what the twin leaves of {name} lies in one point, {hz:.4g} Hz with {axes[axis]} excited: "
@@ -147,11 +156,16 @@ def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str,
     ]
 
 
-def _worst(z: Complex) -> int | None:
-    """The point with nearly all of the excess of weighted residuals (P, H, n); None where there is no such point."""
+def _excess(z: Complex) -> Real:
+    """By how much the squared weighted residuals (P, H, n) of each point exceed what noise makes, (P,)."""
     power = np.abs(z) ** 2 / 2
     # noise hardly makes twice the number of a point's dozen values, even in one of a hundred points
-    excess = np.maximum(power.sum(axis=(1, 2)) - 2 * np.count_nonzero(power, axis=(1, 2)), 0.0)
+    return np.asarray(np.maximum(power.sum(axis=(1, 2)) - 2 * np.count_nonzero(power, axis=(1, 2)), 0.0))
+
+
+def _worst(z: Complex) -> int | None:
+    """The point with nearly all of the excess of weighted residuals (P, H, n); None where there is no such point."""
+    excess = _excess(z)
     k = int(excess.argmax())
     return k if excess[k] > PLAIN and excess[k] > SHARE_OF_ONE_POINT * excess.sum() else None
 

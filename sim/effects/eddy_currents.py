@@ -94,7 +94,7 @@ EFFECT = Effect(
     "share of it has no eddy currents; of the force g ks x lags as ki i does",
     signature="y/i: phase lag and gain loss both grow with the root of frequency, at any amplitude",
     aliases=("sensor_lag", "magnetic_hysteresis", "loop_delay", "amplifier_bandwidth"),
-    separated_by="a wide band: dln|H|/darg H is 1 here, wT/2 for a first-order lag, 0 for a delay; "
+    separated_by="a wide band: ln|H|/arg H is 1 here, wT/2 for a first-order lag, 0 for a delay; "
     "a sweep of amplitude at low frequency for hysteresis",
     source="Zhu, Knospe and Maslen, Analytic model for a nonlaminated cylindrical magnetic actuator including eddy "
     "currents, IEEE Trans. Magnetics 41, 2005, pp. 1248-1258; Feeley, IEEE Trans. Magnetics 32, 1996, pp. 453-458",

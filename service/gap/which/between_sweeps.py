@@ -48,11 +48,27 @@ def change_between(e: Explained, other: Observation) -> float:
         z[rows, 0] = np.sqrt(2) * (error_second[rows] - expected) / np.sqrt(variance_second[rows] + expected_variance)
         compared[rows] = True
     points = replace(second, line=second.line[compared], axis=second.axis[compared])
-    if alone_hz(e.part, z_second, second) is not None and alone_hz(e.part, e.plain[0], main) is None:
-        return float(
-            normal_above(LINE_BY_CHANCE)
-        )  # the mean of a band hides a limit that one line of one sweep reaches
+    lone = alone_hz(e.part, z_second, second)
+    if lone is not None and next_to(lone, main.frequency_hz) and alone_hz(e.part, e.plain[0], main) is None:
+        # the mean of a band hides a limit that one line of one sweep reaches
+        return float(normal_above(LINE_BY_CHANCE))
     return max(significance(z[compared], points), overall(z[compared]), 0.0)
+
+
+def next_to(at_hz: float, lines_hz: Real) -> bool:
+    """Whether some lines (F,) are so near that they would have shown what a line at ``at_hz`` shows.
+
+    The nearest is no farther than its neighbour.
+
+    >>> lines_hz = np.array([100.0, 120.0, 144.0])
+    >>> [next_to(at_hz, lines_hz) for at_hz in (80.0, 90.0, 130.0, 170.0, 430.0)]
+    [False, True, True, True, False]
+    """
+    x = np.sort(np.log(lines_hz))
+    if len(x) < 2:
+        return False
+    apart, nearest = np.diff(x), int(np.abs(x - np.log(at_hz)).argmin())
+    return bool(abs(x[nearest] - np.log(at_hz)) <= apart[max(nearest - 1, 0) : nearest + 1].max())
 
 
 def relative_error(z: Complex, o: Observation, signal: str) -> tuple[Complex, Real]:

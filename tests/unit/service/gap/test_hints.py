@@ -22,7 +22,7 @@ from service.gap.measured.observation import GapError, observe
 from service.gap.which.explained import Explained
 from sim.datasheet import Datasheet
 from sim.effects import CATALOGUE
-from sim.twin import rig_from_datasheet
+from sim.twin import rig_from_datasheet, with_effects
 from tests.support.synthetic import HARMONICS, experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
 
@@ -53,6 +53,17 @@ def test_one_bad_point_is_named(sweep: int) -> None:
     assert not d.verdict.effects
     if d.verdict.kind == "no_gap":
         assert "but for a few points" in sentence(d)
+
+
+def test_one_bad_point_is_named_beside_an_effect_too() -> None:
+    late = experiment(with_effects(true_rig(TRUTH), {"loop_delay": {"delay_s": 3e-5}}))
+    bad, sheet = one_plane(late, SHEET)
+    bad, hz = with_point(bad, 1, 1.1)
+    d = diagnose(bad, sheet)
+    assert d.verdict.effects == ("loop_delay",)
+    told = [note for note in d.notes if "measure it again" in note]
+    assert len(told) == 1
+    assert f"of sweeps/1 lies in one point, {hz:.4g} Hz" in told[0]
 
 
 @pytest.mark.parametrize(("drift", "elsewhere", "told"), [(0.05, 1.0, True), (0.002, 1.0, False), (0.05, 9.0, False)])

@@ -12,11 +12,12 @@ from service.gap.fitting.part import Ground, parts
 from service.gap.measured.condition import conditions_of, same_condition
 from service.gap.measured.observation import Observation, observe
 from service.gap.weighing.ranking import ranked
-from service.gap.weighing.significance import SIGNIFICANT
+from service.gap.weighing.significance import SIGNIFICANT, alone_hz
 from service.gap.where.dependence import dependence
 from service.gap.where.where import locate
 from service.gap.which.between_sweeps import change_between, relative_error
 from service.gap.which.explained import Explained
+from service.gap.which.held_out import on_sweep
 from service.gap.which.search import plain_twin
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
@@ -50,6 +51,19 @@ def test_only_what_is_not_in_proportion_depends_on_the_amplitude(effect: str, de
     assert found.speed is None, "both sweeps are at standstill"
     assert found.significance is not None
     assert (found.significance > SIGNIFICANT) is depends
+
+
+def test_a_resonance_that_lies_in_the_band_of_one_sweep_alone_is_none_that_depends_on_the_amplitude() -> None:
+    """Nothing was measured there at the other amplitude."""
+    rig = with_effects(true_rig(TRUTH), RESONANT)
+    hz = np.geomspace(13.0, 150.0, 14), np.append(np.geomspace(200.0, 930.0, 14), 430.0)
+    main, other = (observe(sweep(rig, np.sort(f), a, 5), NU.rig) for f, a in zip(hz, (0.3, 0.9), strict=True))
+    ground = Ground(NU, next(p for p in parts(NU, (main,)) if p.path == "plant"), (main,), np.zeros(len(NU)))
+    with Fitter(1) as fitter:
+        null, plain = plain_twin(fitter, ground)
+    e = Explained(ground, tuple(ranked(null, [])), plain, plain)
+    assert (alone_hz(ground.part, on_sweep(e, null, other)[1], other) or 0.0) > 200.0, "what may deceive"
+    assert change_between(e, other) < SIGNIFICANT
 
 
 def test_where_only_the_speed_differs_the_amplitude_is_not_blamed() -> None:
