@@ -228,6 +228,9 @@ def sentence(d: Diagnosis) -> str:
     if v.another_rig:
         cause = v.reasons[0].removeprefix(f"{v.unexplained}: ")
         return f"Nothing can be said of effects: the rig differs from its twin by {gap}, and {cause} ({sure})."
+    if v.misstated:
+        cause = v.reasons[0].removeprefix(f"{v.unexplained}: ")
+        return f"The datasheet seems to be wrong: the rig differs from its twin by {gap}, and {cause} ({sure})."
     if v.outdated:
         closes = "" if s.closure is None else f"; that closes {100 * s.closure:z.0f} % of the gap on unseen data"
         return f"The twin is out of date: the rig differs from it by {gap}, and {v.reasons[0]} ({sure}){closes}."

@@ -13,6 +13,7 @@ from service.gap.doubts.changing_mode_instead import changing_instead
 from service.gap.doubts.curvature_instead import curved_alike, curved_instead
 from service.gap.doubts.curved_signal import Seen, curved_signal
 from service.gap.doubts.hysteresis_loss import lag_missing
+from service.gap.doubts.misstated import misstated
 from service.gap.doubts.other_plane import Across, across_alike
 from service.gap.fitting.part import STANDSTILL
 from service.gap.interference import Interference
@@ -166,6 +167,8 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation, t
 
     ``plain`` is the unseen sweep with the plain twin's residuals, ``there`` how the explanation fares on it.
     """
+    if wrong := misstated(e, verdict):
+        return Verdict("none_of_these", (), (), SURE_OF_NONE, (wrong,), misstated=True)
     explained = bool(verdict.effects)
     no_hysteresis = lag_missing(e) if explained else None
     reason = _nonlinear_cause(e, verdict, plain, unseen)

@@ -67,14 +67,17 @@ def _like_a_mode(values: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
         return [{"inverse_mass_per_kg": both / 2, "end_imbalance": more / both, **shape}]
     translation = (at_a + at_b) * (sensed_a + sensed_b) / 4
     of_mean = [{"inverse_mass_per_kg": translation, **shape}] if translation > 0 else []
+    residue = (at_a - at_b) * (sensed_a - sensed_b) / 4
+    if residue <= 0:
+        return of_mean
     slab = {
         **{parameter.name: parameter.null for parameter in EFFECT.parameters},
         **shape,
-        "inverse_mass_per_kg": (at_a - at_b) * (sensed_a - sensed_b) / 4 / OF_A_SLAB,
+        "inverse_mass_per_kg": residue / OF_A_SLAB,
         "damping_ratio": min(HIDDEN_DAMPING * values["damping_ratio"], HIGHEST_DAMPING),
     }
-    hidden = [{**slab, "frequency_hz": values["frequency_hz"] / ratio} for ratio in HIDDEN_RATIOS]
-    return of_mean + [rocks for own in hidden if slab["inverse_mass_per_kg"] > 0 and (rocks := _that_rocks(own, values))]
+    hidden = ({**slab, "frequency_hz": values["frequency_hz"] / ratio} for ratio in HIDDEN_RATIOS)
+    return [*of_mean, *(rocks for own in hidden if (rocks := _that_rocks(own, values)))]
 
 
 def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[str, float]:

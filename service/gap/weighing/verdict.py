@@ -68,6 +68,8 @@ class Verdict:
     """the part of the loop that no known effect explains"""
     another_rig: bool = False
     """whether the datasheet seems to be of another rig, so that its gap is meaningless"""
+    misstated: bool = False
+    """whether a value that the datasheet states explains the gap where it is another"""
     nonlinear: bool = False
     """whether what no effect explains is proven to be nonlinear"""
     also_alike: tuple[str, ...] = ()

@@ -1,0 +1,136 @@
+"""Whether a value of the datasheet that no tolerance covers explains the plant, where it is another.
+
+The bias current sets the air gap, and with it all of the force law beyond its linear part: where it is wrong, a rotor
+that swings far seems to saturate, to drift or to touch something. A mode that the datasheet has and the rotor has not
+looks like one more mode of the rig, which takes it off again.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from service.gap.fitting.candidates import Candidate, Task, fit_task
+from service.gap.fitting.stage import EXACT
+from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, noise_levels
+from service.gap.weighing.verdict import MAX_SHARE_LEFT, Verdict
+from service.gap.which.explained import Explained
+from sim.errors import AmbError
+from sim.rig import FlexibleMode, Rig
+
+MODE = "extra_flexible_mode"
+
+STEP = 0.2
+"""Change of ln of the bias current by which it is first tried, up and down."""
+FARTHEST = math.log(2.5)
+"""Change of its ln beyond which a wrong bias current is not looked for."""
+CURVED = 0.05
+"""Relative gap of the plant up to which the force law beyond its linear part may be all of it."""
+TRIED = 0.3
+"""Share of the plant's excess that one step of the bias must take off for its value to be looked for."""
+REFINED = 3
+"""Parabolas through the best three values of the bias that lead to its value."""
+
+
+def misstated(e: Explained, verdict: Verdict) -> str | None:
+    """What the datasheet states wrongly of the plant, in words, where that explains it as well as effects; or None."""
+    if e.part.path != "plant" or verdict.kind == "no_gap":
+        return None
+    if e.relative_gap < CURVED and (bias := _another_bias(e)):
+        return bias
+    return _absent_mode(e) if MODE in verdict.effects or not verdict.effects else None
+
+
+def _another_bias(e: Explained) -> str | None:
+    """The bias current that explains the plant better than its best effects do, in words; or None."""
+    tried = {0.0: e.null.candidate.fit.cost}
+
+    def cost(by: float) -> float:
+        """The plain twin's cost with another bias, infinite where there is no such rig."""
+        if by not in tried:
+            c = _fitted(e, _with_bias(e.ground.nuisance.rig, math.exp(by)))
+            tried[by] = math.inf if c is None else c.fit.cost
+        return tried[by]
+
+    excess = tried[0.0] - _noise(e)
+    if min(cost(STEP), cost(-STEP)) > tried[0.0] - TRIED * excess:
+        return None
+    while abs(best := min(tried, key=cost)) < FARTHEST and abs(best) == max(abs(by) for by in tried if by * best > 0):
+        cost(best + math.copysign(STEP, best))
+    for _ in range(REFINED):
+        a, b, c = sorted(sorted(tried, key=cost)[:3])
+        bend, slope, _ = np.polyfit([a, b, c], [cost(a), cost(b), cost(c)], 2)
+        if not (np.isfinite(bend) and bend > 0):
+            break
+        cost(float(np.clip(-slope / (2 * bend), a, c)))
+    by = min(tried, key=cost)
+    if not _explains(e, tried[by], 0.0):
+        return None
+    stated = e.ground.nuisance.rig.magnets.bias_current_a
+    return (
+        f"with {math.exp(by):.3g} times the datasheet's bias current, {_amperes(math.exp(by) * stated)}, the twin "
+        "explains it: check bias_current_a, which sets the air gap, and diagnose again"
+    )
+
+
+def _absent_mode(e: Explained) -> str | None:
+    """The mode of the datasheet without which the twin explains the plant, in words; or None."""
+    rig = e.ground.nuisance.rig
+    without = {k: _fitted(e, _muted(rig, k)) for k in range(e.ground.nuisance.n_modes)}
+    costs = {k: c.fit.cost for k, c in without.items() if c is not None}
+    if not costs:
+        return None
+    k = min(costs, key=costs.__getitem__)
+    if not _explains(e, costs[k], CLEAR_CHI_SQUARE):
+        return None
+    hz = rig.rotor.modes[0][k].natural_frequency_rad_s / (2 * math.pi)
+    return (
+        f"without the datasheet's mode at {hz:.4g} Hz the twin explains it: the rotor does not show that mode; take it "
+        "out of the datasheet, or measure where it is, and diagnose again"
+    )
+
+
+def _explains(e: Explained, cost: float, worse: float) -> bool:
+    """Whether a twin leaves hardly anything, and at most ``worse`` more than the best explanation by effects."""
+    null, noise = e.null.candidate.fit.cost, _noise(e)
+    clear = null - cost > max(CLEAR_CHI_SQUARE, (1 - MAX_SHARE_LEFT) * (null - noise))
+    return clear and cost <= e.order[0].candidate.fit.cost + worse
+
+
+def _noise(e: Explained) -> float:
+    return sum(noise_levels(e.null.candidate, [r.candidate for r in e.order]))
+
+
+def _fitted(e: Explained, rig: Rig) -> Candidate | None:
+    """The plain twin fitted with another rig as its datasheet's; None where it is none that can be computed."""
+    ground = replace(e.ground, nuisance=replace(e.ground.nuisance, rig=rig))
+    with suppress(AmbError, np.linalg.LinAlgError):
+        return fit_task(Task(ground, (), ((),), e.null.candidate.fit.theta, (EXACT,)))
+    return None
+
+
+def _with_bias(rig: Rig, factor: float) -> Rig:
+    return replace(rig, magnets=replace(rig.magnets, bias_current_a=factor * rig.magnets.bias_current_a))
+
+
+def _muted(rig: Rig, mode: int) -> Rig:
+    """The rig whose magnets do not excite a mode, and whose sensors do not see it."""
+
+    def quiet(m: FlexibleMode) -> FlexibleMode:
+        return replace(m, shape_at_bearings=(0.0, 0.0), shape_at_sensors=(0.0, 0.0))
+
+    planes = (tuple(quiet(m) if k == mode else m for k, m in enumerate(plane)) for plane in rig.rotor.modes)
+    return replace(rig, rotor=replace(rig.rotor, modes=tuple(planes)))
+
+
+def _amperes(currents: np.ndarray) -> str:
+    """Currents of all axes in words.
+
+    >>> _amperes(np.array([2.75, 2.75])), _amperes(np.array([2.0, 2.5]))
+    ('2.75 A', '2 to 2.5 A')
+    """
+    low, high = f"{currents.min():.3g}", f"{currents.max():.3g}"
+    return f"{low} A" if low == high else f"{low} to {high} A"

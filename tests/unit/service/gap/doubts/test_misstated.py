@@ -1,0 +1,74 @@
+"""A value that the datasheet states wrongly, and that no tolerance covers, is told as that and not as an effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.experiment.data import Experiment
+from service.gap.diagnose import diagnose
+from service.gap.document import sentence
+from sim.datasheet import Datasheet, Mode
+from sim.rig import Rig
+from sim.twin import with_effects
+from tests.support.synthetic import known_datasheet, sweep, true_rig
+from tests.support.two_axes import one_plane
+
+pytestmark = pytest.mark.slow
+
+SHEET, TRUTH = known_datasheet(seed=3)
+ABSENT = Mode(300.0, 0.002, (0.05, -0.04), (0.05, -0.045))
+EXTRA = {
+    "frequency_hz": 300.0,
+    "damping_ratio": 0.002,
+    "bearing_A_per_sqrt_kg": 0.05,
+    "bearing_B_per_sqrt_kg": -0.04,
+    "sensor_A_per_sqrt_kg": 0.05,
+    "sensor_B_per_sqrt_kg": -0.045,
+}
+
+
+def measured(rig: Rig) -> Experiment:
+    """Two sweeps, the second one twice as loud."""
+    hz = np.geomspace(12.0, 800.0, 24), np.geomspace(15.0, 700.0, 16)
+    return Experiment(rig.name, rig.axes, tuple(sweep(rig, f, 0.4 * k, k) for k, f in enumerate(hz, start=1)))
+
+
+def told(rig: Rig, sheet: Datasheet) -> tuple[str, tuple[str, ...], bool]:
+    """The report's sentence, the effects named, and whether the datasheet is told to be wrong."""
+    d = diagnose(*one_plane(measured(rig), sheet))
+    return sentence(d), d.verdict.effects, d.verdict.misstated
+
+
+def test_a_wrong_bias_current_is_found_and_named_with_its_value() -> None:
+    factor = 1.4
+    stated = tuple(factor * a for a in SHEET.bias_current_a)
+    words, effects, wrong = told(true_rig(TRUTH), replace(SHEET, bias_current_a=stated))
+    assert wrong
+    assert not effects
+    found = float(words.partition("with ")[2].split()[0])
+    assert found == pytest.approx(1 / factor, rel=0.1)
+    assert "check bias_current_a" in words
+
+
+def test_a_mode_that_the_rotor_does_not_have_is_no_extra_mode_of_the_rig() -> None:
+    words, effects, wrong = told(true_rig(TRUTH), replace(SHEET, modes=(*SHEET.modes, ABSENT)))
+    assert wrong
+    assert not effects
+    assert "without the datasheet's mode at 300 Hz" in words
+
+
+@pytest.mark.parametrize(
+    "there",
+    [
+        {"extra_flexible_mode": EXTRA},
+        {"magnetic_saturation": {"saturation_inverse_per_a": 0.25}},
+    ],
+    ids=lambda there: next(iter(there)),
+)
+def test_an_effect_that_the_rig_has_is_still_named(there: dict[str, dict[str, float]]) -> None:
+    _, effects, wrong = told(with_effects(true_rig(TRUTH), there), SHEET)
+    assert not wrong
+    assert effects == tuple(there)
