@@ -31,8 +31,8 @@ def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
         told = getattr(c, name)
         if not (math.isfinite(told) and told > 0):
             raise CampaignError(
-                f"the controller tells identity.{name} as {told:g}, and no experiment can go by that; correct it in the "
-                "controller, or its place and type in the map"
+                f"the controller tells identity.{name} as {told:g}, and no experiment can go by that; correct it in "
+                "the controller, or its place and type in the map"
             )
     if tuple(c.axes) != datasheet.axes:
         raise CampaignError(
