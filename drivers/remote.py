@@ -20,6 +20,7 @@ from drivers.errors import (
     OverdueError,
     StoppedElsewhereError,
     StopRefusedError,
+    TranscriptError,
 )
 from drivers.heartbeat import Heartbeat
 from drivers.link import LinkFactory
@@ -271,8 +272,9 @@ class RemoteController:
             to.command("lease", {"token": token, "seconds": seconds, "holder": holder})
             to.token, to.holder = token, holder
         except BaseException as error:
-            # The device may have given it before the interruption, or before its answer was lost: it is given back.
-            if isinstance(error, BusError) or not isinstance(error, ControllerError):
+            # The device may have given it before the interruption, or before its answer was lost, or has and it could
+            # not be written down: it is given back.
+            if isinstance(error, BusError | TranscriptError) or not isinstance(error, ControllerError):
                 to.token, to.holder = token, holder
             raise
         self._own_token, self._next_token = token, drawn_token()
