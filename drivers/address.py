@@ -5,6 +5,7 @@ from __future__ import annotations
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from drivers.errors import AddressError
+from sim.host_names import must_be_encodable
 
 Query = dict[str, str]
 _EVERY_BUS = frozenset({"transcript"})
@@ -28,6 +29,9 @@ _WHOLE = {
     ("canopen", "bitrate"): (10_000, 1_000_000),
 }
 """The least and the greatest of those that are whole numbers."""
+PORTS = {"modbus": 502, "modbuss": 802}
+"""Where a controller listens whose URL names no port."""
+HIGHEST_PORT = 65535
 
 
 def understood(url: str) -> tuple[SplitResult, Query]:
@@ -70,9 +74,27 @@ def _must_be_whole(name: str, text: str, least: int, most: int) -> None:
         raise AddressError(f"the option {name} is {least} to {most}, not {value}")
 
 
+def must_be_a_place(address: str, host: str, port: int | None, usual_port: int) -> None:
+    """Refuse a host or port that cannot be one of a network.
+
+    Raises
+    ------
+    AddressError
+        Names the address, and what is wrong with it.
+    """
+    try:
+        must_be_encodable(host)
+    except ValueError as error:
+        raise AddressError(f"{address!r}: {error}") from error
+    if port is not None and not 1 <= port <= HIGHEST_PORT:
+        raise AddressError(f"{address!r} has the port {port}; give 1 to {HIGHEST_PORT}, or none for {usual_port}")
+
+
 def _must_name_a_place(url: SplitResult, query: Query) -> None:
-    if url.scheme in ("modbus", "modbuss") and not url.hostname:
-        raise AddressError(f"{url.geturl()!r} names no host; write {url.scheme}://host:port")
+    if url.scheme in PORTS:
+        if not url.hostname:
+            raise AddressError(f"{url.geturl()!r} names no host; write {url.scheme}://host:port")
+        must_be_a_place(url.geturl(), url.hostname, url.port, PORTS[url.scheme])
     if url.scheme == "modbus+rtu" and not url.path:
         raise AddressError(f"{url.geturl()!r} names no serial port; write modbus+rtu:///dev/ttyUSB0?baud=115200")
     if url.scheme == "canopen":

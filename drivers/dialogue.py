@@ -23,6 +23,7 @@ from drivers.errors import (
 from drivers.link import Link, LinkFactory, RefusedError
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Value, Values, encode
+from drivers.values import coded, number, whole
 
 T = TypeVar("T")
 
@@ -104,7 +105,7 @@ class Dialogue:
 
         def fresh(link: Link) -> dict[str, Value]:
             values = readable(lambda: link.read("status"))
-            boot, snapshot = int(number(values.get("boot_id", 0))), int(number(values.get("snapshot", 0)))
+            boot, snapshot = (whole(values.get(name, 0), f"status.{name}") for name in ("boot_id", "snapshot"))
             if "snapshot" in values and boot == self._snapshot[0] and snapshot <= self._snapshot[1]:
                 raise BusError("the controller answered with an older status")
             self._snapshot = (boot, snapshot)
@@ -138,7 +139,7 @@ class Dialogue:
     def _explain(self, refused: RefusedError) -> None:
         """Raise what the device's status says about a refusal, if it says anything."""
         values = self.status()
-        trip = TripCause(int(number(values["trip"])))
+        trip = coded(TripCause, values["trip"], "status.trip")
         if refused.refusal is Refusal.TRIPPED and trip != TripCause.NONE:
             raise TripError(
                 trip.name.lower(), f"a trip is latched ({self.trip_message(trip)}); acknowledge it first"
@@ -196,20 +197,6 @@ def readable(read: Callable[[], T]) -> T:
 def held_by(status: Values) -> LeaseError:
     """The error of a rig that someone else holds, or nobody."""
     return LeaseError(str(status.get("lease_holder", "")), number(status.get("lease_seconds_left", 0.0)))
-
-
-def number(value: Value) -> float:
-    """A number that came over a bus; `BusError` for anything else."""
-    if isinstance(value, str | tuple):
-        raise BusError(f"{value!r} came where a number was expected")
-    return value
-
-
-def numbers(value: Value) -> tuple[float, ...]:
-    """Numbers that came over a bus."""
-    if isinstance(value, str):
-        raise BusError(f"{value!r} came where numbers were expected")
-    return value if isinstance(value, tuple) else (value,)
 
 
 def _as_error(refused: RefusedError) -> ControllerError:

@@ -14,6 +14,7 @@
         ├── StopRefusedError     the controller did not stop, and may go on exciting: end the excitation there
         ├── OverdueError         a tone did not end in its time; the excitation was ended, and is off
         ├── MapError             a rig's own map of registers or objects is wrong; names the object
+        ├── TranscriptError      what passes cannot be written down any more; the controller has done what it was asked
         └── CancelledError       the excitation was stopped, and is off
             └── StoppedElsewhereError  by somebody else than the caller: see to the rig before it is excited again
 """
@@ -72,6 +73,10 @@ class OverdueError(ControllerError):
 
 class MapError(ControllerError):
     """A rig's own map of registers or objects is wrong."""
+
+
+class TranscriptError(ControllerError):
+    """What passes cannot be written down; the controller has done what it was asked last all the same."""
 
 
 class RestartError(ControllerError):

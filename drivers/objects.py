@@ -28,6 +28,8 @@ from typing import Literal
 
 PROTOCOL_VERSION = 1
 MAX_AXES = 4
+MAX_BLOCKS = 64
+"""Of one tone."""
 Access = Literal["ro", "wo"]
 
 
@@ -113,7 +115,7 @@ _TONE = (
     _scaled("amplitude_a", "amplitude of the excitation", "A", 1_000_000),
     _u32("periods", "periods in a block"),
     _u32("samples", "samples in a block"),
-    _u16("blocks", "consecutive blocks", 1, 64),
+    _u16("blocks", "consecutive blocks", 1, MAX_BLOCKS),
     _u32("settle_samples", "samples to wait after the ramp"),
     _u16("raw", "1: keep the raw record too", 0, 1, required=False),
 )

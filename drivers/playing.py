@@ -8,7 +8,7 @@ import time
 
 from drivers.controller import HARMONICS, Capabilities, PointResult, Tone, TripCause
 from drivers.device.lockin import ramp_samples
-from drivers.dialogue import Dialogue, held_by, number, readable
+from drivers.dialogue import Dialogue, held_by, readable
 from drivers.errors import (
     BusError,
     CancelledError,
@@ -21,6 +21,7 @@ from drivers.link import Link
 from drivers.objects import BY_NAME, Outcome
 from drivers.packing import Values, encode
 from drivers.payload import decode_lockin, decode_raw, lockin_bytes, payload_crc
+from drivers.values import coded, finite, number, whole
 
 FIRST_POLL_S, POLL_S, LONG_POLL_S = 0.001, 0.02, 0.05
 STOP_AGAIN_S = 0.1
@@ -64,7 +65,7 @@ class Playing:
     def outcome(self, command: int, patience_s: float | None = None) -> Outcome | None:
         """What became of this command; None when the device's last tone is another one."""
         values = self._dialogue.status(patience_s=patience_s)
-        return Outcome(int(number(values["outcome"]))) if values["command"] == command else None
+        return coded(Outcome, values["outcome"], "status.outcome") if values["command"] == command else None
 
     def _start(self, tone: Tone, command: int) -> None:
         self._dialogue.command(
@@ -111,7 +112,7 @@ class Playing:
             values = self._dialogue.status()
             if values["command"] == command:
                 if values["outcome"] != Outcome.UNDER_WAY:
-                    self._judge(Outcome(int(number(values["outcome"]))), values)
+                    self._judge(coded(Outcome, values["outcome"], "status.outcome"), values)
                     return looks
             else:
                 if not self._dialogue.holds(values):
@@ -150,7 +151,7 @@ class Playing:
         if outcome == Outcome.TRIPPED:
             if status["trip"] == TripCause.NONE:  # a status that came in pieces may be from before and after
                 status = self._dialogue.status()
-            trip = TripCause(int(number(status["trip"])))
+            trip = coded(TripCause, status["trip"], "status.trip")
             raise TripError(trip.name.lower(), self._dialogue.trip_message(trip))
         if outcome == Outcome.FAILED:
             raise ControllerError("the controller failed to play the tone; its excitation is off")
@@ -169,8 +170,8 @@ class Playing:
         if not _is_echo(tone, header):
             raise BusError("the result's header does not repeat the tone that was asked for")
         axes = len(self._capabilities.axes)
-        result = int(number(header["result"]))
-        size = int(number(header["payload_bytes"]))
+        result = whole(header["result"], "result.result")
+        size = whole(header["payload_bytes"], "result.payload_bytes")
         if size not in lockin_bytes(tone, axes):
             raise BusError(f"the result has {size} bytes instead of {lockin_bytes(tone, axes)[0]}")
         payload = readable(lambda: link.lockin_payload(size))
@@ -178,7 +179,8 @@ class Playing:
             raise BusError("the CRC of the result is wrong: it was corrupted on the bus")
         records = None
         if tone.raw:
-            raw = readable(lambda: link.raw_record(result, int(number(header["raw_bytes"])), self._require_no_stop))
+            raw_bytes = whole(header["raw_bytes"], "result.raw_bytes")
+            raw = readable(lambda: link.raw_record(result, raw_bytes, self._require_no_stop))
             if payload_crc(result, raw) != header["raw_crc"]:
                 raise BusError("the CRC of the raw record is wrong: it was corrupted on the bus")
             records = decode_raw(raw, tone, axes, link.order)
@@ -192,7 +194,7 @@ class Playing:
             Y=y,
             peak_displacement_m=number(header["peak_displacement_m"]),
             peak_current_a=number(header["peak_current_a"]),
-            rig_seconds=number(header["rig_samples"]) / self._capabilities.sample_rate_hz,
+            rig_seconds=finite(header["rig_samples"], "result.rig_samples") / self._capabilities.sample_rate_hz,
             sequence=result,
             records=records,
         )

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
 from drivers.device.lease import drawn_token
 from drivers.device.limits import check_tone
-from drivers.dialogue import Dialogue, held_by, number, numbers
+from drivers.dialogue import Dialogue, held_by
 from drivers.errors import (
     BusError,
     CancelledError,
@@ -20,11 +20,13 @@ from drivers.errors import (
     OverdueError,
     StoppedElsewhereError,
     StopRefusedError,
+    TranscriptError,
 )
 from drivers.heartbeat import Heartbeat
 from drivers.link import LinkFactory
 from drivers.objects import Outcome
 from drivers.playing import Playing
+from drivers.values import coded, number, numbers, whole
 
 PATIENCE_S = 10.0
 """How long a call keeps trying on a bus that fails, before it raises `BusError`."""
@@ -78,7 +80,7 @@ class RemoteController:
             sample_rate_hz=number(v["sample_rate_hz"]),
             max_amplitude_a=number(v["max_amplitude_a"]),
             max_frequency_hz=number(v["max_frequency_hz"]),
-            max_samples=int(number(v["max_samples"])),
+            max_samples=whole(v["max_samples"], "identity.max_samples"),
             displacement_limit_m=number(v["displacement_limit_m"]),
             current_limit_a=number(v["current_limit_a"]),
             raw_records=bool(v["raw_records"]),
@@ -94,10 +96,10 @@ class RemoteController:
     def status(self) -> Status:
         """Snapshot of state, trip, excitation, lease."""
         values = self._dialogue.status()
-        trip = TripCause(int(number(values["trip"])))
+        trip = coded(TripCause, values["trip"], "status.trip")
         n = len(self._capabilities.axes)
         return Status(
-            state=State(int(number(values["state"]))),
+            state=coded(State, values["state"], "status.state"),
             trip=trip,
             trip_message="" if trip == TripCause.NONE else self._dialogue.trip_message(trip),
             excitation_a=number(values["excitation_a"]),
@@ -105,7 +107,7 @@ class RemoteController:
             current_a=numbers(values["current_a"])[:n],
             lease_holder=str(values.get("lease_holder", "")),
             lease_seconds_left=number(values.get("lease_seconds_left", 0.0)),
-            boot_id=int(number(values.get("boot_id", 0))),
+            boot_id=whole(values.get("boot_id", 0), "status.boot_id"),
             speed_rad_s=number(values.get("speed_rad_s", 0.0)),
             uptime_s=number(values.get("uptime_s", 0.0)),
         )
@@ -263,15 +265,16 @@ class RemoteController:
 
     def _acquire(self, holder: str, seconds: float) -> None:
         to = self._dialogue
-        to.boot_id = int(number(to.status(expect_boot=False).get("boot_id", 0)))
+        to.boot_id = whole(to.status(expect_boot=False).get("boot_id", 0), "status.boot_id")
         self._lost = None
         token = self._next_token
         try:
             to.command("lease", {"token": token, "seconds": seconds, "holder": holder})
             to.token, to.holder = token, holder
         except BaseException as error:
-            # The device may have given it before the interruption, or before its answer was lost: it is given back.
-            if isinstance(error, BusError) or not isinstance(error, ControllerError):
+            # The device may have given it before the interruption, or before its answer was lost, or has and it could
+            # not be written down: it is given back.
+            if isinstance(error, BusError | TranscriptError) or not isinstance(error, ControllerError):
                 to.token, to.holder = token, holder
             raise
         self._own_token, self._next_token = token, drawn_token()

@@ -10,10 +10,11 @@ import base64
 import json
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import BusError, ControllerError
+from drivers.errors import BusError, ControllerError, TranscriptError
 from drivers.link import Link, LinkFactory, RefusedError, go_on
 from drivers.objects import BY_NAME, Refusal
 from drivers.packing import Order, Value, Values, encode
@@ -27,14 +28,18 @@ class RecordingLinks:
     """Links whose measuring connection writes down what passes."""
 
     def __init__(self, links: LinkFactory, path: Path) -> None:
-        self._links = links
+        self._links, self._path = links, path
         self.description, self.raw_bytes_per_s = links.description, links.raw_bytes_per_s
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
             raise ControllerError(f"cannot write the transcript {path}: {reason(error)}") from error
         self._lock = threading.Lock()
-        self._note({"format": FORMAT, "version": 1, "controller": links.description})
+        try:
+            self._note({"format": FORMAT, "version": 1, "controller": links.description})
+        except TranscriptError:
+            self.close()
+            raise
 
     def link(self, urgent: bool = False) -> Link:
         """The connection; recorded unless urgent."""
@@ -44,14 +49,20 @@ class RecordingLinks:
     def close(self) -> None:
         """Close the file and the links."""
         self._links.close()
-        with self._lock:
+        with self._lock, suppress(OSError):  # what could not be written then has been told
             self._file.close()
 
     def _note(self, line: dict[str, Any]) -> None:
         with self._lock:
-            if not self._file.closed:
+            if self._file.closed:
+                return
+            try:
                 self._file.write(json.dumps(line) + "\n")
                 self._file.flush()
+            except OSError as error:
+                raise TranscriptError(
+                    f"cannot write the transcript {self._path}: {reason(error)}; free space, or leave transcript= out"
+                ) from error
 
 
 class _RecordingLink:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import SplitResult
 
-from drivers.address import Query, understood
+from drivers.address import PORTS, Query, understood
 from drivers.controller import Controller
 from drivers.errors import ControllerError
 from drivers.link import LinkFactory
@@ -32,7 +32,7 @@ def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
 def _modbus(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.modbus.driver import tcp_links
 
-    return tcp_links(url.hostname or "", url.port or 502, int(query.get("unit", 1)), _map(query))
+    return tcp_links(url.hostname or "", url.port or PORTS[url.scheme], int(query.get("unit", 1)), _map(query))
 
 
 def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
@@ -45,7 +45,7 @@ def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
     except (OSError, ssl.SSLError) as error:
         files = ", ".join(query[name] for name in ("ca", "cert", "key") if name in query)
         raise ControllerError(f"{url.geturl()}: cannot use the certificates {files}: {reason(error)}") from error
-    return tls_links(url.hostname or "", url.port or 802, context, int(query.get("unit", 1)), _map(query))
+    return tls_links(url.hostname or "", url.port or PORTS[url.scheme], context, int(query.get("unit", 1)), _map(query))
 
 
 def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:

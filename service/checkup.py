@@ -161,29 +161,50 @@ def compare_into(
 def read_history(path: Path) -> list[Checked]:
     """Earlier checks, one JSON document a line; none where there is no file.
 
-    A last line that a crash cut short is left out.
+    A last line without an end is read where it is whole, as a copy or an editor leaves it; where it is not, a crash cut
+    it short, and it is left out.
+
+    Raises
+    ------
+    DocumentError
+        The file cannot be read, or another line is no health check; names the line.
     """
     from service.errors import DocumentError
     from service.health.shape import CheckRead
     from service.health.trend import Checked
 
     try:
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    except (OSError, UnicodeDecodeError) as error:
+        *lines, last = path.read_bytes().split(b"\n") if path.exists() else [b""]
+    except OSError as error:
         raise DocumentError(
             f"cannot read the history {path}: {reason(error)}; give the file that ambit health wrote"
         ) from error
+    if _is_document(last):
+        lines.append(last)
     found = []
-    for number, text in enumerate(lines):
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
         try:
-            document = json.loads(text)
+            document = _document(line)
         except ValueError as error:
-            if number < len(lines) - 1:
-                raise DocumentError(f"line {number + 1} of {path} is no health check; mend or move the file") from error
-            break
-        check = whole(document, CheckRead, f"line {number + 1} of {path}")
+            raise DocumentError(f"line {number} of {path} is no health check; mend or move the file") from error
+        check = whole(document, CheckRead, f"line {number} of {path}")
         found.append(Checked(check["checked_at"], check))
     return found
+
+
+def _document(line: bytes) -> Any:
+    """The JSON document of one line. Bytes are split into lines first: a cut may go through the bytes of a letter."""
+    return json.loads(line.decode("utf-8"))
+
+
+def _is_document(line: bytes) -> bool:
+    try:
+        _document(line)
+    except ValueError:
+        return False
+    return True
 
 
 def ready_history(path: Path) -> Path:
@@ -218,8 +239,12 @@ def _append(path: Path, document: dict[str, Any]) -> None:
     try:
         with path.open("ab+") as file:
             file.seek(0)
-            whole = file.read().rfind(b"\n") + 1  # a last line without an end is what a crash left
-            file.truncate(whole)
+            content = file.read()
+            begin = content.rfind(b"\n") + 1
+            if _is_document(content[begin:]):  # a check that has been read and counted, and lost its end
+                file.write(b"\n")
+            else:  # nothing, or what a crash left
+                file.truncate(begin)
             file.write(text.encode("utf-8") + b"\n")
     except OSError as error:
         raise OutputError(f"cannot add to the history {path}: {error.strerror or error}") from error

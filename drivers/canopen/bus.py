@@ -18,10 +18,13 @@ import can
 import canopen
 from can.interfaces.socketcand.socketcand import convert_can_message_to_ascii_message
 
-from drivers.errors import BusError, ControllerError
+from drivers.address import must_be_a_place
+from drivers.errors import AddressError, BusError
 from sim.errors import reason
 
 INTERFACES = ("socketcan", "socketcand", "udp_multicast", "virtual")
+PORTS = {"socketcand": 29536, "udp_multicast": 43113}
+"""Of those that are reached over a network, where none is named."""
 
 HUB_PATIENCE_S = 1.0
 """How long a socketcand hub may take to accept a connection, for each of its answers, and for a frame."""
@@ -50,12 +53,12 @@ def bus_arguments(address: str) -> dict[str, Any]:
 
     Raises
     ------
-    ControllerError
-        An unknown interface, or a part is missing.
+    AddressError
+        An unknown interface, a part that is missing, or a host or port that no network has.
     """
     interface, _, rest = address.partition("/")
     if interface not in INTERFACES or not rest:
-        raise ControllerError(
+        raise AddressError(
             f"cannot read the CAN bus {address!r}; write socketcan/can0, socketcand/host:port/can0, "
             "udp_multicast/239.74.163.2:43113 or virtual/name"
         )
@@ -63,10 +66,12 @@ def bus_arguments(address: str) -> dict[str, Any]:
         return {"interface": interface, "channel": rest}
     place, _, channel = rest.partition("/")
     host, _, port = place.partition(":")
+    usual = PORTS[interface]
     try:
-        number = int(port) if port else (29536 if interface == "socketcand" else 43113)
+        number = int(port) if port else usual
     except ValueError:
-        raise ControllerError(f"the port in {address!r} is not a number") from None
+        raise AddressError(f"the port in {address!r} is not a number") from None
+    must_be_a_place(address, host, number, usual)
     if interface == "socketcand":
         return {"interface": interface, "host": host, "port": number, "channel": channel or "can0"}
     return {"interface": interface, "channel": host, "port": number}

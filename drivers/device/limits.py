@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers.controller import Capabilities, Tone, Waveform
 from drivers.errors import LimitError
+from drivers.objects import MAX_BLOCKS
 
 MAX_SAMPLES = 2_000_000
 MAX_RAW_SAMPLES = 500_000
-MAX_BLOCKS = 64
 
 
 def check_tone(tone: Tone, capabilities: Capabilities) -> None:

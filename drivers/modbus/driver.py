@@ -204,7 +204,7 @@ class ModbusLink:
             client = self._make_client()
             try:
                 connected = client.connect()
-            except (OSError, ssl.SSLError, ModbusException) as error:
+            except (OSError, ValueError, ModbusException) as error:  # ValueError: a host that a socket cannot encode
                 raise BusError(f"cannot connect: {reason(error)}; {_REACH}") from error
             if not connected:  # pymodbus keeps the reason to itself
                 raise BusError(f"cannot open the serial port; {_OPEN}")

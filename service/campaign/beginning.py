@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from hashlib import sha256
 from typing import Any
@@ -23,9 +24,16 @@ def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
     Raises
     ------
     CampaignError
-        They describe different rigs.
+        They describe different rigs, or a figure of the controller is none that a plan can go by.
     """
     c = capabilities
+    for name in ("sample_rate_hz", "max_amplitude_a", "max_frequency_hz", "displacement_limit_m", "current_limit_a"):
+        told = getattr(c, name)
+        if not (math.isfinite(told) and told > 0):
+            raise CampaignError(
+                f"the controller tells identity.{name} as {told:g}, and no experiment can go by that; correct it in "
+                "the controller, or its place and type in the map"
+            )
     if tuple(c.axes) != datasheet.axes:
         raise CampaignError(
             f"the controller has axes {', '.join(c.axes)}, the datasheet {datasheet.name} has "

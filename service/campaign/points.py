@@ -29,7 +29,9 @@ class Point:
     I: Complex
     Y: Complex
     peak_displacement_m: float
+    """NaN where the controller tells none."""
     peak_current_a: float
+    """The same."""
     time_s: float
     """Rig time at the end of the point, s from the campaign's start."""
     flag: str = ""

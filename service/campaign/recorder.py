@@ -7,6 +7,7 @@ function.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, cast
@@ -36,11 +37,11 @@ class Played(Protocol):
 
     @property
     def peak_displacement_m(self) -> float:
-        """Largest |y|, ramps included."""
+        """Largest |y|, ramps included; NaN where the controller tells none."""
 
     @property
     def peak_current_a(self) -> float:
-        """Largest |i|, ramps included."""
+        """Largest |i|, ramps included; NaN likewise."""
 
     @property
     def rig_seconds(self) -> float:
@@ -135,8 +136,8 @@ class Recorder:
             U=entry["U"],
             I=entry["I"],
             Y=entry["Y"],
-            peak_displacement_m=entry["peak_displacement_m"],
-            peak_current_a=entry["peak_current_a"],
+            peak_displacement_m=_number(entry["peak_displacement_m"]),
+            peak_current_a=_number(entry["peak_current_a"]),
             time_s=entry["time_s"],
             speed_rad_s=entry.get("speed_rad_s"),
         )
@@ -146,7 +147,7 @@ class Recorder:
         entry = self._entry(phase, request, reduction, request.amplitude_a > 0)
         if entry["outcome"] == "trip":
             return Trip(entry["cause"], entry["message"])
-        peaks = {k: entry[k] for k in ("peak_displacement_m", "peak_current_a")}
+        peaks = {k: _number(entry[k]) for k in ("peak_displacement_m", "peak_current_a")}
         return {**entry["reduced"], **peaks, "speed_rad_s": entry.get("speed_rad_s")}
 
     def _entry(
@@ -179,8 +180,8 @@ class Recorder:
             }
         entry: Entry = {
             "outcome": "point",
-            "peak_displacement_m": float(answer.peak_displacement_m),
-            "peak_current_a": float(answer.peak_current_a),
+            "peak_displacement_m": _or_null(answer.peak_displacement_m),
+            "peak_current_a": _or_null(answer.peak_current_a),
             "time_s": self.rig_seconds + float(answer.rig_seconds),
             "speed_rad_s": speed,
         }
@@ -190,3 +191,13 @@ class Recorder:
         if answer.records is None:
             raise CampaignError("the controller sent no records although its capabilities promise them")
         return entry | {"reduced": reduction(answer.records)}
+
+
+def _or_null(peak: float) -> float | None:
+    """A peak for the journal: null for one that is no number, for which nothing that was measured is lost."""
+    return float(peak) if math.isfinite(peak) else None
+
+
+def _number(peak: float | None) -> float:
+    """The inverse."""
+    return math.nan if peak is None else float(peak)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from service.client import Client, Rig
     from service.client.shapes import Status
 
+UNKNOWN = "–"
 NOT_STOPPED = "not stopped yet: {}; trying on, use the hardware stop meanwhile"
 Named = Annotated[str, typer.Argument(help="Name or id of the rig.")]
 
@@ -159,16 +160,22 @@ def _state(now: Status) -> str:
 
 
 def _figures(now: Status, axes: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    def told(value: float | None) -> str:
+        return UNKNOWN if value is None else f"{value:.4g}"
+
     def by_axis(values: list[float] | None, scale: float, digits: int) -> str:
-        return "  ".join(f"{axis} {scale * x:z.{digits}f}" for axis, x in zip(axes, values or (), strict=False))
+        if values is None:
+            return UNKNOWN
+        return "  ".join(f"{axis} {scale * x:z.{digits}f}" for axis, x in zip(axes, values, strict=False))
 
     yield "state", _state(now)
     yield "controller", f"{now.controller_url}, {now.identity}"
-    yield "moved by", f"{now.lease_holder}, {now.lease_seconds_left:.0f} s left" if now.lease_holder else "nobody"
-    yield "excitation, A", f"{now.excitation_a:.4g}"
+    left = "" if now.lease_seconds_left is None else f", {now.lease_seconds_left:.0f} s left"
+    yield "moved by", f"{now.lease_holder}{left}" if now.lease_holder else "nobody"
+    yield "excitation, A", told(now.excitation_a)
     yield "displacements, µm", by_axis(now.displacement_m, 1e6, 2)
     yield "currents, A", by_axis(now.current_a, 1.0, 3)
-    yield "speed, rad/s", f"{now.speed_rad_s:.4g}"
+    yield "speed, rad/s", told(now.speed_rad_s)
 
 
 def _table(heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:

@@ -149,7 +149,7 @@ def times(seconds: dict[str, float], experiment: Experiment) -> str:
     '31.5 s (experiment 31.0 s, report 0.5 s); the rig was busy for 21.3 min of its own time'
     """
     parts = ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items())
-    busy = float(experiment.attributes.get("rig_seconds", 0.0))
+    busy = experiment.rig_seconds
     on_rig = f"; the rig was busy for {busy / 60:.1f} min of its own time" if busy else ""
     return f"{sum(seconds.values()):.1f} s ({parts}){on_rig}"
 

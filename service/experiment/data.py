@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -122,6 +123,22 @@ class Experiment:
     def main(self) -> Sweep:
         """The first excited sweep."""
         return next(s for s in self.sweeps if s.kind != "noise")
+
+    @property
+    def rig_seconds(self) -> float | None:
+        """Time that the rig was busy, s; None where the file does not tell it as a plain number.
+
+        An attribute is free text of whoever wrote the file: nothing that is known without it may depend on it.
+
+        >>> Experiment("r", (), (), {"rig_seconds": "1503.2"}).rig_seconds
+        1503.2
+        >>> Experiment("r", (), (), {"rig_seconds": "25 min"}).rig_seconds
+        """
+        try:
+            seconds = float(self.attributes.get("rig_seconds", ""))
+        except ValueError:
+            return None
+        return seconds if math.isfinite(seconds) and seconds >= 0 else None
 
     def named(self, comment: str) -> Sweep | None:
         """The first sweep with that comment, or None."""

@@ -19,7 +19,7 @@ from service.experiment.contract import FORMAT, VERSION
 ATTRIBUTES = ("kind", "speed_rad_s", "sample_rate_hz", "comment")
 VECTORS = (
     *("frequency_hz", "axis", "amplitude_a", "harmonics", "sample_start", "block_samples", "time_s"),
-    "point_speed_rad_s",
+    *("point_speed_rad_s", "kurtosis"),
 )
 RANK = {"R": 4, "U": 4, "I": 4, "Y": 4, "r": 2, "u": 2, "i": 2, "y": 2}
 DEFAULTS: dict[str, Any] = {"kind": "stepped-sine", "speed_rad_s": 0.0, "comment": ""}

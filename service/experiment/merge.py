@@ -12,7 +12,7 @@ from service.experiment.errors import ExperimentFileError
 
 
 def merged(experiments: Sequence[Experiment], names: Sequence[str]) -> Experiment:
-    """All sweeps of all experiments in order; rig time adds up, other attributes are those of the first.
+    """All sweeps of all experiments in order; rig time adds up where all tell it, other attributes are the first's.
 
     Times of points go on from one experiment to the next, as if one campaign had measured them all.
 
@@ -34,9 +34,11 @@ def merged(experiments: Sequence[Experiment], names: Sequence[str]) -> Experimen
                 f"{first.rig!r} with axes {', '.join(first.axes)}; give experiments of one rig"
             )
     attributes = dict(first.attributes)
-    spent = [e.attributes.get("rig_seconds") for e in experiments]
-    if all(spent):
-        attributes["rig_seconds"] = f"{sum(float(s) for s in spent if s):g}"
+    attributes.pop("rig_seconds", None)
+    spent = [e.rig_seconds for e in experiments]
+    known = [s for s in spent if s is not None]
+    if len(known) == len(spent):
+        attributes["rig_seconds"] = f"{sum(known):g}"
     return Experiment(first.rig, first.axes, tuple(_one_after_another(experiments)), attributes)
 
 

@@ -117,7 +117,7 @@ def compare(
         false_alarms_per_year=rule.per_year,
         level=level,
         zones=datasheet.sensitivity_zones_db,
-        rig_seconds=_rig_seconds(experiment),
+        rig_seconds=experiment.rig_seconds,
         speed_rad_s=is_at,
         baseline_speed_rad_s=was_at,
         at_other_speed=at_other_speed,
@@ -200,10 +200,3 @@ def _unexplained(saved: SavedPlane, now: PlaneNow, level: float) -> bool:
     """Whether the residuals are larger than the noise, and than they were, beyond what chance explains."""
     usual = max(1.0, saved.rms_over_sigma) ** 2 * ESTIMATED_WEIGHTS
     return bool(now.rms**2 > usual * chi2_above(level, now.freedom) / now.freedom)
-
-
-def _rig_seconds(experiment: Experiment) -> float | None:
-    try:
-        return float(experiment.attributes["rig_seconds"])
-    except (KeyError, ValueError):
-        return None

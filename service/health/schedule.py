@@ -23,6 +23,8 @@ SHORTEST = timedelta(minutes=5)
 TELLS = 400
 """Intervals of an expression that are looked at, to find its shortest."""
 MOST_MISSED = 1000
+DRAWN = "RrHh"
+"""Beginnings of a field that `croniter` draws anew whenever it is asked, or from a name that a schedule lacks."""
 
 
 class ScheduleError(AmbError):
@@ -46,6 +48,10 @@ def checked(cron: str, timezone: str = "UTC") -> str:
         raise ScheduleError(
             f"schedule {cron!r} is no cron expression of five fields (minute hour day month weekday); "
             "'0 6 * * *' is every day at six"
+        )
+    if drawn := [field for field in expression.split() if field[0] in DRAWN]:
+        raise ScheduleError(
+            f"schedule {cron!r} cannot be kept: {drawn[0]!r} is drawn by chance; give the numbers, as 30 for the minute"
         )
     start = datetime(2026, 1, 1, tzinfo=UTC).astimezone(zone)
     try:

@@ -21,9 +21,8 @@ from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
-import idna
-
 from sim.errors import AmbError
+from sim.host_names import must_be_encodable
 
 PREFIX = "whsec_"
 RETRY_S = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 36000.0)
@@ -242,7 +241,7 @@ def checked_url(url: str, loopback: bool = True) -> str:
         host = parts.hostname
         _ = parts.port
         if host:
-            _must_be_encodable(host)
+            _must_be_sendable(host)
     except ValueError as error:
         raise WebhookError(f"webhook address {url!r} cannot be read: {error}") from error
     if parts.scheme not in ("http", "https") or not host:
@@ -299,15 +298,11 @@ def _embedded(address: Address) -> Address:
     return address.ipv4_mapped or address.sixtofour or address
 
 
-def _must_be_encodable(host: str) -> None:
+def _must_be_sendable(host: str) -> None:
     """Raise ValueError for a host that a sender fails to encode: it would come to grief there with every message."""
     if not host.strip("0123456789."):
         IPv4Address(host)
-    name = host if host.isascii() else idna.encode(host).decode("ascii")
-    name.encode("idna")  # as a socket does: no label is empty, or longer than 63 letters
-    for label in name.split("."):
-        if label.startswith("xn--"):
-            idna.decode(label)
+    must_be_encodable(host)
 
 
 def _key(secret: str) -> bytes:

@@ -62,10 +62,8 @@ def commissioning_page(result: CommissioningResult, experiment: Experiment, data
         own = [w for w in plane.warnings if " Hz: " not in w]
         notes += [f"{name}-plane: {w}" for w in own]
     n = sum(s.n_points for s in experiment.sweeps)
-    rig_s = experiment.attributes.get("rig_seconds")
-    about = f"{', '.join(result.axes)}; {count(n, 'point')}" + (
-        f" in {float(rig_s) / 60:.0f} min on the rig" if rig_s else ""
-    )
+    rig_s = experiment.rig_seconds
+    about = f"{', '.join(result.axes)}; {count(n, 'point')}" + (f" in {rig_s / 60:.0f} min on the rig" if rig_s else "")
     footer = (
         f"Fitted: {result.main_sweep}. Unseen by every fit: {result.validation_sweep or 'none'}. "
         "Regions and tests are at 99 %; std. dev. is one sigma."

@@ -39,7 +39,7 @@ function live(found, context) {
       place.replaceChildren(h("p", { class: "note" }, "The controller does not answer: " + now.detail));
       return;
     }
-    const by = (values, scale, digits) => values.map((x, k) => h("span", { class: "axis" }, h("i", {}, found.axes[k]), " " + fixed(scale * x, digits)));
+    const by = (values, scale, digits) => !values ? "–" : values.map((x, k) => h("span", { class: "axis" }, h("i", {}, found.axes[k]), " " + fixed(scale * x, digits)));
     const figures = [
       ["state", state(now.state === "done" ? "levitated" : now.state)], ["moved by", now.lease_holder || "nobody"],
       ["excitation, A", number(now.excitation_a, 3)], ["speed, rad/s", number(now.speed_rad_s, 4)],

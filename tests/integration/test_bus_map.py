@@ -1,15 +1,22 @@
 """A vendor's own registers: the same driver, by a map from a file; and the parts of one bus that the others lack."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pymodbus.client import ModbusTcpClient
 
-from drivers.controller import State, Tone
+from drivers.controller import Controller, State, Tone
+from drivers.device.front import DeviceFront
 from drivers.device.machine import RigDevice
+from drivers.device.modbus import TcpServer
 from drivers.device.serve import ModbusOptions, RtuOptions, serve_modbus, serve_modbus_rtu, serve_modbus_tls
 from drivers.errors import BusError, ControllerError
+from drivers.modbus.map import parse_map
+from drivers.packing import Value
 from drivers.url import connect
 from sim.reference import reference_rig
 from tests.support.certificates import make_authority
@@ -139,3 +146,76 @@ def test_host_without_a_certificate_is_not_let_in(tmp_path: Path) -> None:
 def test_device_that_cannot_be_served_says_why(serve, options, message: str) -> None:
     with pytest.raises(ControllerError, match=message):
         serve(RigDevice(reference_rig()), options)
+
+
+WITHOUT_CRC = "\n".join(f'[objects."{group}.crc"]\nabsent = true' for group in ("identity", "status", "trip", "result"))
+
+
+class _Tells(DeviceFront):
+    """A vendor's controller that tells one object otherwise than ours does."""
+
+    def __init__(self, device: RigDevice, told: str, value: Value) -> None:
+        super().__init__(device, "big")
+        self.group, self.name = told.split(".")
+        self.value, self.from_now_on = value, False
+
+    def read(self, group: str) -> dict[str, Value]:
+        values = super().read(group)
+        return values | {self.name: self.value} if self.from_now_on and group == self.group else values
+
+
+@contextmanager
+def telling(folder: Path, told: str, value: Value) -> Iterator[tuple[_Tells, Controller]]:
+    """A controller over a vendor's map, and what stands behind it; it tells so from when that is asked of it."""
+    (path := folder / "vendor.toml").write_text(WITHOUT_CRC)
+    ours = parse_map(WITHOUT_CRC)
+    theirs = replace(ours, entries=tuple(replace(e, obj=replace(e.obj, low=None, high=None)) for e in ours.entries))
+    front = _Tells(RigDevice(reference_rig(), 3), told, value)
+    server = TcpServer(front, registers=theirs)
+    controller = connect(f"modbus://127.0.0.1:{server.port}?unit=1&map={path}")
+    try:
+        yield front, controller
+    finally:
+        controller.close()
+        server.close()
+        front.close()
+        front.device.close()
+
+
+@pytest.mark.parametrize(
+    ("told", "value", "said"),
+    [
+        ("status.state", 9, "status.state as 9, and known are 0 off, 1 levitated, 2 armed"),
+        ("status.trip", 7, "status.trip as 7, and known are 0 none, 1 host, 2 displacement, 3 current, 4 fault;"),
+    ],
+)
+def test_a_code_that_a_vendor_has_added_is_told_with_its_object_and_those_that_are_known(
+    tmp_path: Path, told: str, value: int, said: str
+) -> None:
+    with telling(tmp_path, told, value) as (front, controller):
+        assert controller.status().state is State.LEVITATED
+        front.from_now_on = True
+        with pytest.raises(ControllerError, match=said) as refused:
+            controller.status()
+        assert not isinstance(refused.value, BusError), "asking again would not help"
+        assert "in the map, or have the controller tell one of these" in str(refused.value)
+        controller.stop()
+
+
+def test_a_tone_that_ends_in_no_way_that_is_known_leaves_the_rotor_unexcited(tmp_path: Path) -> None:
+    with telling(tmp_path, "status.outcome", 12) as (front, controller):
+        with controller.lease("host"):
+            front.from_now_on = True
+            with pytest.raises(ControllerError, match=r"status\.outcome as 12, and known are 0 under way, 1 done, "):
+                controller.measure(TONE)
+        assert front.device.status().excitation_a == 0
+        assert front.device.status().lease_holder == ""
+
+
+def test_a_point_whose_peak_is_no_number_is_a_point(tmp_path: Path) -> None:
+    with telling(tmp_path, "result.peak_displacement_m", float("nan")) as (front, controller):
+        front.from_now_on = True
+        with controller.lease("host"):
+            point = controller.measure(TONE)
+    assert np.isnan(point.peak_displacement_m)
+    assert np.abs(point.Y[:, 1, 1]).min() > 1e-7

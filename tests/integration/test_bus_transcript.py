@@ -1,11 +1,15 @@
 """A session is recorded, and replayed as a controller without the rig."""
 
+import errno
+import os
+import re
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
 
-from drivers.controller import Tone
+from drivers.controller import State, Tone
 from drivers.device.machine import RigDevice
 from drivers.device.serve import CanOptions, ModbusOptions, Served, serve_canopen, serve_modbus
 from drivers.errors import ControllerError, TripError
@@ -98,3 +102,69 @@ def test_what_is_no_transcript_is_refused(text: str, tmp_path: Path) -> None:
 def test_transcript_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(ControllerError, match="cannot write the transcript"):
         connect(f"modbus://127.0.0.1:1?transcript={tmp_path}/no/folder.jsonl")
+
+
+class _Disk:
+    """A file on a disk that may be full: what is written then stays in memory, and says so at each flush."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self.file, self.full = file, False
+
+    @property
+    def closed(self) -> bool:
+        return self.file.closed
+
+    def write(self, text: str) -> int:
+        return self.file.write(text)
+
+    def flush(self) -> None:
+        if self.full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.file.flush()
+
+    def close(self) -> None:
+        self.file.close()
+        self.flush()
+
+
+def test_a_disk_that_is_full_ends_the_session_by_the_transcripts_name_and_leaves_nothing_excited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, opened, disks = tmp_path / "session.jsonl", Path.open, []
+
+    def open_(self: Path, *arguments: str, **more: str) -> Any:
+        disk = _Disk(opened(self, *arguments, **more))
+        disks.append(disk)
+        return disk
+
+    device = RigDevice(reference_rig(), seed=5)
+    served = serve_modbus(device, ModbusOptions(port=0))
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", open_)
+        controller = connect(f"{served.url}&transcript={path}")
+    try:
+        with controller.lease("host"):
+            controller.measure(TONES[0])
+            disks[0].full = True
+            told = re.escape(f"cannot write the transcript {path}: No space left on device; free space, or leave")
+            with pytest.raises(ControllerError, match=told):
+                controller.measure(TONES[0])
+            controller.stop()
+        assert device.status().excitation_a == 0
+        assert device.status().state not in (State.ARMED, State.SETTLING, State.RECORDING)
+        assert device.status().lease_holder == ""
+        with pytest.raises(ControllerError, match=told), controller.lease("host"):
+            pass
+        assert device.status().lease_holder == "", "what was given before the disk told of it is given back"
+    finally:
+        controller.close()
+        served.close()
+
+
+def test_a_disk_that_is_full_from_the_beginning_is_told_by_the_transcripts_name() -> None:
+    served = serve_modbus(RigDevice(reference_rig(), seed=5), ModbusOptions(port=0))
+    try:
+        with pytest.raises(ControllerError, match="cannot write the transcript /dev/full: No space left on device"):
+            connect(f"{served.url}&transcript=/dev/full")
+    finally:
+        served.close()

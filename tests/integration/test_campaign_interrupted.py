@@ -1,17 +1,20 @@
 """A campaign that is interrupted, cancelled or cut off from its rig: the rig is quiet, the points are kept."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.errors import BusError, CancelledError, StoppedElsewhereError
+from service.campaign.journal import read as entries_of
+from service.campaign.multisine.plan import MultisineProfile
 from service.campaign.run import recover
 from service.experiment.errors import ExperimentFileError
 from service.experiment.file import read
 from service.experiment.incomplete import incomplete
 from sim.reference import reference_rig
-from tests.support.campaigns import Faulty, assert_same, campaign, interrupted_at, plant
+from tests.support.campaigns import SMALL, Faulty, assert_same, campaign, interrupted_at, plant
 
 
 @pytest.mark.parametrize("n", [1, 3, 40, 120])
@@ -39,6 +42,35 @@ def test_a_keyboard_interrupt_stops_the_rig_keeps_the_points_and_can_be_resumed(
     assert not (tmp_path / "experiment.journal").exists()
     assert not incomplete(read(tmp_path / "experiment.h5"))
     plant(experiment.main)
+
+
+class WithoutPeaks(Faulty):
+    """A controller that tells no peaks, as a vendor's may."""
+
+    def measure(self, tone):
+        return replace(super().measure(tone), peak_displacement_m=np.nan, peak_current_a=np.inf)
+
+    def measure_periodic(self, waveform):
+        self.n += 1
+        self.fault(self.n)
+        result = self.inner.measure_periodic(waveform)
+        return replace(result, peak_displacement_m=np.nan, peak_current_a=np.nan)
+
+
+@pytest.mark.parametrize("profile", [SMALL, MultisineProfile(lines=20, periods=2, realisations=2)])
+def test_a_controller_that_tells_no_peaks_loses_no_point(tmp_path, profile):
+    """Also of those that an earlier run measured."""
+    with pytest.raises(CancelledError, match="run it again"):
+        campaign(WithoutPeaks(interrupted_at(12, KeyboardInterrupt())), tmp_path, profile)
+    _, found = entries_of(tmp_path / "experiment.journal")
+    assert len(found) == 11
+    second = WithoutPeaks(interrupted_at(8, KeyboardInterrupt()))
+    with pytest.raises(CancelledError, match="run it again"):
+        campaign(second, tmp_path, profile)
+    _, more = entries_of(tmp_path / "experiment.journal")
+    assert len(more) == 18
+    assert more[3]["peak_displacement_m"] is None
+    recover(tmp_path)
 
 
 def test_a_stop_from_elsewhere_is_told_as_one_with_what_is_kept(tmp_path):

@@ -1,12 +1,13 @@
 """What a campaign refuses before anything moves, and what it does with files that lie in its folder."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.controller import State, Status
+from drivers.controller import Capabilities, State, Status
 from drivers.errors import BusError, CancelledError, LeaseError
 from drivers.simulated.driver import SimulatedController
 from service.bootstrap import measure, write_datasheet
@@ -37,6 +38,16 @@ def test_a_datasheet_of_another_rig(tmp_path):
     other = replace(SHEET, axes=("xA", "xB"))
     assert_refused(CampaignError, "give the datasheet of this rig", Faulty(None), tmp_path, other)
     assert_refused(CampaignError, "sample_time_s", Faulty(None), tmp_path, replace(SHEET, sample_time_s=5e-5))
+
+
+@pytest.mark.parametrize("told", [math.nan, math.inf, 0.0])
+@pytest.mark.parametrize("name", ["sample_rate_hz", "max_amplitude_a", "displacement_limit_m", "current_limit_a"])
+def test_a_controller_whose_figures_are_none_that_a_plan_can_go_by(tmp_path, name, told):
+    class Odd(Faulty):
+        def capabilities(self) -> Capabilities:
+            return replace(self.inner.capabilities(), **{name: told})
+
+    assert_refused(CampaignError, rf"tells identity\.{name} as {told:g}, .*correct it", Odd(None), tmp_path)
 
 
 def test_a_rig_that_another_host_holds(tmp_path):

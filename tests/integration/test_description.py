@@ -1,6 +1,8 @@
 """The description of the API tells what a program needs to be written from it alone."""
 
 import re
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -8,11 +10,16 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from drivers.controller import Tone
+from drivers.device.limits import check_tone
+from drivers.errors import LimitError
+from drivers.simulated.driver import SimulatedController
 from service.api.app import create_app
 from service.api.problems import UnprocessableError
 from service.api.resources.options import checked_options
 from service.config import Settings
 from service.experiment import file
+from sim.reference import reference_rig
 
 ROOT = Path(__file__).parents[2]
 
@@ -118,6 +125,19 @@ def test_options_that_mean_nothing_are_refused(options, word):
 def test_options_are_kept_as_they_were_given():
     given = {"profile": {"from_hz": 20.0}, "identify": False}
     assert checked_options("experiment", given) == given
+
+
+def test_no_more_blocks_are_accepted_than_a_controller_plays(document):
+    """A campaign would end at its first tone."""
+    most = document["components"]["schemas"]["ProfileOptions"]["properties"]["blocks"]["maximum"]
+    with closing(SimulatedController(reference_rig())) as controller:
+        tone = Tone(axis=0, amplitude_a=0.1, periods=10, samples=1000, blocks=most)
+        check_tone(tone, controller.capabilities())
+        with pytest.raises(LimitError, match=f"1 to {most} blocks"):
+            check_tone(replace(tone, blocks=most + 1), controller.capabilities())
+    checked_options("experiment", {"profile": {"blocks": most}})
+    with pytest.raises(UnprocessableError, match=r"options\.profile\.blocks"):
+        checked_options("experiment", {"profile": {"blocks": most + 1}})
 
 
 def test_a_person_reads_the_description_without_any_other_server(client):

@@ -108,18 +108,34 @@ def test_the_service_compares_with_the_allowance_of_its_job(baseline, tmp_path):
         assert found["false_alarms_per_year"] == allowed
 
 
-def test_a_history_that_a_crash_cut_short_goes_on(baseline, tmp_path, capsys):
+@pytest.mark.parametrize("kept", [b'{"format": "amb-heal', '{"rig": "Prü'.encode()[:-1], b"\0\0\0\0"])
+def test_a_history_that_a_crash_cut_short_goes_on(baseline, tmp_path, capsys, kept):
+    """Wherever it was cut, within a letter of two bytes, too."""
     history, found = tmp_path / "history.jsonl", experiment(tmp_path / "e.h5")
     command = ["health", "compare", found, "--baseline", baseline, "--out", tmp_path / "o", "--history", history]
     arguments = [str(c) for c in (*command, "--json")]
     assert run(arguments) == 0
-    with history.open("a") as log:
-        log.write('{"format": "amb-heal')
+    with history.open("ab") as log:
+        log.write(kept)
+    assert run(["health", "trend", str(history), "--json"]) == 0
     assert run(arguments) == 0
     capsys.readouterr()
     assert len(history.read_text().splitlines()) == 2
     assert run(["health", "trend", str(history), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["checks"] == 2
+
+
+def test_a_check_whose_line_has_lost_its_end_stays_in_the_history(baseline, tmp_path, capsys):
+    """As an editor or a copy leaves it: it has been counted, and shares the allowance of the checks after it."""
+    history, found = tmp_path / "history.jsonl", experiment(tmp_path / "e.h5")
+    command = ["health", "compare", found, "--baseline", baseline, "--out", tmp_path / "o", "--history", history]
+    arguments = [str(c) for c in (*command, "--json")]
+    for made in range(3):
+        capsys.readouterr()
+        assert run(arguments) == 0
+        assert json.loads(capsys.readouterr().out)["tests_made"] == made
+        assert history.read_bytes().count(b"\n") == made + 1
+        history.write_bytes(history.read_bytes().removesuffix(b"\n"))
 
 
 def test_a_check_that_could_not_be_added_to_the_history_moves_no_rotor(baseline, tmp_path, capsys):
@@ -138,6 +154,20 @@ def test_a_history_with_something_else_in_it_is_refused_by_line(tmp_path, capsys
     (tmp_path / "history.jsonl").write_text('{"a": 1}\n{"b": 2}\n')
     assert run(["health", "trend", str(tmp_path / "history.jsonl")]) == 1
     assert "line 1" in capsys.readouterr().err
+
+
+def test_a_line_of_a_history_that_is_whole_and_no_check_is_refused_by_line(baseline, tmp_path, capsys):
+    """Also the last one: passed over, it would stand in the middle after the next check, and end the history there."""
+    history, found = tmp_path / "history.jsonl", experiment(tmp_path / "e.h5")
+    command = ["health", "compare", found, "--baseline", baseline, "--out", tmp_path / "o", "--history", history]
+    assert run([str(c) for c in command]) == 0
+    for damage in (b'{"format": "amb-heal\n', "{'rig': 'Prüfstand'}\n".encode("latin-1")):
+        kept = history.read_bytes()
+        history.write_bytes(kept + damage)
+        assert run([str(c) for c in command]) == 1
+        assert f"line 2 of {history}" in capsys.readouterr().err
+        assert history.read_bytes() == kept + damage, "nothing is added to it, or taken away"
+        history.write_bytes(kept)
 
 
 def test_a_person_reads_the_alarm_its_figures_and_how_they_went(baseline, tmp_path, capsys, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -177,10 +178,10 @@ class _Line:
         if controller is not None:
             with suppress(Exception):  # it has restarted, or somebody has just given the line up
                 controller.stop()
-                return controller.status().lease_holder
+                return _holder(controller)
         with bootstrap.connected(self.url) as controller:
             controller.stop()
-            return controller.status().lease_holder
+            return _holder(controller)
 
     def close(self) -> None:
         """Give the connection up."""
@@ -285,6 +286,17 @@ def _no_answer(url: str) -> str:
     )
 
 
+def _holder(controller: Controller) -> str:
+    """Whose lease it is that was stopped; empty where the status is one that cannot be read, which undoes no stop."""
+    try:
+        return controller.status().lease_holder
+    except BusError:
+        raise
+    except ControllerError as error:
+        log.warning("the controller was stopped, and its status cannot be read: %s", error)
+        return ""
+
+
 def _state(controller: Controller) -> str:
     return controller.status().state.name.lower()
 
@@ -298,14 +310,19 @@ def _status(url: str, controller: Controller) -> LiveStatus:
         state=s.state.name.lower(),
         trip=s.trip.name.lower(),
         trip_message=s.trip_message,
-        excitation_a=s.excitation_a,
-        displacement_m=list(s.displacement_m),
-        current_a=list(s.current_a),
+        excitation_a=_known(s.excitation_a),
+        displacement_m=list(s.displacement_m) if all(map(math.isfinite, s.displacement_m)) else None,
+        current_a=list(s.current_a) if all(map(math.isfinite, s.current_a)) else None,
         lease_holder=s.lease_holder,
-        lease_seconds_left=s.lease_seconds_left,
-        speed_rad_s=s.speed_rad_s,
-        uptime_s=s.uptime_s,
+        lease_seconds_left=_known(s.lease_seconds_left),
+        speed_rad_s=_known(s.speed_rad_s),
+        uptime_s=_known(s.uptime_s),
     )
+
+
+def _known(value: float) -> float | None:
+    """A figure for JSON, which has no not-a-number, as a controller may tell of what it cannot measure."""
+    return value if math.isfinite(value) else None
 
 
 def _seen_by_all(url: str) -> bool:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.json_schema import models_json_schema
 from pydantic_core import PydanticCustomError
 
+from drivers.objects import MAX_BLOCKS
 from service.api.problems import UnprocessableError
 from service.campaign.aims import Profile
 from service.campaign.multisine.plan import MultisineProfile
@@ -64,7 +65,7 @@ class ProfileOptions(BaseModel):
     blocks: int = Field(
         _STEPPED.blocks,
         ge=2,
-        le=100,
+        le=MAX_BLOCKS,
         description="Blocks of whole periods at every point; their scatter tells the noise.",
     )
     displacement_share: float = Field(

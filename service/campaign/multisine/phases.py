@@ -71,6 +71,7 @@ class Played:
     multisine: Multisine
     values: dict[str, Complex]
     peak_displacement_m: float
+    """NaN where it is not known of all of them."""
     peak_current_a: float
     kurtosis: Real
     """(n_axes,) E[y^4] / (3 E[y^2]^2) over all experiments: 1 for Gaussian."""
@@ -305,8 +306,8 @@ class MultisinePhases:
         return Played(
             multisine,
             values,
-            max(float(x["peak_displacement_m"]) for x in found),
-            max(float(x["peak_current_a"]) for x in found),
+            float(np.max([x["peak_displacement_m"] for x in found])),
+            float(np.max([x["peak_current_a"] for x in found])),
             # a log coarser than the motion shows none
             np.divide(fourth, 3 * second**2, out=np.ones_like(fourth), where=second > 0),
             tuple(x["speed_rad_s"] for x in found if x["speed_rad_s"] is not None),
@@ -359,8 +360,8 @@ class MultisinePhases:
                         U,
                         I,
                         Y,
-                        max(p.peak_displacement_m for p in played),
-                        max(p.peak_current_a for p in played),
+                        float(np.max([p.peak_displacement_m for p in played])),
+                        float(np.max([p.peak_current_a for p in played])),
                         self.recorder.rig_seconds,
                         "; ".join(flags),
                         kind="multisine",

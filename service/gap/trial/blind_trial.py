@@ -138,8 +138,8 @@ def detectability_of(case: Case, experiment: Experiment) -> dict[str, Any]:
 
 def _shortened(rig: Rig, experiment: Experiment, replay_s: float) -> Rig:
     """The rig with its drift sped up to the time that a replay takes, which is less than the campaign took."""
-    took = float(experiment.attributes.get("rig_seconds", "nan"))
-    if rig.drift is None or not np.isfinite(took):
+    took = experiment.rig_seconds
+    if rig.drift is None or not took:
         return rig
     return replace(rig, drift=replace(rig.drift, duration_s=rig.drift.duration_s * replay_s / took))
 

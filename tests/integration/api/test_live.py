@@ -1,5 +1,6 @@
 """A rig as it is now: its controller away, a stop by hand, a rig that nobody else sees."""
 
+import math
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,12 +14,15 @@ import pytest
 
 from drivers.device.machine import RigDevice
 from drivers.device.serve import ModbusOptions, RtuOptions, serve_modbus, serve_modbus_rtu
-from drivers.errors import BusError, LimitError
+from drivers.errors import BusError, ControllerError, LimitError
+from drivers.remote import RemoteController
 from service import bootstrap
 from service.access.audit import Action, AuditEvent
 from service.access.keys import Scope
 from service.api.app import THREADS
 from service.api.resources import live
+from service.cli.rigs import _figures
+from service.client.shapes import Status
 from service.config import Settings
 from service.errors import ConflictError
 from service.storage import audit
@@ -37,6 +41,34 @@ def test_a_controller_that_does_not_answer_is_told_as_such(api, rig):
     assert status["reachable"] is False
     assert status["detail"]
     assert_problem(api.post(f"/rigs/{rig}/stop"), 503)
+
+
+def test_a_speed_that_is_no_number_is_told_as_not_known(api, rig, capsys, monkeypatch):
+    """As of a rig whose sensor of the speed is broken: the rest is told all the same, also in a terminal."""
+    device = RigDevice(reference_rig(), seed=1)
+    status = device.status
+    monkeypatch.setattr(device, "status", lambda: replace(status(), speed_rad_s=math.nan))
+    with closing(serve_modbus(device, ModbusOptions(port=0))) as served:
+        changed(api, rig, served.url)
+        now = api.get(f"/rigs/{rig}/status").json()
+        assert (now["reachable"], now["state"], now["speed_rad_s"]) == (True, "levitated", None)
+        told = dict(_figures(Status.model_validate(now), ("xA", "xB", "yA", "yB")))
+        assert told["speed, rad/s"] == "–"
+        assert told["excitation, A"] == "0"
+
+
+def test_a_stop_of_a_controller_whose_status_cannot_be_read_has_stopped_it(api, rig, tripping, monkeypatch):
+    """As of a vendor's that tells a state of its own: it took the stop."""
+
+    def unread(controller):
+        raise ControllerError("the controller tells status.state as 9")
+
+    monkeypatch.setattr(RemoteController, "status", unread)
+    changed(api, rig, tripping.url)
+    assert api.post(f"/rigs/{rig}/stop").status_code == 204
+    told = api.get(f"/rigs/{rig}/status").json()
+    assert told["reachable"] is False
+    assert "status.state as 9" in told["detail"]
 
 
 def test_a_stop_that_does_not_reach_the_controller_ends_what_would_go_on_or_begin(service, api, rig, experiment):

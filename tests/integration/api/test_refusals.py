@@ -65,6 +65,8 @@ def test_a_controllers_url_reaches_no_file_of_the_service(api, url, word):
         ("canopen://socketcan/can0?node=128", "node is 1 to 127"),
         ("canopen://socketcan/can0?node=5&bitrate=0", "bitrate is 10000 to 1000000"),
         ("canopen://can0?node=5", "cannot read the CAN bus"),
+        ("modbus://pump..plant:502?unit=1", "a part of the host 'pump..plant' is empty"),
+        ("modbus://host:0", "has the port 0"),
     ],
 )
 def test_a_controllers_url_that_no_bus_can_have_is_refused_when_it_is_given(api, url, word):

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from drivers.controller import Capabilities, Tone, Waveform
-from drivers.device.limits import MAX_BLOCKS, MAX_RAW_SAMPLES, check_tone, check_waveform
+from drivers.device.limits import MAX_RAW_SAMPLES, check_tone, check_waveform
 from drivers.device.machine import RigDevice
 from drivers.errors import LimitError
+from drivers.objects import MAX_BLOCKS
 from sim.reference import reference_rig
 
 LONGEST = Tone(axis=0, amplitude_a=0.1, periods=100, samples=MAX_RAW_SAMPLES // 2, blocks=2, raw=True)

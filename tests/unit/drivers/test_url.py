@@ -1,11 +1,15 @@
 """Addresses of controllers: what is understood, and what is refused before anything is opened."""
 
 import re
+import ssl
 
 import pytest
 
+from drivers.address import understood
 from drivers.canopen.bus import bus_arguments
-from drivers.errors import BusError, ControllerError
+from drivers.errors import AddressError, BusError, ControllerError
+from drivers.modbus.driver import ModbusLinks, tcp_links, tls_links
+from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
 from sim.reference import reference_rig
@@ -36,6 +40,17 @@ def test_simulated_takes_rig_and_seed() -> None:
         ("canopen://socketcan/can0?node=0", "node is 1 to 127, not 0"),
         ("canopen://socketcan/can0?node=5&bitrate=0", "bitrate is 10000 to 1000000, not 0"),
         ("modbus://[::1", "Invalid IPv6 URL"),
+        ("modbus://pump..plant:502?unit=1", "a part of the host 'pump..plant' is empty or longer than 63 letters"),
+        (f"modbus://{'a' * 64}.plant", "is empty or longer than 63 letters"),
+        (f"modbuss://{'a' * 64}", "is empty or longer than 63 letters"),
+        ("modbuss://.plant", "a part of the host '.plant' is empty"),
+        ("modbus://\N{SNOWMAN}.plant", "U+2603"),
+        (f"canopen://socketcand/{'a' * 64}:29536/can0?node=5", "is empty or longer than 63 letters"),
+        ("canopen://udp_multicast/a..b?node=5", "is empty or longer than 63 letters"),
+        ("modbus://host:0", "has the port 0; give 1 to 65535, or none for 502"),
+        ("modbuss://host:0?unit=1", "has the port 0; give 1 to 65535, or none for 802"),
+        ("canopen://socketcand/host:0/can0?node=5", "has the port 0; give 1 to 65535, or none for 29536"),
+        ("canopen://socketcand/host:99999/can0?node=5", "has the port 99999; give 1 to 65535, or none for 29536"),
         ("modbus://ho\tst", "'modbus://ho\\tst' has a control character"),
         ("simulated://?seed=-1", "seed is 0 to"),
         ("canopen://pigeon/can0?node=1", "cannot read the CAN bus"),
@@ -50,6 +65,34 @@ def test_wrong_url_is_refused_in_one_line(url: str, message: str) -> None:
     with pytest.raises(ControllerError, match=re.escape(message)) as refused:
         connect(url).status()
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["modbus://a..b", "modbus://host:0", "canopen://socketcand/a..b/can0?node=5", "canopen://x?node=5"]
+)
+def test_an_address_that_cannot_be_is_bad_usage(url: str) -> None:
+    with pytest.raises(AddressError):
+        understood(url)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "modbus://host.plant.:502",
+        "modbus://[fe80::1%25lo]",
+        "modbus://bücher.example",
+        "modbus://xn--bcher-kva.example",
+    ],
+)
+def test_a_host_that_a_network_may_know_is_let_pass(url: str) -> None:
+    understood(url)
+
+
+@pytest.mark.parametrize("links", [tcp_links("a..b", 502), tls_links("a..b", 802, ssl.create_default_context())])
+def test_a_host_of_which_a_socket_makes_no_name_is_a_bus_error(links: ModbusLinks) -> None:
+    """Whoever gave it, and however it got past what is checked before."""
+    with pytest.raises(BusError, match="cannot connect: "):
+        RemoteController(links)
 
 
 def test_bus_that_is_not_there_is_a_bus_error() -> None:

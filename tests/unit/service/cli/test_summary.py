@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import pytest
 from rich.console import Console
 
 from service.cli import summary
+from service.experiment.data import Experiment
 
 AXES = ("xA", "xB")
 
@@ -29,6 +31,12 @@ def test_the_datasheet_is_off_by_what_the_report_and_the_result_say() -> None:
         console.print(summary.table(found, "datasheet"))
     assert "datasheet off by, %" in capture.get()
     assert "+87.8" in capture.get()
+
+
+@pytest.mark.parametrize("told", ["1503.2 s", "nan", "inf", "-1"])
+def test_a_time_on_the_rig_that_is_no_number_is_not_told(told: str) -> None:
+    """As of a file that another program wrote: the identification has been done by then."""
+    assert summary.times({"fit": 2.0}, Experiment("r", AXES, (), {"rig_seconds": told})) == "2.0 s (fit 2.0 s)"
 
 
 def test_a_share_of_what_may_be_zero_is_a_dash() -> None:

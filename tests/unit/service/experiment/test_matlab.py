@@ -143,6 +143,25 @@ def test_version_73_records(tmp_path, recorded):
     np.testing.assert_allclose(sweep.Y[k, :, 1, k], 4e-7, rtol=1e-3)
 
 
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_what_a_file_may_tell_beside_its_points_is_read_from_both_versions(tmp_path, fields, version):
+    """MATLAB has no vectors: each comes as a matrix of one row or column."""
+    points, blocks = fields["R"].shape[:2]
+    more = {
+        "kind": "multisine",
+        "block_samples": np.full(points, 2000.0),
+        "time_s": np.arange(points) + 1.5,
+        "point_speed_rad_s": np.linspace(4.5, 5.5, points),
+        "phase_rad": np.arange(points * blocks).reshape(points, blocks) / 10,
+        "kurtosis": np.array([1.0, 1.1, 1.2, 1.3]),
+    }
+    write = scipy.io.savemat if version == "5" else write_matlab_73
+    write(tmp_path / "e.mat", TOP | {"sweeps": fields | more})
+    found = read(tmp_path / "e.mat").main
+    for name, told in more.items():
+        np.testing.assert_array_equal(getattr(found, name), told, err_msg=name)
+
+
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.99])
 @pytest.mark.parametrize("version", ["5", "7.3"])
 def test_a_truncated_file(tmp_path, fields, share, version):

@@ -29,6 +29,19 @@ def test_sweeps_follow_one_another_and_rig_time_adds_up() -> None:
     assert merged([first], ["a.h5"]).sweeps == first.sweeps
 
 
+@pytest.mark.parametrize("told", ["1503.2 s", "nan", "-inf", "-3", "", None])
+def test_a_time_on_the_rig_that_one_file_does_not_tell_is_not_known_of_all(told: str | None) -> None:
+    """As of a file that another program wrote: the sum of the others would be told as the time of all."""
+    first, _ = small_experiment("x")
+    known = replace(first, attributes={"rig_seconds": "100", "controller": "a"})
+    other = replace(first, attributes={} if told is None else {"rig_seconds": told})
+    for experiments in ([known, other], [other, known], [other, other]):
+        whole = merged(experiments, ["a.h5", "b.h5"])
+        assert whole.rig_seconds is None
+        assert "rig_seconds" not in whole.attributes
+    assert known.rig_seconds == 100.0
+
+
 def timed(experiment: Experiment, minutes: list[float]) -> Experiment:
     """The experiment with its sweeps measured one after another, each for so long; a file's clock starts at 0."""
     sweeps, begin = [], 0.0

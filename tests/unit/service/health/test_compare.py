@@ -20,6 +20,7 @@ from service.identification.loop.margins import zone_table
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.measured.points import plane_points
 from service.identification.result.saved import saved_planes
+from service.output import json_text
 from sim.errors import AmbError
 from sim.reference import reference_rig
 from sim.twin import with_effects
@@ -53,6 +54,13 @@ def test_a_rig_that_did_not_change_raises_no_alarm(unchanged):
 
 def test_a_check_takes_a_tenth_of_a_commissioning(unchanged):
     assert float(unchanged.attributes["rig_seconds"]) < 100.0
+
+
+@pytest.mark.parametrize("told", ["80 s", "nan", "inf"])
+def test_a_time_on_the_rig_that_is_no_number_is_not_known(unchanged, told):
+    found = checked(replace(unchanged, attributes={"rig_seconds": told})).document()
+    assert found["rig_seconds"] is None
+    json_text(found)
 
 
 def test_five_percent_less_ki_are_an_alarm_that_names_ki():

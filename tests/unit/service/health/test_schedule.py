@@ -1,5 +1,6 @@
 """Cron arithmetic: due, kept, missed."""
 
+import re
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -73,6 +74,26 @@ def test_one_check_serves_one_due_time_only():
 def test_a_schedule_that_cannot_be_kept_is_refused(wrong):
     with pytest.raises(ScheduleError):
         checked(wrong)
+
+
+@pytest.mark.parametrize(
+    ("cron", "field"),
+    [
+        ("R * * * *", "R"),
+        ("0 r * * *", "r"),
+        ("0 R(1-5) * * *", "R(1-5)"),
+        ("R/30 * * * *", "R/30"),
+        ("H 6 * * *", "H"),
+    ],
+)
+def test_a_field_that_is_drawn_is_refused(cron, field):
+    """It is another time whenever one asks: at times within minutes of the last one, and no run of it can be missed."""
+    with pytest.raises(ScheduleError, match=re.escape(f"{field!r} is drawn by chance; give the numbers")):
+        checked(cron)
+
+
+def test_names_of_days_and_months_are_not_taken_for_such():
+    assert checked("0 6 * MAR,oct Thu-fri") == "0 6 * MAR,oct Thu-fri"
 
 
 def test_a_good_schedule_is_kept_as_it_is():

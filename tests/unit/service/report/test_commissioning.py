@@ -230,6 +230,16 @@ def test_marked_points_are_listed(result, measured):
     assert "<td>repeated at lower amplitude</td>" in page
 
 
+@pytest.mark.parametrize("told", ["1503.2 s", "nan", "inf", ""])
+def test_a_time_on_the_rig_that_is_no_number_is_not_told(result, measured, told):
+    experiment, datasheet = measured
+    assert " in 25 min on the rig" in commissioning_page(
+        result, replace(experiment, attributes={"rig_seconds": "1503.2"}), datasheet
+    )
+    page = commissioning_page(result, replace(experiment, attributes={"rig_seconds": told}), datasheet)
+    assert "min on the rig" not in page
+
+
 def test_the_time_on_the_rig_goes_to_its_sweep(result, measured):
     experiment, datasheet = measured
     ends, sweeps = 0.0, []

@@ -1,0 +1,33 @@
+"""Which names a host can have, for whoever takes an address apart before it is used. No network is asked.
+
+It stands below all who need it: the addresses of controllers, and those that the service sends messages to.
+"""
+
+from __future__ import annotations
+
+LONGEST_PART = 63
+
+
+def must_be_encodable(host: str) -> None:
+    """Refuse a host that whoever connects to it fails to encode: it would come to grief there, time and again.
+
+    Raises
+    ------
+    ValueError
+        No network can know such a name; says why.
+
+    >>> must_be_encodable("rig.plant.")
+    >>> must_be_encodable("rig..plant")
+    Traceback (most recent call last):
+    ...
+    ValueError: a part of the host 'rig..plant' is empty or longer than 63 letters
+    """
+    import idna  # its tables: most who take an address apart have a number there
+
+    name = host if host.isascii() else idna.encode(host.lower()).decode("ascii")
+    parts = name.removesuffix(".").split(".")
+    if not all(0 < len(part) <= LONGEST_PART for part in parts):  # as a socket sees to
+        raise ValueError(f"a part of the host {host!r} is empty or longer than {LONGEST_PART} letters")
+    for part in parts:
+        if part.startswith("xn--"):
+            idna.decode(part)
