@@ -247,12 +247,15 @@ def _unsure(named: str, rivals: list[str], probability: float | None) -> str:
 
 
 def _proposal(proposed: dict[str, Any]) -> str:
-    """The next experiment in words, with how long it takes, what it promises, and what asks for it."""
+    """The next experiment in words: how long it takes, what it promises, what is done by hand, and what asks for it."""
     odds, minutes = 100 * proposed["odds_of_telling_apart"], proposed["rig_seconds"] / 60
     one, other = (in_words(name) for name in proposed["separates"])
     words = (
         f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell {one} from {other}"
     )
+    if steps := proposed.get("by_hand"):
+        # the command does none of them, and would measure the rotor as it stands
+        return "\n".join([words, *(f"by hand: {step}" for step in steps), f"then: {proposed['command']}"])
     return f"{words}: {proposed['command']}"
 
 
