@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from service.campaign.aims import Limits, Profile
 from service.campaign.points import Point
 from service.experiment.data import Sweep
-from service.gap.measured.condition import ANOTHER_AMPLITUDE, ANOTHER_SPEED
+from service.gap.measured.condition import ANOTHER_AMPLITUDE
 from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe
 from service.gap.observed import Observed
-from service.gap.proposal.options import LOUD, Option
+from service.gap.proposal.options import LOUD, Option, same_speed
 from service.gap.proposal.rehearsal import HARMONICS, MOST_SAMPLES, BegunCampaign
 from service.gap.proposal.sensor_noise import SensorNoise, fed_back
 from sim.datasheet import Datasheet
@@ -137,10 +137,9 @@ def measured_already(option: Option, point: Point, sweeps: Sequence[Observation]
     """Whether a sweep was measured at a point's condition: speed, set-point, band and amplitude."""
     f, axis = point.frequency_hz, point.request.axis
     for o in sweeps:
-        fastest = max(abs(option.speed_rad_s), abs(o.speed_rad_s))
-        same_speed = not option.offset and abs(option.speed_rad_s - o.speed_rad_s) <= ANOTHER_SPEED * fastest
+        same = not option.offset and same_speed(option.speed_rad_s, o.speed_rad_s)
         so_far = amplitude_there(o, axis, f) if o.frequency_hz[0] <= f <= o.frequency_hz[-1] else None
-        if same_speed and so_far and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / so_far < ANOTHER_AMPLITUDE:
+        if same and so_far and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / so_far < ANOTHER_AMPLITUDE:
             return True
     return False
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.campaign.aims import Limits, Profile
+from service.gap.measured.condition import ANOTHER_SPEED
 from service.gap.measured.observation import Observation
+from service.gap.proposal.safety import safe_speed
 from sim.rig import Rig
 
 SHORT: Mapping[str, float] = {
@@ -31,8 +33,6 @@ LOWEST_HZ, HIGHEST_HZ, OF_NYQUIST = 1.0, 3000.0, 0.7
 """Lowest and highest line of any option, and the highest as a share of the Nyquist frequency."""
 TAKEN_HZ = (10_000.0, 20_000.0)
 """Highest first and last line of a sweep that the service accepts."""
-SPEED = 2 * np.pi * 50
-"""Speed to which the rotor is brought, rad/s."""
 OFFSET = 0.1
 """Share of the air gap by which set-points are moved."""
 
@@ -68,9 +68,30 @@ class Option:
         magnets = replace(rig.magnets, offset_m=rig.magnets.offset_m + self.offset * rig.magnets.gap_m)
         return replace(rig, speed_rad_s=self.speed_rad_s, magnets=magnets)
 
+    def new_condition(self, seen: Sequence[Observation]) -> bool:
+        """Whether the rotor has not been held at that speed and set-point in any of the sweeps so far."""
+        return bool(self.offset) or not any(same_speed(self.speed_rad_s, o.speed_rad_s) for o in seen)
 
-def options(seen: Sequence[Observation], rig: Rig, limits: Limits) -> list[Option]:
-    """The options for a rig, without those of empty bands; ``seen`` are the sweeps measured so far."""
+
+def same_speed(one_rad_s: float, other_rad_s: float) -> bool:
+    """Whether two speeds are one condition."""
+    return abs(one_rad_s - other_rad_s) <= ANOTHER_SPEED * max(abs(one_rad_s), abs(other_rad_s))
+
+
+def options(
+    seen: Sequence[Observation], rig: Rig, limits: Limits, rivals: Sequence[Rig] = (), datasheet: Rig | None = None
+) -> list[Option]:
+    """The options for a rig, without those of empty bands, and without a speed that endangers it.
+
+    Parameters
+    ----------
+    seen
+        The sweeps measured so far.
+    rivals
+        The rigs of other explanations in question.
+    datasheet
+        The rig as its datasheet has it, where that is another one.
+    """
     low, high = min(float(o.frequency_hz[0]) for o in seen), max(float(o.frequency_hz[-1]) for o in seen)
     highest = min(HIGHEST_HZ, OF_NYQUIST * limits.sample_rate_hz / 2, limits.max_frequency_hz)
     top = min(high, limits.max_frequency_hz, TAKEN_HZ[1])
@@ -94,8 +115,10 @@ def options(seen: Sequence[Observation], rig: Rig, limits: Limits) -> list[Optio
         replace(shifted, offset=OFFSET, by_hand=(*as_now, MOVE, TELL)),
     ]
     if rig.n_axes == 4 and (rig.rotor.polar_inertia_kgm2 > 0 or any(rig.rotor.modes)):
-        there = _revolutions(SPEED)
-        found.append(turned("speed", f"at {there}", SPEED, f"bring the rotor to {there} and hold it"))
+        fastest = safe_speed((rig, *rivals), datasheet or rig)
+        if fastest is not None:
+            there = _revolutions(fastest)
+            found.append(turned("speed", f"at {there}", fastest, f"bring the rotor to {there}, no faster, and hold it"))
         if speed:
             found.append(turned("standstill", "at rest", 0.0, "bring the rotor to rest"))
     bands = [(o, o.profile["from_hz"], o.profile["to_hz"]) for o in found]
