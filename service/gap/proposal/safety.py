@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.campaign.aims import Limits
+from service.gap.measured.observation import Observation
 from sim.errors import AmbError
 from sim.loop import Loop
 from sim.rig import Rig
@@ -27,6 +29,8 @@ GONE = 1e-6
 """Magnitude up to which a pole of the sampled loop is that of a delay."""
 SLOWEST_RAD_S = 1.0
 """Slowest whirl; what is slower is an integrator of the controller."""
+SWING = 2.0
+"""Way that a tone's start may take, in amplitudes of the tone, with the noise that is there."""
 
 
 def safe_speed(rigs: Iterable[Rig], datasheet: Rig) -> float | None:
@@ -57,6 +61,35 @@ def require_levitation(rigs: Iterable[Rig]) -> None:
     """
     for rig in rigs:
         Loop(rig, 1)
+
+
+def free_way(rig: Rig, limits: Limits) -> Real:
+    """How far each axis may be off the sensors' zero to its positive side, m, (n,): to a limit, or to a stop."""
+    way = np.full(rig.n_axes, min(limits.displacement_limit_m, limits.linear_range_m))
+    if rig.contact is None or rig.contact.side < 0:
+        return way
+    return np.asarray(np.minimum(way, rig.contact.centre_m + rig.contact.clearance_m))
+
+
+def largest_shift(seen: Sequence[Observation], rigs: Iterable[Rig], limits: Limits, amplitude_m: float) -> Real:
+    """How far the set-points may be moved to their positive side, m, (n,), beside tones of an amplitude.
+
+    Parameters
+    ----------
+    seen
+        The sweeps so far, which tell where the rotor is now.
+    rigs
+        Those of all explanations in question: one may have a stop on the way.
+    """
+    now = np.maximum(at_rest(seen), 0.0)
+    free = np.min([free_way(rig, limits) for rig in rigs], axis=0)
+    return np.asarray(free - now - SWING * amplitude_m)
+
+
+def at_rest(seen: Sequence[Observation]) -> Real:
+    """Mean displacement of each axis that the sensors have told, m, (n,); the larger one where it was moved."""
+    means = [np.median(o.Y[:, o.harmonics.index(0)].real, axis=0) for o in seen if 0 in o.harmonics]
+    return np.max(means, axis=0) if means else np.zeros(seen[0].Y.shape[2])
 
 
 def _free_modes(rig: Rig) -> Iterator[float]:
