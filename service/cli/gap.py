@@ -65,13 +65,14 @@ def apply(
     out: Annotated[Path, typer.Option(help="Twin file to write: the datasheet with the effects that were found.")],
     as_json: Json = False,
 ) -> None:
-    """Write a twin that has the effects that a diagnosis found; says so where it does not levitate.
+    """Write a twin that has the effects that a diagnosis found.
 
-    Without a gap it is the datasheet as it is, and without the effects that it names and the rig does not show. Fails
-    where there is a gap that no effect explains.
+    Warns where the data do not tell one of them from another, and where the twin does not levitate. Without a gap it is
+    the datasheet as it is, and without the effects that it names and the rig does not show. Fails where there is a gap
+    that no effect explains.
     """
     from service.errors import OutputError
-    from service.gap.apply import applied, cannot_run, of_another
+    from service.gap.apply import applied, cannot_run, not_told_apart, of_another
     from service.gap.document import ends_reached
     from service.gap.shape import Report
     from service.output import read_document, ready_folder, write_text
@@ -91,6 +92,8 @@ def apply(
             f"{report} was made with another datasheet than {rig}; its effects were fitted beside that one's "
             "values: give it, or diagnose again with this one"
         )
+    unsure, probability = not_told_apart(document), document["verdict"]["probability"]
+    warnings += [_unsure(named, rivals, probability) for named, rivals in unsure.items()]
     if reason := cannot_run(twin):
         warnings.append(
             f"this twin cannot be simulated or served as it stands, {reason}; identify the experiment with "
@@ -104,6 +107,8 @@ def apply(
                 "files": {"twin": str(out)},
                 "added": [{"effect": name, "parameters": dict(values)} for name, values in added],
                 "removed": gone,
+                "not_told_apart": unsure,
+                "probability": probability,
                 "datasheet_off": off,
                 "ends_reached": ends,
                 "warnings": warnings,
@@ -232,13 +237,25 @@ def _end(parameter: dict[str, Any]) -> str:
     return f" ({parameter['at_bound']} end of its range)" if parameter.get("at_bound") else ""
 
 
+def _unsure(named: str, rivals: list[str], probability: float | None) -> str:
+    """That the data leave open which effect it is; the ``probability`` is that it is one of them."""
+    sure = "" if probability is None else f" (probability that it is one of these {100 * probability:.0f} %)"
+    return (
+        f"the data do not tell {in_words(named)} from {', '.join(map(in_words, rivals))}{sure}: the twin has "
+        f"{in_words(named)}, the rig may have another one; the diagnosis tells what separates them"
+    )
+
+
 def _proposal(proposed: dict[str, Any]) -> str:
-    """The next experiment in words, with how long it takes, what it promises, and what asks for it."""
+    """The next experiment in words: how long it takes, what it promises, what is done by hand, and what asks for it."""
     odds, minutes = 100 * proposed["odds_of_telling_apart"], proposed["rig_seconds"] / 60
     one, other = (in_words(name) for name in proposed["separates"])
     words = (
         f"next: {proposed['description']}; {minutes:.0f} min on the rig, {odds:.0f} % likely to tell {one} from {other}"
     )
+    if steps := proposed.get("by_hand"):
+        # the command does none of them, and would measure the rotor as it stands
+        return "\n".join([words, *(f"by hand: {step}" for step in steps), f"then: {proposed['command']}"])
     return f"{words}: {proposed['command']}"
 
 

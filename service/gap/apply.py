@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from service.gap.measured.observation import GapError
 from service.gap.origin import datasheet_digest
 from service.gap.shape import Parameter, Report
+from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.output import first_problem
 from sim.datasheet import Datasheet
 from sim.effects import effect
@@ -72,6 +73,27 @@ def of_another(datasheet: Datasheet, document: Mapping[str, Any]) -> bool:
     made_from = document.get("of")
     digest = made_from.get("datasheet_sha256") if isinstance(made_from, Mapping) else None
     return isinstance(digest, str) and digest != datasheet_digest(datasheet)
+
+
+def not_told_apart(document: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Effects that may be in the place of one that a report adds, by that one, as the data do not tell them apart.
+
+    Without those that fit about as well and are far less likely, as in the report's sentence.
+    """
+    report, open_classes = _read(document), dict[str, list[str]]()
+    added = report.verdict.effects
+    evidence = {frozenset(c.effects): c.log_evidence for c in report.candidates if c.log_evidence is not None}
+    best = evidence.get(frozenset(added))
+
+    def far_less_likely(named: str, other: str) -> bool:
+        own = evidence.get(frozenset({*added, other} - {named}))
+        return best is not None and own is not None and own < best - ALIKE_LOG_EVIDENCE
+
+    for group in report.verdict.indistinguishable:
+        for named in [name for name in group if name in added][:1]:
+            if rivals := [e for e in group if e not in added and not far_less_likely(named, e)]:
+                open_classes.setdefault(named, []).extend(rivals)
+    return open_classes
 
 
 def cannot_run(twin: Datasheet) -> str | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,10 +19,13 @@ import numpy as np
 from service.distributions import normal_tail
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.nuisance import Nuisance
+from service.gap.fitting.part import STANDSTILL
 from service.gap.proposal.case import Grounds, case
 from service.gap.proposal.options import Option, options
 from service.gap.proposal.rehearsal import Rehearsal
+from service.gap.proposal.safety import require_levitation
 from service.gap.proposal.separation import separations
+from service.gap.which.rivals import turning_with_the_shaft
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
 
@@ -72,9 +75,16 @@ def odds(distances: tuple[float, float]) -> float:
     return float(np.mean([normal_tail(-d / 2) for d in distances]))
 
 
-def _outlook(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, option: Option) -> _Outlook | None:
-    """How well an option would separate two explanations; None where it is not worth its time or cannot be measured."""
+def _outlook(
+    nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, option: Option, others: Sequence[Candidate] = ()
+) -> _Outlook | None:
+    """How well an option would separate two explanations; None where it is not worth its time or cannot be measured.
+
+    Nor where it brings the rotor to a condition in which one of them does not levitate, or one of the ``others``.
+    """
     try:
+        if option.new_condition(grounds.sweeps):
+            require_levitation(option.rig(c.fit.rig) for c in (a, b, *others))
         planned = case(option, a.fit.rig, nuisance.rig, grounds)
         if planned is None:
             return None
@@ -82,6 +92,15 @@ def _outlook(nuisance: Nuisance, a: Candidate, b: Candidate, grounds: Grounds, o
         return _Outlook(planned.option, planned.campaign.whole(), distances) if odds(distances) >= WORTH else None
     except (AmbError, ValueError, np.linalg.LinAlgError):
         return None  # this rig cannot be brought to that condition
+
+
+def turning_damping(pair: Sequence[Candidate]) -> list[Candidate]:
+    """Twins with damping that turns with the shaft in place of the same that stands still: at rest nobody knows which.
+
+    Such a rotor can become unstable at a speed that it holds with the other, whatever else is to be told apart.
+    """
+    found = [turning_with_the_shaft(c) for c in pair if not STANDSTILL.keys().isdisjoint(c.effects)]
+    return [c for c in found if c is not None]
 
 
 def only_fainter(option: Option, a: Candidate, b: Candidate) -> bool:
@@ -96,15 +115,25 @@ class Proposal:
     Of options that are nearly sure to separate them, one without work by hand is preferred, then the one of least time;
     else the one of the best odds. Options with work by hand are rehearsed only where no other is nearly sure. The
     proposal has the tones, and the command and the job that submit the experiment.
+
+    No option brings the rotor to where an explanation in question says that it does not levitate.
     """
 
     def __init__(
-        self, nuisance: Nuisance, pair: tuple[Candidate, Candidate], grounds: Grounds, name: str, fitter: Fitter
+        self,
+        nuisance: Nuisance,
+        pair: tuple[Candidate, Candidate],
+        grounds: Grounds,
+        name: str,
+        fitter: Fitter,
+        others: Sequence[Candidate] = (),
     ) -> None:
-        """Start the search; ``name`` is the rig's."""
+        """Start the search; ``name`` is the rig's, and ``others`` are in question beside the pair."""
         self._pair, self._name, self._fitter = pair, name, fitter
-        self._outlook_of = partial(_outlook, nuisance, *pair, grounds)
-        all_options = options(grounds.sweeps, pair[0].fit.rig, grounds.limits)
+        others = [*others, *turning_damping([*pair, *others])]
+        self._outlook_of = partial(_outlook, nuisance, *pair, grounds, others=others)
+        rig, *rivals = (c.fit.rig for c in (*pair, *others))
+        all_options = options(grounds.sweeps, rig, grounds.limits, rivals, nuisance.rig)
         self._options = [o for o in all_options if not only_fainter(o, *pair)]
         self._started = self._outlooks(by_hand=False)
 

@@ -13,6 +13,8 @@ class Verdict(BaseModel):
     kind: str
     effects: list[str]
     outdated: list[str] = []
+    indistinguishable: list[list[str]] = []
+    probability: FiniteFloat | None = None
 
 
 class Parameter(BaseModel):
@@ -27,6 +29,7 @@ class _Candidate(BaseModel):
     effect: str = ""
     effects: list[str] = []
     parameters: dict[str, Parameter]
+    log_evidence: FiniteFloat | None = None
 
     @model_validator(mode="after")
     def _names(self) -> Self:

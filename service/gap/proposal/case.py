@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from service.campaign.aims import Limits, Profile
 from service.campaign.points import Point
 from service.experiment.data import Sweep
-from service.gap.measured.condition import ANOTHER_AMPLITUDE, ANOTHER_SPEED
+from service.gap.measured.condition import ANOTHER_AMPLITUDE
 from service.gap.measured.informative_lines import thinned
 from service.gap.measured.observation import Observation, observe
 from service.gap.observed import Observed
-from service.gap.proposal.options import LOUD, Option
+from service.gap.proposal.options import LOUD, Option, same_speed
 from service.gap.proposal.rehearsal import HARMONICS, MOST_SAMPLES, BegunCampaign
+from service.gap.proposal.safety import at_rest, free_way
 from service.gap.proposal.sensor_noise import SensorNoise, fed_back
 from sim.datasheet import Datasheet
 from sim.harmonic_balance import STATIC_HZ, Responder, respond_to_excitation, time_points
@@ -71,6 +72,8 @@ class Case:
 def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
     """The option on a rig, or None where most of it has been measured already, or its amplitude cannot be reached.
 
+    Nor is there one where tones about a moved set-point would go beyond a limit of displacement or touch a stop.
+
     Parameters
     ----------
     twin
@@ -90,7 +93,9 @@ def case(option: Option, rig: Rig, twin: Rig, grounds: Grounds) -> Case | None:
         reached = _ratio(excited, option.amplitude > 1, grounds)
         if max(reached, 1 / reached) < ANOTHER_AMPLITUDE or (reached > 1) != (option.amplitude > 1):
             return None
-    sweep = predicted(excited, at_condition, grounds)
+    sweep = predicted(excited, at_condition, grounds, option.shift_m(rig))
+    if option.offset and np.any(farthest(sweep) > free_way(rig, grounds.limits)):
+        return None  # the planner does not know that the rotor is off its place, and leaves no room for it
     return Case(option, campaign, observe(thinned(sweep), twin))
 
 
@@ -137,16 +142,25 @@ def measured_already(option: Option, point: Point, sweeps: Sequence[Observation]
     """Whether a sweep was measured at a point's condition: speed, set-point, band and amplitude."""
     f, axis = point.frequency_hz, point.request.axis
     for o in sweeps:
-        fastest = max(abs(option.speed_rad_s), abs(o.speed_rad_s))
-        same_speed = not option.offset and abs(option.speed_rad_s - o.speed_rad_s) <= ANOTHER_SPEED * fastest
+        same = not option.offset and same_speed(option.speed_rad_s, o.speed_rad_s)
         so_far = amplitude_there(o, axis, f) if o.frequency_hz[0] <= f <= o.frequency_hz[-1] else None
-        if same_speed and so_far and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / so_far < ANOTHER_AMPLITUDE:
+        if same and so_far and 1 / ANOTHER_AMPLITUDE < point.request.amplitude_a / so_far < ANOTHER_AMPLITUDE:
             return True
     return False
 
 
-def predicted(points: Sequence[Point], rig: Rig, grounds: Grounds) -> Sweep:
-    """The sweep that points of a campaign would give: the rig's response, all harmonics, with sensor noise added."""
+def farthest(sweep: Sweep) -> Real:
+    """Largest way of each axis off the sensors' zero to its positive side, m, (n,), if its harmonics come together."""
+    Y, mean = sweep.Y.mean(axis=1), sweep.harmonics.index(0)
+    swing = np.abs(np.delete(Y, mean, axis=1)).sum(axis=1)
+    return np.asarray(np.max(Y[:, mean].real + swing, axis=0))
+
+
+def predicted(points: Sequence[Point], rig: Rig, grounds: Grounds, shift_m: Real) -> Sweep:
+    """The sweep that points of a campaign would give: the rig's response, all harmonics, with sensor noise added.
+
+    The sensors tell set-points that were moved, by ``shift_m``, as displacement; the model counts from the set-point.
+    """
     ordered = sorted(points, key=lambda p: (p.frequency_hz, p.request.axis))
     frequency, line = time_points(np.array([p.frequency_hz for p in ordered]))
     axis, n = np.array([p.request.axis for p in ordered]), rig.n_axes
@@ -157,6 +171,8 @@ def predicted(points: Sequence[Point], rig: Rig, grounds: Grounds) -> Sweep:
     responder = Responder(rig, frequency, line, HARMONICS, np.linspace(0, 1, len(line)))
     U, answer = respond_to_excitation(responder, R)
     signals = [np.repeat(x[:, None], blocks, axis=1) for x in (R, U, answer.I, answer.Y)]
+    if np.any(shift_m):
+        signals[3][:, :, HARMONICS.index(0)] += at_rest(grounds.sweeps) + shift_m
     draws = np.random.default_rng(0)  # so that proposals are reproducible
 
     def white(power: Real) -> Complex:

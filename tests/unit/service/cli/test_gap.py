@@ -104,6 +104,20 @@ def test_what_to_measure_next_is_told_with_its_price_and_the_command_that_asks_f
     )
 
 
+def test_what_has_to_be_done_by_hand_is_told_before_the_command_that_needs_it() -> None:
+    """The command alone would measure the rotor as it stands, and what it was proposed for would not show."""
+    before, after = ("bring the rotor to 30 rev/s and hold it",), ("tell the diagnosis of it",)
+    proposed = {
+        "description": "the same band at 30 rev/s", "rig_seconds": 754.0, "odds_of_telling_apart": 0.96,
+        "command": "ambit submit experiment --rig bench", "separates": ["loop_delay", "eddy_currents"],
+        "by_hand": [*before, *after],
+    }  # fmt: skip
+    first, *steps, command = _proposal(proposed).splitlines()
+    assert first.startswith("next: the same band at 30 rev/s; 13 min on the rig")
+    assert steps == [f"by hand: {step}" for step in (*before, *after)]
+    assert command.endswith("ambit submit experiment --rig bench")
+
+
 def test_parameters_of_wider_laws_that_an_explanation_does_without_are_not_listed():
     null = {effect: CATALOGUE[effect].null() for effect in ("loop_delay", "sensor_lag")}
     delayed = {**null["loop_delay"], "delay_s": 2e-5}

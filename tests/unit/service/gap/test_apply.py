@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from service.cli import run
-from service.gap.apply import applied, cannot_run
+from service.gap.apply import applied, cannot_run, not_told_apart
 from service.gap.measured.observation import GapError
 from service.gap.origin import datasheet_digest
 from sim.reference import reference_datasheet
@@ -128,6 +128,62 @@ def test_apply_warns_of_a_twin_that_does_not_levitate(tmp_path, capsys):
     assert warning.startswith("warning: this twin cannot be simulated or served as it stands, its controller does not")
     assert "ambit identify" in warning
     assert parse(out.read_text()).effects == (("magnetic_saturation", SATURATED),)
+
+
+OPEN = {
+    "verdict": {
+        "kind": "effect",
+        "effects": ["sensor_lag"],
+        "indistinguishable": [["sensor_lag", "loop_delay", "eddy_currents"]],
+        "probability": 0.97,
+    },
+    "candidates": [
+        {"effect": "sensor_lag", "log_evidence": -10.0, "parameters": {"time_constant_s": {"value": 5e-6}}},
+        {"effect": "loop_delay", "log_evidence": -10.7, "parameters": {"delay_s": {"value": 3e-5}}},
+        {"effect": "eddy_currents", "log_evidence": -90.0, "parameters": {"time_constant_s": {"value": 1e-4}}},
+    ],
+}
+
+
+def apply_of(report, tmp_path, *words):
+    """Exit status of applying a report of the datasheet."""
+    (tmp_path / "gap.json").write_text(json.dumps(MIXTURE | report))
+    (tmp_path / "rig.toml").write_text(to_toml(SHEET))
+    paths = ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "twin.toml")]
+    return run(["gap", "apply", str(tmp_path / "gap.json"), *paths, *words])
+
+
+def test_apply_warns_of_effects_that_the_data_do_not_tell_from_the_added_one(tmp_path, capsys):
+    """The twin is written, as the diagnosis named one of them; whoever uses it has to know that it may be another."""
+    assert apply_of(OPEN, tmp_path) == 0
+    (warning,) = capsys.readouterr().err.splitlines()
+    assert warning.startswith("warning: the data do not tell sensor lag from loop delay (")
+    assert "one of these 97 %" in warning
+    assert "eddy currents" not in warning, "fits as well, but is far less likely"
+    assert parse((tmp_path / "twin.toml").read_text()).effects[0][0] == "sensor_lag"
+    assert apply_of(OPEN, tmp_path, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["not_told_apart"] == {"sensor_lag": ["loop_delay"]}
+    assert told["probability"] == 0.97
+    assert told["warnings"] == [warning.removeprefix("warning: ")]
+
+
+@pytest.mark.parametrize("classes", [[], [["sensor_lag", "eddy_currents"]]])
+def test_apply_says_nothing_where_one_effect_is_left(classes, tmp_path, capsys):
+    assert apply_of(OPEN | {"verdict": OPEN["verdict"] | {"indistinguishable": classes}}, tmp_path, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["not_told_apart"] == {}
+    assert told["warnings"] == []
+
+
+def test_of_a_mixture_each_effect_has_the_ones_that_may_be_in_its_place():
+    """What was not fitted with the mixture's other effects, as an exact alias, is not known to be less likely."""
+    classes = [["loop_delay", "amplifier_bandwidth"], ["sensor_lag", "eddy_currents"]]
+    fitted = [c | {"log_evidence": -10.0} for c in MIXTURE["candidates"]]
+    rival = {"effect": "loop_delay+eddy_currents", "log_evidence": -20.0, "parameters": {}}
+    report = MIXTURE | {"verdict": MIXTURE["verdict"] | {"indistinguishable": classes}}
+    assert not_told_apart(report | {"candidates": [*fitted, rival]}) == {"loop_delay": ["amplifier_bandwidth"]}
+    assert not_told_apart(report) == {"loop_delay": ["amplifier_bandwidth"], "sensor_lag": ["eddy_currents"]}
 
 
 def test_a_report_of_another_datasheet_is_told_to_be_one(tmp_path, capsys):

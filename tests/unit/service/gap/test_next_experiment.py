@@ -14,14 +14,16 @@ from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.nuisance import nuisance
 from service.gap.measured.observation import observe
-from service.gap.next_experiment import Proposal, only_fainter, submission
+from service.gap.next_experiment import Proposal, _outlook, only_fainter, submission, turning_damping
 from service.gap.proposal.case import Grounds, limits_of
 from service.gap.proposal.options import Option, options
+from service.gap.proposal.safety import require_levitation
 from service.gap.proposal.sensor_noise import SensorNoise
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import Verdict
-from service.gap.which.rivals import pair_to_separate
+from service.gap.which.rivals import pair_to_separate, turning_with_the_shaft
 from service.jobs.campaigns import profile_of
+from sim.errors import LevitationError
 from sim.twin import with_effects
 from tests.support.synthetic import known_datasheet, sweep, true_rig
 
@@ -38,6 +40,7 @@ def explanation(evidence: float, **values: dict[str, float]) -> Ranked:
     return Ranked(Candidate(effects, fit, 0.0, tuple({} for _ in effects)), evidence, 0.9, 0.0)
 
 
+SEEN_SPEED = next(o for o in options(SEEN.sweeps, TWIN, SEEN.limits) if o.name == "speed")
 DAMPED = explanation(0.0, modal_damping={"mode1_log_ratio": 1.5, "mode2_log_ratio": 1.5})
 ALIASES = Verdict("effect", ("modal_damping",), (("modal_damping", "internal_damping"),), 0.9, ())
 
@@ -117,3 +120,42 @@ def test_less_amplitude_is_asked_for_only_where_something_does_not_answer_in_pro
     assert only_fainter(fainter, lag, delay)
     assert not only_fainter(fainter, lag, bent)
     assert not only_fainter(replace(fainter, amplitude=2.0), lag, delay)
+
+
+def slow_mode(hz: float) -> Candidate:
+    """Damping of a mode that the rotor would pass on the way to fifty revolutions a second."""
+    first, *rest = TWIN.rotor.modes[0]
+    shape = (0.02, -0.02)
+    slow = replace(first, natural_frequency_rad_s=2 * np.pi * hz, shape_at_bearings=shape, shape_at_sensors=shape)
+    rig = replace(TWIN, rotor=replace(TWIN.rotor, modes=((slow, *rest),) * 2))
+    values = {"mode1_log_ratio": 3.0, "mode2_log_ratio": 0.0}
+    fit = replace(DAMPED.candidate.fit, values=(values,), rig=with_effects(rig, {"modal_damping": values}))
+    return replace(DAMPED.candidate, fit=fit)
+
+
+def test_no_rotor_is_brought_to_a_speed_at_which_an_explanation_in_question_is_unstable() -> None:
+    """Nor where one beside the pair is: what damps it may as well turn with the shaft, whatever the rival is."""
+    still = slow_mode(35.0)
+    turning = turning_with_the_shaft(still)
+    assert turning is not None
+    fast = replace(SEEN_SPEED, speed_rad_s=2 * np.pi * 50)
+    slow = replace(SEEN_SPEED, speed_rad_s=2 * np.pi * 20)
+    require_levitation([fast.rig(still.fit.rig), slow.rig(still.fit.rig), slow.rig(turning.fit.rig)])
+    with pytest.raises(LevitationError):
+        require_levitation([fast.rig(turning.fit.rig)])
+    assert _outlook(NU, still, turning, SEEN, fast) is None
+    assert _outlook(NU, still, turning, SEEN, slow) is not None
+    magnets = replace(TWIN.magnets, ks=10 * TWIN.magnets.ks)
+    unheld = replace(still, fit=replace(still.fit, rig=replace(TWIN, magnets=magnets)))
+    assert _outlook(NU, still, turning, SEEN, slow, [unheld]) is None
+    assert [c.effects for c in turning_damping([still])] == [("internal_damping",)]
+    assert turning_damping([explanation(0.0, loop_delay={"delay_s": 2e-5}).candidate]) == []
+
+
+def test_the_proposed_speed_is_one_that_the_rival_holds_too() -> None:
+    pair = (still := slow_mode(35.0)), turning_with_the_shaft(still)
+    assert pair[1] is not None
+    proposal = Proposal(NU, pair, SEEN, "rig 1", FITTER).document()
+    assert proposal is not None
+    assert proposal["experiment"] == "speed"
+    assert 0 < 1.2 * proposal["speed_rad_s"] < 2 * np.pi * 35

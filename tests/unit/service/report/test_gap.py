@@ -84,6 +84,9 @@ def diagnosis() -> Diagnosis:
             "distance_sd": 14.2,
             "odds_of_telling_apart": 0.99,
             "tones": [{"axis": "xA", "frequency_hz": 1500.0, "amplitude_a": 0.25}],
+            "by_hand": ["bring the rotor to 30 rev/s and hold it"],
+            "command": "ambit submit experiment --rig reference",
+            "job": {"kind": "experiment"},
             "alternatives": [{"experiment": "larger_amplitude", "distance_sd": 1.5}],
         },
         notes=("two sweeps only",),
@@ -293,6 +296,7 @@ def test_the_next_experiment_is_ready_to_submit(diagnosis):
     page = gap_page(diagnosis)
     assert "from 1 kHz up to 3 kHz" in page
     assert ">1500<" in page
+    assert 0 < page.find("by hand: bring the rotor to 30 rev/s") < page.find("ambit submit experiment --rig reference")
 
 
 def test_the_gap_closes_down_to_the_noise(diagnosis):

@@ -130,3 +130,13 @@ def test_floors_follow_the_planned_signal_and_noise_does_not(times: float) -> No
 def test_a_rig_that_does_not_levitate_there_is_no_case() -> None:
     with pytest.raises(LevitationError):
         case(replace(OPTIONS["set_point"], offset=0.8), RIG, RIG, KNOWN)
+
+
+def test_a_moved_set_point_is_displacement_and_no_tone_about_it_exceeds_the_limit(cases: dict[str, Case]) -> None:
+    main, shift = cases["set_point"].main, OPTIONS["set_point"].shift_m(RIG)
+    assert main.Y[:, main.harmonics.index(0)].real == pytest.approx(np.tile(shift, (len(main.axis), 1)), abs=1e-7)
+    tight = replace(KNOWN, limits=limits_of(replace(SHEET, displacement_limit_m=1.02 * float(shift.max()))))
+    assert case(OPTIONS["set_point"], RIG, RIG, tight) is None
+    (here,) = [o for o in options(KNOWN.sweeps, RIG, tight.limits) if o.name == "set_point"]
+    assert here.offset < OPTIONS["set_point"].offset
+    assert case(here, RIG, RIG, tight) is not None
