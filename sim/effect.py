@@ -203,7 +203,7 @@ class Effect:
         return self.apply(rig, {name: values.get(name, p.typical) for name, p in known.items()})
 
     def of(self, rig: Rig) -> Effect:
-        """The effect with the ranges of its parameters scaled to a rig, without those of axes and modes that it has not."""
+        """The effect with its ranges scaled to a rig, without parameters of axes and modes that the rig has not."""
         used = (p for p in self.parameters if p.dormant or p.needs is None or p.needs(rig))
         return replace(self, parameters=tuple(p.of(rig) for p in used))
 

@@ -31,7 +31,7 @@ from service.gap.where.discrepancy import discrepancy
 from service.gap.where.where import locate
 from service.gap.which.beyond_tolerance import OFF_TOLERANCES
 from service.gap.which.explained import Explained
-from service.gap.which.rivals import pair_to_separate
+from service.gap.which.rivals import in_question, pair_to_separate
 from service.gap.with_interference import runout_notes, scatter_shrinkage, with_interference
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -141,7 +141,8 @@ def _diagnosis(
     if chosen is not likely:
         loop = fitter.beside(partial(loop_of, nu, null, chosen, o))
     pair = pair_to_separate(whole.order, verdict) if propose else None
-    proposal = _proposal(pair, data, datasheet, rig, fitter) if pair else None
+    others = in_question(whole.order, verdict) if pair else []
+    proposal = _proposal(pair, others, data, datasheet, rig, fitter) if pair else None
     shrunk = _shrinkages(whole, data, found, verdict, sources)
     where = locate(found.parts, data.unseen, verdict.effects, sources, verdict.unexplained, verdict.nonlinear)
     diagnosis = Diagnosis(
@@ -168,14 +169,19 @@ def _diagnosis(
 
 
 def _proposal(
-    pair: tuple[Candidate, Candidate], data: Observed, datasheet: Datasheet, rig: str, fitter: Fitter
+    pair: tuple[Candidate, Candidate],
+    others: Sequence[Candidate],
+    data: Observed,
+    datasheet: Datasheet,
+    rig: str,
+    fitter: Fitter,
 ) -> Proposal:
-    """The search for the experiment that separates two explanations, begun."""
+    """The search for the experiment that separates two explanations, safe with the others in question, begun."""
     # with the campaign that it rehearses: takes a while to load, and only what is left together needs it
     from service.gap.next_experiment import Proposal
     from service.gap.proposal.case import Grounds
 
-    return Proposal(data.nuisance, pair, Grounds.of(data, datasheet), rig, fitter)
+    return Proposal(data.nuisance, pair, Grounds.of(data, datasheet), rig, fitter, others)
 
 
 def _fitted(found: Found, effect: str) -> bool:

@@ -45,6 +45,14 @@ def pair_to_separate(order: Sequence[Ranked], verdict: Verdict) -> tuple[Candida
     return None
 
 
+def in_question(order: Sequence[Ranked], verdict: Verdict) -> list[Candidate]:
+    """All explanations that the verdict's alias classes leave: the chosen one with an alias in place of one effect."""
+    by_effects = {frozenset(r.candidate.effects): r.candidate for r in order}
+    named = set(verdict.effects)
+    swapped = (named - {*group} | {other} for group in verdict.indistinguishable for other in group)
+    return [by_effects[effects] for effects in dict.fromkeys(map(frozenset, swapped)) if effects in by_effects]
+
+
 def turning_with_the_shaft(c: Candidate) -> Candidate | None:
     """A twin that is the same at standstill, with the damping that it has gained as internal damping.
 

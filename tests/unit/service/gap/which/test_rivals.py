@@ -7,7 +7,9 @@ import pytest
 
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
-from service.gap.which.rivals import turning_with_the_shaft
+from service.gap.weighing.ranking import Ranked
+from service.gap.weighing.verdict import Verdict
+from service.gap.which.rivals import in_question, turning_with_the_shaft
 from sim.effects import CATALOGUE
 from sim.twin import linear_model, rig_from_datasheet
 from tests.support.synthetic import known_datasheet
@@ -49,3 +51,22 @@ def test_damping_that_already_turned_stays_as_it_was() -> None:
 @pytest.mark.parametrize(("damping_ratio", "log_ratio"), [(0.001, 3.5), (0.005, 2.2), (0.01, 1.6)])
 def test_more_than_a_shaft_loses_inside_is_no_rival(damping_ratio: float, log_ratio: float) -> None:
     assert turning_with_the_shaft(gained(damping_ratio, log_ratio)) is None
+
+
+def test_every_explanation_that_the_classes_leave_is_in_question() -> None:
+    """A rotor must be safe with any of them, not only with the likeliest two."""
+    base = gained(0.001, 1.0)
+
+    def ranked(*effects: str) -> Ranked:
+        return Ranked(replace(base, effects=effects, fit=replace(base.fit, effects=effects)), 0.0, 0.1, 0.0)
+
+    order = [
+        ranked("eddy_currents", "sensor_gain"),
+        ranked("loop_delay", "sensor_gain"),
+        ranked("sensor_gain"),
+        ranked(),
+    ]
+    order.append(ranked("sensor_gain", "sensor_lag"))
+    group = ("eddy_currents", "sensor_lag", "loop_delay")
+    verdict = Verdict("effects", ("eddy_currents", "sensor_gain"), (group,), 0.9, ())
+    assert [set(c.effects) - {"sensor_gain"} for c in in_question(order, verdict)] == [{name} for name in group]
