@@ -24,6 +24,8 @@ Complex = NDArray[np.complex128]
 
 OF_THAT_MODE = 0.01
 """Relative distance of a named resonance from a mode of the datasheet up to which a note asks to check that mode."""
+NEAR = 0.1
+"""Relative distance from a mode within which a line shows whether the mode is as stated."""
 AS_STATED = 0.2
 """Relative difference of a gyroscopic moment from that of the datasheet up to which the speed needs no check."""
 SCALED = 0.005
@@ -128,6 +130,18 @@ def _tells_apart(one: Rig, other: Rig, o: Observation) -> bool:
     """Whether a sweep tells two rigs apart by its displacements."""
     change = displacement(at_speed_of(other, o), o) - displacement(at_speed_of(one, o), o)
     return float(np.sum(np.abs(change * weight(o, "y")[:, o.fundamental]) ** 2)) > CLEAR_CHI_SQUARE
+
+
+def unseen_modes(datasheet: Rig, sweeps: Sequence[Observation]) -> list[str]:
+    """Modes of the datasheet that no line comes near, in words: of them a twin without a gap says nothing."""
+    lines_hz = np.concatenate([o.frequency_hz for o in sweeps])
+    modes_hz = sorted({m.natural_frequency_rad_s / (2 * np.pi) for plane in datasheet.rotor.modes for m in plane})
+    unseen = [hz for hz in modes_hz if np.abs(np.log(lines_hz / hz)).min() > NEAR]
+    if not unseen:
+        return []
+    modes = ", ".join(f"{hz:.4g}" for hz in unseen)
+    band = f"{lines_hz.min():.3g} to {lines_hz.max():.4g} Hz"
+    return [f"of the datasheet's modes at {modes} Hz nothing is said: no line comes near them in the {band} measured"]
 
 
 def one_point(parts: Sequence[Explained], unseen: Observation, names: tuple[str, str]) -> list[str]:

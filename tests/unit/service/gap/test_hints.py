@@ -17,7 +17,7 @@ from service.gap.document import gap_document, sentence
 from service.gap.fitting.candidates import Candidate
 from service.gap.fitting.fitted import Fit
 from service.gap.fitting.part import Ground
-from service.gap.hints import hints, unsettled_lines
+from service.gap.hints import hints, unseen_modes, unsettled_lines
 from service.gap.measured.observation import GapError, observe
 from service.gap.which.explained import Explained
 from sim.datasheet import Datasheet
@@ -85,6 +85,16 @@ def test_lines_at_which_the_rig_still_rang_are_named_where_most_is_left_there(
 def test_a_clean_rig_has_no_bad_point() -> None:
     d = diagnose(*one_plane(MEASURED, SHEET))
     assert not any("measure it again" in note for note in d.notes)
+
+
+@pytest.mark.parametrize(("highest_hz", "unseen"), [(100.0, 2), (600.0, 1), (1000.0, 0)])
+def test_a_mode_that_no_line_comes_near_is_told_where_there_is_no_gap(highest_hz: float, unseen: int) -> None:
+    rig = rig_from_datasheet(SHEET)
+    o = replace(observe(MEASURED.main, rig), frequency_hz=np.geomspace(10.0, highest_hz, 120))
+    notes = unseen_modes(rig, (o,))
+    modes_hz = {m.natural_frequency_rad_s / (2 * np.pi) for plane in rig.rotor.modes for m in plane}
+    assert len(notes) == min(unseen, 1)
+    assert [f"{hz:.4g}" in "".join(notes) for hz in sorted(modes_hz)] == [hz > highest_hz for hz in sorted(modes_hz)]
 
 
 def measured_turning(sheet: Datasheet, at_rad_s: float, stated_rad_s: float) -> Experiment:
