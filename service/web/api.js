@@ -23,6 +23,11 @@ function headers(more) {
   return key() ? { ...more, Authorization: "Bearer " + key() } : { ...more };
 }
 
+// Of one wish; crypto.randomUUID is only where a context is secure, and over plain HTTP on a network none is.
+function newId() {
+  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
 async function answer(path, options) {
   const response = await fetch(path, options);
   if (response.ok) return response;
@@ -36,7 +41,7 @@ export async function get(path, signal) {
 }
 
 export async function post(path, body) {
-  const more = body === undefined ? {} : { "Content-Type": "application/json", "Idempotency-Key": crypto.randomUUID() };
+  const more = body === undefined ? {} : { "Content-Type": "application/json", "Idempotency-Key": newId() };
   const response = await answer(ROOT + path, {
     method: "POST",
     headers: headers(more),

@@ -18,9 +18,11 @@ from typing import Any
 
 from tests.support.browser import BROWSER, QUIET
 
+HOST = "rotor.test"
+"""A name of this machine in the browser: over plain HTTP a page from there has no secure context, as on a network."""
 OPTIONS = (
     *QUIET,
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    f"--host-resolver-rules=MAP {HOST} 127.0.0.1, MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--window-size=1200,2400",
     "--remote-debugging-pipe",
 )
