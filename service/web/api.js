@@ -5,8 +5,13 @@ const KEY = "ambit-key";
 
 export class Problem extends Error {
   constructor(status, body) {
-    super((body && (body.detail || body.title)) || "the service answered " + status);
-    this.status = status;
+    super((body && (body.detail || body.title)) || (status ? "the service answered " + status : "the service does not answer"));
+    this.status = status; // 0: there was no answer
+  }
+
+  // Whether the same request may be answered in a while: a service restarts, a network is away.
+  get passing() {
+    return this.status === 0 || this.status === 429 || this.status >= 500;
   }
 }
 
@@ -29,7 +34,7 @@ function newId() {
 }
 
 async function answer(path, options) {
-  const response = await fetch(path, options);
+  const response = await fetch(path, options).catch((error) => { throw error.name === "AbortError" ? error : new Problem(0); });
   if (response.ok) return response;
   let body = null;
   try { body = await response.json(); } catch { /* not ours: the status says enough */ }
@@ -91,7 +96,7 @@ export async function events(path, heard, signal) {
         if (["done", "failed", "cancelled"].includes(data.state)) return;
       }
     } catch (error) {
-      if (signal.aborted || (error instanceof Problem && error.status < 500 && error.status !== 429)) return;
+      if (signal.aborted || (error instanceof Problem && !error.passing)) return;
     }
     await new Promise((go) => setTimeout(go, pause));
     pause = Math.min(2 * pause, 10000);

@@ -36,10 +36,10 @@ class Context {
   }
 }
 
-function told(error) {
+function told(error, more = "") {
   if (error && error.name === "AbortError") return;
   problem.hidden = !error;
-  problem.textContent = error ? error.message : "";
+  problem.textContent = error ? error.message + more : "";
   if (error instanceof Problem && error.status === 401) form.hidden = false;
 }
 
@@ -122,7 +122,10 @@ async function show() {
     if (context.signal.aborted) return;
     // What stood here before is of another address; at the same one it is still the last that is known.
     if (document.documentElement.getAttribute("data-shown") !== (location.hash || "#/")) view.replaceChildren();
-    told(error);
+    // What was refused stays so; anything else is asked again, or the page would stay as it is though the service is back.
+    const again = !(error instanceof Problem) || error.passing;
+    if (again) context.every(BUSY_MS, context.refresh);
+    told(error, again ? "; this page asks again by itself" : "");
   }
 }
 
