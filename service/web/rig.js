@@ -191,10 +191,14 @@ async function schedule(found, context) {
   if (!found.length) return [nothing("No schedule: this rig is checked when somebody asks.")];
   const runs = await Promise.all(found.map((s) => get("/schedules/" + s.id + "/runs?limit=30", context.signal)));
   const rows = found.map((s, k) => {
-    const missed = runs[k].items.filter((r) => r.state === "missed");
+    const lost = runs[k].items.filter((r) => r.state !== "submitted"); // missed or refused: the rig was not checked
     const none = runs[k].items.length ? "none of the last " + runs[k].items.length : "no run yet";
-    const last = missed.length ? h("span", {}, state("missed"), " " + missed.length + ", last ", when(missed[0].due_at)) : none;
+    const last = lost.length ? notMade(lost[0], lost.length + " of the last " + runs[k].items.length) : none;
     return [s.cron + " " + s.timezone, s.enabled ? when(s.next_at) : "off", last, s.webhook ? s.webhook.url : ""];
   });
-  return [table(["schedule", "next", "missed", "webhook"], rows)];
+  return [table(["schedule", "next", "not made", "webhook"], rows)];
+}
+
+function notMade(newest, many) {
+  return h("div", { class: "told" }, h("div", {}, many + ", newest ", state(newest.state), " ", when(newest.due_at)), h("div", {}, newest.detail));
 }

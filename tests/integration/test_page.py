@@ -234,6 +234,44 @@ def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
 
 
 @needs_browser
+@pytest.mark.parametrize(
+    ("states", "told"),
+    [
+        (["refused", "refused", "missed", "submitted"], "3 of the last 4, newest refused"),
+        (["submitted", "missed", "refused"], "2 of the last 3, newest missed"),
+        (["submitted", "submitted"], "none of the last 2"),
+    ],
+)
+def test_a_schedule_says_how_many_checks_were_not_made_and_why_the_newest_was_not(service, states, told):
+    """One that is refused each time leaves its rig unchecked as one that is missed does."""
+    why = {"refused": "the rig has no model to compare with", "missed": "the service was <b>down</b>", "submitted": ""}
+    with service.services.database.write() as session:
+        rig = rigs.create(session, f"checked by the clock, {told}", to_toml(SHEET), NOBODY, "", "local").id
+        schedule = ScheduleRow(
+            id=new_id("sch"), rig_id=rig, cron="0 6 * * *", options={}, enabled=True, next_at=now(),
+            created_at=now(), updated_at=now(), created_by="local",
+        )  # fmt: skip
+        session.add(schedule)
+        session.flush()
+        for day, state in enumerate(states):
+            due = now() - timedelta(days=day)
+            session.add(
+                ScheduleRunRow(
+                    schedule_id=schedule.id, due_at=due, state=state, detail=f"{why[state]}, {day}", recorded_at=due
+                )
+            )
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{rig}")
+        page.until("document.querySelectorAll('main section').length === 5")
+        found = page.run("[...document.querySelectorAll('main section')].pop().innerText")
+        assert told in found
+        newest = next((day for day, state in enumerate(states) if state != "submitted"), None)
+        reasons = [f"{why[state]}, {day}" for day, state in enumerate(states)]
+        assert [reason in found for reason in reasons] == [day == newest for day in range(len(states))]
+        assert page.complaints == []
+
+
+@needs_browser
 def test_one_check_is_told_in_figures_as_it_is_no_trend(service, ids):
     with tab() as page:
         page.open(f"{service.url}/#/rig/{ids['second']}")
