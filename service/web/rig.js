@@ -10,8 +10,8 @@ export async function rig(id, context) {
   const signal = context.signal;
   const of = "?rig=" + encodeURIComponent(id);
   const [found, jobs, models, gaps, checks, trend, schedules, experiments, failures] = await Promise.all([
-    get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&limit=1", signal),
-    get("/gaps" + of + "&limit=1", signal), get("/health-checks" + of + "&newest=true", signal),
+    get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&newest=true", signal),
+    get("/gaps" + of + "&newest=true", signal), get("/health-checks" + of + "&newest=true", signal),
     get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
     get("/experiments" + of + "&limit=200", signal), get("/jobs" + of + "&kind=health&state=failed&newest=true", signal),
   ]);

@@ -18,9 +18,9 @@ from service.config import Settings
 from service.health.compare import Baseline, compare
 from service.jobs.calculations import model_summary
 from service.report.curves import curves
-from service.storage import jobs, rigs
+from service.storage import jobs, results, rigs
 from service.storage.database import now
-from service.storage.ids import new_id
+from service.storage.ids import derived_id, new_id
 from service.storage.tables import ExperimentRow, GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
 from sim.reference import reference_rig
 from sim.rig_file import to_toml
@@ -230,6 +230,46 @@ def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
         page.run("document.getElementById('entry').value = 1")
         page.run("document.getElementById('entry').dispatchEvent(new Event('change'))")
         assert page.run("document.getElementById('entry').selectedOptions[0].text") == "y xA / u xB"
+        assert page.complaints == []
+
+
+@needs_browser
+def test_a_rig_shows_the_model_and_the_diagnosis_that_were_made_last(service, ids):
+    """The first of two commissionings is tried again after the second one; checks compare with what it then finds."""
+    database, blobs = service.services.database, service.services.blobs
+    with database.write() as session:
+        rig = rigs.create(session, "commissioned twice", to_toml(SHEET), "", "", "local")
+        submitted = [jobs.submit(session, "experiment", rig.id, 1, "laptop").id for _ in range(2)]
+        for job, told, days in ((submitted[1], "the second's", 1), (submitted[0], "the first's, tried again", 0)):
+            common = {"rig_id": rig.id, "rig_version": 1, "created_at": now() - timedelta(days=days), "job_id": job}
+            experiment = ExperimentRow(
+                id=derived_id("exp", job), source="measured", complete=True, file_bytes=4, created_by="laptop",
+                file_sha256="0" * 64, media_type="application/x-hdf5", file_name="e.h5", summary={}, **common,
+            )  # fmt: skip
+            session.add(experiment)
+            session.flush()
+            summary = model_summary({**result(), **VERDICT, "sentence": f"The model is {told}."})
+            plots = blobs.put(json.dumps(curves(commissioned(), SHEET)).encode())
+            verdict = {**GAP["verdict"], "sentence": f"The diagnosis is {told}."}
+            model = ModelRow(
+                id=derived_id("mod", job), experiment_id=experiment.id, created_by="laptop", result_sha256="0" * 64,
+                report_sha256="0" * 64, plots_sha256=plots, summary=summary, **common,
+            )  # fmt: skip
+            session.add(model)
+            session.add(
+                GapRow(
+                    id=derived_id("gap", job), experiment_id=experiment.id, created_by="laptop",
+                    gap_sha256=blobs.put(json.dumps({**GAP, "verdict": verdict}).encode()), report_sha256="0" * 64,
+                    summary={"verdict": "effect", "gap_before": 0.12, "noise_floor": 0.001, "closure": 0.98}, **common,
+                )
+            )  # fmt: skip
+            session.flush()
+        assert results.baseline(session, rig).id == model.id
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{rig.id}")
+        page.until("document.querySelector('#bode[data-drawn]') && document.querySelector('#gap[data-drawn]')")
+        assert "The model is the first's, tried again." in page.text()
+        assert "The diagnosis is the first's, tried again." in page.text()
         assert page.complaints == []
 
 

@@ -19,7 +19,7 @@ from service.access.keys import Identity
 from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
-from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.lists import Asked, Listed, OfRig, asked_by_making
 from service.api.once import Answer, once
 from service.api.problems import MediaTypeError, TooLargeError, documented
 from service.api.resources import examples
@@ -235,7 +235,7 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name
 def list_experiments(
     who: Viewer,
     api: Api,
-    asked: Annotated[Asked[str], asked_of("exp")],
+    asked: Annotated[Asked[str], asked_by_making("exp")],
     rig: OfRig = None,
 ) -> Response:
     """All experiments, newest first."""
