@@ -13,7 +13,7 @@ export async function rig(id, context) {
     get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&newest=true", signal),
     get("/gaps" + of + "&newest=true", signal), get("/health-checks" + of + "&newest=true", signal),
     get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
-    get("/experiments" + of + "&limit=200", signal), get("/jobs" + of + "&kind=health&state=failed&newest=true", signal),
+    get("/experiments" + of + "&purpose=commissioning&complete=true&limit=1", signal), get("/jobs" + of + "&kind=health&state=failed&newest=true", signal),
   ]);
   const names = new Map([[id, found.name]]);
   return [
@@ -23,7 +23,7 @@ export async function rig(id, context) {
     actions(found, context),
     section("Jobs", tables.jobs(jobs.items, names, context)),
     section("Model", ...(await model(models.items[0], context))),
-    section("Gap between rig and twin", ...(await gap(gaps.items[0], context)), diagnose(found, experiments.items, context)),
+    section("Gap between rig and twin", ...(await gap(gaps.items[0], context)), diagnose(found, experiments.items[0], context)),
     section("Health", tables.failedCheck(checks.items[0], failures.items[0]), ...health(checks.items[0], trend, context)),
     section("Schedules", ...(await schedule(schedules.items, context))),
   ];
@@ -125,8 +125,8 @@ async function model(found, context) {
   ];
 }
 
-function diagnose(found, experiments, context) {
-  const whole = experiments.find((e) => e.complete && e.purpose === "commissioning"); // the newest
+// Of the newest whole commissioning.
+function diagnose(found, whole, context) {
   if (!whole || found.retired_at) return "";
   return h("p", { class: "row" },
     h("button", { class: "diagnose", onclick: submit("gap", { rig: found.id, experiment: whole.id }, context) }, "Diagnose the gap"),

@@ -476,6 +476,31 @@ def test_the_gap_is_diagnosed_from_the_page_and_told_there(service, ids):
 
 
 @needs_browser
+def test_the_gap_is_diagnosed_from_the_page_however_often_the_rig_was_checked_since(service):
+    with service.services.database.write() as session:
+        rig = rigs.create(session, "checked daily", to_toml(SHEET), "", "", "local").id
+        made = []
+        for purpose, complete in (("commissioning", True), ("commissioning", False), *[("health", True)] * 201):
+            row = ExperimentRow(
+                id=new_id("exp"), rig_id=rig, rig_version=1, source="measured", purpose=purpose, complete=complete,
+                file_sha256="0" * 64, file_bytes=1, media_type="application/x-hdf5", file_name="e.h5", summary={},
+                created_at=now(), created_by="local",
+            )  # fmt: skip
+            session.add(row)
+            made.append(row.id)
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{rig}")
+        page.until("document.querySelectorAll('main section').length === 5")
+        assert page.run("document.querySelectorAll('button.diagnose').length") == 1
+        page.run("document.querySelector('button.diagnose').click()")
+        page.until("location.hash.startsWith('#/job/') && document.querySelector('.state.queued')")
+        submitted = page.run("location.hash").removeprefix("#/job/")
+        assert page.complaints == []
+    with service.services.database.read() as session:
+        assert jobs.get(session, submitted).experiment_id == made[0]
+
+
+@needs_browser
 def test_a_job_that_failed_is_tried_again_from_the_page(service, ids):
     with service.services.database.write() as session:
         job = jobs.submit(session, "gap", ids["rig"], 1, "laptop")
