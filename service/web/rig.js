@@ -33,8 +33,13 @@ function live(found, context) {
   const place = h("div", { id: "live" });
   if (!found.controller_url) return nothing("This rig has no controller: experiments are uploaded.");
   const show = async () => {
-    const now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => ({ reachable: false, detail: error.message }));
+    const now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => error);
     if (context.signal.aborted) return;
+    if (now instanceof Error) { // of the service: of the controller nothing is known
+      place.replaceChildren(h("p", { class: "note" }, "What it does now is not known: " + now.message));
+      if (now.status === 401) context.told(now);
+      return;
+    }
     if (!now.reachable) {
       place.replaceChildren(h("p", { class: "note" }, "The controller does not answer: " + now.detail));
       return;
@@ -118,8 +123,8 @@ async function model(found, context) {
   return [
     found.summary.sentence ? h("p", { class: "lead " + (found.summary.tone || "") }, found.summary.sentence) : "",
     notes.length ? h("details", { class: "notes" }, h("summary", {}, notes.length === 1 ? "1 note" : notes.length + " notes"), h("ul", {}, notes.map((text) => h("li", {}, text)))) : "",
-    h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html"), " · ",
-      documentLink(path + "/result.json", "result.json", "result.json")),
+    h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html", context), " · ",
+      documentLink(path + "/result.json", "result.json", "result.json", context)),
     table(["figure", ...planes.map((p) => "plane " + p), "datasheet"], [...rows.values()], [...planes.keys()].map((k) => k + 1).concat(planes.length + 1)),
     h("p", { class: "row" }, h("label", { for: "entry" }, "Response"), choice), place,
   ];
@@ -143,7 +148,7 @@ async function gap(found, context) {
   const tone = { no_gap: "", effect: "warn", effects: "warn", none_of_these: "bad" }[verdict.kind];
   return [
     h("p", { class: "lead " + tone }, verdict.sentence || verdict.kind),
-    h("p", { class: "about" }, "Diagnosed ", when(found.created_at), " · ", documentLink("/gaps/" + found.id + "/report.html", "report", "gap.html")),
+    h("p", { class: "about" }, "Diagnosed ", when(found.created_at), " · ", documentLink("/gaps/" + found.id + "/report.html", "report", "gap.html", context)),
     table(["gap before", "noise floor", "closed by what was found"], [[
       number(100 * found.summary.gap_before, 3) + " %", number(100 * found.summary.noise_floor, 3) + " %",
       closure === null || closure === undefined ? "–" : fixed(100 * closure, 0) + " %",
@@ -169,7 +174,7 @@ function health(found, trend, context) {
   return [
     h("p", { class: "lead " + (found.alarm ? "bad" : found.zone_calm ? "" : "warn") }, found.sentence),
     h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + (once ? " check · " : " checks · "),
-      documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html")),
+      documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html", context)),
     steady.length ? h("p", { class: "note" }, "Changes steadily: " + steady.join(", ")) : "",
     unknown.length ? h("p", { class: "note" }, "Known too badly to be followed: " + unknown.map(([name]) => name).join(", ")) : "",
     once ? only(followed) : places,

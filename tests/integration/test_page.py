@@ -28,7 +28,7 @@ from tests.support.browser import BROWSER
 from tests.support.commissioned import AXES, LAW, SHEET, commissioned, plan, result
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.serving import Serving, serving
-from tests.support.tab import HOST, Tab, tab
+from tests.support.tab import HOST, tab
 
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 NOBODY = "modbus://127.0.0.1:9?unit=1"
@@ -181,13 +181,6 @@ def test_nothing_but_its_files_is_served(service, name):
 
 
 # ---- in a browser
-
-
-def show_key(page: Tab, key: str) -> None:
-    """Give the page the key that it asks for."""
-    page.until("!document.getElementById('key').hidden")
-    page.run(f"document.getElementById('key-text').value = {json.dumps(key)}")
-    page.run("document.getElementById('key').requestSubmit()")
 
 
 @needs_browser
@@ -553,9 +546,9 @@ def test_a_service_with_keys_asks_for_one_and_keeps_it_in_the_tab(tmp_path):
         page.open(f"{service.url}/")
         page.until("!document.getElementById('key').hidden")
         assert "bench 7" not in page.text()
-        show_key(page, key[:-1] + "x")
+        page.show_key(key[:-1] + "x")
         page.until("!document.getElementById('problem').hidden")
-        show_key(page, key)
+        page.show_key(key)
         page.until("document.body.innerText.includes('bench 7')")
         assert page.run("document.getElementById('key').hidden")
         assert page.run("localStorage.length + document.cookie.length") == 0
@@ -568,7 +561,7 @@ def test_a_job_is_submitted_from_a_page_that_another_machine_shows_over_plain_ht
         with service.services.database.write() as session:
             rig = rigs.create(session, "bench 7", to_toml(SHEET), NOBODY, "", "local").id
         page.open(f"{service.url.replace('127.0.0.1', HOST)}/#/rig/{rig}")
-        show_key(page, service.key())
+        page.show_key(service.key())
         page.until("document.querySelector('button.commission')")
         assert not page.run("isSecureContext"), "on the machine itself a browser offers more"
         for _ in range(2):

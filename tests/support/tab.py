@@ -77,6 +77,12 @@ class Tab:
             assert time.monotonic() < deadline, f"{script} did not come true; {self.complaints}; {self.text()[:2000]}"
             time.sleep(0.05)
 
+    def show_key(self, key: str) -> None:
+        """Give the service's page the key that it asks for."""
+        self.until("!document.getElementById('key').hidden")
+        self.run(f"document.getElementById('key-text').value = {json.dumps(key)}")
+        self.run("document.getElementById('key').requestSubmit()")
+
     def narrow(self, width: int) -> None:
         """A window of a phone's width, px."""
         size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": True}
