@@ -62,22 +62,23 @@ export function progress(job) {
 function cancel(job, context) {
   const button = h("button", { class: "danger", disabled: job.cancel_requested }, job.cancel_requested ? "stopping" : "Cancel");
   button.addEventListener("click", () => context.doing(async () => {
-    button.disabled = true;
-    await post("/jobs/" + job.id + "/cancel");
+    button.disabled = true; // until the job says that it stops
+    await post("/jobs/" + job.id + "/cancel").catch((error) => { button.disabled = false; throw error; });
   }));
   return button;
 }
 
 function retry(job, context) {
   const button = h("button", { class: "retry" }, "Try again");
-  button.addEventListener("click", async () => {
+  button.addEventListener("click", () => context.doing(async () => {
     if (MOVING.includes(job.kind)) {
       const rig = await get("/rigs/" + job.rig, context.signal);
       if (!(await confirmed("Try the " + job.kind + " on " + rig.name + " again?", motion(job.kind, rig), rig.controller_url))) return;
     }
     button.disabled = true;
-    context.doing(() => post("/jobs/" + job.id + "/retry").then(context.refresh).finally(() => { button.disabled = false; }));
-  });
+    await post("/jobs/" + job.id + "/retry").finally(() => { button.disabled = false; });
+    context.refresh();
+  }));
   return button;
 }
 

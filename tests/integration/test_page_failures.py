@@ -135,6 +135,37 @@ def test_a_stop_that_was_not_done_stays_told_when_the_service_is_back(settings, 
             assert page.run(f"{PROBLEM}.hidden"), "it is of the page that was left"
 
 
+def test_a_cancel_without_an_answer_is_told_and_can_be_asked_for_again(settings):
+    button = "document.querySelector('main button.danger')"
+    with tab() as page:
+        with serving(settings) as service:
+            job, _ = add_running(service, add_rig(service))
+            page.open(f"{service.url}/#/job/{job}")
+            page.until(button)
+        page.run(f"{button}.click()")
+        page.until(f"{PROBLEM}.innerText.includes('may not be done')")
+        assert not page.run(f"{button}.disabled")
+        with serving(settings) as service:
+            page.until(f"{button} && !{button}.disabled")
+            page.run(f"{button}.click()")
+            page.until(f"{button}.innerText === 'stopping'")
+            with service.services.database.read() as session:
+                assert jobs.get(session, job).cancel_requested
+
+
+def test_a_retry_without_an_answer_is_told(settings):
+    with tab() as page:
+        with serving(settings) as service:
+            job, _ = add_running(service, add_rig(service))
+            with service.services.database.write() as session:
+                jobs.finish(session, job, 1, jobs.FAILED, {}, "bus error", "no answer")
+            page.open(f"{service.url}/#/job/{job}")
+            page.until("document.querySelector('button.retry')")
+        page.run("document.querySelector('button.retry').click()")
+        page.until(f"{PROBLEM}.innerText.includes('{AWAY}')")
+        assert not page.run("document.querySelector('button.retry').disabled")
+
+
 def test_a_document_that_cannot_be_given_is_told(settings):
     with serving(settings) as service, tab() as page:
         key, rig = service.key(), add_rig(service)
