@@ -88,11 +88,13 @@ def page_by_making(
     ``after`` and ``next`` tell the time, too, or the next page would begin where the row is by then.
     """
     at, own = table.__table__.c["created_at"], table.__table__.c["id"]
-    query = select(table).where(*conditions).order_by(at.desc(), own.desc())
+    order = (at.desc(), own.desc())
+    placed = select(own).where(*conditions).order_by(*order).limit(limit + 1)  # none of the others' documents is read
     if after is not None:
         last, _, time = after.partition(".")
         made = moment(int(time))
-        query = query.where(or_(at < made, and_(at == made, own < last)))
+        placed = placed.where(or_(at < made, and_(at == made, own < last)))
+    query = select(table).where(own.in_(select(placed.subquery().c.id))).order_by(*order)
     return _page(session, query, limit, lambda row: f"{row.id}.{microseconds(row.created_at)}")
 
 
