@@ -30,6 +30,16 @@ def pattern(prefix: str) -> str:
     return rf"^{prefix}_[0-7][{_LETTERS}]{{25}}{more}$"
 
 
+def place_pattern(prefix: str) -> str:
+    """Pattern of a place in a list of a kind that is ordered by time: an id and µs since 1970.
+
+    >>> import re
+    >>> bool(re.match(place_pattern("exp"), "exp_01k9abcdefghjkmnpqrstvwxyz.1764547200000000"))
+    True
+    """
+    return rf"{pattern(prefix)[:-1]}\.[0-9]{{1,16}}$"
+
+
 def example(prefix: str) -> str:
     """An id of a kind.
 
@@ -45,7 +55,12 @@ def _words(prefix: str) -> str:
     return f"the id of a {kind}, {prefix}_ and 26 digits and small letters, as {example(prefix)}{name}"
 
 
+def _place_words(prefix: str) -> str:
+    return f"the id of a {KINDS[prefix]} and when it was made, as {example(prefix)}.1764547200000000"
+
+
 WORDS = {pattern(prefix): _words(prefix) for prefix in KINDS} | {
-    ANY: f"the id of a thing, its kind and 26 digits and small letters, as {example('job')}"
+    **{place_pattern(prefix): _place_words(prefix) for prefix in KINDS},
+    ANY: f"the id of a thing, its kind and 26 digits and small letters, as {example('job')}",
 }
 """What a pattern asks for, in words."""

@@ -19,6 +19,7 @@ Row = TypeVar("Row", bound=Base)
 Item = TypeVar("Item", bound=Shape)
 
 AFTER = "The field `next` of the page before."
+NEWEST = "Only the newest of each rig, which was made last."
 Limit = Annotated[int, Query(description="Items of a page.", ge=1, le=LARGEST_PAGE)]
 OfRig = Annotated[str | None, Query(description="Only of this rig.", max_length=40, pattern=identifiers.pattern("rig"))]
 
@@ -47,7 +48,16 @@ class Asked(Generic[After]):
 
 def asked_of(prefix: str, usual: int = 100) -> Any:
     """A dependency: `Asked` of a list of such resources, of which a page has ``usual`` items unless told otherwise."""
-    begins = Query(None, description=AFTER, max_length=40, pattern=identifiers.pattern(prefix))
+    return _asked_by_text(identifiers.pattern(prefix), usual)
+
+
+def asked_by_making(prefix: str, usual: int = 100) -> Any:
+    """As `asked_of`, of a list of what jobs make, which is ordered by when that was."""
+    return _asked_by_text(identifiers.place_pattern(prefix), usual)
+
+
+def _asked_by_text(pattern: str, usual: int) -> Any:
+    begins = Query(None, description=AFTER, max_length=60, pattern=pattern)
 
     async def asked(after: str | None = begins, limit: Limit = usual, if_none_match: IfNoneMatch = None) -> Asked[str]:
         return Asked(after, limit, if_none_match)

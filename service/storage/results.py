@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from service.errors import NotFoundError
 from service.storage import listing
-from service.storage.listing import Page, page
+from service.storage.listing import Page, page_by_making
 from service.storage.tables import Base, ExperimentRow, GapRow, HealthRow, ModelRow, Rig
 
 Row = TypeVar("Row", ExperimentRow, ModelRow, GapRow, HealthRow)
@@ -57,19 +57,20 @@ def listed(
     newest: bool = False,
     **equal: Any,
 ) -> Page[Row]:
-    """A page of results, of one rig or of all; ``equal`` are columns and their values, None for any.
+    """A page of results, of one rig or of all, that which was made last first.
 
-    ``newest`` leaves only that of each rig which was made last, before any column is asked for. Its id tells when the
-    job was submitted that made it, and that may have been tried again long after.
+    ``equal`` are columns and their values, None for any. ``newest`` leaves only that of each rig which was made last,
+    before any column is asked for.
     """
     conditions: list[ColumnElement[bool]] = [
         getattr(table, name) == value for name, value in {"rig_id": rig_id, **equal}.items() if value is not None
     ]
     if newest:
         place = func.row_number().over(partition_by=table.rig_id, order_by=_last_made(table))
-        placed = select(table.id, place.label("place")).subquery()
+        of_rig = () if rig_id is None else (table.rig_id == rig_id,)
+        placed = select(table.id, place.label("place")).where(*of_rig).subquery()
         conditions.append(table.id.in_(select(placed.c.id).where(placed.c.place == 1)))
-    return page(session, table, *conditions, after=after, limit=limit)
+    return page_by_making(session, table, *conditions, after=after, limit=limit)
 
 
 def _last_made(table: type[Row]) -> tuple[UnaryExpression[Any], ...]:

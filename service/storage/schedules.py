@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import select, update
@@ -10,10 +10,8 @@ from sqlalchemy.orm import Session
 
 from service.errors import NotFoundError
 from service.storage.database import now
-from service.storage.listing import Page, page
+from service.storage.listing import Page, microseconds, moment, page
 from service.storage.tables import ScheduleRow, ScheduleRunRow, WebhookRow
-
-_EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
 
 SUBMITTED, MISSED, REFUSED = "submitted", "missed", "refused"
 PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
@@ -70,10 +68,10 @@ def runs(session: Session, schedule_id: str, after: int | None = None, limit: in
         session,
         ScheduleRunRow,
         ScheduleRunRow.schedule_id == schedule_id,
-        after=None if after is None else _EPOCH + after * _MICROSECOND,
+        after=None if after is None else moment(after),
         limit=limit,
         key="due_at",
-        told=lambda due: str((due - _EPOCH) // _MICROSECOND),
+        told=lambda due: str(microseconds(due)),
     )
 
 

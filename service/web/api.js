@@ -5,8 +5,13 @@ const KEY = "ambit-key";
 
 export class Problem extends Error {
   constructor(status, body) {
-    super((body && (body.detail || body.title)) || "the service answered " + status);
-    this.status = status;
+    super((body && (body.detail || body.title)) || (status ? "the service answered " + status : "the service does not answer"));
+    this.status = status; // 0: there was no answer
+  }
+
+  // Whether the same request may be answered in a while: a service restarts, a network is away.
+  get passing() {
+    return this.status === 0 || this.status === 429 || this.status >= 500;
   }
 }
 
@@ -23,8 +28,18 @@ function headers(more) {
   return key() ? { ...more, Authorization: "Bearer " + key() } : { ...more };
 }
 
+// Of one wish; crypto.randomUUID is only where a context is secure, and over plain HTTP on a network none is.
+function newId() {
+  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+// What a browser says of a network, each in its own words, is that nobody answered.
+function unanswered(error) {
+  throw error.name === "AbortError" ? error : new Problem(0);
+}
+
 async function answer(path, options) {
-  const response = await fetch(path, options);
+  const response = await fetch(path, options).catch(unanswered);
   if (response.ok) return response;
   let body = null;
   try { body = await response.json(); } catch { /* not ours: the status says enough */ }
@@ -32,11 +47,12 @@ async function answer(path, options) {
 }
 
 export async function get(path, signal) {
-  return (await answer(ROOT + path, { headers: headers(), signal })).json();
+  const response = await answer(ROOT + path, { headers: headers(), signal });
+  return response.json().catch(unanswered);
 }
 
 export async function post(path, body) {
-  const more = body === undefined ? {} : { "Content-Type": "application/json", "Idempotency-Key": crypto.randomUUID() };
+  const more = body === undefined ? {} : { "Content-Type": "application/json", "Idempotency-Key": newId() };
   const response = await answer(ROOT + path, {
     method: "POST",
     headers: headers(more),
@@ -50,7 +66,7 @@ export async function version() {
 }
 
 // A document for a person: a link where the browser may fetch it, a download where a key has to be shown.
-export function documentLink(path, text, name) {
+export function documentLink(path, text, name, context) {
   const link = document.createElement("a");
   link.textContent = text;
   link.href = ROOT + path;
@@ -59,19 +75,24 @@ export function documentLink(path, text, name) {
     link.rel = "noopener";
     return link;
   }
-  link.addEventListener("click", async (event) => {
-    event.preventDefault();
+  const download = async () => {
     const response = await answer(ROOT + path, { headers: headers() });
-    const address = URL.createObjectURL(await response.blob());
+    const address = URL.createObjectURL(await response.blob().catch(unanswered));
     const file = Object.assign(document.createElement("a"), { href: address, download: name });
     file.click();
     setTimeout(() => URL.revokeObjectURL(address), 10000);
+  };
+  link.addEventListener("click", (event) => {
+    event.preventDefault();
+    context.doing(download);
   });
   return link;
 }
 
-// Server-sent events by fetch, which can show a key; comes back after a break, with the last id.
-export async function events(path, heard, signal) {
+// Server-sent events by fetch, which can show a key; comes back after a break, with the last id. Whoever looks is told of a
+// break, and of what ends it all: what was heard last is by then no longer so.
+export async function events(path, heard, context) {
+  const signal = context.signal;
   let last = null;
   let pause = 500;
   while (!signal.aborted) {
@@ -79,6 +100,7 @@ export async function events(path, heard, signal) {
       const more = last === null ? {} : { "Last-Event-ID": last };
       const response = await answer(ROOT + path, { headers: headers({ Accept: "text/event-stream", ...more }), signal });
       pause = 500;
+      context.back();
       for await (const event of parsed(response.body)) {
         if (event.id !== null) last = event.id;
         const data = JSON.parse(event.data);
@@ -86,7 +108,12 @@ export async function events(path, heard, signal) {
         if (["done", "failed", "cancelled"].includes(data.state)) return;
       }
     } catch (error) {
-      if (signal.aborted || (error instanceof Problem && error.status < 500 && error.status !== 429)) return;
+      if (signal.aborted) return;
+      if (error instanceof Problem && !error.passing) {
+        context.told(error);
+        return;
+      }
+      if (error instanceof Problem) context.away(error);
     }
     await new Promise((go) => setTimeout(go, pause));
     pause = Math.min(2 * pause, 10000);

@@ -9,6 +9,11 @@ const view = document.getElementById("view");
 const problem = document.getElementById("problem");
 const form = document.getElementById("key");
 let current = null;
+let about = ""; // what the problem is of that is told: PASSING, ASKED, or what was read
+
+const PASSING = "passing"; // over with the next answer
+const ASKED = "asked"; // of what a person asked for: no page that is refreshed beneath it takes it away
+const AGAIN = "; this page asks again by itself";
 
 class Context {
   constructor() {
@@ -28,7 +33,15 @@ class Context {
 
   refresh = () => { if (!this.signal.aborted) show(); };
 
-  doing = (what) => what().then(() => told(null), told);
+  // What a person asked for. Without an answer nobody knows, and it stays told when the service is back.
+  doing = (what) => what().then(() => told(null), (error) => told(error, error.status === 0 ? "; what was asked for may not be done" : "", ASKED));
+
+  told = told;
+
+  // What the page asks again by itself is told where nothing else is, until it is answered.
+  away = (error) => { if (problem.hidden) told(error, AGAIN, PASSING); };
+
+  back = () => { if (about === PASSING) told(null); };
 
   end() {
     this.controller.abort();
@@ -36,10 +49,11 @@ class Context {
   }
 }
 
-function told(error) {
+function told(error, more = "", what = "") {
   if (error && error.name === "AbortError") return;
+  about = error ? what : "";
   problem.hidden = !error;
-  problem.textContent = error ? error.message : "";
+  problem.textContent = error ? error.message + more : "";
   if (error instanceof Problem && error.status === 401) form.hidden = false;
 }
 
@@ -110,19 +124,23 @@ async function route(context) {
 async function show() {
   if (current) current.end();
   const context = (current = new Context());
+  const left = document.documentElement.getAttribute("data-shown") !== (location.hash || "#/");
   try {
     const parts = await route(context);
     if (context.signal.aborted) return;
     view.replaceChildren(...parts.filter((p) => p !== ""));
     context.later.forEach((what) => what());
-    told(null);
+    if (left || about !== ASKED) told(null);
     form.hidden = true;
     document.documentElement.setAttribute("data-shown", location.hash || "#/");
   } catch (error) {
     if (context.signal.aborted) return;
     // What stood here before is of another address; at the same one it is still the last that is known.
-    if (document.documentElement.getAttribute("data-shown") !== (location.hash || "#/")) view.replaceChildren();
-    told(error);
+    if (left) view.replaceChildren();
+    // What was refused stays so; anything else is asked again, or the page would stay as it is though the service is back.
+    const again = !(error instanceof Problem) || error.passing;
+    if (again) context.every(BUSY_MS, context.refresh);
+    if (left || about !== ASKED || !again) told(error, again ? AGAIN : "");
   }
 }
 
@@ -130,6 +148,7 @@ form.addEventListener("submit", (event) => {
   event.preventDefault();
   useKey(document.getElementById("key-text").value.trim());
   document.getElementById("key-text").value = "";
+  told(null);
   show();
 });
 window.addEventListener("hashchange", show);

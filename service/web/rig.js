@@ -10,10 +10,10 @@ export async function rig(id, context) {
   const signal = context.signal;
   const of = "?rig=" + encodeURIComponent(id);
   const [found, jobs, models, gaps, checks, trend, schedules, experiments, failures] = await Promise.all([
-    get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&limit=1", signal),
-    get("/gaps" + of + "&limit=1", signal), get("/health-checks" + of + "&newest=true", signal),
+    get("/rigs/" + id, signal), get("/jobs" + of + "&limit=10", signal), get("/models" + of + "&newest=true", signal),
+    get("/gaps" + of + "&newest=true", signal), get("/health-checks" + of + "&newest=true", signal),
     get("/rigs/" + id + "/trend", signal), get("/schedules" + of + "&limit=20", signal),
-    get("/experiments" + of + "&limit=200", signal), get("/jobs" + of + "&kind=health&state=failed&newest=true", signal),
+    get("/experiments" + of + "&purpose=commissioning&complete=true&limit=1", signal), get("/jobs" + of + "&kind=health&state=failed&newest=true", signal),
   ]);
   const names = new Map([[id, found.name]]);
   return [
@@ -23,7 +23,7 @@ export async function rig(id, context) {
     actions(found, context),
     section("Jobs", tables.jobs(jobs.items, names, context)),
     section("Model", ...(await model(models.items[0], context))),
-    section("Gap between rig and twin", ...(await gap(gaps.items[0], context)), diagnose(found, experiments.items, context)),
+    section("Gap between rig and twin", ...(await gap(gaps.items[0], context)), diagnose(found, experiments.items[0], context)),
     section("Health", tables.failedCheck(checks.items[0], failures.items[0]), ...health(checks.items[0], trend, context)),
     section("Schedules", ...(await schedule(schedules.items, context))),
   ];
@@ -33,8 +33,13 @@ function live(found, context) {
   const place = h("div", { id: "live" });
   if (!found.controller_url) return nothing("This rig has no controller: experiments are uploaded.");
   const show = async () => {
-    const now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => ({ reachable: false, detail: error.message }));
+    const now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => error);
     if (context.signal.aborted) return;
+    if (now instanceof Error) { // of the service: of the controller nothing is known
+      place.replaceChildren(h("p", { class: "note" }, "What it does now is not known: " + now.message));
+      if (now.status === 401) context.told(now);
+      return;
+    }
     if (!now.reachable) {
       place.replaceChildren(h("p", { class: "note" }, "The controller does not answer: " + now.detail));
       return;
@@ -118,15 +123,15 @@ async function model(found, context) {
   return [
     found.summary.sentence ? h("p", { class: "lead " + (found.summary.tone || "") }, found.summary.sentence) : "",
     notes.length ? h("details", { class: "notes" }, h("summary", {}, notes.length === 1 ? "1 note" : notes.length + " notes"), h("ul", {}, notes.map((text) => h("li", {}, text)))) : "",
-    h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html"), " · ",
-      documentLink(path + "/result.json", "result.json", "result.json")),
+    h("p", { class: "about" }, "Identified ", when(found.created_at), " · ", documentLink(path + "/report.html", "report", "report.html", context), " · ",
+      documentLink(path + "/result.json", "result.json", "result.json", context)),
     table(["figure", ...planes.map((p) => "plane " + p), "datasheet"], [...rows.values()], [...planes.keys()].map((k) => k + 1).concat(planes.length + 1)),
     h("p", { class: "row" }, h("label", { for: "entry" }, "Response"), choice), place,
   ];
 }
 
-function diagnose(found, experiments, context) {
-  const whole = experiments.find((e) => e.complete && e.purpose === "commissioning"); // the newest
+// Of the newest whole commissioning.
+function diagnose(found, whole, context) {
   if (!whole || found.retired_at) return "";
   return h("p", { class: "row" },
     h("button", { class: "diagnose", onclick: submit("gap", { rig: found.id, experiment: whole.id }, context) }, "Diagnose the gap"),
@@ -143,7 +148,7 @@ async function gap(found, context) {
   const tone = { no_gap: "", effect: "warn", effects: "warn", none_of_these: "bad" }[verdict.kind];
   return [
     h("p", { class: "lead " + tone }, verdict.sentence || verdict.kind),
-    h("p", { class: "about" }, "Diagnosed ", when(found.created_at), " · ", documentLink("/gaps/" + found.id + "/report.html", "report", "gap.html")),
+    h("p", { class: "about" }, "Diagnosed ", when(found.created_at), " · ", documentLink("/gaps/" + found.id + "/report.html", "report", "gap.html", context)),
     table(["gap before", "noise floor", "closed by what was found"], [[
       number(100 * found.summary.gap_before, 3) + " %", number(100 * found.summary.noise_floor, 3) + " %",
       closure === null || closure === undefined ? "–" : fixed(100 * closure, 0) + " %",
@@ -169,7 +174,7 @@ function health(found, trend, context) {
   return [
     h("p", { class: "lead " + (found.alarm ? "bad" : found.zone_calm ? "" : "warn") }, found.sentence),
     h("p", { class: "about" }, "Checked ", when(found.created_at), " · " + trend.checks.length + (once ? " check · " : " checks · "),
-      documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html")),
+      documentLink("/health-checks/" + found.id + "/report.html", "report", "health.html", context)),
     steady.length ? h("p", { class: "note" }, "Changes steadily: " + steady.join(", ")) : "",
     unknown.length ? h("p", { class: "note" }, "Known too badly to be followed: " + unknown.map(([name]) => name).join(", ")) : "",
     once ? only(followed) : places,
@@ -191,10 +196,14 @@ async function schedule(found, context) {
   if (!found.length) return [nothing("No schedule: this rig is checked when somebody asks.")];
   const runs = await Promise.all(found.map((s) => get("/schedules/" + s.id + "/runs?limit=30", context.signal)));
   const rows = found.map((s, k) => {
-    const missed = runs[k].items.filter((r) => r.state === "missed");
+    const lost = runs[k].items.filter((r) => r.state !== "submitted"); // missed or refused: the rig was not checked
     const none = runs[k].items.length ? "none of the last " + runs[k].items.length : "no run yet";
-    const last = missed.length ? h("span", {}, state("missed"), " " + missed.length + ", last ", when(missed[0].due_at)) : none;
+    const last = lost.length ? notMade(lost[0], lost.length + " of the last " + runs[k].items.length) : none;
     return [s.cron + " " + s.timezone, s.enabled ? when(s.next_at) : "off", last, s.webhook ? s.webhook.url : ""];
   });
-  return [table(["schedule", "next", "missed", "webhook"], rows)];
+  return [table(["schedule", "next", "not made", "webhook"], rows)];
+}
+
+function notMade(newest, many) {
+  return h("div", { class: "told" }, h("div", {}, many + ", newest ", state(newest.state), " ", when(newest.due_at)), h("div", {}, newest.detail));
 }

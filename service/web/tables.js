@@ -22,7 +22,7 @@ export function jobs(list, names, context) {
     events("/jobs/" + job.id + "/events", (now) => {
       line.replaceChildren(...cells(now, names, context).map((cell) => h("td", {}, cell)));
       if (!active(now)) context.refresh();
-    }, context.signal);
+    }, context);
   }
   if (alive.length > WATCHED) context.every(3000, context.refresh);
   return made;
@@ -62,22 +62,23 @@ export function progress(job) {
 function cancel(job, context) {
   const button = h("button", { class: "danger", disabled: job.cancel_requested }, job.cancel_requested ? "stopping" : "Cancel");
   button.addEventListener("click", () => context.doing(async () => {
-    button.disabled = true;
-    await post("/jobs/" + job.id + "/cancel");
+    button.disabled = true; // until the job says that it stops
+    await post("/jobs/" + job.id + "/cancel").catch((error) => { button.disabled = false; throw error; });
   }));
   return button;
 }
 
 function retry(job, context) {
   const button = h("button", { class: "retry" }, "Try again");
-  button.addEventListener("click", async () => {
+  button.addEventListener("click", () => context.doing(async () => {
     if (MOVING.includes(job.kind)) {
       const rig = await get("/rigs/" + job.rig, context.signal);
       if (!(await confirmed("Try the " + job.kind + " on " + rig.name + " again?", motion(job.kind, rig), rig.controller_url))) return;
     }
     button.disabled = true;
-    context.doing(() => post("/jobs/" + job.id + "/retry").then(context.refresh).finally(() => { button.disabled = false; }));
-  });
+    await post("/jobs/" + job.id + "/retry").finally(() => { button.disabled = false; });
+    context.refresh();
+  }));
   return button;
 }
 
@@ -85,7 +86,7 @@ export async function job(found, names, context) {
   const place = h("div", {});
   const told = h("div", {});
   const show = (now) => {
-    if (now.state === "done" && now.result.gap) context.doing(() => diagnosed(now.result.gap, told, context));
+    if (now.state === "done" && now.result.gap) diagnosed(now.result.gap, told, context).catch(context.told);
     draw(now);
   };
   const draw = (now) => place.replaceChildren(
@@ -98,23 +99,23 @@ export async function job(found, names, context) {
       ["submitted", h("span", {}, when(now.created_at), " by " + now.submitted_by)],
       ["started", when(now.started_at)],
       ["ended", when(now.ended_at)],
-      ["result", results(now)],
+      ["result", results(now, context)],
     ]),
     active(now) ? h("p", { class: "row" }, cancel(now, context)) : "",
     RETRIABLE.includes(now.state) ? h("p", { class: "row" }, retry(now, context)) : "",
   );
   show(found);
-  if (active(found)) events("/jobs/" + found.id + "/events", show, context.signal);
+  if (active(found)) events("/jobs/" + found.id + "/events", show, context);
   return [h("h2", {}, "Job ", h("span", { class: "small" }, found.id)), told, place];
 }
 
 async function diagnosed(id, place, context) {
   const { verdict } = await get("/gaps/" + id + "/gap.json", context.signal);
   place.replaceChildren(h("p", { class: "lead" }, verdict.sentence || verdict.kind),
-    h("p", { class: "about" }, documentLink("/gaps/" + id + "/report.html", "report of the diagnosis", "gap.html")));
+    h("p", { class: "about" }, documentLink("/gaps/" + id + "/report.html", "report of the diagnosis", "gap.html", context)));
 }
 
-function results(now) {
+function results(now, context) {
   const paths = {
     experiment: (id) => ["/experiments/" + id + "/file", "experiment.h5"],
     model: (id) => ["/models/" + id + "/report.html", "report.html"],
@@ -123,7 +124,7 @@ function results(now) {
   };
   const links = Object.entries(now.result || {}).filter(([kind]) => paths[kind]).map(([kind, id]) => {
     const [path, name] = paths[kind](id);
-    return [documentLink(path, kind, name), " "];
+    return [documentLink(path, kind, name, context), " "];
   });
   return links.length ? h("span", {}, links) : "–";
 }

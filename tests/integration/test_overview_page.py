@@ -14,6 +14,7 @@ from service.storage.tables import ExperimentRow, HealthRow, ModelRow
 from sim.rig_file import to_toml
 from tests.support.browser import BROWSER
 from tests.support.commissioned import SHEET
+from tests.support.service import free_port
 from tests.support.serving import Serving, serving
 from tests.support.tab import tab
 
@@ -209,3 +210,27 @@ def test_the_overview_shows_by_itself_what_changes_while_something_runs(plant):
         page.until(f"document.body.innerText.includes({json.dumps('bench 9')})", 20)
         assert page.run("window.kept")
         assert page.complaints == []
+
+
+@needs_browser
+@pytest.mark.parametrize("place", ["#/", "#/jobs"])
+def test_a_page_that_was_open_while_the_service_restarted_shows_again_what_changes(tmp_path, place):
+    settings = Settings(home=tmp_path / "home", port=free_port())
+    with tab() as page:
+        with serving(settings) as service:
+            with service.services.database.write() as session:
+                rig = rigs.create(session, "bench 7", to_toml(SHEET), "", "", "x").id
+                jobs.submit(session, "gap", rig, 1, "x")
+            page.open(f"{service.url}/{place}")
+            page.until("document.body.innerText.includes('bench 7')")
+            page.run("window.kept = true")
+        page.until("!document.getElementById('problem').hidden")
+        told = page.run("document.getElementById('problem').innerText")
+        assert "service does not answer" in told, "not in the browser's words, which differ from one to the next"
+        assert "bench 7" in page.text(), "what was known before is still to be read"
+        with serving(settings) as service:
+            with service.services.database.write() as session:
+                jobs.submit(session, "identification", rig, 1, "x")
+            page.until("document.body.innerText.includes('identification')")
+            assert page.run("document.getElementById('problem').hidden")
+            assert page.run("window.kept")

@@ -18,9 +18,9 @@ from service.config import Settings
 from service.health.compare import Baseline, compare
 from service.jobs.calculations import model_summary
 from service.report.curves import curves
-from service.storage import jobs, rigs
+from service.storage import jobs, results, rigs
 from service.storage.database import now
-from service.storage.ids import new_id
+from service.storage.ids import derived_id, new_id
 from service.storage.tables import ExperimentRow, GapRow, HealthRow, JobRow, ModelRow, ScheduleRow, ScheduleRunRow
 from sim.reference import reference_rig
 from sim.rig_file import to_toml
@@ -28,7 +28,7 @@ from tests.support.browser import BROWSER
 from tests.support.commissioned import AXES, LAW, SHEET, commissioned, plan, result
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.serving import Serving, serving
-from tests.support.tab import tab
+from tests.support.tab import HOST, tab
 
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 NOBODY = "modbus://127.0.0.1:9?unit=1"
@@ -227,6 +227,84 @@ def test_a_rig_shows_model_gap_health_and_missed_checks(service, ids):
 
 
 @needs_browser
+def test_a_rig_shows_the_model_and_the_diagnosis_that_were_made_last(service, ids):
+    """The first of two commissionings is tried again after the second one; checks compare with what it then finds."""
+    database, blobs = service.services.database, service.services.blobs
+    with database.write() as session:
+        rig = rigs.create(session, "commissioned twice", to_toml(SHEET), "", "", "local")
+        submitted = [jobs.submit(session, "experiment", rig.id, 1, "laptop").id for _ in range(2)]
+        for job, told, days in ((submitted[1], "the second's", 1), (submitted[0], "the first's, tried again", 0)):
+            common = {"rig_id": rig.id, "rig_version": 1, "created_at": now() - timedelta(days=days), "job_id": job}
+            experiment = ExperimentRow(
+                id=derived_id("exp", job), source="measured", complete=True, file_bytes=4, created_by="laptop",
+                file_sha256="0" * 64, media_type="application/x-hdf5", file_name="e.h5", summary={}, **common,
+            )  # fmt: skip
+            session.add(experiment)
+            session.flush()
+            summary = model_summary({**result(), **VERDICT, "sentence": f"The model is {told}."})
+            plots = blobs.put(json.dumps(curves(commissioned(), SHEET)).encode())
+            verdict = {**GAP["verdict"], "sentence": f"The diagnosis is {told}."}
+            model = ModelRow(
+                id=derived_id("mod", job), experiment_id=experiment.id, created_by="laptop", result_sha256="0" * 64,
+                report_sha256="0" * 64, plots_sha256=plots, summary=summary, **common,
+            )  # fmt: skip
+            session.add(model)
+            session.add(
+                GapRow(
+                    id=derived_id("gap", job), experiment_id=experiment.id, created_by="laptop",
+                    gap_sha256=blobs.put(json.dumps({**GAP, "verdict": verdict}).encode()), report_sha256="0" * 64,
+                    summary={"verdict": "effect", "gap_before": 0.12, "noise_floor": 0.001, "closure": 0.98}, **common,
+                )
+            )  # fmt: skip
+            session.flush()
+        assert results.baseline(session, rig).id == model.id
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{rig.id}")
+        page.until("document.querySelector('#bode[data-drawn]') && document.querySelector('#gap[data-drawn]')")
+        assert "The model is the first's, tried again." in page.text()
+        assert "The diagnosis is the first's, tried again." in page.text()
+        assert page.complaints == []
+
+
+@needs_browser
+@pytest.mark.parametrize(
+    ("states", "told"),
+    [
+        (["refused", "refused", "missed", "submitted"], "3 of the last 4, newest refused"),
+        (["submitted", "missed", "refused"], "2 of the last 3, newest missed"),
+        (["submitted", "submitted"], "none of the last 2"),
+    ],
+)
+def test_a_schedule_says_how_many_checks_were_not_made_and_why_the_newest_was_not(service, states, told):
+    """One that is refused each time leaves its rig unchecked as one that is missed does."""
+    why = {"refused": "the rig has no model to compare with", "missed": "the service was <b>down</b>", "submitted": ""}
+    with service.services.database.write() as session:
+        rig = rigs.create(session, f"checked by the clock, {told}", to_toml(SHEET), NOBODY, "", "local").id
+        schedule = ScheduleRow(
+            id=new_id("sch"), rig_id=rig, cron="0 6 * * *", options={}, enabled=True, next_at=now(),
+            created_at=now(), updated_at=now(), created_by="local",
+        )  # fmt: skip
+        session.add(schedule)
+        session.flush()
+        for day, state in enumerate(states):
+            due = now() - timedelta(days=day)
+            session.add(
+                ScheduleRunRow(
+                    schedule_id=schedule.id, due_at=due, state=state, detail=f"{why[state]}, {day}", recorded_at=due
+                )
+            )
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{rig}")
+        page.until("document.querySelectorAll('main section').length === 5")
+        found = page.run("[...document.querySelectorAll('main section')].pop().innerText")
+        assert told in found
+        newest = next((day for day, state in enumerate(states) if state != "submitted"), None)
+        reasons = [f"{why[state]}, {day}" for day, state in enumerate(states)]
+        assert [reason in found for reason in reasons] == [day == newest for day in range(len(states))]
+        assert page.complaints == []
+
+
+@needs_browser
 def test_one_check_is_told_in_figures_as_it_is_no_trend(service, ids):
     with tab() as page:
         page.open(f"{service.url}/#/rig/{ids['second']}")
@@ -391,6 +469,31 @@ def test_the_gap_is_diagnosed_from_the_page_and_told_there(service, ids):
 
 
 @needs_browser
+def test_the_gap_is_diagnosed_from_the_page_however_often_the_rig_was_checked_since(service):
+    with service.services.database.write() as session:
+        rig = rigs.create(session, "checked daily", to_toml(SHEET), "", "", "local").id
+        made = []
+        for purpose, complete in (("commissioning", True), ("commissioning", False), *[("health", True)] * 201):
+            row = ExperimentRow(
+                id=new_id("exp"), rig_id=rig, rig_version=1, source="measured", purpose=purpose, complete=complete,
+                file_sha256="0" * 64, file_bytes=1, media_type="application/x-hdf5", file_name="e.h5", summary={},
+                created_at=now(), created_by="local",
+            )  # fmt: skip
+            session.add(row)
+            made.append(row.id)
+    with tab() as page:
+        page.open(f"{service.url}/#/rig/{rig}")
+        page.until("document.querySelectorAll('main section').length === 5")
+        assert page.run("document.querySelectorAll('button.diagnose').length") == 1
+        page.run("document.querySelector('button.diagnose').click()")
+        page.until("location.hash.startsWith('#/job/') && document.querySelector('.state.queued')")
+        submitted = page.run("location.hash").removeprefix("#/job/")
+        assert page.complaints == []
+    with service.services.database.read() as session:
+        assert jobs.get(session, submitted).experiment_id == made[0]
+
+
+@needs_browser
 def test_a_job_that_failed_is_tried_again_from_the_page(service, ids):
     with service.services.database.write() as session:
         job = jobs.submit(session, "gap", ids["rig"], 1, "laptop")
@@ -443,15 +546,32 @@ def test_a_service_with_keys_asks_for_one_and_keeps_it_in_the_tab(tmp_path):
         page.open(f"{service.url}/")
         page.until("!document.getElementById('key').hidden")
         assert "bench 7" not in page.text()
-        page.run(f"document.getElementById('key-text').value = {json.dumps(key[:-1] + 'x')}")
-        page.run("document.getElementById('key').requestSubmit()")
+        page.show_key(key[:-1] + "x")
         page.until("!document.getElementById('problem').hidden")
-        page.run(f"document.getElementById('key-text').value = {json.dumps(key)}")
-        page.run("document.getElementById('key').requestSubmit()")
+        page.show_key(key)
         page.until("document.body.innerText.includes('bench 7')")
         assert page.run("document.getElementById('key').hidden")
         assert page.run("localStorage.length + document.cookie.length") == 0
         assert key not in page.run("document.documentElement.outerHTML")
+
+
+@needs_browser
+def test_a_job_is_submitted_from_a_page_that_another_machine_shows_over_plain_http(tmp_path):
+    with serving(Settings(home=tmp_path / "home", port=0)) as service, tab() as page:
+        with service.services.database.write() as session:
+            rig = rigs.create(session, "bench 7", to_toml(SHEET), NOBODY, "", "local").id
+        page.open(f"{service.url.replace('127.0.0.1', HOST)}/#/rig/{rig}")
+        page.show_key(service.key())
+        page.until("document.querySelector('button.commission')")
+        assert not page.run("isSecureContext"), "on the machine itself a browser offers more"
+        for _ in range(2):
+            page.run("document.querySelector('button.commission').click()")
+            page.run("document.querySelector('dialog .go').click()")
+            page.until("location.hash.startsWith('#/job/') && document.querySelector('.state.queued')")
+            page.run("history.back()")
+            page.until("document.querySelector('button.commission')")
+        with service.services.database.read() as session:
+            assert len(jobs.listed(session, "queued", "experiment", rig).items) == 2, "two wishes are two jobs"
 
 
 @needs_browser

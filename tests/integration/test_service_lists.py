@@ -99,9 +99,30 @@ def test_every_list_is_read_page_by_page_without_loss_or_repetition(filled, list
         assert found == api.get(path).json()["items"], path
 
 
+@pytest.mark.parametrize(
+    "path", ["/experiments?rig={}", "/models?rig={}", "/health-checks?rig={}", "/rigs/{}/stiffness", "/rigs/{}/modes"]
+)
+def test_results_are_listed_by_when_they_were_made_not_by_when_their_jobs_were_submitted(filled, path):
+    """Of the filled service, each has an id above that of the one made the day after."""
+    api, rig, _ = filled
+    found = api.get(path.format(rig)).json()["items"]
+    assert len(found) == 3
+    assert found == sorted(found, key=lambda item: item["created_at"], reverse=True)
+    assert found == sorted(found, key=lambda item: item.get("id") or item["model"])
+
+
+def test_the_newest_model_and_diagnosis_of_each_rig_are_asked_for(filled):
+    api, rig, _ = filled
+    everything = api.get("/models").json()["items"]
+    assert api.get("/models", params={"newest": True}).json()["items"] == everything[:1]
+    assert api.get("/models", params={"newest": True, "rig": rig}).json()["items"] == everything[:1]
+    assert api.get("/gaps", params={"newest": True}).json()["items"] == []
+
+
 def test_a_trend_goes_back_page_by_page(filled):
     api, rig, _ = filled
     whole = api.get(f"/rigs/{rig}/trend").json()["checks"]
+    assert whole[::-1] == [check["id"] for check in api.get(f"/health-checks?rig={rig}").json()["items"]]
     newest = api.get(f"/rigs/{rig}/trend", params={"limit": 2}).json()
     before = api.get(f"/rigs/{rig}/trend", params={"limit": 2, "after": newest["next"]}).json()
     assert len(whole) == 3

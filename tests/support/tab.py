@@ -18,9 +18,11 @@ from typing import Any
 
 from tests.support.browser import BROWSER, QUIET
 
+HOST = "rotor.test"
+"""A name of this machine in the browser: over plain HTTP a page from there has no secure context, as on a network."""
 OPTIONS = (
     *QUIET,
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    f"--host-resolver-rules=MAP {HOST} 127.0.0.1, MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--window-size=1200,2400",
     "--remote-debugging-pipe",
 )
@@ -74,6 +76,12 @@ class Tab:
                 pass
             assert time.monotonic() < deadline, f"{script} did not come true; {self.complaints}; {self.text()[:2000]}"
             time.sleep(0.05)
+
+    def show_key(self, key: str) -> None:
+        """Give the service's page the key that it asks for."""
+        self.until("!document.getElementById('key').hidden")
+        self.run(f"document.getElementById('key-text').value = {json.dumps(key)}")
+        self.run("document.getElementById('key').requestSubmit()")
 
     def narrow(self, width: int) -> None:
         """A window of a phone's width, px."""

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
@@ -19,7 +19,7 @@ from service.access.keys import Identity
 from service.api import etags
 from service.api.access import KeyFirst
 from service.api.auditing import audit
-from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.lists import Asked, Listed, OfRig, asked_by_making
 from service.api.once import Answer, once
 from service.api.problems import MediaTypeError, TooLargeError, documented
 from service.api.resources import examples
@@ -45,6 +45,7 @@ from sim.datasheet import Datasheet
 
 router = APIRouter(prefix="/api/v1", tags=["experiments"], route_class=KeyFirst)
 
+Purpose = Literal["commissioning", "health"]
 HDF5 = "application/x-hdf5"
 TYPES = {HDF5: ".h5", "application/x-matlab-data": ".mat", "application/octet-stream": ".h5"}
 
@@ -235,12 +236,14 @@ def _row(session: Session, rig_id: str, by: str, parsed: Parsed, kept: str, name
 def list_experiments(
     who: Viewer,
     api: Api,
-    asked: Annotated[Asked[str], asked_of("exp")],
+    asked: Annotated[Asked[str], asked_by_making("exp")],
     rig: OfRig = None,
+    purpose: Annotated[Purpose | None, Query(description="Only commissionings, or only health checks.")] = None,
+    complete: Annotated[bool | None, Query(description="Only whole ones, or only what stopped campaigns kept.")] = None,
 ) -> Response:
     """All experiments, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, ExperimentRow, rig, asked.after, asked.limit)
+        page = results.listed(session, ExperimentRow, rig, asked.after, asked.limit, purpose=purpose, complete=complete)
     return asked.answer(Listed[ExperimentShape], page, shape)
 
 

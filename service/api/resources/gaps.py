@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import ConfigDict
 
 from service.api import etags
 from service.api.access import KeyFirst
-from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.lists import NEWEST, Asked, Listed, OfRig, asked_by_making
 from service.api.resources import example_documents, examples
 from service.api.shapes import GapId, IfNoneMatch, Shape, Time, Viewer
 from service.api.state import Api
@@ -72,12 +72,13 @@ def shape(row: GapRow) -> GapShape:
 def list_gaps(
     who: Viewer,
     api: Api,
-    asked: Annotated[Asked[str], asked_of("gap")],
+    asked: Annotated[Asked[str], asked_by_making("gap")],
     rig: OfRig = None,
+    newest: Annotated[bool, Query(description=NEWEST)] = False,
 ) -> Response:
     """All diagnoses, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, GapRow, rig, asked.after, asked.limit)
+        page = results.listed(session, GapRow, rig, asked.after, asked.limit, newest)
     return asked.answer(Listed[GapShape], page, shape)
 
 

@@ -9,7 +9,7 @@ from pydantic import ConfigDict
 
 from service.api import etags
 from service.api.access import KeyFirst
-from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.lists import Asked, Listed, OfRig, asked_by_making
 from service.api.resources import examples
 from service.api.shapes import HealthId, IfNoneMatch, RigId, Shape, Time, Viewer
 from service.api.state import Api
@@ -132,7 +132,7 @@ def _values(row: HealthRow) -> dict[str, Any]:
 def list_health_checks(
     who: Viewer,
     api: Api,
-    asked: Annotated[Asked[str], asked_of("hc")],
+    asked: Annotated[Asked[str], asked_by_making("hc")],
     rig: OfRig = None,
     alarm: Annotated[bool | None, Query(description="Only alarms, or only others.")] = None,
     newest: Annotated[bool, Query(description="Only the newest check of each rig: how it is now.")] = False,
@@ -165,7 +165,7 @@ def get_health_report(health_id: HealthId, who: Viewer, api: Api, if_none_match:
 
 @router.get("/rigs/{rig_id}/trend", response_model=TrendShape, responses=etags.documented_list(404))
 def health_trend(
-    rig_id: RigId, who: Viewer, api: Api, asked: Annotated[Asked[str], asked_of("hc", LARGEST_PAGE)]
+    rig_id: RigId, who: Viewer, api: Api, asked: Annotated[Asked[str], asked_by_making("hc", LARGEST_PAGE)]
 ) -> Response:
     """How a rig's figures went over its newest checks, or those before, and whether one of them moves steadily."""
     from service.health import trend as trends  # with it comes scipy, for which every start would wait

@@ -11,7 +11,7 @@ from pydantic import ConfigDict
 
 from service.api import etags
 from service.api.access import KeyFirst
-from service.api.lists import Asked, Listed, OfRig, asked_of
+from service.api.lists import NEWEST, Asked, Listed, OfRig, asked_by_making
 from service.api.resources import example_documents as documents
 from service.api.resources import examples
 from service.api.shapes import (
@@ -30,7 +30,7 @@ from service.storage.tables import ModelRow
 
 router = APIRouter(prefix="/api/v1", tags=["models"], route_class=KeyFirst)
 
-AskedOfModels = Annotated[Asked[str], asked_of("mod")]
+AskedOfModels = Annotated[Asked[str], asked_by_making("mod")]
 
 
 class ModelShape(Shape):
@@ -140,10 +140,11 @@ def list_models(
     api: Api,
     asked: AskedOfModels,
     rig: OfRig = None,
+    newest: Annotated[bool, Query(description=NEWEST)] = False,
 ) -> Response:
     """All models, newest first."""
     with api.database.read() as session:
-        page = results.listed(session, ModelRow, rig, asked.after, asked.limit)
+        page = results.listed(session, ModelRow, rig, asked.after, asked.limit, newest)
     return asked.answer(Listed[ModelShape], page, shape)
 
 

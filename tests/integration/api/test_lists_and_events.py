@@ -1,5 +1,6 @@
 """Lists in pages, filters, the audit log, metrics, and the events of a job."""
 
+import itertools
 import json
 
 import httpx
@@ -10,7 +11,9 @@ from service.config import Settings
 from service.storage import jobs as rows
 from service.storage import keys
 from service.storage.database import now
-from service.storage.tables import HealthRow
+from service.storage.ids import new_id
+from service.storage.tables import ExperimentRow, HealthRow
+from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 from tests.support.serving import serving
 
@@ -47,6 +50,32 @@ def test_alarms_are_found(api, service, rig, experiment):
     assert (found["zone"], found["zone_calm"], found["drifted"]) == ("B", True, ["x.kiA"])
     assert api.get("/health-checks", params={"rig": rig, "alarm": False}).json()["items"] == []
     assert api.get(f"/health-checks/{found['id']}").json()["document"] == document
+
+
+def test_the_experiment_to_diagnose_is_found_among_health_checks_and_what_stopped_campaigns_kept(api, service, rig):
+    made = {}
+    with service.services.database.write() as session:
+        for purpose, complete in itertools.product(("commissioning", "health"), (True, True, False)):
+            row = ExperimentRow(
+                id=new_id("exp"), rig_id=rig, rig_version=1, source="measured", purpose=purpose, complete=complete,
+                file_sha256="0" * 64, file_bytes=1, media_type="", file_name="", summary={}, created_at=now(),
+                created_by="test",
+            )  # fmt: skip
+            session.add(row)
+            made.setdefault((purpose, complete), []).insert(0, row.id)
+
+    def found(**asked) -> dict:
+        return api.get("/experiments", params={"rig": rig, **asked}).json()
+
+    for (purpose, complete), ids in made.items():
+        assert [e["id"] for e in found(purpose=purpose, complete=complete)["items"]] == ids
+    assert [e["id"] for e in found(purpose="health")["items"]] == made["health", False] + made["health", True]
+    assert len(found(complete=True)["items"]) == 4
+    newest = found(purpose="commissioning", complete=True, limit=1)
+    assert [e["id"] for e in newest["items"]] == made["commissioning", True][:1]
+    rest = found(purpose="commissioning", complete=True, after=newest["next"])
+    assert [e["id"] for e in rest["items"]] == made["commissioning", True][1:]
+    assert_problem(api.get("/experiments", params={"purpose": "check"}), 422, "purpose", "commissioning", "health")
 
 
 def test_the_audit_log_tells_who_did_what(api, rig):

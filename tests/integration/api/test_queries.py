@@ -7,6 +7,9 @@ import pytest
 
 from tests.support.api import assert_problem
 
+MADE = ".1764547200000000"
+"""In the cursor of a list of what jobs make: when that was, µs since 1970."""
+
 
 @pytest.fixture(scope="module")
 def document(service):
@@ -50,28 +53,35 @@ def test_a_method_that_there_is_not_is_told_as_that(api):
 
 
 @pytest.mark.parametrize(
-    ("address", "kind", "own"),
+    ("address", "kind", "own", "when"),
     [
-        ("/rigs", "rig", "rig"),
-        ("/jobs", "job", "job"),
-        ("/experiments", "experiment", "exp"),
-        ("/models", "model", "mod"),
-        ("/gaps", "gap diagnosis", "gap"),
-        ("/health-checks", "health check", "hc"),
-        ("/schedules", "schedule", "sch"),
-        ("/audit", "line of the audit log", "aud"),
-        ("/rigs/{rig}/stiffness", "model", "mod"),
-        ("/rigs/{rig}/modes", "model", "mod"),
-        ("/rigs/{rig}/trend", "health check", "hc"),
+        ("/rigs", "rig", "rig", ""),
+        ("/jobs", "job", "job", ""),
+        ("/experiments", "experiment", "exp", MADE),
+        ("/models", "model", "mod", MADE),
+        ("/gaps", "gap diagnosis", "gap", MADE),
+        ("/health-checks", "health check", "hc", MADE),
+        ("/schedules", "schedule", "sch", ""),
+        ("/audit", "line of the audit log", "aud", ""),
+        ("/rigs/{rig}/stiffness", "model", "mod", MADE),
+        ("/rigs/{rig}/modes", "model", "mod", MADE),
+        ("/rigs/{rig}/trend", "health check", "hc", MADE),
     ],
 )
-def test_a_cursor_that_no_page_has_given_is_told_and_gives_no_list(api, rig, address, kind, own):
+def test_a_cursor_that_no_page_has_given_is_told_and_gives_no_list(api, rig, address, kind, own, when):
     other = "job" if own != "job" else "rig"
-    for bad in ("page2", f"{own}_1", f"{own}_zzzzzzzzzzzzzzzzzzzzzzzzzz", rig.replace("rig_", f"{other}_"), ""):
+    last = rig.replace("rig_", f"{own}_")
+    wrong = ["page2", f"{own}_1", f"{own}_zzzzzzzzzzzzzzzzzzzzzzzzzz", last.replace(f"{own}_", f"{other}_") + when, ""]
+    for bad in [*wrong, last, f"{last}.", f"{last}.-1"] if when else wrong:
         answer = api.get(address.format(rig=rig), params={"after": bad})
         assert_problem(answer, 422, "query.after", f"the id of a {kind}", f"{own}_01k9", "`next`")
-    good = api.get(address.format(rig=rig), params={"after": rig.replace("rig_", f"{own}_")})
+    good = api.get(address.format(rig=rig), params={"after": last + when})
     assert good.status_code == 200, good.text
+
+
+@pytest.mark.parametrize("time", ["0", "9" * 16])
+def test_a_cursor_of_any_time_is_one(api, rig, time):
+    assert api.get("/models", params={"after": rig.replace("rig_", "mod_") + "." + time}).status_code == 200
 
 
 def test_an_id_that_is_none_is_told_in_words(api):
