@@ -35,6 +35,7 @@ EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
 LOCK = ".experiment.in-use"
 """Of the folder, while a campaign writes there."""
+OLDER = "recover it with the version that wrote it"
 ANOTHER, ELSEWHERE = "another campaign", "wait for its end, or choose another folder"
 _Done = dict[str, list[Point]]
 _Extra = dict[str, str]
@@ -50,6 +51,7 @@ def run_campaign(
     profile: Profile | MultisineProfile | None = None,
     holder: str = "",
     recent_s: float | None = None,
+    anew: str = journal.ANEW,
 ) -> Experiment:
     """Run the whole experiment on a controller and write ``out_dir/experiment.h5``.
 
@@ -76,6 +78,8 @@ def run_campaign(
         stops that this one did not. Empty for one of this campaign alone.
     recent_s
         A journal that began longer ago is put aside, too; None goes on with one of any age.
+    anew
+        What the caller can do about a journal that this campaign cannot go on with, as the error tells it.
 
     Returns
     -------
@@ -133,9 +137,10 @@ def run_campaign(
                 folder.enter_context(sole_use(out_dir, ANOTHER, ELSEWHERE, LOCK))
                 if not resume or too_old(out_dir / JOURNAL, recent_s):
                     put_aside(out_dir / JOURNAL)
-                opened = journal.Journal(out_dir / JOURNAL, header)
+                opened = journal.Journal(out_dir / JOURNAL, header, anew)
                 try:
-                    speed = speed_of(opened.header, speed)
+                    speed = speed_of(opened.header, speed, anew)
+                    profile = profile_of(opened.header["profile"])  # to the last digit of whoever began it
                 except JournalError:
                     opened.close()
                     raise
@@ -150,6 +155,7 @@ def run_campaign(
                         capabilities.sample_rate_hz,
                         capabilities.harmonics,
                         lambda: _speed_now(controller),
+                        anew,
                     )
                     _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
                     extra |= _changed_speed(controller, speed)
@@ -228,7 +234,7 @@ def recover(out_dir: Path) -> Experiment:
         datasheet = parse(about["datasheet"]) if "datasheet" in about else None
     except (KeyError, TypeError) as error:
         raise JournalError(f"{out_dir / JOURNAL} was written by another version: {error}; resume with that") from error
-    recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics)
+    recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics, anew=OLDER)
     done: _Done = {}
     extra: _Extra = {}
     with suppress(_EndOfJournal, CampaignError):

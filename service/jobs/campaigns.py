@@ -49,6 +49,7 @@ UNHEARD_S = 5.0
 back."""
 STOP_NOTED_S = 2.0
 """So soon after the controller has stopped, the audit log has who asked for it over this service."""
+ANEW = "submit a new job, which measures anew"
 MEDIA_TYPE = "application/x-hdf5"
 
 
@@ -180,6 +181,7 @@ class _Campaign:
             resume=True,
             profile=self.profile,
             holder=self.job.id,  # whole: devices keep 32 characters of it
+            anew=ANEW,
         )
 
     def _begin_anew(self) -> None:
