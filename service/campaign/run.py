@@ -21,6 +21,7 @@ from service.campaign.points import Point, experiment
 from service.campaign.predecessor import holds_all, make_way, put_aside, too_old
 from service.campaign.progress import Meter, ProgressCallback
 from service.campaign.recorder import Recorder, Trip
+from service.errors import InUseError
 from service.exclusive import sole_use
 from service.experiment import file
 from service.experiment.data import Experiment
@@ -90,7 +91,7 @@ def run_campaign(
     ------
     OutputError
         ``out_dir`` cannot be written; nothing has moved.
-    ConflictError
+    InUseError
         Another campaign writes in ``out_dir``; nothing has moved.
     CampaignError
         The controller does not fit the datasheet, cannot play the excitation, or is tripped.
@@ -179,6 +180,15 @@ def run_campaign(
         log.close()
         (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
+
+
+def in_use(out_dir: Path) -> bool:
+    """Whether a campaign is at work in a folder, be it one that hangs."""
+    try:
+        with sole_use(out_dir, ANOTHER, ELSEWHERE, LOCK):
+            return False
+    except InUseError:
+        return True
 
 
 def _speed_now(controller: Controller) -> float | None:

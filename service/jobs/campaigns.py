@@ -19,8 +19,8 @@ from service.campaign.journal import began, entries
 from service.campaign.multisine.plan import MultisineProfile
 from service.campaign.predecessor import put_aside, too_old
 from service.campaign.progress import Progress
-from service.campaign.run import EXPERIMENT, JOURNAL, recover_into_file, run_campaign
-from service.errors import ConflictError, JobError, StoppedError
+from service.campaign.run import EXPERIMENT, JOURNAL, in_use, recover_into_file, run_campaign
+from service.errors import ConflictError, InUseError, JobError, StoppedError
 from service.experiment.errors import CampaignError, JournalError
 from service.jobs.context import Context
 from service.jobs.control import Control
@@ -50,6 +50,7 @@ back."""
 STOP_NOTED_S = 2.0
 """So soon after the controller has stopped, the audit log has who asked for it over this service."""
 ANEW = "submit a new job, which measures anew"
+HANGS = "waiting for the worker that had the job before, which hangs: end it, or let it go on"
 MEDIA_TYPE = "application/x-hdf5"
 
 
@@ -126,7 +127,7 @@ class _Campaign:
     """When the controller last answered, monotonic."""
 
     def to_the_end(self) -> Experiment:
-        """Run the campaign, again and again while the controller is away or held by another host."""
+        """Run the campaign, again and again while the controller is away, or rig or folder are held by another one."""
         self.answered = time.monotonic()
         while True:
             self._raise_if_stopped()
@@ -140,6 +141,8 @@ class _Campaign:
             except LeaseError as error:
                 self.answered = time.monotonic()
                 self._wait_for_lease(controller, error)
+            except InUseError:
+                self._wait_for_folder()
             except RestartError as error:
                 self._away(error)
             except BusError as error:
@@ -222,6 +225,19 @@ class _Campaign:
             if not status.lease_holder:
                 return
             error = LeaseError(status.lease_holder, status.lease_seconds_left)
+
+    def _wait_for_folder(self) -> None:
+        """Until the worker that had the job before lets go of its files.
+
+        It was taken for dead, but is not: it hangs. When it wakes it finds that the job is another one's, and stops
+        what it excites; before that nobody shall excite the rig beside it.
+        """
+        log.warning("the worker that had the job before hangs, and has its files yet; they are waited for")
+        while in_use(self.folder):
+            self.control.report(phase=HANGS)
+            time.sleep(LEASE_POLL_S)
+            self._raise_if_stopped()
+        self.answered = time.monotonic()
 
     def _waiting(self, error: LeaseError) -> str:
         """What is told of the wait; the lease may be this job's own, of the worker that it had before."""
