@@ -9,7 +9,9 @@ from __future__ import annotations
 import logging
 import shutil
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,9 @@ is in ``result`` whatever the state."""
 
 _counts = {"begun": 0, "parked": 0}
 _counting = threading.Lock()
+_at_work: set[str] = set()
+"""Jobs at which this process works."""
+EARLIER = "waiting for the earlier attempt at this job to end"
 
 
 def outcome(state: str, result: dict[str, Any], title: str = "", detail: str = "") -> Outcome:
@@ -76,7 +81,8 @@ def _guarded(
     ):
         log.info("a step of the %s begins, attempt %d", job.kind, job.run)
         try:
-            found = outcome(jobs.DONE, work(worker, job, control))
+            with _alone(job_id, control):
+                found = outcome(jobs.DONE, work(worker, job, control))
         except StoppedError:
             found = outcome(jobs.CANCELLED, control.result)
         except JobError as error:
@@ -96,6 +102,33 @@ def _guarded(
     if found["state"] != jobs.DONE and (control.stopping or control.superseded):
         park(job_id)
     return found
+
+
+@contextmanager
+def _alone(job_id: str, control: Control) -> Iterator[None]:
+    """While this process does nothing else for the job.
+
+    It may be given a job at which it works already: another worker took it for dead. The earlier attempt has been
+    superseded, and ends as soon as it notices; two at a time would excite one rig under one name.
+    """
+    while not _taken(job_id):
+        control.report(phase=EARLIER)
+        if control.stopped():
+            raise StoppedError("the job was stopped before it went on")
+        time.sleep(POLL_S)
+    try:
+        yield
+    finally:
+        with _counting:
+            _at_work.discard(job_id)
+
+
+def _taken(job_id: str) -> bool:
+    with _counting:
+        if job_id in _at_work:
+            return False
+        _at_work.add(job_id)
+        return True
 
 
 def park(job_id: str) -> None:
