@@ -36,6 +36,8 @@ EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
 LOCK = ".experiment.in-use"
 """Of the folder, while a campaign writes there."""
+RIG_SECONDS = "rig_seconds"
+"""Attribute of an experiment: the rig's time at its last point, s."""
 OLDER = "recover it with the version that wrote it"
 ANOTHER, ELSEWHERE = "another campaign", "wait for its end, or choose another folder"
 _Done = dict[str, list[Point]]
@@ -120,7 +122,7 @@ def run_campaign(
     extra: _Extra = {}
 
     def assembled() -> Experiment:
-        attributes = {"controller": capabilities.identity, "rig_seconds": f"{meter.rig_seconds:.3f}"}
+        attributes = {"controller": capabilities.identity, RIG_SECONDS: f"{meter.rig_seconds:.3f}"}
         return experiment(
             datasheet.name,
             capabilities.axes,
@@ -259,7 +261,7 @@ def recover(out_dir: Path) -> Experiment:
             datasheet,
             about["speed_rad_s"],
         )
-    attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
+    attributes = {"controller": header["controller"], RIG_SECONDS: f"{recorder.rig_seconds:.3f}"}
     attributes[INCOMPLETE] = "the campaign was interrupted"
     return experiment(
         header["rig"],
@@ -294,6 +296,22 @@ def recover_into_file(out_dir: Path) -> tuple[Path, Experiment]:
     if not _write(path, found):
         raise CampaignError(f"{out_dir / JOURNAL} holds no excited point yet; run the campaign again")
     return path, found
+
+
+def has_all(out_dir: Path) -> bool:
+    """Whether the file of a campaign that did not end has all that its journal has, by the time of the last point.
+
+    Told at once, where to replay a journal may take many seconds. Both are of one campaign.
+
+    Raises
+    ------
+    ExperimentFileError, JournalError
+        One of them cannot be read.
+    """
+    if not (out_dir / EXPERIMENT).exists():
+        return False
+    told_s = float(file.read(out_dir / EXPERIMENT).attributes.get(RIG_SECONDS, "-inf"))
+    return all(entry["time_s"] <= told_s + 1e-3 for entry in journal.read(out_dir / JOURNAL)[1][-1:])
 
 
 def _run(

@@ -49,28 +49,37 @@ def guarded(
     job_id: str,
     run: int,
     asked: dict[str, str] | None = None,
+    keep: Callable[[Context, JobRow, Control], None] | None = None,
 ) -> Outcome:
     """Run a part of a job under its control; what it returns is the result.
 
-    ``asked`` has the id of the request that handed the job over, and the ``traceparent`` of its span.
+    Parameters
+    ----------
+    asked
+        The id of the request that handed the job over, and the ``traceparent`` of its span.
+    keep
+        Keeps what the job has measured, in this process or in one that died, where the part does not come to its end
+        or not even to its beginning. It raises nothing: why the job ended is the one thing to tell.
     """
     _count("begun", 1)
     try:
-        return _guarded(work, job_id, run, asked or {})
+        return _guarded(work, job_id, run, asked or {}, keep)
     finally:
         _count("begun", -1)
 
 
 def _guarded(
-    work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int, asked: dict[str, str]
+    work: Callable[[Context, JobRow, Control], dict[str, Any]],
+    job_id: str,
+    run: int,
+    asked: dict[str, str],
+    keep: Callable[[Context, JobRow, Control], None] | None,
 ) -> Outcome:
     worker = context()
     if worker.stopping.is_set():
         park(job_id)
     job = worker.database.surely(lambda session: jobs.claim(session, job_id, run, worker.settings.worker))
     if job is None:  # cancelled before it began
-        return outcome(jobs.CANCELLED, {})
-    if job.cancel_requested:
         return outcome(jobs.CANCELLED, {})
     journal = worker.folder(job_id) / "experiment.journal"
     period_s = POLL_S if job.kind in jobs.ON_RIG else UNHURRIED_POLL_S
@@ -81,6 +90,8 @@ def _guarded(
     ):
         log.info("a step of the %s begins, attempt %d", job.kind, job.run)
         try:
+            if job.cancel_requested:
+                raise StoppedError("the job was cancelled while nobody worked on it")
             with _alone(job_id, control):
                 found = outcome(jobs.DONE, work(worker, job, control))
         except StoppedError:
@@ -98,6 +109,9 @@ def _guarded(
             log.exception("job %s met a defect", job_id)
             detail = f"{type(error).__name__}: {error}; report it with the worker's log"
             found = outcome(jobs.FAILED, control.result, "defect of the service", detail)
+        if found["state"] != jobs.DONE and keep is not None and not (control.stopping or control.superseded):
+            keep(worker, job, control)
+            found["result"] = control.result
         log.info("the step ends: %s", " ".join([found["state"], found["title"], found["detail"]]).strip())
     if found["state"] != jobs.DONE and (control.stopping or control.superseded):
         park(job_id)

@@ -44,9 +44,6 @@ class Told:
     def begin_journal(self, shipped: int) -> None:
         pass
 
-    def measured(self) -> int:
-        return 0
-
 
 @pytest.fixture
 def control():
@@ -75,7 +72,7 @@ def measure(worker, job, control, monkeypatch):
         steps = iter(campaign)
         monkeypatch.setattr(bootstrap, "connect", lambda _: controller or SimpleNamespace(close=lambda: None))
         monkeypatch.setattr(campaigns, "run_campaign", lambda *words, **more: next(steps)(*words, **more))
-        return campaigns.measure(worker, job, control, Profile(), "commissioning")
+        return campaigns.measure(worker, job, control, Profile())
 
     return measure
 
@@ -246,7 +243,7 @@ def test_a_job_whose_driver_does_not_come_back_from_connecting_is_cancelled_all_
     later.start()
     began = time.monotonic()
     with pytest.raises(StoppedError):
-        campaigns.measure(worker, job, control, Profile(), "commissioning")
+        campaigns.measure(worker, job, control, Profile())
     assert time.monotonic() - began < 10
     later.join()
     connection.let_go.set()
@@ -259,5 +256,5 @@ def test_a_job_whose_driver_does_not_come_back_from_connecting_fails_once_the_pa
     worker.settings = Settings(home=worker.settings.home, controller_patience_s=0.2)
     monkeypatch.setattr(campaigns, "CONNECT_S", 0.3, raising=False)
     with pytest.raises(JobError, match=r"modbus://127\.0\.0\.1:9: nothing comes") as ended:
-        campaigns.measure(worker, job, control, Profile(), "commissioning")
+        campaigns.measure(worker, job, control, Profile())
     assert ended.value.title == "controller does not answer"
