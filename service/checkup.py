@@ -114,7 +114,8 @@ def measure_check(
     from service.health.budget import RECENT_S
 
     name = holder or alone("ambit health")
-    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name, RECENT_S)
+    anew = "choose another folder"
+    return run_campaign(controller, datasheet, out_dir, progress, cancelled, True, plan.profile, name, RECENT_S, anew)
 
 
 def compare_into(

@@ -14,6 +14,7 @@
         ├── StorageError             a database or the store cannot be used
         ├── NotFoundError            there is no such resource
         ├── ConflictError            the state of a resource does not allow it
+        │     └── InUseError         another process is at work in a folder
         ├── AccessError              service.access.errors: no key, too small a scope, too many requests
         ├── UploadError              service.uploads.errors: a file that was sent is refused
         ├── ControllerRefusedError   a controller that was checked would not be safe on the rig
@@ -53,6 +54,10 @@ class NotFoundError(ServiceError):
 
 class ConflictError(ServiceError):
     """The state of a resource does not allow what was asked for."""
+
+
+class InUseError(ConflictError):
+    """Another process is at work in a folder that is for one at a time."""
 
 
 class ControllerRefusedError(ServiceError):

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
-from service.errors import ConflictError
+from service.errors import InUseError
 
 LOCK = ".in-use"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP)
@@ -24,7 +24,7 @@ def sole_use(folder: Path, who: str, remedy: str, name: str = LOCK) -> Iterator[
 
     Raises
     ------
-    ConflictError
+    InUseError
         Another process has it; the message names ``who`` and ends with the ``remedy``.
     """
     try:
@@ -38,7 +38,7 @@ def sole_use(folder: Path, who: str, remedy: str, name: str = LOCK) -> Iterator[
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise ConflictError(f"{who} is at work in {folder}; {remedy}") from None
+                raise InUseError(f"{who} is at work in {folder}; {remedy}") from None
             except OSError as error:
                 if error.errno not in _NO_LOCKS:
                     raise

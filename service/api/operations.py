@@ -18,7 +18,7 @@ from service.api.query import KnownQuery
 from service.api.shapes import Shape
 from service.api.state import Api, Services
 from service.storage import jobs, migrate, workers
-from service.storage.database import now
+from service.storage.clock import told
 
 router = APIRouter(tags=["operations"], route_class=KnownQuery)
 
@@ -71,9 +71,10 @@ class Metrics(Collector):
             with self._services.database.read() as session:
                 for state, count in jobs.counts(session).items():
                     by_state.add_metric([state], count)
+                at = told(session)
                 for row in workers.listed(session):
                     if row.stopped_at is None:
-                        silence.add_metric([row.name], (now() - row.beat_at).total_seconds())
+                        silence.add_metric([row.name], (at - row.beat_at).total_seconds())
         except SQLAlchemyError:  # what can be told is told
             return []
         return [by_state, silence]

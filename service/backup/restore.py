@@ -119,7 +119,7 @@ def _may_be_replaced(database: Database, replace: bool) -> None:
     if not inspect(database.engine).has_table(JobRow.__tablename__):
         return
     with database.read() as session:
-        if alive := [w.name for w in session.scalars(select(WorkerRow)) if workers.alive(w)]:
+        if alive := [w.name for w in workers.living(session)]:
             raise ConflictError(f"the worker {alive[0]!r} runs on this database; stop the service, then restore")
         passing = {"workers", "idempotency"}
         full = [

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from sim.datasheet import Datasheet
 
+STEPS_PER_A = 1_000_000
+"""A controller plays whole microamperes; a tone is planned as it is played."""
+
 
 @dataclass(frozen=True)
 class Profile:

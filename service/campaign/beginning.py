@@ -85,7 +85,7 @@ def speed_now(controller: Controller) -> float:
     return speed_rad_s
 
 
-def speed_of(header: journal.Entry, now_rad_s: float) -> float:
+def speed_of(header: journal.Entry, now_rad_s: float, anew: str = journal.ANEW) -> float:
     """Speed at which a journal's points were measured, and the next ones are, rad/s.
 
     Parameters
@@ -94,6 +94,8 @@ def speed_of(header: journal.Entry, now_rad_s: float) -> float:
         Of the run that began the journal.
     now_rad_s
         At which the rotor turns now.
+    anew
+        What else there is to do, as an error tells it.
 
     Raises
     ------
@@ -105,8 +107,7 @@ def speed_of(header: journal.Entry, now_rad_s: float) -> float:
         return began
     raise JournalError(
         f"the rotor turned at {began:.4g} rad/s when this campaign began, and turns at {now_rad_s:.4g} rad/s now: one "
-        "sweep has one speed; bring it to that speed to go on, choose another folder, or start anew with ambit "
-        "commission --no-resume"
+        f"sweep has one speed; bring it to that speed to go on; otherwise {anew}"
     )
 
 
@@ -114,4 +115,5 @@ def profile_of(document: dict[str, Any]) -> Profile | MultisineProfile:
     """The profile that a journal keeps; TypeError when another version wrote it."""
     if "multisine" in document:
         return MultisineProfile(**document["multisine"])
-    return Profile(**document)
+    lists = {name: tuple(value) for name, value in document.items() if isinstance(value, list)}
+    return Profile(**document | lists)

@@ -13,13 +13,18 @@ from service.campaign.aims import Aim, Limits, Profile
 Real = NDArray[np.float64]
 
 MAINS_HZ = (50.0, 60.0)
+DIGITS = 9
+"""Decimals of a grid's frequencies, Hz: a processor's last digit decides neither which of equal gaps is the widest, nor
+to which side of a line a tone moves."""
 CLEARANCE_HZ = 4.0
 """Most that a tone keeps off a line: less than half the distance between the two mains frequencies."""
 
 
 def grid(from_hz: float, to_hz: float, n: int) -> Real:
     """``n`` log-spaced frequencies, both ends included."""
-    return np.geomspace(from_hz, to_hz, n)
+    found = np.geomspace(from_hz, to_hz, n)
+    found[1:-1] = np.round(found[1:-1], DIGITS)
+    return found
 
 
 def mains_harmonics(up_to_hz: float) -> Real:

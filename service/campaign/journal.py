@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import zlib
 from contextlib import suppress
@@ -29,6 +30,11 @@ FORMAT = "amb-campaign-journal"
 VERSION = 1
 BEGAN = "began_at"
 """When the campaign began, ISO 8601 with its offset to UTC; in a header, under "about"."""
+ANEW = "choose another folder, or start anew with ambit commission --no-resume"
+"""What there is to do about a journal that a commissioning cannot go on with."""
+ALIKE = 1e-6
+"""Relative difference of two numbers that are one setting: a plan made by calculation, as that of a health check, has
+other last digits on another processor."""
 
 Entry = dict[str, Any]
 
@@ -120,7 +126,10 @@ class Journal:
     path
         The file. It is made with ``header`` when it does not exist, or holds not even a whole header.
     header
-        What the campaign is; an existing journal must have the same, but for what is under "about".
+        What the campaign is; an existing journal must have the same, but for the last digits of numbers and for what
+        is under "about".
+    anew
+        What there is to do about an existing journal of another campaign, as an error tells it.
 
     Raises
     ------
@@ -130,8 +139,8 @@ class Journal:
         The folder cannot be written.
     """
 
-    def __init__(self, path: Path, header: Entry) -> None:
-        self.path = path
+    def __init__(self, path: Path, header: Entry, anew: str = ANEW) -> None:
+        self.path, self._anew = path, anew
         header = {"format": FORMAT, "version": VERSION, **header}
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -155,10 +164,10 @@ class Journal:
         if not found and b"\n" in content:
             raise JournalError(f"{self.path} is not a campaign journal; move it away to start anew")
         wanted = json.loads(json.dumps(header, default=_encoded))
-        if found and _compared(found[0]) != _compared(wanted):
+        if found and not _alike(_compared(found[0]), _compared(wanted)):
             raise JournalError(
                 f"{self.path} belongs to another campaign: {difference(found[0], wanted)}; to go on with it, give what "
-                "it had; otherwise choose another folder, or start anew with ambit commission --no-resume"
+                f"it had; otherwise {self._anew}"
             )
         os.ftruncate(self._descriptor, good)
         os.lseek(self._descriptor, good, os.SEEK_SET)
@@ -202,3 +211,14 @@ class Journal:
 
 def _compared(header: Entry) -> Entry:
     return {k: v for k, v in header.items() if k != "about"}
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether two settings are the same but for the last digits of a processor."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_alike(one[name], other[name]) for name in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=ALIKE)
+    return bool(one == other)

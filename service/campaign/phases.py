@@ -188,6 +188,7 @@ class Phases:
         tries = self.profile.tries
         while tries > 0:
             outcome = self.recorder.point(phase, request)
+            request = outcome.request or request
             if isinstance(outcome, Trip):
                 self.knowledge.tripped(request.axis)
                 trips += 1

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from service.campaign.aims import Aim, Limits, Profile
+from service.campaign.aims import STEPS_PER_A, Aim, Limits, Profile
 from service.campaign.frequencies import whole_periods
 from service.campaign.knowledge import Knowledge
 
@@ -50,9 +50,37 @@ class Request:
         """What a journal keeps, to know the same question again."""
         return asdict(self)
 
+    def recalled(self, kept: Any) -> Request | None:
+        """The tone of a journal where it is this one but for the last digits of a processor; None where it is another.
+
+        Those digits, rounded up here and down there, are a step of the amplitude or a sample of the settling.
+        """
+        asked = self.description()
+        if not isinstance(kept, dict) or kept.keys() != asked.keys():
+            return None
+        given = {"amplitude_a", "settle_samples"}
+        if any(kept[name] != asked[name] for name in asked.keys() - given):
+            return None
+        found = Request(**kept)
+        near = abs(found.amplitude_a - self.amplitude_a) <= 1.5 / STEPS_PER_A
+        near &= abs(found.settle_samples - self.settle_samples) <= 1
+        return found if near and (found.amplitude_a > 0) == (self.amplitude_a > 0) else None
+
     def with_amplitude(self, amplitude_a: float) -> Request:
         """The same tone, another amplitude."""
-        return replace(self, amplitude_a=amplitude_a)
+        return replace(self, amplitude_a=settable(amplitude_a))
+
+
+def settable(amplitude_a: float) -> float:
+    """The largest amplitude that a controller can play within a wanted one, A; never none where one is wanted.
+
+    >>> settable(0.1234567), settable(0.3), settable(2e-8), settable(0.0)
+    (0.123456, 0.3, 1e-06, 0.0)
+    """
+    if amplitude_a <= 0:
+        return 0.0
+    steps = round(amplitude_a * STEPS_PER_A)
+    return max(steps - int(steps / STEPS_PER_A > amplitude_a), 1) / STEPS_PER_A
 
 
 def needed_amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim: Aim, seconds: float) -> float:
@@ -96,9 +124,9 @@ def amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim: Aim, se
     if not knowledge.knows(axis):
         density = knowledge.noise.block_variance(frequency_hz, seconds)
         first = math.sqrt(float(density["i"][axis] + density["u"][axis])) / aim.accuracy
-        return max(min(first, aim.current_a / 20, limits.max_amplitude_a), SMALLEST_A)
+        return settable(max(min(first, aim.current_a / 20, limits.max_amplitude_a), SMALLEST_A))
     wanted = needed_amplitude(knowledge, axis, frequency_hz, aim, seconds)
-    return max(min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits)), SMALLEST_A)
+    return settable(max(min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits)), SMALLEST_A))
 
 
 def tones(

@@ -10,18 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.campaign.journal import Entry
+from service.campaign.journal import ANEW, Entry
 from service.campaign.multisine.plan import PeriodicRequest
 from service.campaign.plan import Request
 from service.campaign.points import Point
 from service.experiment.errors import CampaignError, JournalError
 
 Reduction = Callable[[dict[str, NDArray[np.float64]]], dict[str, Any]]
+Asked = TypeVar("Asked", bound=Request | PeriodicRequest)
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Trip:
 
     cause: str
     message: str
+    request: Request | None = None
+    """The tone, as the journal has it; None from whoever moves the rig."""
 
 
 class Played(Protocol):
@@ -95,6 +98,8 @@ class Recorder:
         Of the controller.
     speed
         At which the rotor turns, rad/s, asked before each measurement; None where that is not known.
+    anew
+        What whoever runs the campaign can do where the journal is of another plan.
     """
 
     def __init__(
@@ -105,9 +110,11 @@ class Recorder:
         sample_rate_hz: float,
         harmonics: tuple[int, ...],
         speed: Callable[[], float | None] = lambda: None,
+        anew: str = ANEW,
     ) -> None:
         self._measure = measure
         self._speed = speed
+        self._anew = anew
         self._append = append
         self._found = list(reversed(found))
         self._rate = sample_rate_hz
@@ -121,14 +128,14 @@ class Recorder:
         return bool(self._found)
 
     def point(self, phase: str, request: Request, keep_trip: bool = True) -> Point | Trip:
-        """One tone: a point, or the trip in which it ended.
+        """One tone: a point, or the trip in which it ended; its request is what was measured, as the journal has it.
 
         A trip is kept in the journal, as part of what the rig answered, unless ``keep_trip`` is False: then a resumed
         campaign asks again.
         """
-        entry = self._entry(phase, request, None, keep_trip)
+        request, entry = self._answered(phase, request, None, keep_trip)
         if entry["outcome"] == "trip":
-            return Trip(entry["cause"], entry["message"])
+            return Trip(entry["cause"], entry["message"], request)
         return Point(
             request=request,
             frequency_hz=request.frequency_hz(self._rate),
@@ -144,29 +151,35 @@ class Recorder:
 
     def reduced(self, phase: str, request: Request | PeriodicRequest, reduction: Reduction) -> dict[str, Any] | Trip:
         """One tone or waveform with its records, of which ``reduction(records)``, peaks and speed are kept."""
-        entry = self._entry(phase, request, reduction, request.amplitude_a > 0)
+        _, entry = self._answered(phase, request, reduction, request.amplitude_a > 0)
         if entry["outcome"] == "trip":
             return Trip(entry["cause"], entry["message"])
         peaks = {k: _number(entry[k]) for k in ("peak_displacement_m", "peak_current_a")}
         return {**entry["reduced"], **peaks, "speed_rad_s": entry.get("speed_rad_s")}
 
-    def _entry(
-        self, phase: str, request: Request | PeriodicRequest, reduction: Reduction | None, keep_trip: bool
-    ) -> Entry:
-        asked = {"phase": phase, "request": request.description()}
+    def _answered(
+        self, phase: str, request: Asked, reduction: Reduction | None, keep_trip: bool
+    ) -> tuple[Asked, Entry]:
+        """What was asked, and the answer.
+
+        A campaign may go on where another processor began it, whose last digits ask a hair otherwise. What was
+        measured is what the journal says, and all that follows from it follows from that.
+        """
         if self._found:
             entry = self._found.pop()
-            if {k: entry.get(k) for k in asked} != asked:
+            recalled = request.recalled(entry.get("request")) if entry.get("phase") == phase else None
+            if recalled is None:
                 raise JournalError(
-                    f"the journal was written by another plan: its next point is {entry.get('request')}, "
-                    f"this one asks for {asked['request']}; start anew with ambit commission --no-resume"
+                    f"the journal was written by another plan: its next point is {entry.get('request')} "
+                    f"({entry.get('phase')}), this one asks for {request.description()} ({phase}); {self._anew}"
                 )
+            request = cast(Asked, recalled)  # of the same kind
         else:
-            entry = asked | self._live(request, reduction)
+            entry = {"phase": phase, "request": request.description()} | self._live(request, reduction)
             if keep_trip or entry["outcome"] != "trip":
                 self._append(entry)
         self.rig_seconds = entry["time_s"]
-        return entry
+        return request, entry
 
     def _live(self, request: Request | PeriodicRequest, reduction: Reduction | None) -> Entry:
         speed = self._speed()

@@ -21,6 +21,7 @@ from service.campaign.points import Point, experiment
 from service.campaign.predecessor import holds_all, make_way, put_aside, too_old
 from service.campaign.progress import Meter, ProgressCallback
 from service.campaign.recorder import Recorder, Trip
+from service.errors import InUseError
 from service.exclusive import sole_use
 from service.experiment import file
 from service.experiment.data import Experiment
@@ -35,6 +36,9 @@ EXPERIMENT = "experiment.h5"
 JOURNAL = "experiment.journal"
 LOCK = ".experiment.in-use"
 """Of the folder, while a campaign writes there."""
+RIG_SECONDS = "rig_seconds"
+"""Attribute of an experiment: the rig's time at its last point, s."""
+OLDER = "recover it with the version that wrote it"
 ANOTHER, ELSEWHERE = "another campaign", "wait for its end, or choose another folder"
 _Done = dict[str, list[Point]]
 _Extra = dict[str, str]
@@ -50,6 +54,7 @@ def run_campaign(
     profile: Profile | MultisineProfile | None = None,
     holder: str = "",
     recent_s: float | None = None,
+    anew: str = journal.ANEW,
 ) -> Experiment:
     """Run the whole experiment on a controller and write ``out_dir/experiment.h5``.
 
@@ -76,6 +81,8 @@ def run_campaign(
         stops that this one did not. Empty for one of this campaign alone.
     recent_s
         A journal that began longer ago is put aside, too; None goes on with one of any age.
+    anew
+        What the caller can do about a journal that this campaign cannot go on with, as the error tells it.
 
     Returns
     -------
@@ -86,7 +93,7 @@ def run_campaign(
     ------
     OutputError
         ``out_dir`` cannot be written; nothing has moved.
-    ConflictError
+    InUseError
         Another campaign writes in ``out_dir``; nothing has moved.
     CampaignError
         The controller does not fit the datasheet, cannot play the excitation, or is tripped.
@@ -115,7 +122,7 @@ def run_campaign(
     extra: _Extra = {}
 
     def assembled() -> Experiment:
-        attributes = {"controller": capabilities.identity, "rig_seconds": f"{meter.rig_seconds:.3f}"}
+        attributes = {"controller": capabilities.identity, RIG_SECONDS: f"{meter.rig_seconds:.3f}"}
         return experiment(
             datasheet.name,
             capabilities.axes,
@@ -133,9 +140,10 @@ def run_campaign(
                 folder.enter_context(sole_use(out_dir, ANOTHER, ELSEWHERE, LOCK))
                 if not resume or too_old(out_dir / JOURNAL, recent_s):
                     put_aside(out_dir / JOURNAL)
-                opened = journal.Journal(out_dir / JOURNAL, header)
+                opened = journal.Journal(out_dir / JOURNAL, header, anew)
                 try:
-                    speed = speed_of(opened.header, speed)
+                    speed = speed_of(opened.header, speed, anew)
+                    profile = profile_of(opened.header["profile"])  # to the last digit of whoever began it
                 except JournalError:
                     opened.close()
                     raise
@@ -150,6 +158,7 @@ def run_campaign(
                         capabilities.sample_rate_hz,
                         capabilities.harmonics,
                         lambda: _speed_now(controller),
+                        anew,
                     )
                     _run(recorder, limits, profile, capabilities.raw_records, meter, done, extra, datasheet, speed)
                     extra |= _changed_speed(controller, speed)
@@ -173,6 +182,15 @@ def run_campaign(
         log.close()
         (out_dir / JOURNAL).unlink(missing_ok=True)
     return result
+
+
+def in_use(out_dir: Path) -> bool:
+    """Whether a campaign is at work in a folder, be it one that hangs."""
+    try:
+        with sole_use(out_dir, ANOTHER, ELSEWHERE, LOCK):
+            return False
+    except InUseError:
+        return True
 
 
 def _speed_now(controller: Controller) -> float | None:
@@ -228,7 +246,7 @@ def recover(out_dir: Path) -> Experiment:
         datasheet = parse(about["datasheet"]) if "datasheet" in about else None
     except (KeyError, TypeError) as error:
         raise JournalError(f"{out_dir / JOURNAL} was written by another version: {error}; resume with that") from error
-    recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics)
+    recorder = Recorder(measure, entries, lambda _: None, limits.sample_rate_hz, harmonics, anew=OLDER)
     done: _Done = {}
     extra: _Extra = {}
     with suppress(_EndOfJournal, CampaignError):
@@ -243,7 +261,7 @@ def recover(out_dir: Path) -> Experiment:
             datasheet,
             about["speed_rad_s"],
         )
-    attributes = {"controller": header["controller"], "rig_seconds": f"{recorder.rig_seconds:.3f}"}
+    attributes = {"controller": header["controller"], RIG_SECONDS: f"{recorder.rig_seconds:.3f}"}
     attributes[INCOMPLETE] = "the campaign was interrupted"
     return experiment(
         header["rig"],
@@ -278,6 +296,22 @@ def recover_into_file(out_dir: Path) -> tuple[Path, Experiment]:
     if not _write(path, found):
         raise CampaignError(f"{out_dir / JOURNAL} holds no excited point yet; run the campaign again")
     return path, found
+
+
+def has_all(out_dir: Path) -> bool:
+    """Whether the file of a campaign that did not end has all that its journal has, by the time of the last point.
+
+    Told at once, where to replay a journal may take many seconds. Both are of one campaign.
+
+    Raises
+    ------
+    ExperimentFileError, JournalError
+        One of them cannot be read.
+    """
+    if not (out_dir / EXPERIMENT).exists():
+        return False
+    told_s = float(file.read(out_dir / EXPERIMENT).attributes.get(RIG_SECONDS, "-inf"))
+    return all(entry["time_s"] <= told_s + 1e-3 for entry in journal.read(out_dir / JOURNAL)[1][-1:])
 
 
 def _run(

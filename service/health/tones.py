@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from service.campaign.aims import Profile
-from service.campaign.frequencies import CLEARANCE_HZ, mains_harmonics, off_lines
+from service.campaign.frequencies import CLEARANCE_HZ, DIGITS, grid, mains_harmonics, off_lines
 from service.errors import JobError
 from service.health import budget
 from service.health.monitored import plane_figures
@@ -176,7 +176,7 @@ class _Times:
 def candidate_frequencies(planes: Mapping[str, SavedPlane], datasheet: Datasheet) -> Real:
     """Frequencies to choose from, clear of the mains, Hz: a log-spaced grid, and a comb across every mode."""
     top = min(1000.0, 0.4 * datasheet.sample_rate_hz)
-    grid = off_lines(np.geomspace(10.0, top, CANDIDATES), CLEARANCE_HZ, mains_harmonics(top))
+    spread = off_lines(grid(10.0, top, CANDIDATES), CLEARANCE_HZ, mains_harmonics(top))
     near = []
     for s in planes.values():
         for mode in s.model.modes[list(s.rotor_modes)]:
@@ -185,7 +185,8 @@ def candidate_frequencies(planes: Mapping[str, SavedPlane], datasheet: Datasheet
     comb = np.concatenate(near) if near else np.empty(0)
     # a mode on a harmonic of the mains is measured all the same: the lock-in sees the line only when it is hit
     comb = off_lines(comb[(comb > 10.0) & (comb < top)], 0.3, mains_harmonics(top))
-    return np.unique(np.concatenate([grid, comb]))
+    # both planes may have a mode at one frequency but for the last digit: which of two that are one is no choice
+    return np.unique(np.round(np.concatenate([spread, comb]), DIGITS))
 
 
 class _Design:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,8 +20,8 @@ from service.campaign.journal import began, entries
 from service.campaign.multisine.plan import MultisineProfile
 from service.campaign.predecessor import put_aside, too_old
 from service.campaign.progress import Progress
-from service.campaign.run import EXPERIMENT, JOURNAL, recover_into_file, run_campaign
-from service.errors import ConflictError, JobError, StoppedError
+from service.campaign.run import EXPERIMENT, JOURNAL, has_all, in_use, recover_into_file, run_campaign
+from service.errors import ConflictError, InUseError, JobError, StoppedError
 from service.experiment.errors import CampaignError, JournalError
 from service.jobs.context import Context
 from service.jobs.control import Control
@@ -49,6 +50,10 @@ UNHEARD_S = 5.0
 back."""
 STOP_NOTED_S = 2.0
 """So soon after the controller has stopped, the audit log has who asked for it over this service."""
+ANEW = "submit a new job, which measures anew"
+HANGS = "waiting for the worker that had the job before, which hangs: end it, or let it go on"
+PURPOSES = {"experiment": "commissioning", "health": "health"}
+"""What a job's experiment is for, by the job's kind."""
 MEDIA_TYPE = "application/x-hdf5"
 
 
@@ -65,13 +70,12 @@ def measure(
     job: JobRow,
     control: Control,
     profile: Profile | MultisineProfile,
-    purpose: str,
     share: Share = WHOLE,
     recent_s: float | None = None,
 ) -> dict[str, Any]:
     """Run a campaign to its end and keep its experiment; ``{"experiment": id}``.
 
-    What was measured is kept when the job is cancelled or fails, too. ``share`` is its part of the job's percent.
+    What was measured when the job is cancelled or fails is for `keep`. ``share`` is its part of the job's percent.
     With ``recent_s`` the campaign goes on with what it measured so long ago at most.
 
     Raises
@@ -90,19 +94,33 @@ def measure(
     version, path = datasheet_file(worker, job)
     sheet = rig_file.read(path)
     folder = worker.folder(job.id)
-    _restore_journal(worker, job, folder / JOURNAL, control)
+    _restore_journal(worker, job, folder / JOURNAL, control, control.stopped)
     run = _Campaign(
-        worker, job, control, sheet, version.controller_url, profile, folder, Part(control, share), purpose, recent_s
+        worker, job, control, sheet, version.controller_url, profile, folder, Part(control, share), recent_s
     )
-    try:
-        experiment = run.to_the_end()
-    except BaseException:
-        if not (control.stopping or control.superseded):
-            _keep_partial(worker, job, control, folder, purpose)
-        raise
-    kept = _kept(worker, job, folder / EXPERIMENT, experiment, purpose, complete=True)
+    experiment = run.to_the_end()
+    kept = _kept(worker, job, folder / EXPERIMENT, experiment, complete=True)
     control.made(experiment=kept)
     return {"experiment": kept}
+
+
+def keep(worker: Context, job: JobRow, control: Control) -> None:
+    """Make an experiment of what a job has measured that ends before its campaign does.
+
+    The journal has it all, also where this process measured none of it: a worker that was killed did, and the job was
+    cancelled, or its rig retired, before another one went on. The journal stays, for a job that is tried again.
+    """
+    try:
+        if (kept := _measured_before(worker, job)) is None:
+            _restore_journal(
+                worker, job, worker.folder(job.id) / JOURNAL, control, lambda: control.stopping or control.superseded
+            )
+            kept = _partial(worker, job)
+    except Exception:
+        log.exception("what job %s has measured is in its journal, but no experiment could be made of it", job.id)
+    else:
+        if kept is not None:
+            control.made(experiment=kept)
 
 
 class _UnheardError(Exception):
@@ -119,13 +137,12 @@ class _Campaign:
     profile: Profile | MultisineProfile
     folder: Path
     part: Part
-    purpose: str
     recent_s: float | None
     answered: float = 0.0
     """When the controller last answered, monotonic."""
 
     def to_the_end(self) -> Experiment:
-        """Run the campaign, again and again while the controller is away or held by another host."""
+        """Run the campaign, again and again while the controller is away, or rig or folder are held by another one."""
         self.answered = time.monotonic()
         while True:
             self._raise_if_stopped()
@@ -139,6 +156,8 @@ class _Campaign:
             except LeaseError as error:
                 self.answered = time.monotonic()
                 self._wait_for_lease(controller, error)
+            except InUseError:
+                self._wait_for_folder()
             except RestartError as error:
                 self._away(error)
             except BusError as error:
@@ -180,12 +199,13 @@ class _Campaign:
             resume=True,
             profile=self.profile,
             holder=self.job.id,  # whole: devices keep 32 characters of it
+            anew=ANEW,
         )
 
     def _begin_anew(self) -> None:
         """Go on with no point so far: they are kept as an experiment of their own, for the job makes another one."""
         try:
-            kept = f"they are kept as {_kept_apart(self.worker, self.job, self.folder, self.purpose)}"
+            kept = f"they are kept as {_kept_apart(self.worker, self.job, self.folder)}"
         except (CampaignError, JournalError) as error:
             kept = f"no experiment can be made of them: {error}"
         log.warning("the points so far are too old to go on with, and the campaign begins anew; %s", kept)
@@ -220,6 +240,19 @@ class _Campaign:
             if not status.lease_holder:
                 return
             error = LeaseError(status.lease_holder, status.lease_seconds_left)
+
+    def _wait_for_folder(self) -> None:
+        """Until the worker that had the job before lets go of its files.
+
+        It was taken for dead, but is not: it hangs. When it wakes it finds that the job is another one's, and stops
+        what it excites; before that nobody shall excite the rig beside it.
+        """
+        log.warning("the worker that had the job before hangs, and has its files yet; they are waited for")
+        while in_use(self.folder):
+            self.control.report(phase=HANGS)
+            time.sleep(LEASE_POLL_S)
+            self._raise_if_stopped()
+        self.answered = time.monotonic()
 
     def _waiting(self, error: LeaseError) -> str:
         """What is told of the wait; the lease may be this job's own, of the worker that it had before."""
@@ -296,12 +329,12 @@ def _measured_before(worker: Context, job: JobRow) -> str | None:
     return row.id if row is not None and row.complete else None
 
 
-def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control) -> None:
+def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control, given_up: Callable[[], bool]) -> None:
     """The longer one of this machine's journal and the database's: what was begun elsewhere goes on here.
 
     Of both only whole lines count: what a machine that died had written of a point is measured again, in other bytes.
     """
-    sent = worker.database.surely(lambda session: jobs.journal(session, job.id), control.stopped)
+    sent = worker.database.surely(lambda session: jobs.journal(session, job.id), given_up)
     content = path.read_bytes() if path.exists() else b""
     kept, local = sent[: entries(sent)[1]], content[: entries(content)[1]]
     if cut := len(sent) - len(kept):
@@ -314,41 +347,44 @@ def _restore_journal(worker: Context, job: JobRow, path: Path, control: Control)
     control.begin_journal(len(kept) if local[: len(kept)] == kept else 0)
 
 
-def _keep_partial(worker: Context, job: JobRow, control: Control, folder: Path, purpose: str) -> None:
+def _partial(worker: Context, job: JobRow) -> str | None:
+    """The experiment of a campaign that did not end; None where it has no point yet."""
     from service.experiment import file
-    from service.experiment.errors import ExperimentError
 
+    folder = worker.folder(job.id)
     path = folder / EXPERIMENT
-    if not path.exists() or control.measured() == 0:
-        return
-    with suppress(ExperimentError):  # the reason why the job ended is the one to tell
-        control.made(experiment=_kept(worker, job, path, file.read(path), purpose, complete=False))
+    if (folder / JOURNAL).exists() and not has_all(folder):
+        try:
+            recover_into_file(folder)
+        except CampaignError as error:
+            log.info("no experiment is made of what %s has measured: %s", job.id, error)
+        except Exception:  # then what its file has is what there is
+            log.exception("no experiment can be made of the journal of %s", job.id)
+    return _kept(worker, job, path, file.read(path), complete=False) if path.exists() else None
 
 
-def _kept_apart(worker: Context, job: JobRow, folder: Path, purpose: str) -> str:
+def _kept_apart(worker: Context, job: JobRow, folder: Path) -> str:
     path, experiment = recover_into_file(folder)
-    row = _row(worker, job, path, experiment, purpose, complete=False)
+    row = _row(worker, job, path, experiment, complete=False)
     row.id, row.job_id, row.created_at = new_id("exp"), None, began(folder / JOURNAL) or row.created_at
     worker.database.surely(lambda session: results.keep(session, row))
     return row.id
 
 
-def _kept(worker: Context, job: JobRow, path: Path, experiment: Experiment, purpose: str, complete: bool) -> str:
-    row = _row(worker, job, path, experiment, purpose, complete)
+def _kept(worker: Context, job: JobRow, path: Path, experiment: Experiment, complete: bool) -> str:
+    row = _row(worker, job, path, experiment, complete)
     worker.database.surely(lambda session: results.keep(session, row))
     return row.id
 
 
-def _row(
-    worker: Context, job: JobRow, path: Path, experiment: Experiment, purpose: str, complete: bool
-) -> ExperimentRow:
+def _row(worker: Context, job: JobRow, path: Path, experiment: Experiment, complete: bool) -> ExperimentRow:
     return ExperimentRow(
         id=derived_id("exp", job.id),
         rig_id=job.rig_id,
         rig_version=job.rig_version,
         job_id=job.id,
         source="measured",
-        purpose=purpose,
+        purpose=PURPOSES[job.kind],
         complete=complete,
         file_sha256=worker.blobs.put_file(path),
         file_bytes=path.stat().st_size,

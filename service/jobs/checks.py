@@ -41,7 +41,7 @@ def measure(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
     arguments = {"baseline": baseline, "rig": str(rig), "budget_s": job.options.get("budget_s", budget.USUAL_S)}
     found = worker.calculator.run("health_plan", arguments, control.stopped)
     profile = Profile(**{**found, "frequencies_hz": tuple(found["frequencies_hz"])})
-    return campaigns.measure(worker, job, control, profile, "health", MEASURING_CHECK, budget.RECENT_S)
+    return campaigns.measure(worker, job, control, profile, MEASURING_CHECK, budget.RECENT_S)
 
 
 def compare(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:

@@ -56,7 +56,6 @@ class Control:
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._made: dict[str, str] = {}
-        self._point = 0
         self._heard = time.monotonic()
         self._outage = Outage(log, f"job {job_id}")
         self._unread = Outage(log, f"job {job_id}", "its journal cannot be read", "its journal is read again")
@@ -92,11 +91,6 @@ class Control:
         """Progress, written soon: columns of the job's row."""
         with self._lock:
             self._pending |= values
-            self._point = values.get("point", self._point)
-
-    def measured(self) -> int:
-        """Points that were reported so far."""
-        return self._point
 
     def made(self, **ids: str) -> None:
         """Note what the job has made, whatever comes of it."""

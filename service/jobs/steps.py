@@ -9,7 +9,9 @@ from __future__ import annotations
 import logging
 import shutil
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,9 @@ is in ``result`` whatever the state."""
 
 _counts = {"begun": 0, "parked": 0}
 _counting = threading.Lock()
+_at_work: set[str] = set()
+"""Jobs at which this process works."""
+EARLIER = "waiting for the earlier attempt at this job to end"
 
 
 def outcome(state: str, result: dict[str, Any], title: str = "", detail: str = "") -> Outcome:
@@ -44,28 +49,37 @@ def guarded(
     job_id: str,
     run: int,
     asked: dict[str, str] | None = None,
+    keep: Callable[[Context, JobRow, Control], None] | None = None,
 ) -> Outcome:
     """Run a part of a job under its control; what it returns is the result.
 
-    ``asked`` has the id of the request that handed the job over, and the ``traceparent`` of its span.
+    Parameters
+    ----------
+    asked
+        The id of the request that handed the job over, and the ``traceparent`` of its span.
+    keep
+        Keeps what the job has measured, in this process or in one that died, where the part does not come to its end
+        or not even to its beginning. It raises nothing: why the job ended is the one thing to tell.
     """
     _count("begun", 1)
     try:
-        return _guarded(work, job_id, run, asked or {})
+        return _guarded(work, job_id, run, asked or {}, keep)
     finally:
         _count("begun", -1)
 
 
 def _guarded(
-    work: Callable[[Context, JobRow, Control], dict[str, Any]], job_id: str, run: int, asked: dict[str, str]
+    work: Callable[[Context, JobRow, Control], dict[str, Any]],
+    job_id: str,
+    run: int,
+    asked: dict[str, str],
+    keep: Callable[[Context, JobRow, Control], None] | None,
 ) -> Outcome:
     worker = context()
     if worker.stopping.is_set():
         park(job_id)
     job = worker.database.surely(lambda session: jobs.claim(session, job_id, run, worker.settings.worker))
     if job is None:  # cancelled before it began
-        return outcome(jobs.CANCELLED, {})
-    if job.cancel_requested:
         return outcome(jobs.CANCELLED, {})
     journal = worker.folder(job_id) / "experiment.journal"
     period_s = POLL_S if job.kind in jobs.ON_RIG else UNHURRIED_POLL_S
@@ -76,7 +90,10 @@ def _guarded(
     ):
         log.info("a step of the %s begins, attempt %d", job.kind, job.run)
         try:
-            found = outcome(jobs.DONE, work(worker, job, control))
+            if job.cancel_requested:
+                raise StoppedError("the job was cancelled while nobody worked on it")
+            with _alone(job_id, control):
+                found = outcome(jobs.DONE, work(worker, job, control))
         except StoppedError:
             found = outcome(jobs.CANCELLED, control.result)
         except JobError as error:
@@ -92,10 +109,40 @@ def _guarded(
             log.exception("job %s met a defect", job_id)
             detail = f"{type(error).__name__}: {error}; report it with the worker's log"
             found = outcome(jobs.FAILED, control.result, "defect of the service", detail)
+        if found["state"] != jobs.DONE and keep is not None and not (control.stopping or control.superseded):
+            keep(worker, job, control)
+            found["result"] = control.result
         log.info("the step ends: %s", " ".join([found["state"], found["title"], found["detail"]]).strip())
     if found["state"] != jobs.DONE and (control.stopping or control.superseded):
         park(job_id)
     return found
+
+
+@contextmanager
+def _alone(job_id: str, control: Control) -> Iterator[None]:
+    """While this process does nothing else for the job.
+
+    It may be given a job at which it works already: another worker took it for dead. The earlier attempt has been
+    superseded, and ends as soon as it notices; two at a time would excite one rig under one name.
+    """
+    while not _taken(job_id):
+        control.report(phase=EARLIER)
+        if control.stopped():
+            raise StoppedError("the job was stopped before it went on")
+        time.sleep(POLL_S)
+    try:
+        yield
+    finally:
+        with _counting:
+            _at_work.discard(job_id)
+
+
+def _taken(job_id: str) -> bool:
+    with _counting:
+        if job_id in _at_work:
+            return False
+        _at_work.add(job_id)
+        return True
 
 
 def park(job_id: str) -> None:

@@ -8,12 +8,13 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 from service.config import Settings
 from service.errors import ConflictError
 from service.storage import workers
-from service.storage.database import Database, now
+from service.storage.clock import told
+from service.storage.database import Database
 
 log = logging.getLogger(__name__)
 
@@ -54,9 +55,10 @@ class Supervisor:
 
     def _must_be_alone(self, database: Database) -> None:
         """One that is about to end, as its service was killed, is waited for: it gives no sign of life any more."""
-        began = now()
+        began: datetime | None = None
         while True:
             with database.read() as session:
+                began = began or told(session)
                 other = workers.named(session, self._settings.worker)
             if other is None:
                 return

@@ -50,7 +50,7 @@ def _workflow(kind: str) -> Callable[[Callable[..., None]], Callable[..., None]]
 @_workflow("experiment")
 def experiment(job_id: str, run: int, asked: Asked | None = None) -> None:
     """Measure a rig, then identify it unless that is not wanted."""
-    found = _step("measure", _measure, job_id, run, asked)
+    found = _step("measure", _measure, job_id, run, asked, campaigns.keep)
     if found["state"] == jobs.DONE:
         made = found["result"]["experiment"]
         found = _and(found, _step("identify", lambda w, j, c: _identify_measured(w, j, c, made), job_id, run, asked))
@@ -72,7 +72,7 @@ def gap(job_id: str, run: int, asked: Asked | None = None) -> None:
 @_workflow("health")
 def health(job_id: str, run: int, asked: Asked | None = None) -> None:
     """A short experiment, compared with the rig's baseline; whoever wants to know is told."""
-    found = _step("measure", checks.measure, job_id, run, asked)
+    found = _step("measure", checks.measure, job_id, run, asked, campaigns.keep)
     if found["state"] == jobs.DONE:
         made = found["result"]["experiment"]
         found = _and(found, _step("compare", lambda w, j, c: checks.compare(w, j, c, made), job_id, run, asked))
@@ -95,8 +95,15 @@ def notice(delivery_id: str) -> None:
             raise
 
 
-def _step(name: str, work: Work, job_id: str, run: int, asked: Asked | None) -> Outcome:
-    return DBOS.run_step({"name": name}, steps.guarded, work, job_id, run, asked)
+def _step(
+    name: str,
+    work: Work,
+    job_id: str,
+    run: int,
+    asked: Asked | None,
+    keep: Callable[[Context, JobRow, Control], None] | None = None,
+) -> Outcome:
+    return DBOS.run_step({"name": name}, steps.guarded, work, job_id, run, asked, keep)
 
 
 def _end(job_id: str, run: int, found: Outcome) -> None:
@@ -110,7 +117,7 @@ def _and(first: Outcome, second: Outcome) -> Outcome:
 
 def _measure(worker: Context, job: JobRow, control: Control) -> dict[str, Any]:
     share = MEASURING if job.options.get("identify", True) else WHOLE
-    return campaigns.measure(worker, job, control, campaigns.profile_of(job.options), "commissioning", share)
+    return campaigns.measure(worker, job, control, campaigns.profile_of(job.options), share)
 
 
 def _identify_measured(worker: Context, job: JobRow, control: Control, experiment_id: str) -> dict[str, Any]:

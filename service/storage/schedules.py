@@ -62,6 +62,11 @@ def record_run(
     )
 
 
+def run_of(session: Session, schedule_id: str, due_at: datetime) -> ScheduleRunRow | None:
+    """What became of one time at which a schedule was due; None while nothing is noted of it."""
+    return session.get(ScheduleRunRow, (schedule_id, due_at))
+
+
 def runs(session: Session, schedule_id: str, after: int | None = None, limit: int = 100) -> Page[ScheduleRunRow]:
     """A page of the times at which a schedule was due; ``after`` and the page's ``next`` are µs since 1970, UTC."""
     return page(

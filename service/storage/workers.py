@@ -1,16 +1,19 @@
-"""Workers and their signs of life."""
+"""Workers and their signs of life.
+
+All times are the database's: clocks of machines differ, and a worker whose machine is late is not silent.
+"""
 
 from __future__ import annotations
 
 import os
 import socket
-from datetime import timedelta
+from datetime import datetime, timedelta
 
-from sqlalchemy import func, select, update
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from service.errors import ConflictError
-from service.storage.database import now
+from service.storage.clock import Clock, told
 from service.storage.tables import WorkerRow
 
 ALIVE_S = 5.0
@@ -30,9 +33,9 @@ def sign_on(session: Session, name: str, instance: str) -> None:
     ConflictError
         Another process has it and is alive: two workers of one name would do one job twice.
     """
-    at = now()
+    at = told(session)
     row = session.get(WorkerRow, name)
-    if row is not None and row.instance != instance and _lives(row):
+    if row is not None and row.instance != instance and _lives(row, at):
         raise ConflictError(
             f"a worker named {name!r} runs on {row.machine} as process {row.process}; end it, or give another name"
         )
@@ -52,16 +55,17 @@ def sign_on(session: Session, name: str, instance: str) -> None:
 def named(session: Session, name: str) -> WorkerRow | None:
     """Whoever has a worker's name and lives, as far as can be told: one that was just killed may seem to."""
     row = session.get(WorkerRow, name)
-    return row if row is not None and _lives(row) else None
+    return row if row is not None and _lives(row, told(session)) else None
 
 
-def alive(row: WorkerRow) -> bool:
-    """Whether a worker gave a sign of life just now."""
-    return _lives(row)
+def living(session: Session) -> list[WorkerRow]:
+    """Workers that gave a sign of life just now, by name."""
+    at = told(session)
+    return [row for row in listed(session) if _lives(row, at)]
 
 
-def _lives(row: WorkerRow) -> bool:
-    if row.stopped_at is not None or now() - row.beat_at > timedelta(seconds=ALIVE_S):
+def _lives(row: WorkerRow, at: datetime) -> bool:
+    if row.stopped_at is not None or at - row.beat_at > timedelta(seconds=ALIVE_S):
         return False
     if row.machine != machine():
         return True
@@ -77,20 +81,20 @@ def _lives(row: WorkerRow) -> bool:
 def beat(session: Session, name: str, instance: str) -> bool:
     """Give a sign of life; False when another process has the name."""
     mine = update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance)
-    return session.scalar(mine.values(beat_at=now()).returning(WorkerRow.name)) is not None
+    return session.scalar(mine.values(beat_at=Clock()).returning(WorkerRow.name)) is not None
 
 
 def sign_off(session: Session, name: str, instance: str) -> None:
     """Note that a worker ended in good order."""
     session.execute(
-        update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance).values(stopped_at=now())
+        update(WorkerRow).where(WorkerRow.name == name, WorkerRow.instance == instance).values(stopped_at=Clock())
     )
 
 
 def silent(session: Session, seconds: float) -> list[str]:
     """Names of workers without a sign of life for so long, or ended."""
-    limit = now() - timedelta(seconds=seconds)
-    return list(session.scalars(select(WorkerRow.name).where(WorkerRow.beat_at < limit)))
+    found = session.execute(select(WorkerRow.name, WorkerRow.beat_at, Clock()))
+    return [name for name, beat_at, at in found if at - beat_at > timedelta(seconds=seconds)]
 
 
 def listed(session: Session) -> list[WorkerRow]:
@@ -100,11 +104,10 @@ def listed(session: Session) -> list[WorkerRow]:
 
 def elsewhere(session: Session) -> WorkerRow | None:
     """A worker of another machine that gave a sign of life just now."""
-    return next((row for row in listed(session) if row.machine != machine() and _lives(row)), None)
+    return next((row for row in living(session) if row.machine != machine()), None)
 
 
 def count_alive(session: Session) -> int:
     """How many workers gave a sign of life just now."""
-    limit = now() - timedelta(seconds=ALIVE_S)
-    query = select(func.count()).select_from(WorkerRow)
-    return session.scalar(query.where(WorkerRow.beat_at >= limit, WorkerRow.stopped_at.is_(None))) or 0
+    found = session.execute(select(WorkerRow.beat_at, Clock()).where(WorkerRow.stopped_at.is_(None)))
+    return sum(at - beat_at <= timedelta(seconds=ALIVE_S) for beat_at, at in found)

@@ -103,8 +103,10 @@ class TestAJob:
                 with database.write() as session:
                     job = jobs.claim(session, job_id, run, machine)
                 path = folder / "experiment.journal"
-                with Control(worker, job_id, job.attempt, path) as control, pytest.raises(JobError):
-                    checks.measure(worker, job, control)
+                with Control(worker, job_id, job.attempt, path) as control:
+                    with pytest.raises(JobError):
+                        checks.measure(worker, job, control)
+                    campaigns.keep(worker, job, control)
                 with database.write() as session:
                     jobs.finish(session, job_id, run, jobs.FAILED, control.result)
                     jobs.retry(session, job_id, "me", "local")

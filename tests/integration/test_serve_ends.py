@@ -64,7 +64,7 @@ def test_a_service_ends_though_its_requests_hang_and_tells_no_defect(tmp_path):
 def working(home) -> bool:
     """Whether a worker has signed on and lives."""
     with closing(Database(f"sqlite:///{home / 'ambit.db'}")) as database, database.read() as session:
-        return any(map(workers.alive, workers.listed(session)))
+        return bool(workers.living(session))
 
 
 def test_a_second_service_on_the_same_home_ends_at_once_with_one_line(tmp_path):

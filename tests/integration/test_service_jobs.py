@@ -153,6 +153,26 @@ def test_a_job_goes_on_from_its_last_point_after_kill_9_of_the_worker(running, r
 
 
 @on_sqlite
+def test_a_job_that_is_cancelled_while_its_worker_is_down_keeps_what_was_measured_and_goes_on_with_it(running, rig_id):
+    job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
+    running.wait(job_id, lambda j: j["progress"]["phase"] == "main" and j["progress"]["point"] > 60)
+    running.workers["w1"].kill()
+    try:
+        before = recover(running.home / "work" / job_id)
+        running.post(f"/jobs/{job_id}/cancel")
+    finally:
+        running.workers["w1"].start()
+    job = running.wait(job_id)
+    assert job["state"] == "cancelled"
+    assert not running.get(f"/experiments/{job['result']['experiment']}")["complete"]
+    assert_goes_on_from(before, experiment_of(running, job))
+    running.post(f"/jobs/{job_id}/retry")
+    again = running.done(job_id)
+    assert again["result"]["experiment"] == job["result"]["experiment"]
+    assert_goes_on_from(before, experiment_of(running, again))
+
+
+@on_sqlite
 def test_a_stop_while_nobody_works_on_the_job_is_heard_by_who_goes_on_with_it(running, rig, rig_id):
     job_id = running.submit("experiment", rig_id, options={"profile": SLOW, "identify": False})
     running.wait(job_id, lambda j: j["progress"]["point"] > 10)

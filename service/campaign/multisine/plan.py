@@ -8,7 +8,7 @@ displacement peaks, and one gain brings the largest predicted peak of any signal
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +29,9 @@ Real = NDArray[np.float64]
 SIGNALS = ("u", "i", "y")
 PILOT_SHARE = 0.05
 """Share of the current's limit that the pilot takes before anything is known, as a first tone does."""
+ALIKE = 1e-3
+"""Relative difference of the peaks of two waveforms that are one design: a digit of it, which a processor rounds up or
+down. What was played is in the journal."""
 PILOT_LINES = 2
 """Lines of the pilot over those of the main and the amplifier sweep: a narrow peak between lines is not seen."""
 
@@ -105,6 +108,18 @@ class PeriodicRequest:
             "periods": self.periods,
             "settle_samples": self.settle_samples,
         }
+
+    def recalled(self, kept: Any) -> PeriodicRequest | None:
+        """The experiment of a journal where it is this one but for last digits; None where it is another."""
+        asked = self.description()
+        if not isinstance(kept, dict) or kept.keys() != asked.keys():
+            return None
+        given = {"peak_a", "settle_samples"}
+        if any(kept[name] != asked[name] for name in asked.keys() - given):
+            return None
+        near = abs(kept["peak_a"] - asked["peak_a"]) <= ALIKE * asked["peak_a"]
+        near &= abs(kept["settle_samples"] - self.settle_samples) <= 1
+        return replace(self, settle_samples=kept["settle_samples"]) if near else None
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,66 @@ def test_checks_that_were_not_made_are_told(api, service, rig, experiment):
     api.delete(f"/schedules/{made}")
 
 
+def test_a_schedule_whose_time_zone_a_machine_does_not_know_keeps_no_other_one_back(api, service, rig, experiment):
+    """As one whose zone was renamed, after an upgrade or on a machine without that zone; it is told once."""
+    database, settings = service.services.database, service.services.settings
+    hook = {"url": "https://plant.example/hook", "on": "alarm"}
+    lost, other = (
+        api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *", "webhook": hook}).json()["id"] for _ in range(2)
+    )
+    day, minute = timedelta(days=1), timedelta(minutes=1)
+    with database.write() as session:
+        session.get(ScheduleRow, lost).timezone = "Mars/Olympus"
+        first = session.get(ScheduleRow, lost).next_at
+    seconds = timedelta(seconds=1)
+    assert timetable.keep(database, settings, first + seconds) == 1  # another machine may know the zone
+    assert states(api, other) == ["submitted"]
+    assert states(api, lost) == []
+    for k in range(1, 4):
+        assert timetable.keep(database, settings, first + k * minute) == 0
+    (run,) = api.get(f"/schedules/{lost}/runs").json()["items"]
+    assert run["state"] == "refused"
+    assert "no time zone 'Mars/Olympus' is known here" in run["detail"]
+    ((kind, told),) = messages(service, lost)
+    assert (kind, "Mars/Olympus" in told["sentence"]) == ("health.missed", True)
+
+    # once the zone is known it goes on by its own times; what was not made meanwhile is told with the reason
+    with database.write() as session:
+        session.get(ScheduleRow, lost).timezone = "UTC"
+        session.get(ScheduleRow, other).enabled = False
+    assert timetable.keep(database, settings, first + 2 * day + minute) == 1
+    assert states(api, lost) == ["submitted", "missed", "refused"]
+    ((_, told),) = messages(service, lost)[1:]
+    assert (told["missed"], "Mars/Olympus" in told["sentence"]) == (1, True)
+    assert api.get(f"/schedules/{lost}").json()["next_at"].startswith(f"{first + 3 * day:%Y-%m-%dT%H:%M}")
+    for made in (lost, other):
+        api.delete(f"/schedules/{made}")
+
+
+def test_a_defect_in_one_schedule_keeps_no_other_one_back(api, service, rig, experiment, monkeypatch):
+    database, settings = service.services.database, service.services.settings
+    broken, other = (api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *"}).json()["id"] for _ in range(2))
+    submitted = timetable._submitted
+
+    def breaks(session, settings, row, due):
+        if row.id == broken:
+            raise RuntimeError("a defect")
+        return submitted(session, settings, row, due)
+
+    monkeypatch.setattr(timetable, "_submitted", breaks)
+    with database.read() as session:
+        due = session.get(ScheduleRow, broken).next_at
+    assert timetable.keep(database, settings, due + timedelta(seconds=1)) == 1
+    assert (states(api, broken), states(api, other)) == ([], ["submitted"])
+    for made in (broken, other):
+        api.delete(f"/schedules/{made}")
+
+
+def states(api, schedule):
+    """What became of the times of a schedule, newest first."""
+    return [run["state"] for run in api.get(f"/schedules/{schedule}/runs").json()["items"]]
+
+
 def test_a_retired_rig_is_checked_no_more_and_nobody_is_told_of_it(api, service, rig, experiment):
     made = api.post("/schedules", json={"rig": rig, "cron": "0 6 * * *"}).json()
     api.delete(f"/rigs/{rig}")

@@ -227,3 +227,16 @@ def test_an_interruption_at_any_instant_leaves_a_journal_that_closes_and_reads(t
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 100
+
+
+def test_settings_that_differ_by_their_last_digits_are_the_same_campaign(path):
+    """As those of a plan that another processor calculated; the journal keeps what it began with."""
+    began = {"profile": {"settle_s": [0.1, 0.25], "points": 2, "accuracy": 1e-3}}
+    Journal(path, HEADER | began).close()
+    other = {"profile": {"settle_s": [0.1 * (1 + 1e-12), 0.25], "points": 2, "accuracy": 1e-3 * (1 - 1e-12)}}
+    journal = Journal(path, HEADER | other)
+    journal.close()
+    assert journal.header["profile"] == began["profile"]
+    for changed in ({"settle_s": [0.1, 0.26]}, {"settle_s": [0.1]}, {"points": 3}, {"accuracy": 1.01e-3}):
+        with pytest.raises(JournalError, match="profile"):
+            Journal(path, HEADER | {"profile": began["profile"] | changed})

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import ExitStack
 from types import SimpleNamespace
 
 import pytest
@@ -12,8 +13,10 @@ from service.access.audit import Action, audited
 from service.access.keys import Identity, Scope
 from service.campaign.aims import Profile
 from service.campaign.progress import Progress
+from service.campaign.run import LOCK
 from service.config import Settings
 from service.errors import JobError, StoppedError
+from service.exclusive import sole_use
 from service.jobs import campaigns
 from service.storage import audit, jobs, rigs
 from service.storage.database import now
@@ -40,9 +43,6 @@ class Told:
 
     def begin_journal(self, shipped: int) -> None:
         pass
-
-    def measured(self) -> int:
-        return 0
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def measure(worker, job, control, monkeypatch):
         steps = iter(campaign)
         monkeypatch.setattr(bootstrap, "connect", lambda _: controller or SimpleNamespace(close=lambda: None))
         monkeypatch.setattr(campaigns, "run_campaign", lambda *words, **more: next(steps)(*words, **more))
-        return campaigns.measure(worker, job, control, Profile(), "commissioning")
+        return campaigns.measure(worker, job, control, Profile())
 
     return measure
 
@@ -159,6 +159,49 @@ def test_a_job_that_goes_on_waits_for_nobody_but_its_own_lease(job, control, mea
     ]
 
 
+@pytest.fixture
+def hung(tmp_path):
+    """The worker that had the job before: taken for dead, it has the job's folder yet."""
+    with ExitStack() as held:
+        held.enter_context(sole_use(tmp_path, "another campaign", "wait for its end", LOCK))
+        yield held
+
+
+def writes(_, __, folder, *___, **____):
+    """A campaign that writes in its folder, until somebody stops it."""
+    with sole_use(folder, "another campaign", "wait for its end", LOCK):
+        stopped()
+
+
+def test_a_job_waits_for_the_worker_that_it_was_taken_from_and_goes_on_when_that_lets_go(
+    control, measure, hung, monkeypatch
+):
+    monkeypatch.setattr(campaigns, "STOP_NOTED_S", 0.0)
+    monkeypatch.setattr(campaigns, "LEASE_POLL_S", 0.0)
+    report = control.report
+
+    def lets_go(**values):
+        report(**values)
+        if len(control.told) == 4:
+            hung.close()
+
+    monkeypatch.setattr(control, "report", lets_go)
+    with pytest.raises(JobError) as ended:
+        measure(writes, writes)
+    assert ended.value.title == "stopped at the rig"  # only the second one came so far
+    phases = [told["phase"] for told in control.told]
+    assert [phase.partition(" ")[0] for phase in phases] == ["connected", "waiting", "waiting", "waiting", "connected"]
+    assert "which hangs: end it" in phases[1]
+
+
+def test_a_job_that_waits_for_a_worker_that_hangs_can_be_cancelled(control, measure, hung, monkeypatch):
+    later = threading.Timer(0.3, monkeypatch.setattr, (control, "stopped", lambda: True))
+    later.start()
+    with pytest.raises(StoppedError):
+        measure(writes)
+    later.join()
+
+
 def test_a_job_whose_controller_is_silent_says_so_while_the_point_is_tried_again(control, measure, monkeypatch):
     monkeypatch.setattr(campaigns, "STOP_NOTED_S", 0.0)
 
@@ -200,7 +243,7 @@ def test_a_job_whose_driver_does_not_come_back_from_connecting_is_cancelled_all_
     later.start()
     began = time.monotonic()
     with pytest.raises(StoppedError):
-        campaigns.measure(worker, job, control, Profile(), "commissioning")
+        campaigns.measure(worker, job, control, Profile())
     assert time.monotonic() - began < 10
     later.join()
     connection.let_go.set()
@@ -213,5 +256,5 @@ def test_a_job_whose_driver_does_not_come_back_from_connecting_fails_once_the_pa
     worker.settings = Settings(home=worker.settings.home, controller_patience_s=0.2)
     monkeypatch.setattr(campaigns, "CONNECT_S", 0.3, raising=False)
     with pytest.raises(JobError, match=r"modbus://127\.0\.0\.1:9: nothing comes") as ended:
-        campaigns.measure(worker, job, control, Profile(), "commissioning")
+        campaigns.measure(worker, job, control, Profile())
     assert ended.value.title == "controller does not answer"

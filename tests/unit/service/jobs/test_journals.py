@@ -43,7 +43,7 @@ def works(worker, job, path, *measured):
     with worker.database.write() as session:
         attempt = jobs.claim(session, job.id, 1, "w1").attempt
     with Control(worker, job.id, attempt, path, period_s=60.0) as control:
-        campaigns._restore_journal(worker, job, path, control)
+        campaigns._restore_journal(worker, job, path, control, control.stopped)
         for piece in measured:
             with path.open("ab") as file:
                 file.write(piece)
@@ -55,7 +55,7 @@ def goes_on(worker, job, path, header, *points):
     with worker.database.write() as session:
         attempt = jobs.claim(session, job.id, 1, "w2").attempt
     with Control(worker, job.id, attempt, path, period_s=60.0) as control:
-        campaigns._restore_journal(worker, job, path, control)
+        campaigns._restore_journal(worker, job, path, control, control.stopped)
         control._turn()  # one that comes before the campaign has the rig
         journal = Journal(path, header)
         for point in points:

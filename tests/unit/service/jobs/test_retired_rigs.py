@@ -23,6 +23,6 @@ def test_a_job_of_a_rig_that_was_retired_since_fails_before_the_controller_is_as
             job = jobs.submit(session, "experiment", rig.id, 1, "me")
             rig.retired_at = now()
         with pytest.raises(JobError, match="it takes no jobs") as refused:
-            campaigns.measure(SimpleNamespace(database=database), job, SimpleNamespace(), Profile(), "commissioning")
+            campaigns.measure(SimpleNamespace(database=database), job, SimpleNamespace(), Profile())
     assert refused.value.title == "rig retired"
     assert asked == []

@@ -3,6 +3,9 @@
 import errno
 import logging
 import os
+import threading
+import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,6 +17,7 @@ from service.storage.database import now
 from service.storage.ids import derived_id
 from service.storage.tables import ExperimentRow
 from tests.support.databases import migrated
+from tests.support.processes import wait_for
 from tests.support.service import reference_sheet
 
 
@@ -118,3 +122,59 @@ class TestAnEngineThatFails:
     @pytest.mark.parametrize("changes", [{"worker": "w2"}, {"run": 0}])
     def test_leaves_a_job_alone_that_is_another_ones_now(self, begun, changes):
         assert begun(**changes)[0] == "running"
+
+
+@pytest.fixture
+def under_way(worker, job, monkeypatch):
+    """An attempt at the job that takes its time to end once it is superseded, and what becomes of it."""
+    monkeypatch.setattr(steps, "park", lambda _: None)
+    order, began, may_end = [], threading.Event(), threading.Event()
+
+    def slow(_, __, control):
+        began.set()
+        while not control.stopped():
+            time.sleep(0.01)
+        may_end.wait(30)
+        order.append("the first one ended")
+        raise StoppedError("superseded")
+
+    thread = threading.Thread(target=steps.guarded, args=(slow, job, 1))
+    thread.start()
+    assert began.wait(30)
+    yield SimpleNamespace(order=order, may_end=may_end)
+    may_end.set()
+    thread.join(30)
+
+
+def test_a_job_that_comes_back_to_the_worker_that_has_it_waits_until_that_has_let_go(worker, job, under_way):
+    """Another worker took it for dead, and gave its job back to the queue: two attempts would excite one rig."""
+
+    def lets_go_once_the_second_one_waits():
+        wait_for(lambda: phase(worker, job) == steps.EARLIER, "the second attempt waits")
+        under_way.may_end.set()
+
+    later = threading.Thread(target=lets_go_once_the_second_one_waits)
+    later.start()
+    found = steps.guarded(lambda *_: under_way.order.append("the second one began") or {}, job, 1)
+    later.join(30)
+    assert found["state"] == "done"
+    assert under_way.order == ["the first one ended", "the second one began"]
+
+
+def test_a_job_that_waits_for_its_earlier_attempt_can_be_cancelled(worker, job, under_way):
+    def cancels_once_it_waits():
+        wait_for(lambda: phase(worker, job) == steps.EARLIER, "the second attempt waits")
+        with worker.write() as session:
+            jobs.cancel(session, job)
+
+    later = threading.Thread(target=cancels_once_it_waits)
+    later.start()
+    found = steps.guarded(lambda *_: under_way.order.append("began"), job, 1)
+    later.join(30)
+    assert found["state"] == "cancelled"
+    assert under_way.order == []
+
+
+def phase(worker, job):
+    with worker.read() as session:
+        return jobs.get(session, job).phase
