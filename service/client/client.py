@@ -149,9 +149,13 @@ class Experiments:
         """An experiment."""
         return Experiment.model_validate(self._transport.get(f"/experiments/{experiment_id}"))
 
-    def list(self, rig: str | None = None) -> Iterator[Experiment]:
-        """Experiments, newest first."""
-        return self._transport.pages("/experiments", Experiment.model_validate, rig=rig)
+    def list(
+        self, rig: str | None = None, purpose: str | None = None, complete: bool | None = None
+    ) -> Iterator[Experiment]:
+        """Experiments, newest first; of one ``purpose`` ("commissioning" or "health"), or only whole ones."""
+        return self._transport.pages(
+            "/experiments", Experiment.model_validate, rig=rig, purpose=purpose, complete=complete
+        )
 
     def save(self, experiment_id: str, path: Path) -> Path:
         """The experiment's file."""
@@ -175,9 +179,9 @@ class Models:
         """A model in short."""
         return Model.model_validate(self._transport.get(f"/models/{model_id}"))
 
-    def list(self, rig: str | None = None) -> Iterator[Model]:
-        """Models, newest first."""
-        return self._transport.pages("/models", Model.model_validate, rig=rig)
+    def list(self, rig: str | None = None, newest: bool | None = None) -> Iterator[Model]:
+        """Models, newest first; with ``newest`` only the last one of each rig."""
+        return self._transport.pages("/models", Model.model_validate, rig=rig, newest=newest)
 
     def result(self, model_id: str) -> dict[str, Any]:
         """result.json, whole."""
@@ -227,9 +231,9 @@ class Gaps:
         """A diagnosis in short."""
         return Gap.model_validate(self._transport.get(f"/gaps/{gap_id}"))
 
-    def list(self, rig: str | None = None) -> Iterator[Gap]:
-        """Diagnoses, newest first."""
-        return self._transport.pages("/gaps", Gap.model_validate, rig=rig)
+    def list(self, rig: str | None = None, newest: bool | None = None) -> Iterator[Gap]:
+        """Diagnoses, newest first; with ``newest`` only the last one of each rig."""
+        return self._transport.pages("/gaps", Gap.model_validate, rig=rig, newest=newest)
 
     def document(self, gap_id: str) -> dict[str, Any]:
         """gap.json, whole."""

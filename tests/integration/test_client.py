@@ -239,6 +239,9 @@ def test_uploads(ambit, rig, sent, tmp_path):
     assert not list(back.parent.glob(".*"))
     assert ambit.experiments.upload(rig.id, good_matlab(tmp_path / "m.mat")).summary["file_format"] == "MATLAB 5"
     assert sent.id in [e.id for e in ambit.experiments.list(rig.id)]
+    assert sent.id in [e.id for e in ambit.experiments.list(rig.id, purpose="commissioning", complete=True)]
+    assert sent.id not in [e.id for e in ambit.experiments.list(rig.id, purpose="health")]
+    assert sent.id not in [e.id for e in ambit.experiments.list(rig.id, complete=False)]
 
 
 def test_an_uploaded_file_of_a_stopped_campaign_is_no_whole_commissioning(ambit, rig, tmp_path):

@@ -53,9 +53,10 @@ def test_the_client_reads_one_of_everything(described, tmp_path):
         assert modes.planes["x"][0].natural_frequency_rad_s.value > 0
         assert "rig.created" in [line.action for line in client.audit.list(rig=ids["rig_id"])]
         assert client.models.frequency_response(model.id)
-        assert [m.id for m in client.models.list(ids["rig_id"])] == [model.id]
+        for newest in (None, True):
+            assert [m.id for m in client.models.list(ids["rig_id"], newest)] == [model.id]
         assert client.gaps.document(ids["gap_id"])["format"] == "amb-gap-report"
-        assert [g.id for g in client.gaps.list()] == [ids["gap_id"]]
+        assert [g.id for g in client.gaps.list(newest=True)] == [g.id for g in client.gaps.list()] == [ids["gap_id"]]
         check = client.health.get(ids["health_id"])
         assert check.document["format"] == "amb-health-check"
         assert [c.sentence for c in client.health.list(alarm=check.alarm)] == [check.sentence]
