@@ -21,7 +21,8 @@ from service.storage import audit, migrate, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now, sqlite_file
 from service.storage.jobs import CANCELLED, QUEUED, RUNNING, cancelled_as
-from service.storage.tables import Base, JobRow, WorkerRow
+from service.storage.schedules import PENDING
+from service.storage.tables import Base, JobRow, WebhookRow, WorkerRow
 from sim.wording import in_words
 
 UNFINISHED = (QUEUED, RUNNING)
@@ -197,11 +198,14 @@ def _settle(database: Database, jobs_url: str, cancel: bool) -> None:
     """Nobody works any more, and what was unfinished has an end, or is handed to the engine again.
 
     The engine's copy is a little older than the rows: a job that was begun or submitted in between waits in no queue.
-    What the engine knows it does not take twice.
+    What the engine knows it does not take twice. So with messages to webhooks: an attempt of which nobody will hear
+    counts as made, and the next one is due.
     """
     at = now()
     with database.write() as session:
         session.execute(update(WorkerRow).where(WorkerRow.stopped_at.is_(None)).values(stopped_at=at))
+        in_engine = update(WebhookRow).where(WebhookRow.state == PENDING, WebhookRow.dispatched)
+        session.execute(in_engine.values(attempts=WebhookRow.attempts + 1, dispatched=False, next_at=at))
         unfinished = update(JobRow).where(JobRow.state.in_(UNFINISHED))
         if not cancel:
             session.execute(unfinished.values(state=QUEUED, dispatched_run=0, changes=JobRow.changes + 1))

@@ -74,7 +74,9 @@ def _like_a_mode(values: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
         "damping_ratio": min(HIDDEN_DAMPING * values["damping_ratio"], HIGHEST_DAMPING),
     }
     hidden = [{**slab, "frequency_hz": values["frequency_hz"] / ratio} for ratio in HIDDEN_RATIOS]
-    return of_mean + [rocks for own in hidden if slab["inverse_mass_per_kg"] > 0 and (rocks := _that_rocks(own, values))]
+    return of_mean + [
+        rocks for own in hidden if slab["inverse_mass_per_kg"] > 0 and (rocks := _that_rocks(own, values))
+    ]
 
 
 def _that_rocks(own: Mapping[str, float], mode: Mapping[str, float]) -> Mapping[str, float]:

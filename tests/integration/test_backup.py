@@ -21,11 +21,11 @@ from service.errors import ConflictError, DocumentError, OutputError, StorageErr
 from service.exclusive import sole_use
 from service.jobs.engine import Dispatcher, workflow_id
 from service.jobs.submission import hand_over, hand_over_all
-from service.storage import jobs, migrate, workers
+from service.storage import jobs, migrate, schedules, workers
 from service.storage import keys as key_rows
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now
-from service.storage.tables import AuditRow, Base, JobRow, Rig, WorkerRow
+from service.storage.tables import AuditRow, Base, JobRow, Rig, ScheduleRow, WebhookRow, WorkerRow
 from tests.support import command
 from tests.support.command import wait_until
 from tests.support.service_state import lived_in
@@ -105,6 +105,33 @@ def test_jobs_go_on_only_when_asked_for(settings, tmp_path):
         assert session.get(JobRow, made["queued"]).state == "queued"
     database.close()
     assert engine_states(new) == ["ENQUEUED", "ENQUEUED"]
+
+
+@pytest.mark.parametrize("resume_jobs", [False, True])
+def test_messages_that_wait_for_a_webhook_are_sent_after_a_restore(tmp_path, resume_jobs):
+    """Also one with which the engine was busy: whatever it did then, or forgets now, the next attempt is made."""
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    made = lived_in(old)
+    database = Database(old.database)
+    with database.write() as session:
+        row = ScheduleRow(
+            id="sch_1", rig_id=made["rig"], cron="0 6 * * *", options={}, enabled=True, webhook_url="https://h/",
+            webhook_secret="", created_at=now(), updated_at=now(), created_by="local",
+        )  # fmt: skip
+        session.add(row)
+        session.flush()
+        for delivery_id in ("whd_1", "whd_2", "whd_3"):
+            schedules.add_delivery(session, row, delivery_id, {"type": "health.missed"})
+        schedules.dispatched(session, "whd_2", 1)
+        session.get(WebhookRow, "whd_3").state = schedules.DELIVERED
+        session.get(WebhookRow, "whd_3").next_at = None
+    database.close()
+    path, _ = create(old, tmp_path / "backups")
+    restore(new, path, resume_jobs=resume_jobs)
+    database = Database(new.database)
+    with database.read() as session:
+        assert schedules.undispatched(session, now()) == [("whd_1", 1), ("whd_2", 2)]
+    database.close()
 
 
 def test_what_is_there_is_not_given_up_unasked(settings, tmp_path):
