@@ -19,6 +19,7 @@ SUBMITTED, MISSED, REFUSED = "submitted", "missed", "refused"
 PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
 """States of a message to a webhook."""
 REMOVED = "the webhook was removed"
+SCHEDULE_REMOVED = "the schedule was removed"
 
 
 def get(session: Session, schedule_id: str, for_update: bool = False) -> ScheduleRow:
@@ -81,7 +82,7 @@ def add_delivery(
     session: Session, schedule: ScheduleRow, delivery_id: str, contents: dict[str, Any], health_id: str = ""
 ) -> bool:
     """Have the webhook of a schedule told something, once for each id; whether there is one to be told."""
-    if not schedule.webhook_url:
+    if not schedule.webhook_url or schedule.deleted_at is not None:
         return False
     if session.get(WebhookRow, delivery_id) is None:
         at = now()

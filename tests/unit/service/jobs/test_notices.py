@@ -401,6 +401,14 @@ def test_messages_of_a_webhook_that_was_removed_are_given_up(told, receiver):
     assert (delivery(told).state, delivery(told).detail) == ("failed", "the webhook was removed")
 
 
+def test_a_check_that_ends_after_its_schedule_was_removed_is_told_to_nobody(told, receiver):
+    health = check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret())
+    with told.database.write() as session:
+        session.get(ScheduleRow, "sch_1").deleted_at = now()
+    notices.begin(health)
+    assert told.handed == []
+
+
 def test_what_is_given_up_while_it_is_sent_is_not_sent_again(told, receiver):
     receiver.answers = [503]
     notices.begin(check(told.database, f"http://127.0.0.1:{receiver.server_port}/", True, new_secret()))
