@@ -21,6 +21,7 @@ from sim.errors import reason
 PREFIX = "AMBIT_"
 FILE_VARIABLE = "AMBIT_CONFIG"
 MOST_CPU_JOBS = 64
+CONTROLLERS = "controllers"
 
 
 def _default_home() -> Path:
@@ -158,6 +159,11 @@ class Settings(BaseModel):
     def work(self) -> Path:
         """Folder of the work in progress of this machine."""
         return self.home.absolute() / "work"
+
+    @property
+    def controllers(self) -> Path:
+        """Folder of the files that a controller's URL may name: maps, certificates, keys, simulated rigs."""
+        return self.home.absolute() / CONTROLLERS
 
     @property
     def worker(self) -> str:

@@ -325,6 +325,66 @@ def test_nobody_else_reads_a_backup(tmp_path):
         assert one.stat().st_mode & 0o077 == 0, one
 
 
+def controllers(settings):
+    return settings.home / "controllers"
+
+
+def with_controllers(settings):
+    """Files that controllers' URLs name: a map, and a key in a folder of its own."""
+    (controllers(settings) / "tls").mkdir(parents=True)
+    (controllers(settings) / "vendor.toml").write_text("a map")
+    (controllers(settings) / "tls" / "host.key").write_text("a key")
+    lived_in(settings)
+
+
+def test_files_that_controllers_are_named_by_come_back_for_the_service_alone(tmp_path):
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    with_controllers(old)
+    path, _ = create(old, tmp_path / "backups")
+    restore(new, path)
+    assert (controllers(new) / "vendor.toml").read_text() == "a map"
+    assert (controllers(new) / "tls" / "host.key").read_text() == "a key"
+    for folder in (path / "controllers", controllers(new)):
+        for one in (folder, *folder.rglob("*")):
+            assert one.stat().st_mode & 0o077 == 0, one
+
+
+def test_files_that_controllers_are_named_by_are_given_up_only_when_asked_for(tmp_path):
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    with_controllers(old)
+    path, _ = create(old, tmp_path / "backups")
+    controllers(new).mkdir(parents=True)
+    (controllers(new) / "vendor.toml").write_text("a newer map")
+    (controllers(new) / "other.toml").write_text("of another rig")
+    with pytest.raises(ConflictError, match=r"vendor\.toml is another file than the backup's; --replace"):
+        restore(new, path)
+    assert [one.name for one in controllers(new).iterdir() if one.is_dir()] == []
+    restore(new, path, replace=True)
+    assert (controllers(new) / "vendor.toml").read_text() == "a map"
+    assert (controllers(new) / "other.toml").read_text() == "of another rig"
+    restore(new, path, replace=True)
+
+
+def test_only_files_that_a_controller_may_be_named_by_are_in_a_backup(tmp_path, monkeypatch):
+    """A link that leads elsewhere names none; one that cannot be read is told, and the backup is good otherwise."""
+    old = Settings(home=tmp_path / "old")
+    with_controllers(old)
+    (tmp_path / "secret").write_text("of the machine")
+    (controllers(old) / "elsewhere").symlink_to(tmp_path / "secret")
+    (controllers(old) / "latest.toml").symlink_to(controllers(old) / "vendor.toml")
+    read = Path.read_bytes
+
+    def refused(path):
+        if path.name == "host.key":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    path, written = create(old, tmp_path / "backups")
+    assert written.missing == ("controllers/tls/host.key",)
+    assert {one.name for one in (path / "controllers").iterdir()} == {"vendor.toml", "latest.toml"}
+
+
 def test_a_backup_has_its_name_once_the_disk_has_all_of_it(tmp_path, monkeypatch):
     old, folder = Settings(home=tmp_path / "old"), tmp_path / "backups"
     lived_in(old)
