@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 from uuid import uuid4
 
+from service.api.identifiers import is_id
 from service.client.errors import ConflictingError, MissingError
 from service.client.health import HealthChecks, Schedules
 from service.client.jobs import Jobs
@@ -61,7 +62,7 @@ class Rigs:
         MissingError
             There is none.
         """
-        if name.startswith("rig_"):
+        if is_id("rig", name):
             return self.get(name)
         for rig in self.list():
             if rig.name == name:

@@ -177,6 +177,20 @@ def submitted(service, capsys, kind: str, rig, *more: str) -> tuple[int, str]:
     return status, " ".join(capsys.readouterr().err.replace("│", "").split())
 
 
+@pytest.mark.parametrize("name", ["rig_bench2", "rig_" + "a" * 25])
+def test_a_rig_and_a_file_may_be_named_as_if_they_were_ids(service, ambit, tmp_path, capsys, monkeypatch, name):
+    rig = ambit.rigs.create(SHEET, name=name)
+    assert ambit.rigs.named(name).id == ambit.rigs.named(rig.id).id == rig.id
+    monkeypatch.chdir(tmp_path)
+    good(tmp_path / "exp_run3.h5")
+    assert submitted(service, capsys, "identification", name, "--experiment", "exp_run3.h5") == (0, "")
+    (sent,) = ambit.experiments.list(rig.id)
+    assert submitted(service, capsys, "identification", name, "--experiment", sent.id) == (0, "")
+    assert [job.experiment for job in ambit.jobs.list(rig=rig.id)] == [sent.id, sent.id]
+    status, told = submitted(service, capsys, "identification", name, "--experiment", "exp_run4.h5")
+    assert (status, "cannot read exp_run4.h5" in told) == (1, True)
+
+
 def test_what_moves_a_rotor_makes_no_rig_known_that_cannot_be_moved(service, ambit, new_sheet, capsys):
     def known() -> list[Rig]:
         return [rig for rig in ambit.rigs.list() if rig.name == "not known yet"]
