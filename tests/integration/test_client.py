@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import h5py
 import httpx
@@ -15,6 +16,7 @@ from service.access.keys import Scope
 from service.cli import run
 from service.client import (
     Client,
+    ClientError,
     ConflictingError,
     JobEndedError,
     KeyRefusedError,
@@ -438,6 +440,56 @@ def test_a_command_says_that_the_service_is_away_before_it_gives_up(monkeypatch,
     why = re.fullmatch(said, first)
     assert why, first
     assert last.startswith(f"ambit: {why[1]}; is it running?")
+
+
+class Ailing(BaseHTTPRequestHandler):
+    """Answers each request by what comes next: it is busy, breaks off, lacks what is asked for, or sends a file."""
+
+    FILE = b"an experiment" * 1000
+
+    def do_GET(self):
+        answer = self.server.answers.pop(0) if len(self.server.answers) > 1 else self.server.answers[0]
+        body = self.FILE if isinstance(answer, str) else b'{"detail": "try again in a moment"}'
+        self.send_response(200 if isinstance(answer, str) else answer)
+        self.send_header("content-length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body[: len(body) // 2] if answer == "half" else body)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def ailing():
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Ailing)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def fetch(ailing, to, patience_s, *answers):
+    """Fetch a file from a service that answers like that; why it was waited for."""
+    ailing.answers, told = list(answers), []
+    url = f"http://127.0.0.1:{ailing.server_port}"
+    with Client(url, "", patience_s=patience_s, waiting=told.append) as client:
+        client.experiments.save("exp_1", to)
+    return told
+
+
+def test_a_file_is_fetched_whole_from_a_service_that_is_busy_or_breaks_off_for_a_moment(ailing, tmp_path):
+    told = fetch(ailing, tmp_path / "a.h5", 20, 503, "half", 503, "whole")
+    assert (tmp_path / "a.h5").read_bytes() == Ailing.FILE
+    assert told == ["try again in a moment"]  # once
+
+
+@pytest.mark.parametrize(("patience_s", "answers"), [(0.5, [503]), (0.5, ["half"]), (20, [404, "whole"])])
+def test_a_file_that_is_not_to_be_had_is_told_and_leaves_nothing(ailing, tmp_path, patience_s, answers):
+    with pytest.raises(ClientError):
+        fetch(ailing, tmp_path / "a.h5", patience_s, *answers)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("url", ["rotor", "ftp://127.0.0.1", "http://127.0.0.1:x", "http://["])
