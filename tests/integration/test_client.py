@@ -1,5 +1,6 @@
 """The client against the real application: typed answers, errors that say what to do, a watch that goes on."""
 
+import json
 import re
 import socket
 import threading
@@ -191,6 +192,37 @@ def test_a_rig_and_a_file_may_be_named_as_if_they_were_ids(service, ambit, tmp_p
     assert [job.experiment for job in ambit.jobs.list(rig=rig.id)] == [sent.id, sent.id]
     status, told = submitted(service, capsys, "identification", name, "--experiment", "exp_run4.h5")
     assert (status, "cannot read exp_run4.h5" in told) == (1, True)
+
+
+def test_the_name_of_a_retired_rig_leads_to_its_history_and_to_another_name(service, ambit, tmp_path, capsys):
+    sheet = tmp_path / "rig.toml"
+    sheet.write_text(SHEET.replace('"reference"', '"pump 7"', 1))
+    assert submitted(service, capsys, "experiment", sheet, "--controller", "simulated://") == (0, "")
+    rig = ambit.rigs.named("pump 7")
+    with Client(service.url, service.key(Scope.admin)) as admin:
+        admin.rigs.retire(rig.id)
+    assert rig.id not in [r.id for r in ambit.rigs.list()]
+    for kind, given in (("experiment", sheet), ("health", sheet), ("experiment", "pump 7")):
+        status, told = submitted(service, capsys, kind, given)
+        assert status == 1
+        assert f"the rig 'pump 7' ({rig.id}) was retired at 20" in told
+        assert "a new rig takes another name" in told
+    with pytest.raises(
+        ConflictingError, match=r"was retired at 20.* UTC, and its history keeps the name; give another"
+    ):
+        ambit.rigs.create(sheet.read_text())
+    assert ambit.rigs.named(rig.id).name == "pump 7"
+    for name in ("pump 7", rig.id):
+        words = ["--rig", name, "--url", service.url, "--key", service.operator]
+        assert run(["jobs", *words, "--json"]) == 0
+        (job,) = json.loads(capsys.readouterr().out)["jobs"]
+        assert (job["rig"], job["state"]) == (rig.id, "cancelled")
+        assert run(["jobs", *words]) == 0
+        assert "pump 7" in capsys.readouterr().out
+        assert run(["schedules", *words]) == 0
+        capsys.readouterr()
+    sheet.write_text(sheet.read_text().replace('"pump 7"', '"pump 7 (2)"', 1))
+    assert submitted(service, capsys, "experiment", sheet, "--controller", "simulated://") == (0, "")
 
 
 def test_what_moves_a_rotor_makes_no_rig_known_that_cannot_be_moved(service, ambit, new_sheet, capsys):
