@@ -20,6 +20,8 @@ from sim.errors import reason
 
 PREFIX = "AMBIT_"
 FILE_VARIABLE = "AMBIT_CONFIG"
+MOST_CPU_JOBS = 64
+CONTROLLERS = "controllers"
 
 
 def _default_home() -> Path:
@@ -61,7 +63,7 @@ class Settings(BaseModel):
 
     worker_name: str = Field("", max_length=60)
     """Stable and unique per worker; empty for the host's name."""
-    cpu_jobs: int = Field(1, ge=1, le=64)
+    cpu_jobs: int = Field(1, ge=1, le=MOST_CPU_JOBS)
     """Identifications and diagnoses that one worker calculates at a time. The engine keeps one number for all workers
     of a database: that of the worker that started last."""
     worker_timeout_s: float = Field(30.0, gt=1.0)
@@ -157,6 +159,11 @@ class Settings(BaseModel):
     def work(self) -> Path:
         """Folder of the work in progress of this machine."""
         return self.home.absolute() / "work"
+
+    @property
+    def controllers(self) -> Path:
+        """Folder of the files that a controller's URL may name: maps, certificates, keys, simulated rigs."""
+        return self.home.absolute() / CONTROLLERS
 
     @property
     def worker(self) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 _LETTERS = "0-9a-hjkmnp-tv-z"
 _EXAMPLE = "01k9abcdefghjkmnpqrstvwxyz"
 KINDS = {
@@ -38,6 +40,15 @@ def place_pattern(prefix: str) -> str:
     True
     """
     return rf"{pattern(prefix)[:-1]}\.[0-9]{{1,16}}$"
+
+
+def is_id(prefix: str, text: str) -> bool:
+    """Whether a text is an id of a kind; a name or a file may begin as one.
+
+    >>> is_id("exp", "exp_01k9abcdefghjkmnpqrstvwxyz"), is_id("exp", "exp_run3.h5")
+    (True, False)
+    """
+    return re.fullmatch(pattern(prefix), text) is not None
 
 
 def example(prefix: str) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 from sqlalchemy import func, select
 
-from service.backup import manifest, postgres, sqlite
+from service.backup import controllers, manifest, postgres, sqlite
 from service.backup.manifest import Manifest
 from service.bootstrap import product_version
 from service.config import Settings
@@ -42,7 +42,7 @@ class _Copied:
 
 
 def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda _: None) -> tuple[Path, Manifest]:
-    """Back up both databases and the store into ``folder``.
+    """Back up both databases, the controllers' files and the store into ``folder``.
 
     The job engine's database comes first, then our own, so that a job which the copied engine does not know to have
     ended has a row that is as new or newer. The store comes after them: a file is in the store before a row names it,
@@ -52,7 +52,7 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
     -------
     path, manifest
         The folder of this backup, named by its time, and what it holds. ``manifest.missing`` names files that the
-        store had lost or that were damaged: the backup is good otherwise.
+        store had lost or that were damaged, and those of controllers that cannot be read: the backup is good otherwise.
 
     Raises
     ------
@@ -93,6 +93,7 @@ def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tup
             say("the databases")
             kinds = _databases(settings, part)
             rows, named = _rows(database, part)
+            unread = controllers.copy(settings.controllers, part)
             say("the store")
             copied = _store(Blobs(settings.store), folder / manifest.STORE, named)
             manifest.sidecar(part / manifest.NAMES, copied.names)
@@ -107,7 +108,7 @@ def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tup
                 files={str(p.relative_to(part)): manifest.digest(p) for p in sorted(part.rglob("*")) if p.is_file()},
                 blobs=len(copied.names),
                 blob_bytes=copied.bytes,
-                missing=tuple(copied.missing),
+                missing=(*copied.missing, *unread),
             )
         finally:
             database.close()

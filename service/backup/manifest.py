@@ -44,7 +44,8 @@ class Manifest:
     """Files of the store."""
     blob_bytes: int
     missing: tuple[str, ...]
-    """SHA-256 of files that the tables name and the store had not, or not whole."""
+    """SHA-256 of files that the tables name and the store had not, or not whole; names of controllers' files that could
+    not be read."""
 
 
 def digest(path: Path) -> str:

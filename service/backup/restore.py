@@ -12,7 +12,7 @@ from sqlalchemy import create_engine, func, inspect, select, text, update
 
 from service.access.audit import Action, audited
 from service.access.keys import LOCAL
-from service.backup import manifest, postgres, sqlite
+from service.backup import controllers, manifest, postgres, sqlite
 from service.backup.create import COLUMNS, JOBS, JOBS_SCHEMA, OWN, OWN_SCHEMA, kind_of
 from service.backup.manifest import Manifest
 from service.config import Settings
@@ -21,7 +21,8 @@ from service.storage import audit, migrate, workers
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now, sqlite_file
 from service.storage.jobs import CANCELLED, QUEUED, RUNNING, cancelled_as
-from service.storage.tables import Base, JobRow, WorkerRow
+from service.storage.schedules import PENDING
+from service.storage.tables import Base, JobRow, WebhookRow, WorkerRow
 from sim.wording import in_words
 
 UNFINISHED = (QUEUED, RUNNING)
@@ -36,7 +37,7 @@ def restore(
     resume_jobs: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Manifest:
-    """Put a backup's databases and store in place of what the settings name, then upgrade the tables to this version.
+    """Put a backup's databases, controllers' files and store in place of what the settings name; upgrade the tables.
 
     Jobs that were queued or running when the backup was made are cancelled, unless ``resume_jobs``: nobody expects a
     rotor to move because a backup was restored. A backup from SQLite can be restored into PostgreSQL; the job engine
@@ -61,10 +62,13 @@ def restore(
     database = Database(settings.database)
     try:
         _may_be_replaced(database, replace)
+        if not replace:
+            controllers.must_fit(backup, settings.home)
         say("the store")
         blobs = Blobs(settings.store)
         for path in stored:
             blobs.put_file(path, repair=True)
+        _put_back_controllers(backup, settings)
         say("the databases")
         _own(database, settings.database, backup, held)
         migrate.upgrade(database)
@@ -113,6 +117,16 @@ def _whole_store(backup: Path, held: Manifest) -> list[Path]:
         if manifest.digest(path) != path.name:
             raise StorageError(f"{path} is damaged; take another copy of the backup")
     return paths
+
+
+def _put_back_controllers(backup: Path, settings: Settings) -> None:
+    try:
+        controllers.put_back(backup, settings.home)
+    except OSError as error:
+        why = error.strerror or error
+        raise StorageError(
+            f"cannot write into {settings.controllers}: {why}; free space, or let this user write there"
+        ) from error
 
 
 def _may_be_replaced(database: Database, replace: bool) -> None:
@@ -197,11 +211,14 @@ def _settle(database: Database, jobs_url: str, cancel: bool) -> None:
     """Nobody works any more, and what was unfinished has an end, or is handed to the engine again.
 
     The engine's copy is a little older than the rows: a job that was begun or submitted in between waits in no queue.
-    What the engine knows it does not take twice.
+    What the engine knows it does not take twice. So with messages to webhooks: an attempt of which nobody will hear
+    counts as made, and the next one is due.
     """
     at = now()
     with database.write() as session:
         session.execute(update(WorkerRow).where(WorkerRow.stopped_at.is_(None)).values(stopped_at=at))
+        in_engine = update(WebhookRow).where(WebhookRow.state == PENDING, WebhookRow.dispatched)
+        session.execute(in_engine.values(attempts=WebhookRow.attempts + 1, dispatched=False, next_at=at))
         unfinished = update(JobRow).where(JobRow.state.in_(UNFINISHED))
         if not cancel:
             session.execute(unfinished.values(state=QUEUED, dispatched_run=0, changes=JobRow.changes + 1))

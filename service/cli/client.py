@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.api.identifiers import is_id
 from service.campaign.progress import PHASE_WORDS
 from service.cli.commission import Excitation
 from service.cli.console import Json, print_json, stderr
@@ -74,7 +75,7 @@ def submit(
     with client(url, key, ca) as ambit:
         known = _rig(ambit, rig, controller, change, kind)
         experiment_id = experiment
-        if experiment is not None and not experiment.startswith("exp_"):
+        if experiment is not None and not is_id("exp", experiment):
             experiment_id = ambit.experiments.upload(known.id, Path(experiment)).id
         try:
             job = ambit.jobs.submit(kind.value, known.id, experiment_id, options, priority)

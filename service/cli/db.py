@@ -35,7 +35,7 @@ def backup(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Back up both databases and the store, while the service runs; prints the folder of this backup."""
+    """Back up databases, controllers' files and store, while the service runs; prints the folder of this backup."""
     from service.backup.create import create, prune
     from service.cli.interrupt import kill_is_ctrl_c
     from service.config import load
@@ -44,7 +44,7 @@ def backup(
         path, made = create(load(config, flags={"home": home}), out)
     removed = prune(out, keep) if keep else []
     for name in made.missing:
-        say(f"missing or damaged in the store, so not in the backup: {name}")
+        say(f"not in the backup, for it is missing, damaged or cannot be read: {name}")
     if as_json:
         document = {"path": str(path), "rows": made.rows, "blobs": made.blobs, "blob_bytes": made.blob_bytes}
         print_json(document | {"missing": list(made.missing), "removed": [str(p) for p in removed]})
@@ -57,7 +57,9 @@ def backup(
 @app.command()
 def restore(
     backup: Annotated[Path, typer.Argument(help="Folder of one backup, with its time as name; store lies beside it.")],
-    replace: Annotated[bool, typer.Option("--replace", help="Give up what the databases hold now.")] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Give up what databases and controllers' files hold now.")
+    ] = False,
     resume_jobs: Annotated[
         bool, typer.Option("--resume-jobs", help="Let jobs go on that were not finished: rotors move by themselves.")
     ] = False,
@@ -65,7 +67,7 @@ def restore(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Restore a backup into the databases and the store that the settings name. Stop the service first."""
+    """Restore a backup into the databases, the home and the store that the settings name. Stop the service first."""
     from service.backup.restore import restore as restored
     from service.config import load
 

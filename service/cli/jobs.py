@@ -40,10 +40,10 @@ def jobs(
 ) -> None:
     """List jobs, newest first: what they are, how far, and why they failed or were cancelled."""
     with client(url, key, ca) as ambit:
-        rig_id = None if rig is None else ambit.rigs.named(rig).id
+        rig_id = None if rig is None else ambit.rigs.named(rig, retired=True).id
         wanted = ambit.jobs.list(None if state is None else state.value, None if kind is None else kind.value, rig_id)
         found = list(islice(wanted, limit))
-        names = {} if as_json else {known.id: known.name for known in ambit.rigs.list()}
+        names = {} if as_json else {known.id: known.name for known in ambit.rigs.list(retired=True)}
     if as_json:
         print_json({"jobs": [job.model_dump(mode="json") for job in found]})
         return

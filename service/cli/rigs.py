@@ -117,8 +117,8 @@ def schedules(
 ) -> None:
     """List the schedules of health checks, newest first: when they are due, and who is told."""
     with client(url, key, ca) as ambit:
-        found = list(ambit.schedules.list(None if rig is None else ambit.rigs.named(rig).id))
-        names = {} if as_json else {known.id: known.name for known in ambit.rigs.list()}
+        found = list(ambit.schedules.list(None if rig is None else ambit.rigs.named(rig, retired=True).id))
+        names = {} if as_json else {known.id: known.name for known in ambit.rigs.list(retired=True)}
     if as_json:
         print_json({"schedules": [schedule.model_dump(mode="json") for schedule in found]})
         return

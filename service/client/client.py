@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 from uuid import uuid4
 
+from service.api.identifiers import is_id
 from service.client.errors import ConflictingError, MissingError
 from service.client.health import HealthChecks, Schedules
 from service.client.jobs import Jobs
@@ -49,23 +50,34 @@ class Rigs:
         """A rig, as it is or as it was."""
         return Rig.model_validate(self._transport.get(f"/rigs/{rig_id}", version=version))
 
-    def list(self) -> Iterator[Rig]:
-        """Rigs, newest first."""
-        return self._transport.pages("/rigs", Rig.model_validate)
+    def list(self, retired: bool = False) -> Iterator[Rig]:
+        """Rigs, newest first; with ``retired`` those too that were retired."""
+        return self._transport.pages("/rigs", Rig.model_validate, retired=retired or None)
 
-    def named(self, name: str) -> Rig:
-        """The rig of that name or id.
+    def named(self, name: str, retired: bool = False) -> Rig:
+        """The rig of that name or id; by its name a retired one, too, with ``retired``: its history stays.
 
         Raises
         ------
         MissingError
             There is none.
+        ConflictingError
+            The one of that name was retired.
         """
-        if name.startswith("rig_"):
+        if is_id("rig", name):
             return self.get(name)
-        for rig in self.list():
-            if rig.name == name:
-                return rig
+        for rig in self.list(retired=True):
+            if rig.name != name:
+                continue
+            if rig.retired_at is not None and not retired:
+                raise ConflictingError(
+                    409,
+                    f"the rig {name!r} ({rig.id}) was retired at {rig.retired_at:%Y-%m-%d %H:%M} UTC; ambit jobs --rig "
+                    "tells its jobs, and a new rig takes another name",
+                    [],
+                    "",
+                )
+            return rig
         raise MissingError(
             404,
             f"the service knows no rig {name!r}; ambit rigs lists them, and ambit submit with rig.toml makes one",

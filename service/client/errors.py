@@ -26,12 +26,23 @@ if TYPE_CHECKING:
     from service.client.shapes import Job
 
 
+BUSY = (429, 502, 503, 504)
+
+
 class ClientError(ServiceError):
     """Base of every error of the client."""
 
 
 class UnreachableError(ClientError):
-    """Nothing answers at the address."""
+    """Nothing answers at the address.
+
+    Attributes
+    ----------
+    passing
+        Whether another try may help.
+    """
+
+    passing = True
 
 
 class JobEndedError(ClientError):
@@ -75,7 +86,13 @@ class ApiError(ClientError):
         Fields of the request that are wrong: ``field`` and ``reason``.
     request_id
         Under which the service's log tells more.
+    passing
+        Whether another try may help: the service is busy, or away behind a proxy.
+    retry_after_s
+        How long it asks to be left alone; None where it does not say.
     """
+
+    retry_after_s: float | None = None
 
     def __init__(self, status: int, detail: str, errors: list[dict[str, Any]], request_id: str) -> None:
         super().__init__(detail)
@@ -83,6 +100,7 @@ class ApiError(ClientError):
         self.detail = detail
         self.errors = errors
         self.request_id = request_id
+        self.passing = status in BUSY
 
 
 class KeyRefusedError(ApiError):
@@ -129,4 +147,7 @@ def of_response(response: httpx.Response) -> ApiError:
     kind = _KINDS.get(response.status_code, ApiError)
     if kind is ApiError and request_id:
         detail = f"{detail} (request {request_id})"
-    return kind(response.status_code, detail, errors, request_id)
+    error = kind(response.status_code, detail, errors, request_id)
+    told = response.headers.get("retry-after", "")
+    error.retry_after_s = float(told) if told.isascii() and told.isdigit() else None
+    return error

@@ -12,7 +12,7 @@ import httpx
 
 from service.client.errors import ApiError, JobEndedError, JobGoesOnError, MissingError, UnreachableError
 from service.client.shapes import Event, Job, Kind
-from service.client.transport import BUSY, LONGEST_PAUSE_S, PAUSE_S, WHERE, Transport
+from service.client.transport import Transport
 
 SILENCE_S = 60.0
 """The service sends a sign of life every 15 s; a connection that is silent for so long is dead."""
@@ -81,36 +81,24 @@ class Jobs:
         UnreachableError
             The service is away for longer than the client's patience.
         """
-        last, state, told = "", "", False
-        deadline = time.monotonic() + self._transport.patience_s
-        pause = PAUSE_S
+        last, state = "", ""
+        patience = self._transport.patience()
         while True:
-            why = ""
             headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
             try:
                 with self._transport.stream(_path(job_id) + "/events", headers, SILENCE_S) as response:
                     for event in _events(response):
                         again = event.id == last and event.job.state == state
                         last, state = event.id, event.job.state
-                        deadline = time.monotonic() + self._transport.patience_s
-                        pause, told = PAUSE_S, False
+                        patience.renew()
                         if not again:
                             yield event
                         if event.job.ended:
                             return
-            except UnreachableError as error:
-                if time.monotonic() + pause > deadline:
-                    raise
-                why = str(error).removesuffix(WHERE)
-            except ApiError as error:
-                if error.status not in BUSY or time.monotonic() + pause > deadline:
-                    raise
-                why = str(error)
-            if why and not told:
-                told = True
-                self._transport.waiting(why)
-            time.sleep(pause)
-            pause = min(2 * pause, LONGEST_PAUSE_S)
+            except (UnreachableError, ApiError) as error:
+                patience.wait(error)
+            else:
+                patience.pause()
 
     def watch(self, job_id: str) -> Iterator[Job]:
         """The job at every change, until it has ended."""

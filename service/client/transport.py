@@ -12,14 +12,13 @@ from uuid import uuid4
 import httpx
 
 from service.access.loopback import is_loopback
-from service.client.errors import UnreachableError, of_response
+from service.client.errors import ApiError, UnreachableError, of_response
 from service.client.shapes import Page
 from service.errors import OutputError
 from sim.errors import reason
 
 T = TypeVar("T")
 PREFIX = "/api/v1"
-BUSY = (429, 502, 503, 504)
 PAUSE_S = 0.2
 LONGEST_PAUSE_S = 5.0
 WHERE = "; is it running? give its address with --url or AMBIT_URL"
@@ -29,6 +28,48 @@ Waiting = Callable[[str], None]
 
 def quietly(why: str) -> None:
     """Tells nobody."""
+
+
+class Patience:
+    """How long, and how often, a service that is away or busy is asked again.
+
+    Parameters
+    ----------
+    patience_s
+        From now on, or from the last `renew`.
+    waiting
+        Told why, once.
+    """
+
+    def __init__(self, patience_s: float, waiting: Waiting = quietly) -> None:
+        self._patience_s, self._waiting = patience_s, waiting
+        self.renew()
+
+    def renew(self) -> None:
+        """Begin anew: the service has answered."""
+        self._deadline = time.monotonic() + self._patience_s
+        self._pause_s, self._told = PAUSE_S, False
+
+    def wait(self, error: UnreachableError | ApiError) -> None:
+        """Wait until it may be asked again.
+
+        Raises
+        ------
+        UnreachableError, ApiError
+            The error itself: no other try helps, or the patience is at its end.
+        """
+        asked_s = error.retry_after_s if isinstance(error, ApiError) else None
+        if not error.passing or time.monotonic() + (asked_s or self._pause_s) > self._deadline:
+            raise error
+        if not self._told:
+            self._told = True
+            self._waiting(str(error).removesuffix(WHERE))
+        self.pause(asked_s)
+
+    def pause(self, asked_s: float | None = None) -> None:
+        """Let some time pass, more each time."""
+        time.sleep(asked_s or self._pause_s)
+        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
 
 
 class Transport:
@@ -141,43 +182,49 @@ class Transport:
         ApiError
             The service refuses.
         """
-        deadline = time.monotonic() + self.patience_s
-        pause = PAUSE_S
+        patience = self.patience()
         lost = False
         while True:
-            wait = pause
             try:
-                response = self._http.request(method, PREFIX + path, **how)
-            except (httpx.TransportError, httpx.InvalidURL) as error:
-                hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.InvalidURL)
-                if hopeless or time.monotonic() + wait > deadline:
+                try:
+                    response = self._http.request(method, PREFIX + path, **how)
+                except (httpx.TransportError, httpx.InvalidURL) as error:
                     raise self._unreachable(error) from error
-                why = self._silent(error)
-            else:
                 if response.is_success or response.status_code == 304:
                     return response
                 if response.status_code == 412 and lost and made is not None and (found := made()) is not None:
                     return found
-                told = _retry_after(response)
-                refusal = of_response(response)
-                if response.status_code not in BUSY or time.monotonic() + (told or wait) > deadline:
-                    raise refusal
-                wait = told or wait
-                why = str(refusal)
-            if not lost:
-                self.waiting(why)
+                raise of_response(response)
+            except (UnreachableError, ApiError) as error:
+                patience.wait(error)
             lost = True  # also when a proxy says so
-            time.sleep(wait)
-            pause = min(2 * pause, LONGEST_PAUSE_S)
+
+    def patience(self) -> Patience:
+        """The patience with one request."""
+        return Patience(self.patience_s, self.waiting)
 
     def save(self, path: str, to: Path, query: Mapping[str, Any] | None = None) -> Path:
-        """A resource as a file, which appears whole or not at all."""
+        """A resource as a file, which appears whole or not at all; one that breaks off is fetched anew.
+
+        Raises
+        ------
+        UnreachableError, ApiError
+            As `send`.
+        OutputError
+            The file cannot be written.
+        """
         temporary = to.with_name(f".{to.name}.part")
+        patience = self.patience()
         try:
             to.parent.mkdir(parents=True, exist_ok=True)
-            with self.stream(path, query=query) as response, temporary.open("wb") as file:
-                for chunk in response.iter_bytes():
-                    file.write(chunk)
+            while True:
+                try:
+                    with self.stream(path, query=query) as response, temporary.open("wb") as file:
+                        for chunk in response.iter_bytes():
+                            file.write(chunk)
+                    break
+                except (UnreachableError, ApiError) as error:
+                    patience.wait(error)
             temporary.replace(to)
         except OSError as error:
             raise OutputError(f"cannot write {to}: {error.strerror or error}; choose another folder") from error
@@ -198,7 +245,7 @@ class Transport:
         Raises
         ------
         UnreachableError, ApiError
-            As `send`, also while the body is read.
+            At the first failure, also while the body is read.
         """
         timeout = httpx.Timeout(self._http.timeout.connect, read=read_timeout_s or self._http.timeout.read)
         try:
@@ -217,19 +264,13 @@ class Transport:
             raise self._unreachable(error) from error
 
     def _unreachable(self, error: Exception) -> UnreachableError:
-        return UnreachableError(self._silent(error) + WHERE)
-
-    def _silent(self, error: Exception) -> str:
-        return f"the service at {self.url} does not answer ({reason(error)})"
+        found = UnreachableError(f"the service at {self.url} does not answer ({reason(error)}){WHERE}")
+        found.passing = not isinstance(error, httpx.UnsupportedProtocol | httpx.InvalidURL)
+        return found
 
 
 def _given(query: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in query.items() if value is not None}
-
-
-def _retry_after(response: httpx.Response) -> float | None:
-    told = response.headers.get("retry-after", "")
-    return float(told) if told.isdigit() else None
 
 
 def _authority(ca: Path | str) -> Any:

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from service import logs, tracing
-from service.config import Settings
+from service.config import MOST_CPU_JOBS, Settings
 from service.jobs.outage import Repeats
 from service.storage.database import sqlite_file, use_wal
 from service.storage.jobs import ON_RIG
@@ -28,6 +28,13 @@ VERSION = "jobs-1"
 the order of the steps does."""
 RIGS, CPU, NOTICES = "rigs", "cpu", "notices"
 NOTICE = "ambit.notice"
+MOST_AT_ONCE = {RIGS: 64, CPU: MOST_CPU_JOBS, NOTICES: 8}
+"""What one worker runs of each queue at a time, at most. Receivers that answer slowly keep no more threads than those
+few."""
+_SPARE_THREADS = 8
+THREADS = sum(MOST_AT_ONCE.values()) + _SPARE_THREADS
+"""One for whatever the queues hand out: what waits for a thread would keep its rig, and run nowhere. The others are for
+the engine's own work and for what it has superseded, which ends a little later. A thread is made when it is needed."""
 POLLS_S = {RIGS: 0.4, CPU: 0.2, NOTICES: 1.0}
 """How often the only worker looks into each queue. Rigs' has a part for every rig and costs twice as much a look."""
 UNUSED_S = 4.0
@@ -37,13 +44,27 @@ _SHARED_BY = 5
 
 
 def workflow_id(job_id: str, run: int) -> str:
-    """Name of a job's run in the engine."""
+    """Name in the engine of a job's run, or of an attempt to send a message."""
     return f"{job_id}.{run}"
 
 
 def workflow_name(kind: str) -> str:
     """Name of the workflow of a kind of job."""
     return f"ambit.{kind}"
+
+
+def queue_of(workflow: str) -> str:
+    """The queue whose limits hold for a workflow of that name."""
+    if workflow == NOTICE:
+        return NOTICES
+    return RIGS if workflow in {workflow_name(kind) for kind in ON_RIG} else CPU
+
+
+def waits_for_thread() -> bool:
+    """Whether something that a queue has handed out to this process waits for a thread still."""
+    from dbos._dbos import _get_dbos_instance
+
+    return not _get_dbos_instance()._executor._work_queue.empty()
 
 
 def shared_s(period_s: float, workers: int) -> float:
@@ -80,7 +101,7 @@ def engine_config(settings: Settings) -> DBOSConfig:
         "console_log_level": "WARNING",
         "log_level": "WARNING",
         "use_listen_notify": False,
-        "max_executor_threads": 64,
+        "max_executor_threads": THREADS,
         "db_engine_kwargs": pool,
     }
 
@@ -155,9 +176,10 @@ class Dispatcher:
         Exception
             Whatever the engine's database raises; try again later.
         """
+        name = workflow_name(job.kind)
         options: EnqueueOptions = {
-            "workflow_name": workflow_name(job.kind),
-            "queue_name": RIGS if job.kind in ON_RIG else CPU,
+            "workflow_name": name,
+            "queue_name": queue_of(name),
             "workflow_id": workflow_id(job.id, job.run),
             "priority": job.priority,
             "app_version": VERSION,
@@ -166,16 +188,17 @@ class Dispatcher:
             options["queue_partition_key"] = job.rig_id
         self._connected().enqueue(options, job.id, job.run, asked_by())
 
-    def notify(self, delivery_id: str) -> None:
-        """Hand over a message to a webhook; a second time changes nothing."""
+    def notify(self, delivery_id: str, number: int) -> None:
+        """Hand over an attempt, by its number, to send a message to a webhook; a second time changes nothing."""
         self._connected().enqueue(
             {
                 "workflow_name": NOTICE,
-                "queue_name": NOTICES,
-                "workflow_id": delivery_id,
+                "queue_name": queue_of(NOTICE),
+                "workflow_id": workflow_id(delivery_id, number),
                 "app_version": VERSION,
             },
             delivery_id,
+            number,
         )
 
     def close(self) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from service.jobs.context import Context
+from service.jobs.engine import queue_of, waits_for_thread
 from service.storage import jobs
 from service.storage.tables import JobRow
 
@@ -44,9 +45,10 @@ class Watch:
         self._missed: set[str] = set()
 
     def settle(self) -> None:
-        """Let the engine forget those whose job has ended, and begin the others once more.
+        """Let the engine forget those whose job has ended, and begin the others once more, by the queue they are of.
 
-        One that is missed twice is lost; once, it may just be on its way from the queue to its thread.
+        One that is missed twice is lost; once, it may just be on its way from the queue to its thread. While something
+        waits for a thread, none is: it could be that one, and would run twice.
 
         Raises
         ------
@@ -59,14 +61,18 @@ class Watch:
             status="PENDING", executor_id=self._context.settings.worker, load_input=False, load_output=False
         )
         with _lock:
-            missed = {found.workflow_id for found in believed} - set(_running)
-        for workflow_id in sorted(missed & self._missed):
+            missed = {found.workflow_id: found.name for found in believed if found.workflow_id not in _running}
+        if waits_for_thread():
+            self._missed = set()
+            return
+        for workflow_id in sorted(missed.keys() & self._missed):
             if self._ended(workflow_id):
                 DBOS.cancel_workflow(workflow_id)
             else:
                 log.warning("%s has died, and begins again where it was", workflow_id)
-                DBOS.resume_workflow(workflow_id)
-        self._missed = missed
+                # the engine would take it to a queue of its own, without limits: two jobs could have one rig
+                DBOS.resume_workflow(workflow_id, queue_name=queue_of(missed[workflow_id]))
+        self._missed = set(missed)
 
     def _ended(self, workflow_id: str) -> bool:
         """Whether a job's run is over: it has ended, or was tried again since; a message has none and is sent again."""

@@ -7,6 +7,7 @@ import logging
 import random
 import socket
 import time
+from datetime import UTC, datetime
 from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
@@ -71,20 +72,24 @@ def begin_failed(job_id: str, run: int) -> None:
 
 
 def hand_over_all(database: Database, dispatcher: Dispatcher) -> None:
-    """Tell the engine of every message that it was not told of."""
+    """Tell the engine of every attempt that is due and that it was not told of."""
     with database.read() as session:
-        waiting = schedules.undispatched(session)
-    for delivery_id in waiting:
-        _hand_over(database, dispatcher, delivery_id)
+        waiting = schedules.undispatched(session, now())
+    for delivery_id, number in waiting:
+        if not _hand_over(database, dispatcher, delivery_id, number):
+            break  # the others would not get there either, and each would say so
 
 
-def _hand_over(database: Database, dispatcher: Dispatcher, delivery_id: str) -> None:
+def _hand_over(database: Database, dispatcher: Dispatcher, delivery_id: str, number: int = 1) -> bool:
+    """Tell the engine of an attempt; False when it could not be told now."""
     try:
-        dispatcher.notify(delivery_id)
+        dispatcher.notify(delivery_id, number)
         with database.write() as session:
-            schedules.dispatched(session, delivery_id)
+            schedules.dispatched(session, delivery_id, number)
     except Exception as error:  # the row is kept, and a worker hands it over
         log.warning("message %s waits for the job engine: %s", delivery_id, str(error).splitlines()[0])
+        return False
+    return True
 
 
 def _contents(worker: Context, check: HealthRow) -> dict[str, Any]:
@@ -92,13 +97,13 @@ def _contents(worker: Context, check: HealthRow) -> dict[str, Any]:
     return webhook.payload(check.id, check.rig_id, check.document, check.created_at, url)
 
 
-def attempt(delivery_id: str) -> float | None:
-    """Send once; seconds until the next attempt, or None when there shall be none."""
+def attempt(delivery_id: str, number: int) -> None:
+    """Send a message, unless that attempt was made already or it was given up; what came of it is in its row."""
     worker = context()
     with worker.database.read() as session:
         delivery = session.get(WebhookRow, delivery_id)
-        if delivery is None or delivery.state != PENDING:
-            return None
+        if delivery is None or delivery.state != PENDING or delivery.attempts + 1 != number:
+            return
         contents = delivery.contents or _contents(worker, results.get(session, HealthRow, delivery.health_id))
         schedule = session.get(ScheduleRow, delivery.schedule_id)
     secret = "" if schedule is None else schedule.webhook_secret
@@ -107,41 +112,35 @@ def attempt(delivery_id: str) -> float | None:
     except webhook.WebhookError as error:  # the webhook was removed before its messages were given up
         why = str(error) if secret else REMOVED
         worker.database.surely(lambda session: schedules.give_up_deliveries(session, delivery.schedule_id, why))
-        return None
+        return
     status, detail, asked = _post(delivery.url, message, worker.settings.webhooks_to_itself)
-    wait_s: float | None = None
-    if status is not None and 200 <= status < 300:
-        state = DELIVERED
-    else:
-        at = time.time()
-        again = webhook.retry_at(delivery.attempts + 1, at, asked, random.uniform(-1, 1))
-        state = FAILED if again is None or not webhook.worth_retrying(status) else PENDING
-        wait_s = None if state == FAILED or again is None else max(again - at, 0.0)
-
-    def note(session: Session) -> None:
-        row = session.get(WebhookRow, delivery_id)
-        assert row is not None
-        row.attempts += 1
-        row.status_code, row.updated_at = status, now()
-        if row.state == PENDING or state == DELIVERED:  # what was given up meanwhile stays so
-            row.state, row.detail = state, detail
-
-    worker.database.surely(note)
-    return wait_s
+    worker.database.surely(lambda session: _note(session, delivery_id, number, status, detail, asked))
 
 
-def give_up(delivery_id: str, error: Exception) -> None:
-    """Note that a message goes no further: the engine could not write down an attempt."""
+def not_made(delivery_id: str, number: int, error: Exception) -> None:
+    """Note that the engine failed at an attempt: unless it was made, it counts as one that nobody heard."""
     log.error("message %s: the job engine failed", delivery_id, exc_info=error)
     why = (str(error).splitlines() or [type(error).__name__])[0]
+    detail = f"the job engine could not make an attempt: {why}"[:500]
+    context().database.surely(lambda session: _note(session, delivery_id, number, None, detail, None))
 
-    def note(session: Session) -> None:
-        row = session.get(WebhookRow, delivery_id)
-        if row is not None and row.state == PENDING:
-            row.state, row.updated_at = FAILED, now()
-            row.detail = f"the job engine could not write down an attempt: {why}"[:500]
 
-    context().database.surely(note)
+def _note(
+    session: Session, delivery_id: str, number: int, status: int | None, detail: str, asked_s: float | None
+) -> None:
+    """Write down what came of an attempt, once, and when the next one is due."""
+    row = session.get(WebhookRow, delivery_id, with_for_update=True)
+    if row is None or row.attempts + 1 != number:
+        return
+    row.attempts, row.status_code, row.updated_at = number, status, now()
+    if status is not None and 200 <= status < 300:
+        row.state, row.detail, row.next_at = DELIVERED, detail, None
+    elif row.state == PENDING:  # what was given up meanwhile stays so
+        jitter = random.uniform(-1, 1)
+        again = webhook.retry_at(number, time.time(), asked_s, jitter) if webhook.worth_retrying(status) else None
+        row.state, row.detail = FAILED if again is None else PENDING, detail
+        row.next_at = None if again is None else datetime.fromtimestamp(again, UTC)
+        row.dispatched = False
 
 
 def _post(url: str, message: webhook.Message, loopback: bool) -> tuple[int | None, str, float | None]:

@@ -23,7 +23,18 @@ from service.errors import ConfigurationError, ConflictError
 from service.jobs import notices, steps, submission, timetable
 from service.jobs.calculator import Calculator
 from service.jobs.context import Context, use
-from service.jobs.engine import CPU, NOTICES, RIGS, Dispatcher, engine_config, poll_s, quieten, share_polls, shared_s
+from service.jobs.engine import (
+    CPU,
+    MOST_AT_ONCE,
+    NOTICES,
+    RIGS,
+    Dispatcher,
+    engine_config,
+    poll_s,
+    quieten,
+    share_polls,
+    shared_s,
+)
 from service.jobs.lost import Watch
 from service.jobs.outage import Outage
 from service.private import make_folders
@@ -89,9 +100,15 @@ class Worker:
         import_module("service.jobs.workflows")  # registers them
         quieten(DBOS(config=engine_config(self.settings)))
         DBOS.launch()
-        DBOS.register_queue(RIGS, partition_concurrency=1, polling_interval_sec=poll_s(RIGS, 1))
-        DBOS.register_queue(CPU, worker_concurrency=self.settings.cpu_jobs, polling_interval_sec=poll_s(CPU, 1))
-        DBOS.register_queue(NOTICES, polling_interval_sec=poll_s(NOTICES, 1))
+        most = MOST_AT_ONCE | {CPU: self.settings.cpu_jobs}
+        one_job_per_rig = {RIGS: 1}
+        for name in (RIGS, CPU, NOTICES):
+            DBOS.register_queue(
+                name,
+                worker_concurrency=most[name],
+                partition_concurrency=one_job_per_rig.get(name),
+                polling_interval_sec=poll_s(name, 1),
+            )
         self.context.calculator.warm()
         log.info("worker %s is ready", self.settings.worker)
 

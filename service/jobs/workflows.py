@@ -84,14 +84,18 @@ def health(job_id: str, run: int, asked: Asked | None = None) -> None:
 
 
 @DBOS.workflow(name=NOTICE, max_recovery_attempts=None)
-def notice(delivery_id: str) -> None:
-    """Tell a webhook, again and again until it listens or it is too late."""
-    with lost.running(delivery_id):
+def notice(delivery_id: str, number: int | None = None) -> None:
+    """Tell a webhook once; when it is told again is in the message's row, and no thread waits for it.
+
+    An earlier version's has no number, and waited here: its row says by now when the message is sent.
+    """
+    if number is None:
+        return
+    with lost.running(workflow_id(delivery_id, number)):
         try:
-            while (wait_s := DBOS.run_step({"name": "send"}, notices.attempt, delivery_id)) is not None:
-                DBOS.sleep(wait_s)
+            DBOS.run_step({"name": "send"}, notices.attempt, delivery_id, number)
         except Exception as error:
-            notices.give_up(delivery_id, error)
+            notices.not_made(delivery_id, number, error)
             raise
 
 

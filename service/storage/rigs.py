@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -21,6 +23,11 @@ def create(session: Session, name: str, datasheet: str, controller_url: str, not
         The name is taken.
     """
     if (found := session.scalar(select(Rig).where(Rig.name == name))) is not None:
+        if found.retired_at is not None:
+            raise ConflictError(
+                f"the rig named {name!r} ({found.id}) was retired at {_at(found.retired_at)}, and its history "
+                "keeps the name; give another name"
+            )
         raise ConflictError(
             f"there is a rig named {name!r} already ({found.id}); change that one, or take another name"
         )
@@ -30,6 +37,10 @@ def create(session: Session, name: str, datasheet: str, controller_url: str, not
     session.flush()
     _add_version(session, rig, datasheet, controller_url, note, by)
     return rig
+
+
+def _at(time: datetime) -> str:
+    return f"{time:%Y-%m-%d %H:%M} UTC"
 
 
 def change(session: Session, rig: Rig, datasheet: str, controller_url: str, note: str, by: str) -> Rig:
@@ -80,9 +91,7 @@ def active(session: Session, rig_id: str) -> Rig:
     """
     rig = get(session, rig_id)
     if rig.retired_at is not None:
-        raise ConflictError(
-            f"the rig {rig.name!r} was retired at {rig.retired_at:%Y-%m-%d %H:%M} UTC; it takes no jobs"
-        )
+        raise ConflictError(f"the rig {rig.name!r} was retired at {_at(rig.retired_at)}; it takes no jobs")
     return rig
 
 

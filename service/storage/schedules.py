@@ -17,6 +17,7 @@ SUBMITTED, MISSED, REFUSED = "submitted", "missed", "refused"
 PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
 """States of a message to a webhook."""
 REMOVED = "the webhook was removed"
+SCHEDULE_REMOVED = "the schedule was removed"
 
 
 def get(session: Session, schedule_id: str, for_update: bool = False) -> ScheduleRow:
@@ -84,7 +85,7 @@ def add_delivery(
     session: Session, schedule: ScheduleRow, delivery_id: str, contents: dict[str, Any], health_id: str = ""
 ) -> bool:
     """Have the webhook of a schedule told something, once for each id; whether there is one to be told."""
-    if not schedule.webhook_url:
+    if not schedule.webhook_url or schedule.deleted_at is not None:
         return False
     if session.get(WebhookRow, delivery_id) is None:
         at = now()
@@ -95,6 +96,7 @@ def add_delivery(
                 health_id=health_id,
                 url=schedule.webhook_url,
                 contents=contents,
+                next_at=at,
                 state=PENDING,
                 created_at=at,
                 updated_at=at,
@@ -103,15 +105,24 @@ def add_delivery(
     return True
 
 
-def undispatched(session: Session, limit: int = 200) -> list[str]:
-    """Ids of messages that the engine was not told of."""
-    query = select(WebhookRow.id).where(WebhookRow.dispatched.is_(False)).order_by(WebhookRow.id).limit(limit)
-    return list(session.scalars(query))
+def undispatched(session: Session, at: datetime, limit: int = 200) -> list[tuple[str, int]]:
+    """Messages to send that the engine was not told of, the longest due first: id, and number of the attempt."""
+    query = (
+        select(WebhookRow.id, WebhookRow.attempts)
+        .where(WebhookRow.next_at <= at, WebhookRow.dispatched.is_(False))
+        .order_by(WebhookRow.next_at, WebhookRow.id)
+        .limit(limit)
+    )
+    return [(delivery_id, attempts + 1) for delivery_id, attempts in session.execute(query)]
 
 
-def dispatched(session: Session, delivery_id: str) -> None:
-    """Note that the engine knows of a message."""
-    session.execute(update(WebhookRow).where(WebhookRow.id == delivery_id).values(dispatched=True))
+def dispatched(session: Session, delivery_id: str, number: int) -> None:
+    """Note that the engine knows of an attempt; nothing where it was made already, and the next one waits."""
+    session.execute(
+        update(WebhookRow)
+        .where(WebhookRow.id == delivery_id, WebhookRow.attempts == number - 1)
+        .values(dispatched=True)
+    )
 
 
 def switch_off(session: Session, rig_id: str) -> list[ScheduleRow]:
@@ -130,7 +141,7 @@ def give_up_deliveries(session: Session, schedule_id: str, why: str) -> None:
     session.execute(
         update(WebhookRow)
         .where(WebhookRow.schedule_id == schedule_id, WebhookRow.state == PENDING)
-        .values(state=FAILED, detail=why, updated_at=now())
+        .values(state=FAILED, detail=why, next_at=None, updated_at=now())
     )
 
 

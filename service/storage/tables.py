@@ -228,8 +228,10 @@ class WebhookRow(Base):
     url: Mapped[str] = mapped_column(Text)
     contents: Mapped[Document] = mapped_column(default=dict, server_default="{}")
     """What is sent; empty in rows of an earlier version, which tell of their check."""
-    dispatched: Mapped[bool] = mapped_column(Boolean, default=False, server_default=true(), index=True)
-    """Whether the engine knows of it."""
+    next_at: Mapped[datetime | None] = mapped_column(UtcDateTime, index=True)
+    """When the next attempt is due; None where there shall be none."""
+    dispatched: Mapped[bool] = mapped_column(Boolean, default=False, server_default=true())
+    """Whether the engine knows of the next attempt."""
     state: Mapped[str] = mapped_column(String(20))
     """pending, delivered or failed."""
     attempts: Mapped[int] = mapped_column(Integer, default=0)

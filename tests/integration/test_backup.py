@@ -21,11 +21,11 @@ from service.errors import ConflictError, DocumentError, OutputError, StorageErr
 from service.exclusive import sole_use
 from service.jobs.engine import Dispatcher, workflow_id
 from service.jobs.submission import hand_over, hand_over_all
-from service.storage import jobs, migrate, workers
+from service.storage import jobs, migrate, schedules, workers
 from service.storage import keys as key_rows
 from service.storage.blobs import Blobs
 from service.storage.database import Database, now
-from service.storage.tables import AuditRow, Base, JobRow, Rig, WorkerRow
+from service.storage.tables import AuditRow, Base, JobRow, Rig, ScheduleRow, WebhookRow, WorkerRow
 from tests.support import command
 from tests.support.command import wait_until
 from tests.support.service_state import lived_in
@@ -105,6 +105,33 @@ def test_jobs_go_on_only_when_asked_for(settings, tmp_path):
         assert session.get(JobRow, made["queued"]).state == "queued"
     database.close()
     assert engine_states(new) == ["ENQUEUED", "ENQUEUED"]
+
+
+@pytest.mark.parametrize("resume_jobs", [False, True])
+def test_messages_that_wait_for_a_webhook_are_sent_after_a_restore(tmp_path, resume_jobs):
+    """Also one with which the engine was busy: whatever it did then, or forgets now, the next attempt is made."""
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    made = lived_in(old)
+    database = Database(old.database)
+    with database.write() as session:
+        row = ScheduleRow(
+            id="sch_1", rig_id=made["rig"], cron="0 6 * * *", options={}, enabled=True, webhook_url="https://h/",
+            webhook_secret="", created_at=now(), updated_at=now(), created_by="local",
+        )  # fmt: skip
+        session.add(row)
+        session.flush()
+        for delivery_id in ("whd_1", "whd_2", "whd_3"):
+            schedules.add_delivery(session, row, delivery_id, {"type": "health.missed"})
+        schedules.dispatched(session, "whd_2", 1)
+        session.get(WebhookRow, "whd_3").state = schedules.DELIVERED
+        session.get(WebhookRow, "whd_3").next_at = None
+    database.close()
+    path, _ = create(old, tmp_path / "backups")
+    restore(new, path, resume_jobs=resume_jobs)
+    database = Database(new.database)
+    with database.read() as session:
+        assert schedules.undispatched(session, now()) == [("whd_1", 1), ("whd_2", 2)]
+    database.close()
 
 
 def test_what_is_there_is_not_given_up_unasked(settings, tmp_path):
@@ -296,6 +323,66 @@ def test_nobody_else_reads_a_backup(tmp_path):
     assert files
     for one in (folder, path, folder / manifest.STORE, *files):
         assert one.stat().st_mode & 0o077 == 0, one
+
+
+def controllers(settings):
+    return settings.home / "controllers"
+
+
+def with_controllers(settings):
+    """Files that controllers' URLs name: a map, and a key in a folder of its own."""
+    (controllers(settings) / "tls").mkdir(parents=True)
+    (controllers(settings) / "vendor.toml").write_text("a map")
+    (controllers(settings) / "tls" / "host.key").write_text("a key")
+    lived_in(settings)
+
+
+def test_files_that_controllers_are_named_by_come_back_for_the_service_alone(tmp_path):
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    with_controllers(old)
+    path, _ = create(old, tmp_path / "backups")
+    restore(new, path)
+    assert (controllers(new) / "vendor.toml").read_text() == "a map"
+    assert (controllers(new) / "tls" / "host.key").read_text() == "a key"
+    for folder in (path / "controllers", controllers(new)):
+        for one in (folder, *folder.rglob("*")):
+            assert one.stat().st_mode & 0o077 == 0, one
+
+
+def test_files_that_controllers_are_named_by_are_given_up_only_when_asked_for(tmp_path):
+    old, new = Settings(home=tmp_path / "old"), Settings(home=tmp_path / "new")
+    with_controllers(old)
+    path, _ = create(old, tmp_path / "backups")
+    controllers(new).mkdir(parents=True)
+    (controllers(new) / "vendor.toml").write_text("a newer map")
+    (controllers(new) / "other.toml").write_text("of another rig")
+    with pytest.raises(ConflictError, match=r"vendor\.toml is another file than the backup's; --replace"):
+        restore(new, path)
+    assert [one.name for one in controllers(new).iterdir() if one.is_dir()] == []
+    restore(new, path, replace=True)
+    assert (controllers(new) / "vendor.toml").read_text() == "a map"
+    assert (controllers(new) / "other.toml").read_text() == "of another rig"
+    restore(new, path, replace=True)
+
+
+def test_only_files_that_a_controller_may_be_named_by_are_in_a_backup(tmp_path, monkeypatch):
+    """A link that leads elsewhere names none; one that cannot be read is told, and the backup is good otherwise."""
+    old = Settings(home=tmp_path / "old")
+    with_controllers(old)
+    (tmp_path / "secret").write_text("of the machine")
+    (controllers(old) / "elsewhere").symlink_to(tmp_path / "secret")
+    (controllers(old) / "latest.toml").symlink_to(controllers(old) / "vendor.toml")
+    read = Path.read_bytes
+
+    def refused(path):
+        if path.name == "host.key":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    path, written = create(old, tmp_path / "backups")
+    assert written.missing == ("controllers/tls/host.key",)
+    assert {one.name for one in (path / "controllers").iterdir()} == {"vendor.toml", "latest.toml"}
 
 
 def test_a_backup_has_its_name_once_the_disk_has_all_of_it(tmp_path, monkeypatch):

@@ -1,10 +1,12 @@
 """The client against the real application: typed answers, errors that say what to do, a watch that goes on."""
 
+import json
 import re
 import socket
 import threading
 import time
 from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import h5py
 import httpx
@@ -15,6 +17,7 @@ from service.access.keys import Scope
 from service.cli import run
 from service.client import (
     Client,
+    ClientError,
     ConflictingError,
     JobEndedError,
     KeyRefusedError,
@@ -175,6 +178,51 @@ def submitted(service, capsys, kind: str, rig, *more: str) -> tuple[int, str]:
     words = ("submit", kind, "--rig", str(rig), "--url", service.url, "--key", service.operator, *more)
     status = run(list(words))
     return status, " ".join(capsys.readouterr().err.replace("│", "").split())
+
+
+@pytest.mark.parametrize("name", ["rig_bench2", "rig_" + "a" * 25])
+def test_a_rig_and_a_file_may_be_named_as_if_they_were_ids(service, ambit, tmp_path, capsys, monkeypatch, name):
+    rig = ambit.rigs.create(SHEET, name=name)
+    assert ambit.rigs.named(name).id == ambit.rigs.named(rig.id).id == rig.id
+    monkeypatch.chdir(tmp_path)
+    good(tmp_path / "exp_run3.h5")
+    assert submitted(service, capsys, "identification", name, "--experiment", "exp_run3.h5") == (0, "")
+    (sent,) = ambit.experiments.list(rig.id)
+    assert submitted(service, capsys, "identification", name, "--experiment", sent.id) == (0, "")
+    assert [job.experiment for job in ambit.jobs.list(rig=rig.id)] == [sent.id, sent.id]
+    status, told = submitted(service, capsys, "identification", name, "--experiment", "exp_run4.h5")
+    assert (status, "cannot read exp_run4.h5" in told) == (1, True)
+
+
+def test_the_name_of_a_retired_rig_leads_to_its_history_and_to_another_name(service, ambit, tmp_path, capsys):
+    sheet = tmp_path / "rig.toml"
+    sheet.write_text(SHEET.replace('"reference"', '"pump 7"', 1))
+    assert submitted(service, capsys, "experiment", sheet, "--controller", "simulated://") == (0, "")
+    rig = ambit.rigs.named("pump 7")
+    with Client(service.url, service.key(Scope.admin)) as admin:
+        admin.rigs.retire(rig.id)
+    assert rig.id not in [r.id for r in ambit.rigs.list()]
+    for kind, given in (("experiment", sheet), ("health", sheet), ("experiment", "pump 7")):
+        status, told = submitted(service, capsys, kind, given)
+        assert status == 1
+        assert f"the rig 'pump 7' ({rig.id}) was retired at 20" in told
+        assert "a new rig takes another name" in told
+    with pytest.raises(
+        ConflictingError, match=r"was retired at 20.* UTC, and its history keeps the name; give another"
+    ):
+        ambit.rigs.create(sheet.read_text())
+    assert ambit.rigs.named(rig.id).name == "pump 7"
+    for name in ("pump 7", rig.id):
+        words = ["--rig", name, "--url", service.url, "--key", service.operator]
+        assert run(["jobs", *words, "--json"]) == 0
+        (job,) = json.loads(capsys.readouterr().out)["jobs"]
+        assert (job["rig"], job["state"]) == (rig.id, "cancelled")
+        assert run(["jobs", *words]) == 0
+        assert "pump 7" in capsys.readouterr().out
+        assert run(["schedules", *words]) == 0
+        capsys.readouterr()
+    sheet.write_text(sheet.read_text().replace('"pump 7"', '"pump 7 (2)"', 1))
+    assert submitted(service, capsys, "experiment", sheet, "--controller", "simulated://") == (0, "")
 
 
 def test_what_moves_a_rotor_makes_no_rig_known_that_cannot_be_moved(service, ambit, new_sheet, capsys):
@@ -427,6 +475,56 @@ def test_a_command_says_that_the_service_is_away_before_it_gives_up(monkeypatch,
     why = re.fullmatch(said, first)
     assert why, first
     assert last.startswith(f"ambit: {why[1]}; is it running?")
+
+
+class Ailing(BaseHTTPRequestHandler):
+    """Answers each request by what comes next: it is busy, breaks off, lacks what is asked for, or sends a file."""
+
+    FILE = b"an experiment" * 1000
+
+    def do_GET(self):
+        answer = self.server.answers.pop(0) if len(self.server.answers) > 1 else self.server.answers[0]
+        body = self.FILE if isinstance(answer, str) else b'{"detail": "try again in a moment"}'
+        self.send_response(200 if isinstance(answer, str) else answer)
+        self.send_header("content-length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body[: len(body) // 2] if answer == "half" else body)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def ailing():
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Ailing)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def fetch(ailing, to, patience_s, *answers):
+    """Fetch a file from a service that answers like that; why it was waited for."""
+    ailing.answers, told = list(answers), []
+    url = f"http://127.0.0.1:{ailing.server_port}"
+    with Client(url, "", patience_s=patience_s, waiting=told.append) as client:
+        client.experiments.save("exp_1", to)
+    return told
+
+
+def test_a_file_is_fetched_whole_from_a_service_that_is_busy_or_breaks_off_for_a_moment(ailing, tmp_path):
+    told = fetch(ailing, tmp_path / "a.h5", 20, 503, "half", 503, "whole")
+    assert (tmp_path / "a.h5").read_bytes() == Ailing.FILE
+    assert told == ["try again in a moment"]  # once
+
+
+@pytest.mark.parametrize(("patience_s", "answers"), [(0.5, [503]), (0.5, ["half"]), (20, [404, "whole"])])
+def test_a_file_that_is_not_to_be_had_is_told_and_leaves_nothing(ailing, tmp_path, patience_s, answers):
+    with pytest.raises(ClientError):
+        fetch(ailing, tmp_path / "a.h5", patience_s, *answers)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("url", ["rotor", "ftp://127.0.0.1", "http://127.0.0.1:x", "http://["])

@@ -18,8 +18,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
 from service.errors import StorageError
-from service.storage import keys, migrate
-from service.storage.database import Database
+from service.storage import keys, migrate, schedules
+from service.storage.database import Database, now
 from service.storage.tables import AuditRow, Base, ExperimentRow, JobRow, JournalPart, KeyRow, Rig
 from tests.support import command
 
@@ -83,13 +83,20 @@ def test_a_delivered_database_is_upgraded_with_all_that_it_holds(tmp_path, sql):
         assert migrate.upgrade(database) == migrate.head()  # once more changes nothing
 
 
+def test_messages_that_wait_for_a_webhook_go_on_after_an_upgrade(tmp_path):
+    with opened(f"sqlite:///{as_delivered(tmp_path, SCHEMAS[REVISIONS.index('0004')])}") as database:
+        migrate.upgrade(database)
+        with database.read() as session:
+            assert schedules.undispatched(session, now()) == [("whd_1", 4)]
+
+
 @pytest.mark.pg
 @pytest.mark.parametrize("sql", SCHEMAS, ids=REVISIONS)
 def test_the_same_on_postgresql(tmp_path, sql):
     with new("postgresql", tmp_path) as database, closing(sqlite3.connect(as_delivered(tmp_path, sql))) as old:
         migrate.upgrade(database, sql.stem)
         old.row_factory = sqlite3.Row
-        booleans = {"complete", "cancel_requested"}
+        booleans = {"complete", "cancel_requested", "enabled", "dispatched"}
         with database.write() as session:
             for table in [t.name for t in Base.metadata.sorted_tables if inspect(database.engine).has_table(t.name)]:
                 for row in old.execute(f"SELECT * FROM {table}"):
@@ -100,7 +107,7 @@ def test_the_same_on_postgresql(tmp_path, sql):
                         for k in values
                     )
                     casts = marks
-                    for k in ("options", "summary", "result", "detail"):
+                    for k in [k for k, v in values.items() if isinstance(v, str) and v.startswith("{")]:
                         casts = re.sub(rf":{k}\b", f"CAST(:{k} AS jsonb)", casts)
                     session.execute(text(f"INSERT INTO {table} ({names}) VALUES ({casts})"), values)
         assert migrate.upgrade(database) == migrate.head()

@@ -17,8 +17,6 @@ OF_ONE = ("modbus+rtu",)
 """Of lines that are open for one process at a time."""
 FILES = ("map", "ca", "cert", "key", "rig")
 REFUSED = ("transcript",)
-FOLDER = "controllers"
-"""Folder in the service's home whose files a controller's URL may name."""
 DEVICES = "/dev"
 """Where serial ports are: a port elsewhere would be a file that is opened for whoever names it."""
 
@@ -39,7 +37,7 @@ def checked_url(url: str, settings: Settings) -> str:
         parts, query = understood(url)
     except ControllerError as error:
         raise UnprocessableError(f"the controller's URL: {error}") from error
-    folder = (settings.home.absolute() / FOLDER).resolve()
+    folder = settings.controllers.resolve()
     for name, value in query.items():
         if name in REFUSED:
             raise UnprocessableError(f"the option {name} is for the command line; leave it out")

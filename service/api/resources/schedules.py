@@ -173,11 +173,12 @@ def _must_be_changed(row: ScheduleRow, wanted: ScheduleWanted, if_match: str | N
 
 @router.delete("/{schedule_id}", status_code=204, response_class=Response, responses=documented(404))
 def remove_schedule(request: Request, schedule_id: ScheduleId, who: Operator, api: Api) -> Response:
-    """Remove a schedule; its checks stay."""
+    """Remove a schedule; its checks stay, and its webhook hears nothing more."""
     with api.database.write() as session:
         row = schedules.get(session, schedule_id, for_update=True)
         row.deleted_at = now()
         row.next_at = None
+        schedules.give_up_deliveries(session, row.id, schedules.SCHEDULE_REMOVED)
         audit(session, request, who, Action.schedule_removed, row.id, rig=row.rig_id)
     return Response(status_code=204)
 

@@ -42,19 +42,31 @@ def test_a_schedule_is_kept_by_the_clock_and_misses_are_told(api, service, rig, 
     assert_problem(api.get(f"/schedules/{made['id']}"), 404)
 
 
-def test_messages_that_wait_for_a_webhook_end_with_it(api, service, rig):
+def remove_webhook(api, body, made):
+    tag = api.get(f"/schedules/{made['id']}").headers["etag"]
+    without = {**body, "webhook": None}
+    assert api.put(f"/schedules/{made['id']}", json=without, headers={"If-Match": tag}).status_code == 200
+
+
+def remove_schedule(api, body, made):
+    assert api.delete(f"/schedules/{made['id']}").status_code == 204
+
+
+@pytest.mark.parametrize(
+    ("remove", "why"),
+    [(remove_webhook, "the webhook was removed"), (remove_schedule, "the schedule was removed")],
+)
+def test_messages_that_wait_for_a_webhook_end_with_it(api, service, rig, remove, why):
     body = {"rig": rig, "cron": "0 6 * * *", "webhook": {"url": "https://plant.example/hook"}}
     made = api.post("/schedules", json=body).json()
     with service.services.database.write() as session:
         common = {"schedule_id": made["id"], "health_id": "hc_1", "url": "u", "created_at": now(), "updated_at": now()}
         session.add_all(WebhookRow(id=f"{rig}{state}"[4:], state=state, **common) for state in ("pending", "delivered"))
-    tag = api.get(f"/schedules/{made['id']}").headers["etag"]
-    without = {**body, "webhook": None}
-    assert api.put(f"/schedules/{made['id']}", json=without, headers={"If-Match": tag}).status_code == 200
+    remove(api, body, made)
     with service.services.database.read() as session:
         found = session.scalars(select(WebhookRow).where(WebhookRow.schedule_id == made["id"]))
         assert {(d.id[26:], d.state, d.detail) for d in found} == {
-            ("pending", "failed", "the webhook was removed"),
+            ("pending", "failed", why),
             ("delivered", "delivered", ""),
         }
     api.delete(f"/schedules/{made['id']}")
