@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,8 @@ class SavedPlane:
     """Places among the model's modes of those that are the rotor's, by rising frequency."""
     beyond: NDArray[np.bool_]
     """(modes,) those that stand for what lies beyond the band that was measured."""
+    rig_axes: tuple[str, ...]
+    """All axes of the rig, those of the other planes with them."""
     notes: tuple[str, ...] = ()
     """What to know of the effects that the twin names, in sentences: above all what the model lacks of them."""
 
@@ -194,8 +196,17 @@ def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str,
         bool(residuals["model_adequate"]),
         tuple(_places(model, found["rotor_modes"])),
         np.isin(np.arange(layout.n_modes), _places(model, [m for m in found["other_modes"] if m["kind"] == "beyond"])),
+        tuple(axes),
         notes,
     )
+
+
+def axes_without_model(planes: Iterable[SavedPlane]) -> tuple[str, ...]:
+    """Axes of the rig that are in none of the planes of a result, in the rig's order."""
+    told: dict[str, bool] = {}
+    for s in planes:
+        told |= {a: told.get(a, False) or a in s.axes for a in s.rig_axes}
+    return tuple(a for a, has_model in told.items() if not has_model)
 
 
 def _places(model: PlaneModel, listed: list[Mapping[str, Any]]) -> list[int]:
