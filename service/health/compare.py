@@ -14,6 +14,7 @@ from service.experiment.data import Experiment
 from service.experiment.speeds import alike, changed_speed
 from service.experiment.units import must_be_in_si
 from service.health.fit import PlaneNow, plane_now
+from service.health.law import LawNow, law_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
@@ -23,7 +24,7 @@ from service.identification.measured.known import as_identified, computed, led_b
 from service.identification.measured.logged import checked
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.measured.points import PlanePoints
-from service.identification.result.saved import SavedPlane, saved_planes
+from service.identification.result.saved import SavedPlane, axes_without_model, saved_planes
 from service.identification.statistics.derivatives import central_differences, propagated_std
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -102,14 +103,25 @@ def compare(
         notes = (at_other_speed, *notes)
     if any(n.points.I is None for n in now.values()):
         notes = (*notes, "coil currents are not logged: the amplifiers are taken for unchanged, ki for what changes")
+    without_model = axes_without_model(saved.values())
+    if without_model:
+        notes = (
+            f"the commissioning has no model of {', '.join(without_model)}: whether anything drifted there, and their "
+            "zone, are not known; commission every axis",
+            *notes,
+        )
     figures = {name: plane_figures(s, controller) for name, s in saved.items()}
-    n_tests = sum(len(f.monitored) + 1 for f in figures.values())  # one for what the model does not explain
+    # one for what the model does not explain, one for each axis' law
+    n_tests = sum(len(f.monitored) + 1 + len(s.axes) for f, s in zip(figures.values(), saved.values(), strict=True))
     level = rule.level(tests_made, n_tests)
     planes = []
     for name, s in saved.items():
         freedom = min(now[name].freedom, s_freedom(baseline.document, name))
         threshold = rule.threshold(tests_made, n_tests, freedom)
-        planes.append(_plane(s, now[name], _changes(figures[name], s, now[name], freedom, threshold), level))
+        changes = _changes(figures[name], s, now[name], freedom, threshold)
+        own = computed(now[name].points, s.model.known.chain)
+        laws = law_now(own, controller, twin.datasheet.sample_time_s, level)
+        planes.append(_plane(s, now[name], changes, own, laws, level))
     return HealthResult(
         rig=datasheet.name,
         planes=tuple(planes),
@@ -121,17 +133,31 @@ def compare(
         speed_rad_s=is_at,
         baseline_speed_rad_s=was_at,
         at_other_speed=at_other_speed,
+        without_model=without_model,
         notes=notes,
     )
 
 
-def _plane(saved: SavedPlane, now: PlaneNow, changes: tuple[FigureChange, ...], level: float) -> PlaneHealth:
-    """What there is to tell of a plane beside its figures' changes."""
+def _plane(
+    saved: SavedPlane,
+    now: PlaneNow,
+    changes: tuple[FigureChange, ...],
+    points: PlanePoints,
+    laws: tuple[LawNow, LawNow],
+    level: float,
+) -> PlaneHealth:
+    """What there is to tell of a plane beside its figures' changes, by the points with u as it was computed.
+
+    Where another law ran the model's peaks are those of no loop: there is none of it.
+    """
+    if any(law.differs for law in laws):
+        changes = tuple(c for c in changes if c.monitored.kind != "margin")
     return PlaneHealth(
         plane=saved.plane,
         axes=saved.axes,
         changes=changes,
-        measured_peak=_measured_peaks(computed(now.points, saved.model.known.chain)),
+        measured_peak=_measured_peaks(points),
+        laws=laws,
         rms_over_sigma=now.rms,
         unexplained=_unexplained(saved, now, level),
         frequency_hz=np.unique(now.points.omega) / (2 * np.pi),

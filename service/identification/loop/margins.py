@@ -21,6 +21,8 @@ from service.identification.statistics.derivatives import central_differences, p
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import OptionsError
 
+NOT_KNOWN = "not known"
+"""In place of a zone where nothing tells it."""
 PER_DECADE = 144
 """Lines per decade where nothing rings."""
 RINGS = 0.1
