@@ -19,7 +19,8 @@ from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
 from service.identification.arrays import Real
-from service.identification.measured.etfe import SingularInputError, etfe
+from service.identification.loop.margins import above, measured_sensitivity
+from service.identification.measured.etfe import FrequencyResponse
 from service.identification.measured.known import as_identified, computed, led_back
 from service.identification.measured.logged import checked
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
@@ -150,13 +151,15 @@ def _plane(
 
     Where another law ran the model's peaks are those of no loop: there is none of it.
     """
+    measured = measured_sensitivity(points)
     if any(law.differs for law in laws):
         changes = tuple(c for c in changes if c.monitored.kind != "margin")
     return PlaneHealth(
         plane=saved.plane,
         axes=saved.axes,
         changes=changes,
-        measured_peak=_measured_peaks(points),
+        measured_peak=_measured_peaks(measured),
+        measured_above=_measured_above(measured, changes),
         laws=laws,
         rms_over_sigma=now.rms,
         unexplained=_unexplained(saved, now, level),
@@ -213,13 +216,21 @@ def _std(figures: PlaneFigures, saved: SavedPlane, covariance: Real) -> Real:
     return propagated_std(gradient, covariance)
 
 
-def _measured_peaks(points: PlanePoints) -> tuple[float, float] | None:
+def _measured_peaks(measured: FrequencyResponse | None) -> tuple[float, float] | None:
     """Largest measured |S| of both axes; the tones of a check are few, so the true peak may be higher."""
-    try:
-        s = np.abs(etfe(points, "r->u").value)
-    except SingularInputError:  # both axes excited at once: S cannot be told apart
+    if measured is None:
         return None
+    s = np.abs(measured.value)
     return float(s[:, 0, 0].max()), float(s[:, 1, 1].max())
+
+
+def _measured_above(measured: FrequencyResponse | None, changes: tuple[FigureChange, ...]) -> tuple[float, ...]:
+    """Largest measured |S| of each axis in which one is above the model's peak beyond doubt."""
+    if measured is None:
+        return ()
+    peaks = {c.monitored.name[-1]: c.now for c in changes if c.monitored.kind == "margin"}
+    found = (above(measured, "AB".index(axis), peak) for axis, peak in peaks.items())
+    return tuple(x for x in found if x is not None)
 
 
 def _unexplained(saved: SavedPlane, now: PlaneNow, level: float) -> bool:

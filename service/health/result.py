@@ -94,6 +94,8 @@ class PlaneHealth:
     axes: tuple[str, str]
     changes: tuple[FigureChange, ...]
     measured_peak: tuple[float, float] | None
+    measured_above: tuple[float, ...]
+    """Largest measured |S| of each axis in which one is above the model's peak beyond doubt."""
     rms_over_sigma: float
     unexplained: bool
     """Whether something acts that neither the model nor any change of its parameters explains."""
@@ -173,10 +175,10 @@ class HealthResult:
 
     @property
     def peak(self) -> float | None:
-        """Largest sensitivity peak of all axes, of the model or measured; None where nothing tells any."""
-        modelled = [c.now for p in self.planes for c in p.sensitivity_peaks.values()]
-        measured = [m for p in self.planes for m in p.measured_peak or ()]
-        return max([*modelled, *measured], default=None)
+        """Largest sensitivity peak of all axes whose loop is known, of the model or measured and above it."""
+        known = [p for p in self.planes if not p.other_law]
+        modelled = [c.now for p in known for c in p.sensitivity_peaks.values()]
+        return max([*modelled, *(m for p in known for m in p.measured_above)], default=None)
 
     @property
     def zone(self) -> str:
@@ -184,11 +186,9 @@ class HealthResult:
 
         Not known where a plane's loop is: its tones alone miss the peak. The last zone is known for all that.
         """
-        known = [p for p in self.planes if not p.other_law]
-        peaks = [c.now for p in known for c in p.sensitivity_peaks.values()]
-        peaks += [m for p in known for m in p.measured_peak or ()]
-        worst = zone(max(peaks), self.zones) if peaks else NOT_KNOWN
-        return worst if len(known) == len(self.planes) or worst == self.zones[-1][0] else NOT_KNOWN
+        worst = NOT_KNOWN if self.peak is None else zone(self.peak, self.zones)
+        whole = not any(p.other_law for p in self.planes)
+        return worst if whole or worst == self.zones[-1][0] else NOT_KNOWN
 
     def _state(self) -> str:
         """Peak and zone in words."""

@@ -169,13 +169,14 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
         "</div>",
         paragraph(
             "ki: force-current factor; ks: position stiffness, positive destabilises; ωn and ζ: of the free rotor, "
-            "without bearings. The zone is that of ISO 14839-3, or of the datasheet's own limits, by the larger of the "
-            "model's and the measured peak; a measured peak is at a measured line and so at most the true one. Margins "
-            "are of one axis' loop with the others closed: of what comes to all axes at once, as by a controller that "
-            "computes longer, the loop may bear less (ambit check-controller tells). They are the model's; those of "
-            "the measured sensitivity itself, straight between its lines, in brackets. Zone and margins are of the "
-            "rotor at the speed at which it was measured, without gyroscopic coupling: at another speed they are not "
-            "known, unless it was measured there, too (ambit check-controller).",
+            "without bearings. The zone is that of ISO 14839-3, or of the datasheet's own limits, by the "
+            "model's peak, or by a measured one that is larger beyond its noise; a measured peak is at a measured line "
+            "that had settled, and so at most the true one. Margins are of one axis' loop with the others closed: of "
+            "what comes to all axes at once, as by a controller that computes longer, the loop may bear less (ambit "
+            "check-controller tells). They are the model's; those of the measured sensitivity itself, straight between "
+            "its lines, in brackets. Zone and margins are of the rotor at the speed at which it was measured, without "
+            "gyroscopic coupling: at another speed they are not known, unless it was measured there, too (ambit "
+            "check-controller).",
             "small",
         ),
         *_known_effects(result),
@@ -206,7 +207,6 @@ def _mode(plane: str, m: ModeResult) -> list[str]:
 
 def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
     for axis, m in plane.margins.items():
-        peak = max(m.sensitivity_peak, m.measured_peak or 0.0)
         gain = " / ".join(_with_std(g, 1.0, 1) for g in (m.gain_down_db, m.gain_up_db))
         std_db = 20 / np.log(10) * m.peak_std / m.sensitivity_peak
         yield [
@@ -217,7 +217,7 @@ def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
             gain,
             _with_std(m.phase_deg, 1.0, 1),
             _with_std(m.delay_s, 1e6, 0),
-            plane.zone(peak),
+            plane.zone(m.worst),
         ]
 
 

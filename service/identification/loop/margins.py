@@ -14,7 +14,8 @@ from scipy.optimize import minimize_scalar
 from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import closed_loop_poles
 from service.identification.loop.loop_margins import CLOSE, REST, loop_margins, moved
-from service.identification.measured.etfe import FrequencyResponse
+from service.identification.measured.etfe import FrequencyResponse, SingularInputError, etfe
+from service.identification.measured.points import PlanePoints
 from service.identification.plane.model import PlaneModel
 from service.identification.plane.zoh import discrete_response
 from service.identification.statistics.derivatives import central_differences, propagated_std
@@ -23,6 +24,9 @@ from sim.errors import OptionsError
 
 NOT_KNOWN = "not known"
 """In place of a zone where nothing tells it."""
+SURE = 5.0
+"""Standard deviations by which a measured |S| must be above the model's peak to count as the larger one: it is the
+largest of a hundred lines, and its deviation is an estimate from a few blocks."""
 PER_DECADE = 144
 """Lines per decade where nothing rings."""
 RINGS = 0.1
@@ -52,14 +56,21 @@ class AxisMargins:
     peak_hz: float
     peak_std: float
     measured_peak: float | None
-    """Largest measured |S|: at the lines of the experiment only, so at most the true peak."""
+    """Largest measured |S|: at the lines of the experiment only, so at most the true peak but for its noise."""
     measured_peak_hz: float | None
     measured_std: float | None
+    measured_above: float | None
+    """The largest measured |S| that is above the model's peak beyond doubt; None where none is."""
     gain_down_db: Margin
     """How far the gain may fall, and rise, dB."""
     gain_up_db: Margin
     phase_deg: Margin
     delay_s: Margin
+
+    @property
+    def worst(self) -> float:
+        """The peak that a zone goes by."""
+        return self.sensitivity_peak if self.measured_above is None else self.measured_above
 
 
 def margins_document(margins: dict[str, AxisMargins]) -> dict[str, Any]:
@@ -226,6 +237,27 @@ def _refined(model: PlaneModel, controller: tuple[Real, Real], omega: Real, size
     return Peak(float(size[k]), float(omega[k]))
 
 
+def measured_sensitivity(points: PlanePoints) -> FrequencyResponse | None:
+    """S = U R^-1 of a plane, without points that had not settled; None where the others do not tell it.
+
+    Parameters
+    ----------
+    points
+        With u as the controller computed it.
+    """
+    try:
+        return etfe(points.select(~points.suspect) if points.suspect.any() else points, "r->u")
+    except SingularInputError:  # two axes excited at once, with the same r: S cannot be told apart
+        return None
+
+
+def above(measured: FrequencyResponse, j: int, peak: float) -> float | None:
+    """The largest measured |S_jj| that is larger than a peak of the model beyond doubt; None where none is."""
+    size, std = np.abs(measured.value[:, j, j]), measured.std[:, j, j] / math.sqrt(2)
+    sure = size[size - SURE * std > peak]
+    return float(sure.max()) if len(sure) else None
+
+
 def axis_margins(
     model: PlaneModel,
     controller: tuple[Real, Real],
@@ -249,20 +281,21 @@ def axis_margins(
         peak = _refined(model, controller, omega, np.abs(s[:, j, j]), j)
         loop = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
         peak_std, *stds = _stds(model, controller, peak.omega, loop.places(), j, covariance, free)
-        seen = seen_hz = seen_std = None
+        seen = seen_hz = seen_std = more = None
         measured_loop: tuple[float | None, ...] = (None, None, None, None)
         if measured is not None:
             own = measured.value[:, j, j]
             m = int(np.argmax(np.abs(own)))
             seen, seen_hz = float(np.abs(own[m])), float(measured.frequency_hz[m])
             seen_std = float(measured.std[m, j, j] / math.sqrt(2))
+            more = above(measured, j, peak.value)
             measured_loop = loop_margins(measured.omega, 1.0 / own - 1.0).values()
         hz = peak.omega / (2 * np.pi)
         margins = (
             Margin(value, None if value is None else std, direct)
             for value, std, direct in zip(loop.values(), stds, measured_loop, strict=True)
         )
-        out.append(AxisMargins(peak.value, hz, peak_std, seen, seen_hz, seen_std, *margins))
+        out.append(AxisMargins(peak.value, hz, peak_std, seen, seen_hz, seen_std, more, *margins))
     return out[0], out[1]
 
 

@@ -89,8 +89,8 @@ class PlaneResult:
 
     @property
     def worst_peak(self) -> float:
-        """The largest sensitivity of the plane, of the model and measured."""
-        return max(max(m.sensitivity_peak, m.measured_peak or 0.0) for m in self.margins.values())
+        """The largest sensitivity of the plane: the model's, or one that was measured and is larger beyond doubt."""
+        return max(m.worst for m in self.margins.values())
 
     def zone(self, peak: float) -> str:
         """Zone of a peak sensitivity, not in dB."""

@@ -23,12 +23,13 @@ from service.health.zones import zone_is_calm
 from service.identification.loop.margins import zone_table
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.measured.points import plane_points
+from service.identification.plane.zoh import discrete_response
 from service.identification.result.saved import saved_planes
 from service.report.health import health_page
 from sim.errors import AmbError
 from sim.reference import pid_with_biquad, reference_rig
 from sim.twin import with_effects
-from tests.support.commissioned import AXES, SHEET, check, plan, result, with_magnets, with_mode
+from tests.support.commissioned import AXES, LAW, SHEET, check, plan, result, with_magnets, with_mode
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 
@@ -191,6 +192,36 @@ def test_the_controller_of_one_axis_leaves_no_margin_of_its_plane():
     assert not EVERY_LAW & set(found.drifted) - {"x.controller_B"}
     assert [bool(p.sensitivity_peaks) for p in found.planes] == [False, True]
     assert found.zone == "not known" or found.zone == "D"
+
+
+def with_one_loud_point(measured: Experiment, flag: str) -> Experiment:
+    """A tone at which u is seven times what it was, and y what the controller makes that of, with its flag."""
+    main = measured.main
+    (at,) = np.flatnonzero((main.axis == 0) & (main.frequency_hz == np.unique(main.frequency_hz)[4]))
+    u, y = main.U.copy(), main.Y.copy()
+    c = discrete_response(*LAW, 2 * np.pi * main.frequency_hz[[at]], SHEET.sample_time_s)[0]
+    u[at] *= 7
+    y[at] = (main.R[at] - u[at]) / c
+    flags = ["" for _ in main.frequency_hz]
+    flags[at] = flag
+    return replace(measured, sweeps=(replace(main, U=u, Y=y, flags=tuple(flags)), *measured.sweeps[1:]))
+
+
+def test_a_point_that_had_not_settled_moves_no_zone():
+    calm, loud = with_law(), with_one_loud_point(with_law(), "not settled")
+    assert checked(loud).zone == checked(calm).zone
+    assert checked(loud).planes[0].measured_peak == pytest.approx(checked(calm).planes[0].measured_peak, rel=0.05)
+
+
+def test_a_measured_peak_counts_where_it_is_above_the_models_beyond_its_noise():
+    """What the largest of some lines has of noise is no peak of the loop; what no model has, is."""
+    found = checked(with_law())
+    peak = max(c.now for p in found.planes for c in p.sensitivity_peaks.values())
+    assert found.peak == peak
+    x, y = found.planes
+    assert replace(found, planes=(replace(x, measured_peak=(99.0, 99.0)), y)).peak == peak
+    above = replace(found, planes=(replace(x, measured_above=(99.0,)), y))
+    assert (above.peak, above.zone) == (99.0, "D")
 
 
 def test_axes_that_were_not_commissioned_are_told(unchanged):

@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.health import compare
 from service.identification.controller.check import check_controller
-from service.identification.loop import predicted
+from service.identification.loop import margins, predicted
 from service.identification.loop.closed_loop import closed_loop_poles, sampled, slowest_decay
 from service.identification.loop.margins import computed_response, zone_table
 from service.identification.loop.predicted import predicted_closed_loop
 from service.identification.measured.points import plane_points
-from service.identification.result import assemble
 from service.identification.result.saved import saved_planes
 from service.identification.statistics.drawn import interval
 from sim.errors import AmbError, LevitationError
@@ -247,8 +245,7 @@ def of_axes_excited_at_once():
 
 CALLERS = {
     predicted: lambda model, points: predicted.predicted_closed_loop(model, LAW, points),
-    assemble: lambda _, points: assemble._measured_sensitivity(points),
-    compare: lambda _, points: compare._measured_peaks(points),
+    margins: lambda _, points: margins.measured_sensitivity(points),
 }
 callers = pytest.mark.parametrize(("module", "ask"), CALLERS.items(), ids=lambda x: getattr(x, "__name__", ""))
 
