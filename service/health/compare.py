@@ -122,7 +122,7 @@ def compare(
         changes = _changes(figures[name], s, now[name], freedom, threshold)
         own = computed(now[name].points, s.model.known.chain)
         laws = law_now(own, controller, twin.datasheet.sample_time_s, level)
-        planes.append(_plane(s, now[name], changes, own, laws, level))
+        planes.append(_plane(s, now[name], changes, own, controller, laws, level))
     return HealthResult(
         rig=datasheet.name,
         planes=tuple(planes),
@@ -144,6 +144,7 @@ def _plane(
     now: PlaneNow,
     changes: tuple[FigureChange, ...],
     points: PlanePoints,
+    controller: tuple[Real, Real],
     laws: tuple[LawNow, LawNow],
     level: float,
 ) -> PlaneHealth:
@@ -154,6 +155,9 @@ def _plane(
     measured = measured_sensitivity(points)
     if any(law.differs for law in laws):
         changes = tuple(c for c in changes if c.monitored.kind != "margin")
+        beyond = ""
+    else:
+        beyond = saved.beyond_measured(now.model, controller)
     return PlaneHealth(
         plane=saved.plane,
         axes=saved.axes,
@@ -161,6 +165,7 @@ def _plane(
         measured_peak=_measured_peaks(measured),
         measured_above=_measured_above(measured, changes),
         laws=laws,
+        beyond_measured=beyond,
         rms_over_sigma=now.rms,
         unexplained=_unexplained(saved, now, level),
         frequency_hz=np.unique(now.points.omega) / (2 * np.pi),

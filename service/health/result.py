@@ -11,8 +11,8 @@ from service.health.law import LawNow
 from service.health.monitored import Monitored
 from service.health.words import changed, other_law, unexplained
 from service.identification.arrays import Real
-from service.identification.loop.margins import NOT_KNOWN, zone
-from sim.datasheet import source_of
+from service.identification.loop.margins import zone
+from sim.datasheet import NOT_KNOWN, source_of
 
 NORMAL_95 = float(normal_above(0.025))
 
@@ -103,6 +103,8 @@ class PlaneHealth:
     left_out: tuple[str, ...]
     laws: tuple[LawNow, LawNow]
     """Of both axes: whether it is the commissioning's."""
+    beyond_measured: str
+    """Why its margins hang on what lies above the band of the commissioning, in words; "" where they do not."""
 
     @property
     def sensitivity_peaks(self) -> dict[str, FigureChange]:
@@ -124,7 +126,7 @@ class PlaneHealth:
                 "std": None if c is None else c.std_now,
                 "interval_95": None if c is None else [c.now - NORMAL_95 * c.std_now, c.now + NORMAL_95 * c.std_now],
                 "measured": None if self.measured_peak is None else self.measured_peak[k],
-                "zone": NOT_KNOWN if c is None else zone(c.now, zones),
+                "zone": NOT_KNOWN if c is None or self.beyond_measured else zone(c.now, zones),
             }
         return found
 
@@ -187,11 +189,15 @@ class HealthResult:
         Not known where a plane's loop is: its tones alone miss the peak. The last zone is known for all that.
         """
         worst = NOT_KNOWN if self.peak is None else zone(self.peak, self.zones)
+        if any(p.beyond_measured for p in self.planes):
+            return NOT_KNOWN
         whole = not any(p.other_law for p in self.planes)
         return worst if whole or worst == self.zones[-1][0] else NOT_KNOWN
 
     def _state(self) -> str:
         """Peak and zone in words."""
+        if beyond := next((p.beyond_measured for p in self.planes if p.beyond_measured), ""):
+            return f"margins and zone not known: {beyond}"
         if not any(p.other_law for p in self.planes):
             return f"sensitivity peak {self.peak or 0.0:.2f}, zone {self.zone} of {source_of(self.zones)}"
         seen = max((m for p in self.planes for m in p.measured_peak or ()), default=None)

@@ -99,9 +99,15 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
     loudest = max(planes, key=lambda p: p.worst_peak)
     peak, zone = loudest.worst_peak, loudest.zone(loudest.worst_peak)
     worst_percent = f"{math.floor(100 * worst) / 100:.2f} % NRMSE"
+    unclear = next((p for p in planes if p.beyond_measured), None)
+    in_zone = (
+        f"zone {zone}{_standard(loudest)}"
+        if unclear is None
+        else f"its zone not known: in the {unclear.plane}-plane {unclear.beyond_measured}"
+    )
     figures_found = (
         f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
-        f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone}{_standard(loudest)}."
+        f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, {in_zone}."
     )
     if not result.identified:
         known = "" if relative < UNKNOWN else "; some stiffness is known to no more than its own size"
@@ -134,7 +140,7 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
     )
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
-    calm = zone in calm_zones(loudest.zones_db)
+    calm = unclear is None and zone in calm_zones(loudest.zones_db)
     return ("good" if calm and worst > GOOD_PERCENT else "warn"), text
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import block_diagonal, slowest_decay
 from service.identification.loop.loop_margins import loop_margins
-from service.identification.loop.margins import loop_grid, zone
+from service.identification.loop.margins import beyond_lines, loop_grid, zone
 from service.identification.plane.zoh import aliases, discrete_response
 from service.identification.result.saved import SavedRotor
 from service.identification.rotating.model import RotatingModel
@@ -92,6 +92,8 @@ class AtSpeed:
     not_known: tuple[str, ...] = ()
     """Why none of the models tells whether it does."""
     axes: tuple[AxisAtSpeed, ...] = ()
+    beyond: str = ""
+    """Why its margins hang on what lies above the measured band, in words; "" where they do not."""
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -111,6 +113,7 @@ def at_speed(
     draws: int = DRAWS,
     seed: int = 0,
     computing_delay_s: float | None = None,
+    highest_hz: float | None = None,
     still: bool = False,
 ) -> AtSpeed:
     """Judge a controller at every speed of the Campbell diagram; at standstill, where the planes tell, if asked to.
@@ -128,6 +131,8 @@ def at_speed(
         Models drawn from the uncertainty.
     computing_delay_s
         How long the controller computes; as long as the one that was identified without it.
+    highest_hz
+        Up to which the rotor was measured; anything above it, without.
     still
         Whether standstill is among the speeds, as where the planes' own models do not describe the rig.
     """
@@ -148,6 +153,11 @@ def at_speed(
         how = unstable_words(poles[lost], period)
         words = f"at {lost:.4g} rad/s, with gyroscopic coupling, the loop is unstable, {how}"
         return AtSpeed(speeds, slowest, 0.0, words, not_known=not_known)
+    grids = {w: _grid(model, p) for w, p in poles.items()}
+    beyond = ""
+    if highest_hz is not None:
+        told = (beyond_lines(g, sensitivity_at_speed(model, law, g, w), AXES, highest_hz) for w, g in grids.items())
+        beyond = next(filter(None, told), "")
     others = drawn(model, rotor.free, rotor.covariance, draws, seed)
     lost_at = [next((w for w in speeds if slowest_decay(_poles(m, law, w), period) <= 0), None) for m in others]
     held = [m for m, w in zip(others, lost_at, strict=True) if w is None]
@@ -158,7 +168,8 @@ def at_speed(
         "",
         _others_words([w for w in lost_at if w is not None], len(others)),
         not_known,
-        _axes(model, law, held, {w: _grid(model, p) for w, p in poles.items()}, limits),
+        _axes(model, law, held, grids, limits),
+        beyond,
     )
 
 

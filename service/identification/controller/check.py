@@ -33,7 +33,7 @@ from service.identification.result.saved import (
     axes_without_model,
 )
 from service.identification.statistics.drawn import DRAWS, Interval, drawn, interval
-from sim.datasheet import ISO_14839_3_DB
+from sim.datasheet import ISO_14839_3_DB, NOT_KNOWN
 from sim.errors import AmbError
 
 Verdict = Literal["safe", "unsafe", "not known"]
@@ -55,7 +55,7 @@ class AxisCheck:
     phase_margin_deg: Interval
     delay_margin_s: Interval
     zone: str
-    """Of the peak's upper end."""
+    """Of the peak's upper end; not known where the loop above the measured band matters."""
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -187,20 +187,30 @@ def check_controller(
 
     reasons = [reason for c in checks for reason in c.reasons]
     reasons += [_beyond_zone(a, accepted_zone) for a in axes if beyond(a.zone)]
+    highest_hz = min((s.highest_hz for s in planes.values() if s.highest_hz is not None), default=None)
     # planes that were measured on a turning rotor lack what couples them, which its own model has, at standstill too
     instead = rotor is not None and rotor.adequate and not all(s.adequate for s in planes.values())
-    turning = None if rotor is None else at_speed(rotor, law, limits, draws, seed, computing_delay_s, still=instead)
+    turning = (
+        None if rotor is None else at_speed(rotor, law, limits, draws, seed, computing_delay_s, highest_hz, instead)
+    )
     if turning is not None:
         reasons += [reason for reason in (turning.unstable, turning.others_unstable) if reason]
         reasons += [_beyond_zone_at_speed(a, accepted_zone) for a in turning.axes if beyond(a.zone)]
     not_known = [*_without_model(planes.values())]
     if not instead:
         not_known += [_inadequate(s) for s in planes.values() if not s.adequate]
+    not_known += [f"plane {c.plane}: {c.beyond}" for c in checks if c.beyond]
     if turning is not None:
         not_known += turning.not_known
+        if turning.beyond:
+            not_known.append(f"at speed: {turning.beyond}")
+            turning = replace(turning, axes=tuple(replace(a, zone=NOT_KNOWN) for a in turning.axes))
+    unclear = {axis.axis for c in checks if c.beyond for axis in c.axes}
     notes = dict.fromkeys(note for s in planes.values() for note in s.notes)
     if turning is None and SPEEDLESS not in notes:
         notes[AT_STANDSTILL] = None
+    if highest_hz is not None:
+        notes[_not_measured(highest_hz)] = None
     judged: tuple[_PlaneCheck | AtSpeed, ...] = tuple(checks) if turning is None else (*checks, turning)
     slowest = min(c.decay_per_s for c in judged)
     return ControllerCheck(
@@ -211,7 +221,7 @@ def check_controller(
         stable=slowest > 0,
         stable_share=min(c.stable_share for c in judged),
         slowest_decay_per_s=slowest,
-        axes=axes,
+        axes=tuple(replace(a, zone=NOT_KNOWN) if a.axis in unclear else a for a in axes),
         delay_of_both_axes_s={c.plane: c.later_s for c in checks if c.decay_per_s > 0},
         at_speed=turning,
         zones=limits,
@@ -229,6 +239,8 @@ class _PlaneCheck:
     stable_share: float
     reasons: tuple[str, ...] = ()
     axes: tuple[AxisCheck, ...] = ()
+    beyond: str = ""
+    """why its margins hang on what lies above the measured band, in words"""
     later_s: float | None = None
     """how much longer the controller may compute; None: a sample or more"""
 
@@ -256,11 +268,18 @@ def _check_plane(
             "unstable with it",
         )
     share, axes = len(held) / max(len(others), 1), tuple(_axes(s, law, loop_grid(s.model, poles), held, limits))
-    return _PlaneCheck(s.plane, decay, share, reasons, axes, _later(s, law))
+    return _PlaneCheck(s.plane, decay, share, reasons, axes, s.beyond_measured(s.model, law), _later(s, law))
 
 
 def _inadequate(s: SavedPlane) -> str:
     return f"plane {s.plane}: the model {inadequate_words(s.rms_over_sigma)}"
+
+
+def _not_measured(highest_hz: float) -> str:
+    return (
+        f"nothing was measured above {highest_hz:.4g} Hz: a sharp mode of the rotor there, which the controller that "
+        "ran may hold and this one not, shows in no model"
+    )
 
 
 def _without_model(planes: Iterable[SavedPlane]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -22,11 +22,12 @@ from service.identification.statistics.derivatives import central_differences, p
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import OptionsError
 
-NOT_KNOWN = "not known"
-"""In place of a zone where nothing tells it."""
 SURE = 5.0
 """Standard deviations by which a measured |S| must be above the model's peak to count as the larger one: it is the
 largest of a hundred lines, and its deviation is an estimate from a few blocks."""
+GAIN_LEFT = 0.5
+"""Gain of the loop above the highest measured line from which margins hang on what is there. Further modes that a band
+up to 1 kHz cuts off bring it to several times that, where none is cut off it is below a half of it."""
 PER_DECADE = 144
 """Lines per decade where nothing rings."""
 RINGS = 0.1
@@ -235,6 +236,34 @@ def _refined(model: PlaneModel, controller: tuple[Real, Real], omega: Real, size
     if -found.fun > size[k]:
         return Peak(-float(found.fun), float(found.x))
     return Peak(float(size[k]), float(omega[k]))
+
+
+def beyond_measured(model: PlaneModel, controller: tuple[Real, Real], axes: Sequence[str], highest_hz: float) -> str:
+    """Why a plane's margins hang on what lies above the highest measured line, in words; "" where they do not.
+
+    See `beyond_lines`.
+    """
+    omega = loop_grid(model, closed_loop_poles(model, controller))
+    return beyond_lines(omega, sensitivity(model, controller, omega), axes, highest_hz)
+
+
+def beyond_lines(omega: Real, s: Complex, axes: Sequence[str], highest_hz: float) -> str:
+    """The same from the sensitivity at frequencies that show every peak of it, (P, n, n) of n axes.
+
+    There a model is a guess: it has one mode for all that lie beyond the band, known by what they leave within it.
+    """
+    peaks = omega[np.abs(np.diagonal(s, axis1=1, axis2=2)).argmax(axis=0)] / (2 * np.pi)
+    beyond = omega > 2 * np.pi * highest_hz
+    if not np.any(beyond):
+        return ""
+    where = f"above the highest measured line ({highest_hz:.4g} Hz), where the model is a guess; measure farther up"
+    if high := [f"that of {axis} at {hz:.4g} Hz" for axis, hz in zip(axes, peaks, strict=True) if hz > highest_hz]:
+        return f"a sensitivity peak, {' and '.join(high)}, lies {where}"
+    gain = np.linalg.norm(np.linalg.inv(s[beyond]) - np.eye(len(axes)), ord=2, axis=(1, 2))
+    k = int(np.argmax(gain))
+    if gain[k] <= GAIN_LEFT:
+        return ""
+    return f"the loop's gain is {gain[k]:.2g} at {omega[beyond][k] / (2 * np.pi):.4g} Hz, {where}"
 
 
 def measured_sensitivity(points: PlanePoints) -> FrequencyResponse | None:

@@ -10,7 +10,7 @@ from service.identification.joint.refine import Refined
 from service.identification.joint.selection import Selected
 from service.identification.joint.uncertainty import Uncertainty, response_std, uncertainty_of
 from service.identification.loop.closed_loop import closed_loop_poles
-from service.identification.loop.margins import axis_margins, dense_grid, measured_sensitivity
+from service.identification.loop.margins import axis_margins, beyond_measured, dense_grid, measured_sensitivity
 from service.identification.loop.predicted import predicted_closed_loop
 from service.identification.measured.data import Data
 from service.identification.measured.etfe import FrequencyResponse, etfe
@@ -75,6 +75,7 @@ def assemble(
     omega = omega[omega <= 1.2 * points.omega.max()]
     seen = measured_sensitivity(computed(points, model.known.chain))
     peaks = axis_margins(model, controller, u.covariance, u.free, seen)
+    beyond = beyond_measured(model, controller, points.axes, float(points.omega.max()) / (2 * np.pi))
     total = float(np.sqrt(np.mean(rms**2)))
     found_modes = modes(model, u, points, selected.splits)
     return PlaneResult(
@@ -123,7 +124,12 @@ def assemble(
         displacement=_displacement(points, datasheet),
         subspace=subspace(plant, 2 * (2 + model.layout.n_modes)),
         status=u.status(refined.fit),
-        warnings=(*_warnings(points, refined, u, total), *told_supports(found_modes, datasheet)),
+        warnings=(
+            *_warnings(points, refined, u, total),
+            *([f"margins and zone of the loop are not known: {beyond}"] if beyond else []),
+            *told_supports(found_modes, datasheet),
+        ),
+        beyond_measured=beyond,
         covariance_from_data=u.from_data,
         closed_loop=predicted_closed_loop(model, controller, points if held_out is None else held_out),
     )
