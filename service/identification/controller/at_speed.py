@@ -14,8 +14,8 @@ import numpy as np
 
 from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import block_diagonal, slowest_decay
-from service.identification.loop.loop_margins import loop_margins
-from service.identification.loop.margins import beyond_lines, loop_grid, zone
+from service.identification.loop.loop_margins import margins_of_loops
+from service.identification.loop.margins import axis_loops, beyond_lines, loop_grid, zone
 from service.identification.plane.zoh import aliases, discrete_response
 from service.identification.result.saved import SavedRotor
 from service.identification.rotating.model import RotatingModel
@@ -268,8 +268,13 @@ def _axes(
 
 def _figures(model: RotatingModel, law: Law, omega: Real, speed_rad_s: float) -> list[Figures]:
     """Peak, gain margins down and up, phase margin, delay margin of each axis."""
-    s = np.diagonal(sensitivity_at_speed(model, law, omega, speed_rad_s), axis1=1, axis2=2)
-    return [(float(np.abs(own).max()), *loop_margins(omega, 1.0 / own - 1.0).values()) for own in s.T]
+
+    def of(w: Real) -> Complex:
+        return sensitivity_at_speed(model, law, w, speed_rad_s)
+
+    s = of(omega)
+    loops = margins_of_loops(omega, axis_loops(s), lambda w: axis_loops(of(w)))
+    return [(float(np.abs(s[:, j, j]).max()), *loop.values()) for j, loop in enumerate(loops)]
 
 
 def _worst(values: Sequence[float | None], k: int) -> float | None:

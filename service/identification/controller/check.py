@@ -22,8 +22,8 @@ from service.identification.controller.at_speed import (
     unstable_words,
 )
 from service.identification.loop.closed_loop import closed_loop_poles, slowest_decay
-from service.identification.loop.loop_margins import loop_margins
-from service.identification.loop.margins import loop_grid, sensitivity, sensitivity_peaks, zone
+from service.identification.loop.loop_margins import margins_of_loops
+from service.identification.loop.margins import axis_loops, loop_grid, sensitivity, sensitivity_peaks, zone
 from service.identification.plane.model import PlaneModel
 from service.identification.result.saved import (
     AT_STANDSTILL,
@@ -393,8 +393,6 @@ Figures = tuple[float | None, float | None, float | None, float | None, float | 
 def _figures(model: PlaneModel, law: tuple[Real, Real], omega: Real) -> tuple[Figures, Figures]:
     """Peak, gain margins down and up, phase margin, delay margin of both axes."""
     whole = sensitivity(model, law, omega)
-    found: list[Figures] = []
-    for j in range(2):
-        s = whole[:, j, j]
-        found.append((float(np.abs(s).max()), *loop_margins(omega, 1.0 / s - 1.0).values()))
-    return found[0], found[1]
+    loops = margins_of_loops(omega, axis_loops(whole), lambda w: axis_loops(sensitivity(model, law, w)))
+    a, b = ((float(np.abs(whole[:, j, j]).max()), *loop.values()) for j, loop in enumerate(loops))
+    return a, b

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import closed_loop_poles
-from service.identification.loop.loop_margins import CLOSE, REST, loop_margins, moved
+from service.identification.loop.loop_margins import CLOSE, REST, loop_margins, margins_of_loops, moved
 from service.identification.measured.etfe import FrequencyResponse, SingularInputError, etfe
 from service.identification.measured.points import PlanePoints
 from service.identification.plane.model import PlaneModel
@@ -147,6 +147,11 @@ def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -
     loop[:, 0, 0] += 1.0
     loop[:, 1, 1] += 1.0
     return np.asarray(np.linalg.inv(loop), dtype=np.complex128)
+
+
+def axis_loops(sensitivities: Complex) -> Complex:
+    """The loop of each axis, the others closed, from S, (P, n, n): L = 1/S_jj - 1, (P, n)."""
+    return np.asarray(1.0 / np.diagonal(sensitivities, axis1=1, axis2=2) - 1.0)
 
 
 def loop_grid(model: PlaneModel, poles: Complex) -> Real:
@@ -306,9 +311,9 @@ def axis_margins(
     omega = loop_grid(model, closed_loop_poles(model, controller))
     s = sensitivity(model, controller, omega)
     out = []
-    for j in range(2):
+    loops = margins_of_loops(omega, axis_loops(s), lambda w: axis_loops(sensitivity(model, controller, w)))
+    for j, loop in enumerate(loops):
         peak = _refined(model, controller, omega, np.abs(s[:, j, j]), j)
-        loop = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
         peak_std, *stds = _stds(model, controller, peak.omega, loop.places(), j, covariance, free)
         seen = seen_hz = seen_std = more = None
         measured_loop: tuple[float | None, ...] = (None, None, None, None)
