@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ssl
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import SplitResult
 
@@ -22,11 +23,20 @@ def _simulated(url: SplitResult, query: Query, rig: Rig | None) -> Controller:
     from drivers.simulated.driver import SimulatedController  # its compiler takes half a second that no bus needs
 
     if rig is None:
-        from sim import rig_file, twin
         from sim.reference import reference_rig
 
-        rig = twin.rig_from_datasheet(rig_file.read(Path(query["rig"]))) if "rig" in query else reference_rig()
+        rig = _of_datasheet(Path(query["rig"])) if "rig" in query else reference_rig()
     return SimulatedController(rig, seed=int(query.get("seed", 0)))
+
+
+def _of_datasheet(path: Path) -> Rig:
+    """The rig that a datasheet describes, with the noise that a rig has: without it nothing can be told from none."""
+    from sim import rig_file, twin
+    from sim.reference import reference_noise
+
+    sheet = rig_file.read(path)
+    noise = reference_noise(sheet.displacement_limit_m, sheet.current_limit_a)
+    return replace(twin.rig_from_datasheet(sheet), noise=noise)
 
 
 def _modbus(url: SplitResult, query: Query) -> LinkFactory:

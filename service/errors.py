@@ -17,7 +17,7 @@
         │     └── InUseError         another process is at work in a folder
         ├── AccessError              service.access.errors: no key, too small a scope, too many requests
         ├── UploadError              service.uploads.errors: a file that was sent is refused
-        ├── ControllerRefusedError   a controller that was checked would not be safe on the rig
+        ├── ControllerRefusedError   a controller that was checked would not be safe on the rig, or may not be
         └── JobError                 a job cannot be done; its title says in a few words what is the matter
 """
 

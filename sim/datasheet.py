@@ -25,6 +25,10 @@ def source_of(zones_db: Iterable[tuple[str, float]]) -> str:
     return "ISO 14839-3" if limited == ISO_14839_3_DB[:-1] else "the rig's own table"
 
 
+NOT_KNOWN = "not known"
+"""In place of a zone where nothing tells it."""
+
+
 def calm_zones(zones_db: Iterable[tuple[str, float]]) -> tuple[str, ...]:
     """Zones of the sensitivity peak in which a machine may stay: as A and B of ISO 14839-3 the first two with a limit.
 

@@ -94,10 +94,25 @@ def _modes(frequencies: tuple[float, float], damping: tuple[float, float]) -> tu
     )
 
 
+def reference_noise(displacement_limit_m: float = 80e-6, current_limit_a: float = 6.0) -> Noise:
+    """Sensor noise 20 nm and current noise 2 mA a sample, with 16-bit steps; of other limits as large a share of them.
+
+    >>> reference_noise(160e-6, 3.0).displacement_m, reference_noise(160e-6, 3.0).current_a
+    (4e-08, 0.001)
+    """
+    y, i = displacement_limit_m / 80e-6, current_limit_a / 6.0
+    return Noise(
+        displacement_m=20e-9 * y,
+        current_a=2e-3 * i,
+        displacement_step_m=250e-6 / 2**16 * y,
+        current_step_a=20 / 2**16 * i,
+    )
+
+
 def reference_rig(speed_rad_s: float = 0.0, gravity_m_per_s2: float = 0.0, noise: Noise | None = None) -> Rig:
     """What was identified: Tables 5-3 and 5-5, amplifier poles and modal damping of Appendix A.
 
-    Sensor noise 20 nm and current noise 2 mA a sample, with 16-bit steps, unless ``noise`` says otherwise.
+    With the noise of `reference_noise`, unless ``noise`` says otherwise.
     """
     b, a = pid_with_biquad()
     poles = np.array([-7458 + 5462j, -8008 + 5364j] * 2)
@@ -129,9 +144,7 @@ def reference_rig(speed_rad_s: float = 0.0, gravity_m_per_s2: float = 0.0, noise
         displacement_limit_m=80e-6,
         current_limit_a=6.0,
         linear_range_m=80e-6,
-        noise=noise
-        if noise is not None
-        else Noise(displacement_m=20e-9, current_a=2e-3, displacement_step_m=250e-6 / 2**16, current_step_a=20 / 2**16),
+        noise=reference_noise() if noise is None else noise,
         speed_rad_s=speed_rad_s,
         gravity_m_per_s2=gravity_m_per_s2,
     )

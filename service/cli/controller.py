@@ -31,7 +31,8 @@ def check_controller(
     The gain, phase and delay margins are of one axis' loop, the others closed; a delay that all of them have, as
     computing_delay_s of the file, is in the verdict. Where the commissioning has a model of the turning rotor, so are
     stability and zone at every speed of its Campbell diagram; where it has none, the verdict is for standstill and says
-    so. Exit status 0 when it is safe, 1 when it is not.
+    so. Where a model does not describe the rig, or an axis has none, the verdict is that it is not known. Exit status 0
+    when it is safe, 1 when it is not or not known.
     """
     import numpy as np
 
@@ -67,7 +68,11 @@ def check_controller(
     if not found.safe:
         from service.errors import ControllerRefusedError
 
-        raise ControllerRefusedError(f"the controller is not safe on {datasheet.name}: {found.reasons[0]}")
+        raise ControllerRefusedError(
+            f"the controller is not safe on {datasheet.name}: {found.reasons[0]}"
+            if found.reasons
+            else f"whether the controller is safe on {datasheet.name} is not known: {found.not_known[0]}"
+        )
 
 
 def read_law(path: Path) -> tuple[tuple[list[float], list[float]], float | None, float | None]:
@@ -101,9 +106,9 @@ def _show(document: dict[str, Any]) -> None:
     turning = document["at_speed"]
     where = " at standstill; at speed it is not known" if document["verdict"] == "safe" and turning is None else ""
     console.print(f"verdict: {document['verdict']}{where}")
-    for kind in ("reasons", "warnings"):
+    for kind, head in (("reasons", "reason"), ("not_known", "not known"), ("warnings", "warning")):
         for text in document[kind]:
-            console.print(f"{kind[:-1]}: {text}", soft_wrap=True)
+            console.print(f"{head}: {text}", soft_wrap=True)
     if document["axes"]:
         console.print(_margins(document["axes"]))
     if turning is not None and turning["axes"]:

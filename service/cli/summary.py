@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from service.report.format import decibel, figures, fixed, number, signed
-from sim.datasheet import source_of
+from sim.datasheet import NOT_KNOWN, source_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -125,8 +125,9 @@ def margins(document: dict[str, Any]) -> list[str]:
     for name, plane in document["planes"].items():
         found = plane["margins"]
         peaks = (f"{axis} {fixed(s, 2)} ({fixed(decibel(s))} dB)" for axis, s in found["sensitivity_peak"].items())
-        of = source_of(found["zone_limits_db"].items())
-        out.append(f"{name}-plane: sensitivity peak {', '.join(peaks)}, zone {found['iso_14839_3_zone']} of {of}")
+        zone = found["iso_14839_3_zone"]
+        told = f"zone {zone} of {source_of(found['zone_limits_db'].items())}" if zone != NOT_KNOWN else "zone not known"
+        out.append(f"{name}-plane: sensitivity peak {', '.join(peaks)}, {told}")
     return out
 
 

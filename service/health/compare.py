@@ -14,16 +14,18 @@ from service.experiment.data import Experiment
 from service.experiment.speeds import alike, changed_speed
 from service.experiment.units import must_be_in_si
 from service.health.fit import PlaneNow, plane_now
+from service.health.law import LawNow, law_now
 from service.health.monitored import Kind, PlaneFigures, plane_figures
 from service.health.result import FigureChange, HealthResult, PlaneHealth
 from service.health.sequential import Policy, p_values
 from service.identification.arrays import Real
-from service.identification.measured.etfe import SingularInputError, etfe
+from service.identification.loop.margins import above, measured_sensitivity
+from service.identification.measured.etfe import FrequencyResponse
 from service.identification.measured.known import as_identified, computed, led_back
 from service.identification.measured.logged import checked
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.measured.points import PlanePoints
-from service.identification.result.saved import SavedPlane, saved_planes
+from service.identification.result.saved import SavedPlane, axes_without_model, saved_planes
 from service.identification.statistics.derivatives import central_differences, propagated_std
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -102,14 +104,25 @@ def compare(
         notes = (at_other_speed, *notes)
     if any(n.points.I is None for n in now.values()):
         notes = (*notes, "coil currents are not logged: the amplifiers are taken for unchanged, ki for what changes")
+    without_model = axes_without_model(saved.values())
+    if without_model:
+        notes = (
+            f"the commissioning has no model of {', '.join(without_model)}: whether anything drifted there, and their "
+            "zone, are not known; commission every axis",
+            *notes,
+        )
     figures = {name: plane_figures(s, controller) for name, s in saved.items()}
-    n_tests = sum(len(f.monitored) + 1 for f in figures.values())  # one for what the model does not explain
+    # one for what the model does not explain, one for each axis' law
+    n_tests = sum(len(f.monitored) + 1 + len(s.axes) for f, s in zip(figures.values(), saved.values(), strict=True))
     level = rule.level(tests_made, n_tests)
     planes = []
     for name, s in saved.items():
         freedom = min(now[name].freedom, s_freedom(baseline.document, name))
         threshold = rule.threshold(tests_made, n_tests, freedom)
-        planes.append(_plane(s, now[name], _changes(figures[name], s, now[name], freedom, threshold), level))
+        changes = _changes(figures[name], s, now[name], freedom, threshold)
+        own = computed(now[name].points, s.model.known.chain)
+        laws = law_now(own, controller, twin.datasheet.sample_time_s, level)
+        planes.append(_plane(s, now[name], changes, own, controller, laws, level))
     return HealthResult(
         rig=datasheet.name,
         planes=tuple(planes),
@@ -121,17 +134,38 @@ def compare(
         speed_rad_s=is_at,
         baseline_speed_rad_s=was_at,
         at_other_speed=at_other_speed,
+        without_model=without_model,
         notes=notes,
     )
 
 
-def _plane(saved: SavedPlane, now: PlaneNow, changes: tuple[FigureChange, ...], level: float) -> PlaneHealth:
-    """What there is to tell of a plane beside its figures' changes."""
+def _plane(
+    saved: SavedPlane,
+    now: PlaneNow,
+    changes: tuple[FigureChange, ...],
+    points: PlanePoints,
+    controller: tuple[Real, Real],
+    laws: tuple[LawNow, LawNow],
+    level: float,
+) -> PlaneHealth:
+    """What there is to tell of a plane beside its figures' changes, by the points with u as it was computed.
+
+    Where another law ran the model's peaks are those of no loop: there is none of it.
+    """
+    measured = measured_sensitivity(points)
+    if any(law.differs for law in laws):
+        changes = tuple(c for c in changes if c.monitored.kind != "margin")
+        beyond = ""
+    else:
+        beyond = saved.beyond_measured(now.model, controller)
     return PlaneHealth(
         plane=saved.plane,
         axes=saved.axes,
         changes=changes,
-        measured_peak=_measured_peaks(computed(now.points, saved.model.known.chain)),
+        measured_peak=_measured_peaks(measured),
+        measured_above=_measured_above(measured, changes),
+        laws=laws,
+        beyond_measured=beyond,
         rms_over_sigma=now.rms,
         unexplained=_unexplained(saved, now, level),
         frequency_hz=np.unique(now.points.omega) / (2 * np.pi),
@@ -187,13 +221,21 @@ def _std(figures: PlaneFigures, saved: SavedPlane, covariance: Real) -> Real:
     return propagated_std(gradient, covariance)
 
 
-def _measured_peaks(points: PlanePoints) -> tuple[float, float] | None:
+def _measured_peaks(measured: FrequencyResponse | None) -> tuple[float, float] | None:
     """Largest measured |S| of both axes; the tones of a check are few, so the true peak may be higher."""
-    try:
-        s = np.abs(etfe(points, "r->u").value)
-    except SingularInputError:  # both axes excited at once: S cannot be told apart
+    if measured is None:
         return None
+    s = np.abs(measured.value)
     return float(s[:, 0, 0].max()), float(s[:, 1, 1].max())
+
+
+def _measured_above(measured: FrequencyResponse | None, changes: tuple[FigureChange, ...]) -> tuple[float, ...]:
+    """Largest measured |S| of each axis in which one is above the model's peak beyond doubt."""
+    if measured is None:
+        return ()
+    peaks = {c.monitored.name[-1]: c.now for c in changes if c.monitored.kind == "margin"}
+    found = (above(measured, "AB".index(axis), peak) for axis, peak in peaks.items())
+    return tuple(x for x in found if x is not None)
 
 
 def _unexplained(saved: SavedPlane, now: PlaneNow, level: float) -> bool:

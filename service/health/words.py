@@ -20,6 +20,15 @@ def unexplained(plane: str) -> str:
     return f"plane {plane} has a change that no parameter explains"
 
 
+def other_law(*axes: str) -> str:
+    """Axes whose controller is another one.
+
+    >>> other_law("xA", "xB")
+    'the controller of xA, xB is not the one of the commissioning'
+    """
+    return f"the controller of {', '.join(axes)} is not the one of the commissioning"
+
+
 def drifted_words(document: Mapping[str, Any]) -> list[str]:
     """What drifted in a check, by its health.json, in words, the surest first; what has none, by its name."""
     return [_words(name, document["parameters"].get(name, {})) for name in document["drifted"]]
@@ -29,4 +38,6 @@ def _words(name: str, figure: Mapping[str, Any]) -> str:
     plane, _, what = name.partition(".")
     if what == "unexplained":
         return unexplained(plane)
+    if what.startswith("controller_"):
+        return other_law(plane + what.removeprefix("controller_"))
     return changed(figure["description"], figure["change_percent"]) if "description" in figure else name

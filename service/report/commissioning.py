@@ -97,9 +97,15 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
     loudest = max(planes, key=lambda p: p.worst_peak)
     peak, zone = loudest.worst_peak, loudest.zone(loudest.worst_peak)
     worst_percent = f"{math.floor(100 * worst) / 100:.2f} % NRMSE"
+    unclear = next((p for p in planes if p.beyond_measured), None)
+    in_zone = (
+        f"zone {zone}{_standard(loudest)}"
+        if unclear is None
+        else f"its zone not known: in the {unclear.plane}-plane {unclear.beyond_measured}"
+    )
     figures_found = (
         f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
-        f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, zone {zone}{_standard(loudest)}."
+        f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, {in_zone}."
     )
     if not result.identified:
         known = "" if relative < UNKNOWN else "; some stiffness is known to no more than its own size"
@@ -132,7 +138,7 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
     )
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
-    calm = zone in calm_zones(loudest.zones_db)
+    calm = unclear is None and zone in calm_zones(loudest.zones_db)
     return ("good" if calm and worst > GOOD_PERCENT else "warn"), text
 
 
@@ -167,13 +173,14 @@ def _figures_of_merit(result: CommissioningResult) -> Section:
         "</div>",
         paragraph(
             "ki: force-current factor; ks: position stiffness, positive destabilises; ωn and ζ: of the free rotor, "
-            "without bearings. The zone is that of ISO 14839-3, or of the datasheet's own limits, by the larger of the "
-            "model's and the measured peak; a measured peak is at a measured line and so at most the true one. Margins "
-            "are of one axis' loop with the others closed: of what comes to all axes at once, as by a controller that "
-            "computes longer, the loop may bear less (ambit check-controller tells). They are the model's; those of "
-            "the measured sensitivity itself, straight between its lines, in brackets. Zone and margins are of the "
-            "rotor at the speed at which it was measured, without gyroscopic coupling: at another speed they are not "
-            "known, unless it was measured there, too (ambit check-controller).",
+            "without bearings. The zone is that of ISO 14839-3, or of the datasheet's own limits, by the "
+            "model's peak, or by a measured one that is larger beyond its noise; a measured peak is at a measured line "
+            "that had settled, and so at most the true one. Margins are of one axis' loop with the others closed: of "
+            "what comes to all axes at once, as by a controller that computes longer, the loop may bear less (ambit "
+            "check-controller tells). They are the model's; those of the measured sensitivity itself, straight between "
+            "its lines, in brackets. Zone and margins are of the rotor at the speed at which it was measured, without "
+            "gyroscopic coupling: at another speed they are not known, unless it was measured there, too (ambit "
+            "check-controller).",
             "small",
         ),
         *_known_effects(result),
@@ -204,7 +211,6 @@ def _mode(plane: str, m: ModeResult) -> list[str]:
 
 def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
     for axis, m in plane.margins.items():
-        peak = max(m.sensitivity_peak, m.measured_peak or 0.0)
         gain = " / ".join(_with_std(g, 1.0, 1) for g in (m.gain_down_db, m.gain_up_db))
         std_db = 20 / np.log(10) * m.peak_std / m.sensitivity_peak
         yield [
@@ -215,7 +221,7 @@ def _margins(name: str, plane: PlaneResult) -> Iterator[list[str]]:
             gain,
             _with_std(m.phase_deg, 1.0, 1),
             _with_std(m.delay_s, 1e6, 0),
-            plane.zone(peak),
+            plane.zone(m.worst),
         ]
 
 

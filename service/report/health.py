@@ -10,7 +10,7 @@ import numpy as np
 from service.health.trend import Checked, Series, trend
 from service.health.zones import zone_is_calm
 from service.report.figure import BAD, GRID, MEASURED, MODEL, Figure, points
-from service.report.format import change, count, figures, fixed, in_unit, moment, paragraph, signed, table
+from service.report.format import MISSING, change, count, figures, fixed, in_unit, moment, paragraph, signed, table
 from service.report.page import Captioned, Page, Section, Tone
 
 GROUPS = (
@@ -86,13 +86,16 @@ def _thresholds(document: Mapping[str, Any]) -> str:
 
 
 def _margins(document: Mapping[str, Any]) -> Section:
-    rows = [
-        [axis, *figures(p["value"], p["std"]), fixed(p["measured"], 2), p["zone"]]
-        for axis, p in document["sensitivity_peak"].items()
-    ]
+    rows = [[axis, *_peak(p), fixed(p["measured"], 2), p["zone"]] for axis, p in document["sensitivity_peak"].items()]
     head = ["axis", "peak of |S|", "std", "largest measured", "zone"]
     note = "The largest measured value is one of the check's few tones, so the peak is at least that high."
+    if any(law["differs"] for law in document.get("controller", {}).values()):
+        note += " The model's loop has the controller of the commissioning, and tells nothing where another one ran."
     return Section("Stability margin", [table(head, rows), paragraph(note)])
+
+
+def _peak(peak: Mapping[str, Any]) -> tuple[str, str]:
+    return (MISSING, MISSING) if peak["value"] is None else figures(peak["value"], peak["std"])
 
 
 def _history(series: Mapping[str, Series], n: int) -> Section:

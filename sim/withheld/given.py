@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from sim.datasheet import Datasheet
-from sim.reference import reference_rig
+from sim.reference import reference_noise
 from sim.rig import Noise, Rig
 from sim.rig_file import parse, to_toml
 from sim.twin import non_rotating, rig_from_datasheet
@@ -19,7 +19,7 @@ class Given:
 
     datasheet: Datasheet
     noise: bool = True
-    """That of the reference rig's sensors."""
+    """That of the reference rig's sensors, as large beside the limits."""
     gravity_m_per_s2: float = 0.0
     speed_rad_s: float = 0.0
 
@@ -31,9 +31,10 @@ class Given:
         EffectError
             The datasheet names an effect that the rig cannot have.
         """
+        d = self.datasheet
         return replace(
             rig_from_datasheet(non_rotating(self.datasheet)),
-            noise=reference_rig().noise if self.noise else Noise(),
+            noise=reference_noise(d.displacement_limit_m, d.current_limit_a) if self.noise else Noise(),
             gravity_m_per_s2=self.gravity_m_per_s2,
             speed_rad_s=self.speed_rad_s,
         )

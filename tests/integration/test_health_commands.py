@@ -16,7 +16,7 @@ from service.jobs.calculations import health_compare
 from sim.effects import CATALOGUE
 from sim.reference import reference_rig
 from sim.rig_file import to_toml
-from tests.support.commissioned import LAW
+from tests.support.commissioned import LAW, SHEET
 from tests.support.measured import small_experiment
 from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 from tests.support.two_axes import one_plane
@@ -247,6 +247,26 @@ def test_a_controller_is_refused_with_a_reason_and_accepted_with_another_table(b
     (tmp_path / "c.toml").write_text("[controller]\nnumerator = 3\n")
     assert run(["check-controller", str(tmp_path / "c.toml"), "--baseline", str(baseline)]) == 1
     assert "numerator and denominator" in capsys.readouterr().err
+
+
+def test_a_controller_of_which_nothing_is_known_is_not_let_pass(baseline, tmp_path, capsys):
+    """A model that does not describe the rig, and a plane without one: exit status 1, with the reason."""
+    sheet = str(baseline / "rig.toml")
+    command = ["check-controller", sheet, "--baseline", str(baseline), "--zones", "ok=20,bad", "--accept", "ok"]
+    poor = json.loads(json.dumps(result()))
+    poor["planes"]["x"]["residuals"] |= {"model_adequate": False, "rms_over_sigma": 85.0}
+    (baseline / "result.json").write_text(json.dumps(poor))
+    assert run([*command, "--json"]) == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["verdict"] == "not known"
+    (line,) = printed.err.splitlines()
+    assert "is not known: plane x: the model leaves residuals 85 times the noise" in line
+    (baseline / "result.json").write_text(json.dumps(result()))
+    (baseline / "rig.toml").write_text(to_toml(SHEET))
+    assert run(command) == 1
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "verdict: not known" in shown
+    assert "no model of yA, yB" in shown
 
 
 def test_exports_and_what_they_hold(baseline, tmp_path, capsys):

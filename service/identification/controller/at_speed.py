@@ -14,8 +14,8 @@ import numpy as np
 
 from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import block_diagonal, slowest_decay
-from service.identification.loop.loop_margins import loop_margins
-from service.identification.loop.margins import loop_grid, zone
+from service.identification.loop.loop_margins import margins_of_loops
+from service.identification.loop.margins import axis_loops, beyond_lines, loop_grid, zone
 from service.identification.plane.zoh import aliases, discrete_response
 from service.identification.result.saved import SavedRotor
 from service.identification.rotating.model import RotatingModel
@@ -89,8 +89,11 @@ class AtSpeed:
     """Why the best model's loop does not hold, in words; empty where it does."""
     others_unstable: str = ""
     """The same of models that the data allow as well."""
-    warnings: tuple[str, ...] = ()
+    not_known: tuple[str, ...] = ()
+    """Why none of the models tells whether it does."""
     axes: tuple[AxisAtSpeed, ...] = ()
+    beyond: str = ""
+    """Why its margins hang on what lies above the measured band, in words; "" where they do not."""
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -110,8 +113,10 @@ def at_speed(
     draws: int = DRAWS,
     seed: int = 0,
     computing_delay_s: float | None = None,
+    highest_hz: float | None = None,
+    still: bool = False,
 ) -> AtSpeed:
-    """Judge a controller at every speed of the Campbell diagram but standstill.
+    """Judge a controller at every speed of the Campbell diagram; at standstill, where the planes tell, if asked to.
 
     Stability is judged at every speed with every model; margins of the other models at those speeds at which one of
     the best model's is worst.
@@ -126,22 +131,33 @@ def at_speed(
         Models drawn from the uncertainty.
     computing_delay_s
         How long the controller computes; as long as the one that was identified without it.
+    highest_hz
+        Up to which the rotor was measured; anything above it, without.
+    still
+        Whether standstill is among the speeds, as where the planes' own models do not describe the rig.
     """
     model = rotor.model
     if computing_delay_s is not None:
         x, y = (replace(k, computing_delay_s=computing_delay_s) for k in model.known)
         model = replace(model, known=(x, y))
-    speeds = tuple(sorted((float(w) for w in rotor.speeds_rad_s if w), key=abs))
+    speeds = tuple(sorted((float(w) for w in rotor.speeds_rad_s if w or still), key=abs))
     period = model.known[0].sample_time_s
     poles = {w: _poles(model, law, w) for w in speeds}
     decays = {w: slowest_decay(p, period) for w, p in poles.items()}
     slowest = min(decays.values(), default=np.inf)
-    warnings = () if rotor.adequate else (_inadequate(rotor),)
+    not_known: tuple[str, ...] = ()
+    if not rotor.adequate:
+        not_known = (f"at speed: the model of the turning rotor {inadequate_words(rotor.rms_over_sigma)}",)
     lost = next((w for w in speeds if decays[w] <= 0), None)
     if lost is not None:
         how = unstable_words(poles[lost], period)
         words = f"at {lost:.4g} rad/s, with gyroscopic coupling, the loop is unstable, {how}"
-        return AtSpeed(speeds, slowest, 0.0, words, warnings=warnings)
+        return AtSpeed(speeds, slowest, 0.0, words, not_known=not_known)
+    grids = {w: _grid(model, p) for w, p in poles.items()}
+    beyond = ""
+    if highest_hz is not None:
+        told = (beyond_lines(g, sensitivity_at_speed(model, law, g, w), AXES, highest_hz) for w, g in grids.items())
+        beyond = next(filter(None, told), "")
     others = drawn(model, rotor.free, rotor.covariance, draws, seed)
     lost_at = [next((w for w in speeds if slowest_decay(_poles(m, law, w), period) <= 0), None) for m in others]
     held = [m for m, w in zip(others, lost_at, strict=True) if w is None]
@@ -151,8 +167,9 @@ def at_speed(
         len(held) / max(len(others), 1),
         "",
         _others_words([w for w in lost_at if w is not None], len(others)),
-        warnings,
-        _axes(model, law, held, {w: _grid(model, p) for w, p in poles.items()}, limits),
+        not_known,
+        _axes(model, law, held, grids, limits),
+        beyond,
     )
 
 
@@ -180,11 +197,18 @@ def _poles(model: RotatingModel, law: Law, speed_rad_s: float) -> Complex:
     return np.asarray(np.linalg.eigvals(loop_matrix(model, law, speed_rad_s)[0]), dtype=np.complex128)
 
 
-def _inadequate(rotor: SavedRotor) -> str:
-    return (
-        f"at speed: the model of the turning rotor leaves residuals {rotor.rms_over_sigma:.2g} times the noise; what "
-        "it lacks, this check does not see"
+def inadequate_words(rms_over_sigma: float) -> str:
+    """What a model that does not describe the rig does, and what that is to a controller.
+
+    >>> inadequate_words(85.3)
+    'leaves residuals 85 times the noise: it does not describe the rig, and what it lacks this check does not see'
+    """
+    left = (
+        f"leaves residuals {rms_over_sigma:.2g} times the noise"
+        if rms_over_sigma > 1  # otherwise in units of noise and that error together
+        else "has an error that had to be allowed for beside the noise"
     )
+    return f"{left}: it does not describe the rig, and what it lacks this check does not see"
 
 
 def _others_words(lost_at: Sequence[float], draws: int) -> str:
@@ -244,8 +268,13 @@ def _axes(
 
 def _figures(model: RotatingModel, law: Law, omega: Real, speed_rad_s: float) -> list[Figures]:
     """Peak, gain margins down and up, phase margin, delay margin of each axis."""
-    s = np.diagonal(sensitivity_at_speed(model, law, omega, speed_rad_s), axis1=1, axis2=2)
-    return [(float(np.abs(own).max()), *loop_margins(omega, 1.0 / own - 1.0).values()) for own in s.T]
+
+    def of(w: Real) -> Complex:
+        return sensitivity_at_speed(model, law, w, speed_rad_s)
+
+    s = of(omega)
+    loops = margins_of_loops(omega, axis_loops(s), lambda w: axis_loops(of(w)))
+    return [(float(np.abs(s[:, j, j]).max()), *loop.values()) for j, loop in enumerate(loops)]
 
 
 def _worst(values: Sequence[float | None], k: int) -> float | None:

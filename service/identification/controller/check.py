@@ -1,27 +1,42 @@
 """Is a controller safe on this rig? Judged on the identified model and its uncertainty, before it is loaded.
 
 The loop is closed with the model and with many others that the data allow as well (draws from the estimate's
-covariance); what is reported holds for nearly all of them, not for the best guess.
+covariance); what is reported holds for nearly all of them, not for the best guess. Where the model does not describe
+the rig, or there is none of an axis, none of them tells whether the loop holds: the verdict is that it is not known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from service.identification.arrays import Real
-from service.identification.controller.at_speed import AtSpeed, AxisAtSpeed, at_speed, unstable_words
+from service.identification.controller.at_speed import (
+    AtSpeed,
+    AxisAtSpeed,
+    at_speed,
+    inadequate_words,
+    unstable_words,
+)
 from service.identification.loop.closed_loop import closed_loop_poles, slowest_decay
-from service.identification.loop.loop_margins import loop_margins
-from service.identification.loop.margins import loop_grid, sensitivity, sensitivity_peaks, zone
+from service.identification.loop.loop_margins import margins_of_loops
+from service.identification.loop.margins import axis_loops, loop_grid, sensitivity, sensitivity_peaks, zone
 from service.identification.plane.model import PlaneModel
-from service.identification.result.saved import AT_STANDSTILL, SPEEDLESS, SavedPlane, SavedRotor
+from service.identification.result.saved import (
+    AT_STANDSTILL,
+    SPEEDLESS,
+    SavedPlane,
+    SavedRotor,
+    axes_without_model,
+)
 from service.identification.statistics.drawn import DRAWS, Interval, drawn, interval
-from sim.datasheet import ISO_14839_3_DB
+from sim.datasheet import ISO_14839_3_DB, NOT_KNOWN
 from sim.errors import AmbError
+
+Verdict = Literal["safe", "unsafe", "not known"]
 
 LATER_STEPS, LATER_TO = 20, 1e-4
 """Delays up to a sample that are tried, and how finely the first that is too long is found, in samples."""
@@ -40,7 +55,7 @@ class AxisCheck:
     phase_margin_deg: Interval
     delay_margin_s: Interval
     zone: str
-    """Of the peak's upper end."""
+    """Of the peak's upper end; not known where the loop above the measured band matters."""
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -62,9 +77,10 @@ class ControllerCheck:
     """What loading a controller would do."""
 
     rig: str
-    safe: bool
     reasons: tuple[str, ...]
-    """Why it is not safe; empty when it is."""
+    """Why it is unsafe; empty when no model that the data allow says so."""
+    not_known: tuple[str, ...]
+    """Why no model tells whether it is safe."""
     warnings: tuple[str, ...]
     stable: bool
     """The best model's loop, at every speed that is judged."""
@@ -81,14 +97,27 @@ class ControllerCheck:
     accepted_zone: str = "B"
     provenance: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def verdict(self) -> Verdict:
+        """Unsafe for any reason; safe only where it is known of the whole rig."""
+        if self.reasons:
+            return "unsafe"
+        return "not known" if self.not_known else "safe"
+
+    @property
+    def safe(self) -> bool:
+        """Whether it may be loaded."""
+        return self.verdict == "safe"
+
     def document(self) -> dict[str, Any]:
         """As JSON."""
         return {
             "format": "amb-controller-check",
             "version": 1,
             "rig": self.rig,
-            "verdict": "safe" if self.safe else "unsafe",
+            "verdict": self.verdict,
             "reasons": list(self.reasons),
+            "not_known": list(self.not_known),
             "warnings": list(self.warnings),
             "stable": self.stable,
             "stable_share_of_models": self.stable_share,
@@ -158,24 +187,41 @@ def check_controller(
 
     reasons = [reason for c in checks for reason in c.reasons]
     reasons += [_beyond_zone(a, accepted_zone) for a in axes if beyond(a.zone)]
-    turning = None if rotor is None else at_speed(rotor, law, limits, draws, seed, computing_delay_s)
+    highest_hz = min((s.highest_hz for s in planes.values() if s.highest_hz is not None), default=None)
+    # planes that were measured on a turning rotor lack what couples them, which its own model has, at standstill too
+    instead = rotor is not None and rotor.adequate and not all(s.adequate for s in planes.values())
+    turning = (
+        None if rotor is None else at_speed(rotor, law, limits, draws, seed, computing_delay_s, highest_hz, instead)
+    )
     if turning is not None:
         reasons += [reason for reason in (turning.unstable, turning.others_unstable) if reason]
         reasons += [_beyond_zone_at_speed(a, accepted_zone) for a in turning.axes if beyond(a.zone)]
+    not_known = [*_without_model(planes.values())]
+    if not instead:
+        not_known += [_inadequate(s) for s in planes.values() if not s.adequate]
+    not_known += [f"plane {c.plane}: {c.beyond}" for c in checks if c.beyond]
+    if turning is not None:
+        not_known += turning.not_known
+        if turning.beyond:
+            not_known.append(f"at speed: {turning.beyond}")
+            turning = replace(turning, axes=tuple(replace(a, zone=NOT_KNOWN) for a in turning.axes))
+    unclear = {axis.axis for c in checks if c.beyond for axis in c.axes}
     notes = dict.fromkeys(note for s in planes.values() for note in s.notes)
     if turning is None and SPEEDLESS not in notes:
         notes[AT_STANDSTILL] = None
+    if highest_hz is not None:
+        notes[_not_measured(highest_hz)] = None
     judged: tuple[_PlaneCheck | AtSpeed, ...] = tuple(checks) if turning is None else (*checks, turning)
     slowest = min(c.decay_per_s for c in judged)
     return ControllerCheck(
         rig,
-        safe=not reasons,
         reasons=tuple(reasons),
-        warnings=(*notes, *(warning for c in judged for warning in c.warnings)),
+        not_known=tuple(not_known),
+        warnings=tuple(notes),
         stable=slowest > 0,
         stable_share=min(c.stable_share for c in judged),
         slowest_decay_per_s=slowest,
-        axes=axes,
+        axes=tuple(replace(a, zone=NOT_KNOWN) if a.axis in unclear else a for a in axes),
         delay_of_both_axes_s={c.plane: c.later_s for c in checks if c.decay_per_s > 0},
         at_speed=turning,
         zones=limits,
@@ -192,8 +238,9 @@ class _PlaneCheck:
     """slowest, of the best model's loop; 0 or less: unstable"""
     stable_share: float
     reasons: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
     axes: tuple[AxisCheck, ...] = ()
+    beyond: str = ""
+    """why its margins hang on what lies above the measured band, in words"""
     later_s: float | None = None
     """how much longer the controller may compute; None: a sample or more"""
 
@@ -204,15 +251,9 @@ def _check_plane(
     """One plane's loop closed with the best model and with ``others`` that the data allow as well."""
     poles, period = closed_loop_poles(s.model, law), s.model.known.sample_time_s
     decay = slowest_decay(poles, period)
-    warnings: tuple[str, ...] = ()
-    if not s.adequate:
-        warnings = (
-            f"plane {s.plane}: the model leaves residuals {s.rms_over_sigma:.2g} times the noise; what it lacks, "
-            "this check does not see",
-        )
     if decay <= 0:
         reason = f"plane {s.plane}: the loop is unstable, {unstable_words(poles, period)}"
-        return _PlaneCheck(s.plane, decay, 0.0, (reason,), warnings)
+        return _PlaneCheck(s.plane, decay, 0.0, (reason,))
     every = [(m, closed_loop_poles(m, law)) for m in others]
     held = [(m, loop_grid(m, p)) for m, p in every if slowest_decay(p, period) > 0]
     reasons: tuple[str, ...] = ()
@@ -227,7 +268,29 @@ def _check_plane(
             "unstable with it",
         )
     share, axes = len(held) / max(len(others), 1), tuple(_axes(s, law, loop_grid(s.model, poles), held, limits))
-    return _PlaneCheck(s.plane, decay, share, reasons, warnings, axes, _later(s, law))
+    return _PlaneCheck(s.plane, decay, share, reasons, axes, s.beyond_measured(s.model, law), _later(s, law))
+
+
+def _inadequate(s: SavedPlane) -> str:
+    return f"plane {s.plane}: the model {inadequate_words(s.rms_over_sigma)}"
+
+
+def _not_measured(highest_hz: float) -> str:
+    return (
+        f"nothing was measured above {highest_hz:.4g} Hz: a sharp mode of the rotor there, which the controller that "
+        "ran may hold and this one not, shows in no model"
+    )
+
+
+def _without_model(planes: Iterable[SavedPlane]) -> tuple[str, ...]:
+    """That axes of the rig are in none of the planes."""
+    missing = axes_without_model(planes)
+    if not missing:
+        return ()
+    return (
+        f"the commissioning has no model of {', '.join(missing)}: whether the loop holds there is not known; "
+        "commission every axis",
+    )
 
 
 def _beyond_zone(a: AxisCheck, accepted_zone: str) -> str:
@@ -330,8 +393,6 @@ Figures = tuple[float | None, float | None, float | None, float | None, float | 
 def _figures(model: PlaneModel, law: tuple[Real, Real], omega: Real) -> tuple[Figures, Figures]:
     """Peak, gain margins down and up, phase margin, delay margin of both axes."""
     whole = sensitivity(model, law, omega)
-    found: list[Figures] = []
-    for j in range(2):
-        s = whole[:, j, j]
-        found.append((float(np.abs(s).max()), *loop_margins(omega, 1.0 / s - 1.0).values()))
-    return found[0], found[1]
+    loops = margins_of_loops(omega, axis_loops(whole), lambda w: axis_loops(sensitivity(model, law, w)))
+    a, b = ((float(np.abs(whole[:, j, j]).max()), *loop.values()) for j, loop in enumerate(loops))
+    return a, b

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -13,14 +13,21 @@ from scipy.optimize import minimize_scalar
 
 from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import closed_loop_poles
-from service.identification.loop.loop_margins import CLOSE, REST, loop_margins, moved
-from service.identification.measured.etfe import FrequencyResponse
+from service.identification.loop.loop_margins import CLOSE, REST, loop_margins, margins_of_loops, moved
+from service.identification.measured.etfe import FrequencyResponse, SingularInputError, etfe
+from service.identification.measured.points import PlanePoints
 from service.identification.plane.model import PlaneModel
 from service.identification.plane.zoh import discrete_response
 from service.identification.statistics.derivatives import central_differences, propagated_std
 from sim.datasheet import ISO_14839_3_DB
 from sim.errors import OptionsError
 
+SURE = 5.0
+"""Standard deviations by which a measured |S| must be above the model's peak to count as the larger one: it is the
+largest of a hundred lines, and its deviation is an estimate from a few blocks."""
+GAIN_LEFT = 0.5
+"""Gain of the loop above the highest measured line from which margins hang on what is there. Further modes that a band
+up to 1 kHz cuts off bring it to several times that, where none is cut off it is below a half of it."""
 PER_DECADE = 144
 """Lines per decade where nothing rings."""
 RINGS = 0.1
@@ -50,14 +57,21 @@ class AxisMargins:
     peak_hz: float
     peak_std: float
     measured_peak: float | None
-    """Largest measured |S|: at the lines of the experiment only, so at most the true peak."""
+    """Largest measured |S|: at the lines of the experiment only, so at most the true peak but for its noise."""
     measured_peak_hz: float | None
     measured_std: float | None
+    measured_above: float | None
+    """The largest measured |S| that is above the model's peak beyond doubt; None where none is."""
     gain_down_db: Margin
     """How far the gain may fall, and rise, dB."""
     gain_up_db: Margin
     phase_deg: Margin
     delay_s: Margin
+
+    @property
+    def worst(self) -> float:
+        """The peak that a zone goes by."""
+        return self.sensitivity_peak if self.measured_above is None else self.measured_above
 
 
 def margins_document(margins: dict[str, AxisMargins]) -> dict[str, Any]:
@@ -133,6 +147,11 @@ def sensitivity(model: PlaneModel, controller: tuple[Real, Real], omega: Real) -
     loop[:, 0, 0] += 1.0
     loop[:, 1, 1] += 1.0
     return np.asarray(np.linalg.inv(loop), dtype=np.complex128)
+
+
+def axis_loops(sensitivities: Complex) -> Complex:
+    """The loop of each axis, the others closed, from S, (P, n, n): L = 1/S_jj - 1, (P, n)."""
+    return np.asarray(1.0 / np.diagonal(sensitivities, axis1=1, axis2=2) - 1.0)
 
 
 def loop_grid(model: PlaneModel, poles: Complex) -> Real:
@@ -224,6 +243,55 @@ def _refined(model: PlaneModel, controller: tuple[Real, Real], omega: Real, size
     return Peak(float(size[k]), float(omega[k]))
 
 
+def beyond_measured(model: PlaneModel, controller: tuple[Real, Real], axes: Sequence[str], highest_hz: float) -> str:
+    """Why a plane's margins hang on what lies above the highest measured line, in words; "" where they do not.
+
+    See `beyond_lines`.
+    """
+    omega = loop_grid(model, closed_loop_poles(model, controller))
+    return beyond_lines(omega, sensitivity(model, controller, omega), axes, highest_hz)
+
+
+def beyond_lines(omega: Real, s: Complex, axes: Sequence[str], highest_hz: float) -> str:
+    """The same from the sensitivity at frequencies that show every peak of it, (P, n, n) of n axes.
+
+    There a model is a guess: it has one mode for all that lie beyond the band, known by what they leave within it.
+    """
+    peaks = omega[np.abs(np.diagonal(s, axis1=1, axis2=2)).argmax(axis=0)] / (2 * np.pi)
+    beyond = omega > 2 * np.pi * highest_hz
+    if not np.any(beyond):
+        return ""
+    where = f"above the highest measured line ({highest_hz:.4g} Hz), where the model is a guess; measure farther up"
+    if high := [f"that of {axis} at {hz:.4g} Hz" for axis, hz in zip(axes, peaks, strict=True) if hz > highest_hz]:
+        return f"a sensitivity peak, {' and '.join(high)}, lies {where}"
+    gain = np.linalg.norm(np.linalg.inv(s[beyond]) - np.eye(len(axes)), ord=2, axis=(1, 2))
+    k = int(np.argmax(gain))
+    if gain[k] <= GAIN_LEFT:
+        return ""
+    return f"the loop's gain is {gain[k]:.2g} at {omega[beyond][k] / (2 * np.pi):.4g} Hz, {where}"
+
+
+def measured_sensitivity(points: PlanePoints) -> FrequencyResponse | None:
+    """S = U R^-1 of a plane, without points that had not settled; None where the others do not tell it.
+
+    Parameters
+    ----------
+    points
+        With u as the controller computed it.
+    """
+    try:
+        return etfe(points.select(~points.suspect) if points.suspect.any() else points, "r->u")
+    except SingularInputError:  # two axes excited at once, with the same r: S cannot be told apart
+        return None
+
+
+def above(measured: FrequencyResponse, j: int, peak: float) -> float | None:
+    """The largest measured |S_jj| that is larger than a peak of the model beyond doubt; None where none is."""
+    size, std = np.abs(measured.value[:, j, j]), measured.std[:, j, j] / math.sqrt(2)
+    sure = size[size - SURE * std > peak]
+    return float(sure.max()) if len(sure) else None
+
+
 def axis_margins(
     model: PlaneModel,
     controller: tuple[Real, Real],
@@ -243,24 +311,25 @@ def axis_margins(
     omega = loop_grid(model, closed_loop_poles(model, controller))
     s = sensitivity(model, controller, omega)
     out = []
-    for j in range(2):
+    loops = margins_of_loops(omega, axis_loops(s), lambda w: axis_loops(sensitivity(model, controller, w)))
+    for j, loop in enumerate(loops):
         peak = _refined(model, controller, omega, np.abs(s[:, j, j]), j)
-        loop = loop_margins(omega, 1.0 / s[:, j, j] - 1.0)
         peak_std, *stds = _stds(model, controller, peak.omega, loop.places(), j, covariance, free)
-        seen = seen_hz = seen_std = None
+        seen = seen_hz = seen_std = more = None
         measured_loop: tuple[float | None, ...] = (None, None, None, None)
         if measured is not None:
             own = measured.value[:, j, j]
             m = int(np.argmax(np.abs(own)))
             seen, seen_hz = float(np.abs(own[m])), float(measured.frequency_hz[m])
             seen_std = float(measured.std[m, j, j] / math.sqrt(2))
+            more = above(measured, j, peak.value)
             measured_loop = loop_margins(measured.omega, 1.0 / own - 1.0).values()
         hz = peak.omega / (2 * np.pi)
         margins = (
             Margin(value, None if value is None else std, direct)
             for value, std, direct in zip(loop.values(), stds, measured_loop, strict=True)
         )
-        out.append(AxisMargins(peak.value, hz, peak_std, seen, seen_hz, seen_std, *margins))
+        out.append(AxisMargins(peak.value, hz, peak_std, seen, seen_hz, seen_std, more, *margins))
     return out[0], out[1]
 
 

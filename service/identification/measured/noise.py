@@ -29,6 +29,9 @@ FEW, MANY = 30, 300
 """Rounds in which a law of the variances is found: where neighbours correct it, and where nothing does."""
 SETTLED = 1e-5
 """Change of a share of the law in one round, of the whole variance, below which it is found."""
+ROUNDED = 1e-7
+"""Share of a signal that its noise is at least, as single precision leaves it: the blocks of a simulation without noise
+do not scatter at all, and beside none everything would be many times the noise."""
 DRIFT = 3.0
 """Variance of the mean of drifting blocks, in units of one block's: what is left of the transient is no noise."""
 
@@ -102,14 +105,16 @@ def block_noise(
     shown = own
     own = own if unknown is None else own + unknown
     order = np.argsort(omega, kind="stable")
-    trend, quiet = np.ones_like(own), np.ones_like(own)
+    trend, quiet, rounding = np.ones_like(own), np.ones_like(own), np.zeros_like(own)
     if magnitude is not None:
+        rounding = (ROUNDED * magnitude) ** 2
+        own = np.maximum(own, rounding)
         calm = [magnitude]
         if block_s is not None:
             calm.append(np.broadcast_to(1 / np.sqrt(block_s)[:, None], own.shape))
         trend, quiet = _trend(own, calm, [] if rings is None else rings, dof, FEW if rings is None else MANY)
         if rings is not None:
-            variance = np.mean(own, axis=0) * trend * quiet
+            variance = np.maximum(np.mean(own, axis=0) * trend * quiet, rounding)
             return NoiseModel(_diagonal(variance) / blocks, float("inf"), np.zeros(n, dtype=bool))
     own = own / trend
     # a point's blocks are as long for every channel: what all channels share is told apart first
@@ -121,6 +126,7 @@ def block_noise(
     if sparse:
         variance = _own_where_larger(variance, own, omega, dof)
     variance = variance * _mean_factor(spread / np.sqrt(variance)[:, None, :], order)
+    variance = np.maximum(variance, rounding)
     drifting = _drifting(spread, shown / trend, order)
     if suspect is not None:
         drifting = drifting | suspect[:, None]

@@ -10,10 +10,10 @@ from service.identification.joint.refine import Refined
 from service.identification.joint.selection import Selected
 from service.identification.joint.uncertainty import Uncertainty, response_std, uncertainty_of
 from service.identification.loop.closed_loop import closed_loop_poles
-from service.identification.loop.margins import axis_margins, dense_grid
+from service.identification.loop.margins import axis_margins, beyond_measured, dense_grid, measured_sensitivity
 from service.identification.loop.predicted import predicted_closed_loop
 from service.identification.measured.data import Data
-from service.identification.measured.etfe import FrequencyResponse, SingularInputError, etfe
+from service.identification.measured.etfe import FrequencyResponse, etfe
 from service.identification.measured.known import computed
 from service.identification.measured.points import PlanePoints
 from service.identification.plane.combine import (
@@ -73,8 +73,9 @@ def assemble(
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
     omega = dense_grid(model, closed_loop_poles(model, controller))
     omega = omega[omega <= 1.2 * points.omega.max()]
-    seen = _measured_sensitivity(computed(points, model.known.chain))
+    seen = measured_sensitivity(computed(points, model.known.chain))
     peaks = axis_margins(model, controller, u.covariance, u.free, seen)
+    beyond = beyond_measured(model, controller, points.axes, float(points.omega.max()) / (2 * np.pi))
     total = float(np.sqrt(np.mean(rms**2)))
     found_modes = modes(model, u, points, selected.splits)
     return PlaneResult(
@@ -123,7 +124,12 @@ def assemble(
         displacement=_displacement(points, datasheet),
         subspace=subspace(plant, 2 * (2 + model.layout.n_modes)),
         status=u.status(refined.fit),
-        warnings=(*_warnings(points, refined, u, total), *told_supports(found_modes, datasheet)),
+        warnings=(
+            *_warnings(points, refined, u, total),
+            *([f"margins and zone of the loop are not known: {beyond}"] if beyond else []),
+            *told_supports(found_modes, datasheet),
+        ),
+        beyond_measured=beyond,
         covariance_from_data=u.from_data,
         closed_loop=predicted_closed_loop(model, controller, points if held_out is None else held_out),
     )
@@ -186,10 +192,3 @@ def _displacement(points: PlanePoints, datasheet: Datasheet) -> Displacement:
         datasheet.linear_range_m,
         np.abs(points.r[np.arange(len(points.axis)), points.axis]),
     )
-
-
-def _measured_sensitivity(points: PlanePoints) -> FrequencyResponse | None:
-    try:
-        return etfe(points, "r->u")
-    except SingularInputError:  # two axes excited at once, with the same r: S cannot be told apart
-        return None

@@ -29,6 +29,7 @@ from service.identification.statistics.estimate import Estimate
 from service.identification.statistics.evidence import Evidence
 from service.identification.statistics.validation import CorrelationTest
 from service.identification.steps.subspace import SubspaceModel
+from sim.datasheet import NOT_KNOWN
 from sim.folded import KnownEffect
 
 NOTHING_PERCENT = -100.0
@@ -84,17 +85,25 @@ class PlaneResult:
     warnings: tuple[str, ...] = ()
     covariance_from_data: Real | None = None
     """The part of ``covariance`` that noise brings, the shapes' splits held."""
+    beyond_measured: str = ""
+    """Why its margins hang on what lies above the measured band, in words; "" where they do not."""
     closed_loop: Predicted | None = None
     """Predicted against measured closed loop, on the unseen sweep where there is one."""
 
     @property
     def worst_peak(self) -> float:
-        """The largest sensitivity of the plane, of the model and measured."""
-        return max(max(m.sensitivity_peak, m.measured_peak or 0.0) for m in self.margins.values())
+        """The largest sensitivity of the plane: the model's, or one that was measured and is larger beyond doubt."""
+        return max(m.worst for m in self.margins.values())
+
+    @property
+    def measured_hz(self) -> tuple[float, float]:
+        """The lowest and the highest line that it was identified from."""
+        lines = self.displacement.frequency_hz
+        return float(lines.min()), float(lines.max())
 
     def zone(self, peak: float) -> str:
-        """Zone of a peak sensitivity, not in dB."""
-        return zone(peak, self.zones_db)
+        """Zone of a peak sensitivity, not in dB; not known where the loop above the measured band matters."""
+        return NOT_KNOWN if self.beyond_measured else zone(peak, self.zones_db)
 
     def document(self) -> dict[str, Any]:
         """As JSON, contracts.md section 3."""
@@ -117,6 +126,7 @@ class PlaneResult:
             "state_space": self.state_space.document(),
             "amplifier_state_space": self.amplifier_state_space.document(),
             "margins": self._margins(),
+            "measured_hz": list(self.measured_hz),
             "subspace": self.subspace.document(),
             "parameters": self._parameters(),
             "status": self.status,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.arrays import Real
+from service.identification.loop.margins import beyond_measured
 from service.identification.measured.known import as_identified
 from service.identification.measured.points import planes_of
 from service.identification.plane.layout import N_MODE, Layout
@@ -37,6 +38,11 @@ AT_STANDSTILL = (
     "experiments together (ambit identify --also)"
 )
 
+BANDLESS = (
+    "the commissioning result does not tell up to which frequency the rig was measured; identify its experiment once "
+    "more (ambit identify)"
+)
+
 
 @dataclass(frozen=True)
 class SavedPlane:
@@ -58,8 +64,22 @@ class SavedPlane:
     """Places among the model's modes of those that are the rotor's, by rising frequency."""
     beyond: NDArray[np.bool_]
     """(modes,) those that stand for what lies beyond the band that was measured."""
+    highest_hz: float | None
+    """Highest line that it was identified from; None where an older version wrote the result."""
+    rig_axes: tuple[str, ...]
+    """All axes of the rig, those of the other planes with them."""
     notes: tuple[str, ...] = ()
     """What to know of the effects that the twin names, in sentences: above all what the model lacks of them."""
+
+    def beyond_measured(self, model: PlaneModel, controller: tuple[Real, Real]) -> str:
+        """Why margins of its loop with a controller hang on what was not measured, in words; "" where they do not.
+
+        Parameters
+        ----------
+        model
+            Its own, or that of the same plane at another time.
+        """
+        return BANDLESS if self.highest_hz is None else beyond_measured(model, controller, self.axes, self.highest_hz)
 
 
 def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, SavedPlane]:
@@ -194,8 +214,18 @@ def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str,
         bool(residuals["model_adequate"]),
         tuple(_places(model, found["rotor_modes"])),
         np.isin(np.arange(layout.n_modes), _places(model, [m for m in found["other_modes"] if m["kind"] == "beyond"])),
+        None if found.get("measured_hz") is None else float(found["measured_hz"][1]),
+        tuple(axes),
         notes,
     )
+
+
+def axes_without_model(planes: Iterable[SavedPlane]) -> tuple[str, ...]:
+    """Axes of the rig that are in none of the planes of a result, in the rig's order."""
+    told: dict[str, bool] = {}
+    for s in planes:
+        told |= {a: told.get(a, False) or a in s.axes for a in s.rig_axes}
+    return tuple(a for a, has_model in told.items() if not has_model)
 
 
 def _places(model: PlaneModel, listed: list[Mapping[str, Any]]) -> list[int]:

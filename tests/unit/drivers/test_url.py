@@ -2,6 +2,7 @@
 
 import re
 import ssl
+from dataclasses import replace
 
 import pytest
 
@@ -12,13 +13,30 @@ from drivers.modbus.driver import ModbusLinks, tcp_links, tls_links
 from drivers.remote import RemoteController
 from drivers.simulated.driver import SimulatedController
 from drivers.url import connect
-from sim.reference import reference_rig
+from sim.reference import reference_datasheet, reference_rig
+from sim.rig_file import to_toml
+from sim.withheld.given import Given
 
 
 def test_simulated_takes_rig_and_seed() -> None:
     controller = connect("simulated://?seed=4", rig=reference_rig())
     assert isinstance(controller, SimulatedController)
     assert controller.capabilities().axes == ("xA", "xB", "yA", "yB")
+    controller.close()
+
+
+def test_a_rig_simulated_from_a_datasheet_has_noise_as_large_beside_its_limits_as_the_reference_rig(tmp_path) -> None:
+    """Without any, nothing that is left of a model could be told from noise."""
+    sheet = replace(reference_datasheet(), displacement_limit_m=40e-6, current_limit_a=12.0)
+    (tmp_path / "rig.toml").write_text(to_toml(sheet))
+    controller = connect(f"simulated://?rig={tmp_path / 'rig.toml'}&seed=1")
+    assert isinstance(controller, SimulatedController)
+    noise, usual = controller._device.rig.noise, reference_rig().noise
+    assert noise.displacement_m == pytest.approx(0.5 * usual.displacement_m)
+    assert noise.current_a == pytest.approx(2.0 * usual.current_a)
+    assert noise.displacement_step_m == pytest.approx(0.5 * usual.displacement_step_m)
+    assert noise.current_step_a == pytest.approx(2.0 * usual.current_step_a)
+    assert Given(sheet).rig().noise == noise
     controller.close()
 
 

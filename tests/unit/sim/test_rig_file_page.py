@@ -32,3 +32,9 @@ def test_the_assumed_tolerances_are_these() -> None:
         for name in re.findall(r"`(\w+)`", names)
     }
     assert told == {f.name: f.default for f in fields(Tolerance)}
+
+
+def test_the_largest_and_smallest_figures_are_these() -> None:
+    (largest,) = re.findall(r"whatever is beyond (\S+) or", PAGE)
+    (smallest,) = re.findall(r"below (\S+)\.\n", PAGE)
+    assert (float(largest), float(smallest)) == (rig_file.FARTHEST, 1 / rig_file.FARTHEST)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import cache
 from types import SimpleNamespace
 
@@ -16,15 +17,21 @@ from service.health.monitored import Monitored
 from service.health.noise import check_weights
 from service.health.result import FigureChange
 from service.health.sequential import Policy
+from service.health.trend import Checked
+from service.health.words import drifted_words
+from service.health.zones import zone_is_calm
 from service.identification.loop.margins import zone_table
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.measured.points import plane_points
+from service.identification.plane.zoh import discrete_response
 from service.identification.result.saved import saved_planes
 from service.output import json_text
+from service.report.health import health_page
 from sim.errors import AmbError
-from sim.reference import reference_rig
+from sim.reference import pid_with_biquad, reference_rig
 from sim.twin import with_effects
-from tests.support.commissioned import SHEET, check, result, with_magnets, with_mode
+from tests.support.commissioned import AXES, LAW, SHEET, check, plan, result, with_magnets, with_mode
+from tests.support.planes import plane_model_of, synthetic_experiment, synthetic_sweep
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +143,103 @@ def test_what_leaks_at_the_borders_of_blocks_costs_a_point_little_of_its_weight(
         falls = np.abs(before[channel, channel][tone] / after[channel, channel][tone]) ** 2
         assert np.all(falls > 5)
         assert np.all(falls < 35)
+
+
+def with_law(**settings: float) -> Experiment:
+    """A check's tones on the rig as it was commissioned, but for settings of its controller."""
+    models = {p: plane_model_of(reference_rig(), p) for p in "xy"}
+    tones = np.array(plan().profile.frequencies_hz)
+    noise = {"current_noise_a": 1e-6, "displacement_noise_m": 1e-12, "relative_noise": 1e-4}
+    sweep = synthetic_sweep(models, AXES, pid_with_biquad(**settings), tones, 0.05, seed=3, **noise)
+    return synthetic_experiment(sweep, axes=AXES, rig="reference")
+
+
+EVERY_LAW = {f"{p}.controller_{axis}" for p in "xy" for axis in "AB"}
+
+
+@pytest.mark.parametrize(
+    "settings", [{"proportional_a_per_m": 26e3}, {"derivative_as_per_m": 40.0}, {"notch_hz": 850.0}], ids=str
+)
+def test_a_controller_that_was_changed_is_an_alarm_and_its_margins_are_not_the_old_ones(settings):
+    """Rotor, magnets and amplifiers are as they were, so no figure of theirs shows it; the loop is another one."""
+    found = checked(with_law(**settings))
+    assert found.alarm
+    assert set(found.drifted) == EVERY_LAW
+    assert found.zone == "not known" or found.zone == "D"
+    assert "the controller of xA, xB, yA, yB is not the one of the commissioning" in found.sentence()
+    assert "sensitivity peak not known" in found.sentence()
+    document = found.document()
+    assert not zone_is_calm(document)
+    assert not any("sensitivity_peak" in name for name in document["parameters"])
+    for peak in document["sensitivity_peak"].values():
+        assert (peak["value"], peak["zone"]) == (None, "not known")
+        assert peak["measured"] > 1.0
+    assert drifted_words(document)[0] == "the controller of xA is not the one of the commissioning"
+    page = health_page(document, [Checked(datetime(2026, 1, 1, tzinfo=UTC), document)])
+    assert "tells nothing where another one ran" in page
+
+
+def test_a_controller_that_was_left_alone_is_no_alarm(unchanged):
+    """Nor is what the starts of tones leave in u - r + C y."""
+    for experiment in (unchanged, with_law()):
+        found = checked(experiment)
+        assert not found.alarm
+        for law in found.document()["controller"].values():
+            assert not law["differs"]
+            assert law["difference_percent"] < 0.1
+
+
+def test_the_controller_of_one_axis_leaves_no_margin_of_its_plane():
+    """The other axis' loop is closed by it."""
+    measured = with_law()
+    main = measured.main
+    u = main.U.copy()
+    u[main.axis == 1, :, :, 1] *= 1.02
+    found = checked(replace(measured, sweeps=(replace(main, U=u),)))
+    assert "x.controller_B" in found.drifted
+    assert not EVERY_LAW & set(found.drifted) - {"x.controller_B"}
+    assert [bool(p.sensitivity_peaks) for p in found.planes] == [False, True]
+    assert found.zone == "not known" or found.zone == "D"
+
+
+def with_one_loud_point(measured: Experiment, flag: str) -> Experiment:
+    """A tone at which u is seven times what it was, and y what the controller makes that of, with its flag."""
+    main = measured.main
+    (at,) = np.flatnonzero((main.axis == 0) & (main.frequency_hz == np.unique(main.frequency_hz)[4]))
+    u, y = main.U.copy(), main.Y.copy()
+    c = discrete_response(*LAW, 2 * np.pi * main.frequency_hz[[at]], SHEET.sample_time_s)[0]
+    u[at] *= 7
+    y[at] = (main.R[at] - u[at]) / c
+    flags = ["" for _ in main.frequency_hz]
+    flags[at] = flag
+    return replace(measured, sweeps=(replace(main, U=u, Y=y, flags=tuple(flags)), *measured.sweeps[1:]))
+
+
+def test_a_point_that_had_not_settled_moves_no_zone():
+    calm, loud = with_law(), with_one_loud_point(with_law(), "not settled")
+    assert checked(loud).zone == checked(calm).zone
+    assert checked(loud).planes[0].measured_peak == pytest.approx(checked(calm).planes[0].measured_peak, rel=0.05)
+
+
+def test_a_measured_peak_counts_where_it_is_above_the_models_beyond_its_noise():
+    """What the largest of some lines has of noise is no peak of the loop; what no model has, is."""
+    found = checked(with_law())
+    peak = max(c.now for p in found.planes for c in p.sensitivity_peaks.values())
+    assert found.peak == peak
+    x, y = found.planes
+    assert replace(found, planes=(replace(x, measured_peak=(99.0, 99.0)), y)).peak == peak
+    above = replace(found, planes=(replace(x, measured_above=(99.0,)), y))
+    assert (above.peak, above.zone) == (99.0, "D")
+
+
+def test_axes_that_were_not_commissioned_are_told(unchanged):
+    """Nothing of them is known, so that nothing drifted is no word on the rig."""
+    only = {**result(), "planes": {"x": result()["planes"]["x"]}}
+    found = compare(Baseline(only), unchanged, SHEET)
+    assert "nothing drifted; yA, yB not checked, as no model has them" in found.sentence()
+    assert "no model of yA, yB" in found.notes[0]
+    assert found.document()["axes_without_model"] == ["yA", "yB"]
+    assert checked(unchanged).document()["axes_without_model"] == []
 
 
 def test_what_no_parameter_explains_is_said(unchanged):

@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.health import compare
 from service.identification.controller.check import check_controller
-from service.identification.loop import predicted
+from service.identification.loop import margins, predicted
 from service.identification.loop.closed_loop import closed_loop_poles, sampled, slowest_decay
 from service.identification.loop.margins import computed_response, zone_table
 from service.identification.loop.predicted import predicted_closed_loop
 from service.identification.measured.points import plane_points
-from service.identification.result import assemble
 from service.identification.result.saved import saved_planes
 from service.identification.statistics.drawn import interval
 from sim.errors import AmbError, LevitationError
@@ -21,6 +19,7 @@ from sim.stepping import Simulation
 from sim.twin import linear_model
 from tests.support.commissioned import AXES, LAW, SHEET, result
 from tests.support.planes import plane_model_of, synthetic_sweep
+from tests.support.two_axes import sheet_of_one_plane
 
 SOFT = (np.array([18e3 * 0.3]), np.array([1.0]))
 
@@ -124,6 +123,47 @@ def test_the_verdict_is_that_of_the_highest_peak_that_the_data_allow(planes):
     assert not found.safe
 
 
+GENEROUS = {"zones": zone_table("ok=20,bad"), "accepted_zone": "ok"}
+
+
+def test_of_a_model_that_does_not_describe_the_rig_nothing_is_known(planes):
+    """What it lacks may be the mode that the law leaves undamped, however calm its own loop is."""
+    poor = planes | {"y": replace(planes["y"], adequate=False, rms_over_sigma=85.3)}
+    found = check_controller("reference", poor, LAW, **GENEROUS)
+    assert found.verdict == "not known"
+    assert not found.safe
+    assert found.reasons == ()
+    (why,) = found.not_known
+    assert why.startswith("plane y: the model leaves residuals 85 times the noise: it does not describe the rig")
+    assert found.document()["verdict"] == "not known"
+    assert found.document()["not_known"] == [why]
+    assert check_controller("reference", poor, scaled(0.4), **GENEROUS).verdict == "unsafe"
+
+
+def test_a_model_with_an_error_that_was_allowed_for_does_not_describe_the_rig_either(planes):
+    """Its residuals are small in units of noise and that error together."""
+    poor = planes | {"x": replace(planes["x"], adequate=False, rms_over_sigma=0.8)}
+    (why,) = check_controller("reference", poor, LAW, draws=5, **GENEROUS).not_known
+    assert "an error that had to be allowed for" in why
+    assert "0.8" not in why
+
+
+def test_axes_that_were_not_commissioned_are_not_known():
+    document = result()
+    only = saved_planes(document | {"planes": {"x": document["planes"]["x"]}}, SHEET)
+    found = check_controller("reference", only, LAW, **GENEROUS)
+    assert found.verdict == "not known"
+    (why,) = found.not_known
+    assert "no model of yA, yB" in why
+
+
+def test_a_rig_of_one_plane_has_no_further_axes():
+    document = result()
+    sheet = sheet_of_one_plane(SHEET)
+    only = saved_planes(document | {"planes": {"x": document["planes"]["x"]}}, sheet)
+    assert check_controller("reference", only, LAW, **GENEROUS).safe
+
+
 def test_an_unstable_loop_is_told_with_its_motion(planes):
     found = check_controller("reference", planes, scaled(0.4))
     assert not found.safe
@@ -205,8 +245,7 @@ def of_axes_excited_at_once():
 
 CALLERS = {
     predicted: lambda model, points: predicted.predicted_closed_loop(model, LAW, points),
-    assemble: lambda _, points: assemble._measured_sensitivity(points),
-    compare: lambda _, points: compare._measured_peaks(points),
+    margins: lambda _, points: margins.measured_sensitivity(points),
 }
 callers = pytest.mark.parametrize(("module", "ask"), CALLERS.items(), ids=lambda x: getattr(x, "__name__", ""))
 

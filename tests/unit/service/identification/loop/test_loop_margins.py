@@ -8,13 +8,20 @@ import control
 import numpy as np
 import pytest
 
-from service.identification.loop.closed_loop import closed_loop_poles
+from service.identification.loop.closed_loop import (
+    block_diagonal,
+    closed_loop_poles,
+    controller_states,
+    sampled,
+)
 from service.identification.loop.loop_margins import REST, loop_margins, moved
 from service.identification.loop.margins import axis_margins, heights, sensitivity, sensitivity_peaks, zone
 from service.identification.plane.model import PlaneModel
 from service.identification.result.commissioning import CommissioningResult
 from service.identification.statistics.derivatives import central_differences
 from sim.reference import pid_with_biquad
+from tests.support.planes import plane_model_of
+from tests.support.whole_rigs import levitating
 
 OMEGA = np.geomspace(REST, 1e2, 5000)
 LOOPS = {
@@ -60,6 +67,31 @@ def test_a_little_more_gain_moves_margins_by_as_much() -> None:
     after = loop_margins(OMEGA, 1.01 * at(OMEGA))
     for value, crossing in zip(moved(places, loop), after.crossings(), strict=True):
         assert np.isnan(value) if crossing is None else value == pytest.approx(crossing.value, rel=2e-3)
+
+
+def test_a_gain_margin_at_a_sharp_mode_is_that_of_eigenvalues() -> None:
+    """A rotor of four sharp modes whose loop turns by a quarter between two lines about one of them."""
+    ((_, rig, sheet, _),) = levitating([21])
+    model, law = plane_model_of(rig, "x"), (np.array(sheet.numerator), np.array(sheet.denominator))
+    free = model.layout.free()
+    found = axis_margins(model, law, np.zeros((free.sum(), free.sum())), free, None)
+    for j, axis in enumerate(found):
+        for margin in (axis.gain_down_db.value, axis.gain_up_db.value):
+            assert margin is not None
+            within, beyond = (fastest_growth(model, law, j, margin * share) for share in (0.99, 1.01))
+            assert within < 0 < beyond
+
+
+def fastest_growth(model: PlaneModel, law: tuple[np.ndarray, np.ndarray], j: int, gain_db: float) -> float:
+    """Of the sampled loop with more gain in one axis, 1/s."""
+    gains = [1.0, 1.0]
+    gains[j] = 10 ** (gain_db / 20)
+    plant = sampled(model)
+    louder = replace(plant, B=plant.B @ np.diag(gains))
+    ca, cb, cc, cd = (block_diagonal([x, x]) for x in controller_states(law))
+    top = np.hstack([louder.A - louder.B @ cd @ louder.C, louder.B @ cc])
+    poles = np.linalg.eigvals(np.vstack([top, np.hstack([-cb @ louder.C, ca])]))
+    return float(np.log(np.abs(poles).max()) / model.known.sample_time_s)
 
 
 def test_margins_of_a_plane_have_deviations_and_their_measured_counterparts(result: CommissioningResult) -> None:

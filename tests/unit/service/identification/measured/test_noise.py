@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.identification.measured.noise import block_noise
+from service.identification.measured.noise import ROUNDED, block_noise
 
 RNG = np.random.default_rng(3)
 OMEGA = np.repeat(np.arange(80) + 1.0, 2)
@@ -105,3 +105,12 @@ def test_blocks_that_do_not_scatter_hang_together_with_nothing() -> None:
     model = block_noise(e, OMEGA)
     assert np.isfinite(model.whitener()).all()
     assert np.isfinite(model.sigma).all()
+
+
+@pytest.mark.parametrize("rings", [False, True])
+def test_blocks_of_a_simulation_without_noise_scatter_by_rounding_at_least(rings: bool) -> None:
+    """Beside no noise at all, whatever a model leaves would be beyond any number of deviations."""
+    size = np.full((len(OMEGA), 2), 1e-6)
+    residual = 1e-20 * blocks(np.ones((len(OMEGA), 2)))
+    found = block_noise(residual, OMEGA, magnitude=size, rings=np.ones((1, *size.shape)) if rings else None)
+    assert found.sigma == pytest.approx(ROUNDED * size / np.sqrt(6), rel=0.1, abs=0.0)

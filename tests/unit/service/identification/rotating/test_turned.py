@@ -562,7 +562,24 @@ def test_a_turning_model_that_lacks_something_is_told(
     document = json.loads(json.dumps(turning_result.document()))
     document["rotating"]["model_adequate"] = False
     document["rotating"]["sweeps"][1]["rms_over_sigma"] = 7.0
-    assert [w for w in judged(document, datasheet).warnings if "turning rotor leaves residuals 7 times the noise" in w]
+    found = judged(document, datasheet)
+    assert found.verdict == "not known"
+    (why,) = found.not_known
+    assert "turning rotor leaves residuals 7 times the noise" in why
+
+
+def test_a_turning_rotor_that_is_described_is_judged_where_its_planes_alone_are_not(
+    turning_result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    """Planes that were measured at speed lack what couples them: the rotor's own model tells, at standstill, too."""
+    document = json.loads(json.dumps(turning_result.document()))
+    assert 0.0 not in judged(document, datasheet).at_speed.speeds_rad_s
+    for plane in document["planes"].values():
+        plane["residuals"]["model_adequate"] = False
+    found = judged(document, datasheet)
+    assert found.safe
+    assert found.at_speed is not None
+    assert 0.0 in found.at_speed.speeds_rad_s
 
 
 def test_a_turning_rotor_that_cannot_be_read_is_told(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
