@@ -10,12 +10,14 @@ from service.experiment.data import Sweep
 from service.identification.joint.uncertainty import uncertainty_of
 from service.identification.priors.split import Posterior, Split, log_ratios
 from service.identification.rotating.fit import held_rows, residuals
+from service.identification.rotating.model import RotatingModel, joined, paired
 from service.identification.rotating.turned import Turned
 from service.identification.statistics.least_squares import minimise
 from sim.harmonic_balance import Responder, respond_to_excitation
 from sim.reference import reference_rig
 from sim.rig import Rig
 from sim.twin import linear_model, with_effects
+from tests.support.planes import plane_model_of
 
 SPEEDS = (0.0, 157.0, 314.0)
 POLAR, COUPLING, INTERNAL = 2.4, 0.03, 2e-4
@@ -33,6 +35,22 @@ def rig_at(speed_rad_s: float) -> Rig:
         "internal_damping": {"damping_ratio": INTERNAL},
     }
     return with_effects(reference_rig(speed_rad_s=speed_rad_s), effects)
+
+
+def true_model(rig: Rig) -> RotatingModel:
+    """The rotating model with the values of a simulated rig."""
+    x, y = (plane_model_of(rig, p) for p in "xy")
+    model = joined(x, y, paired(x, y), rig.rotor.polar_inertia_kgm2)
+    theta, layout = model.theta.copy(), model.layout
+    for k, pair in enumerate(layout.pairs):
+        w = [rig.rotor.modes[p][pair[p]].natural_frequency_rad_s for p in range(2)]
+        theta[layout.gyroscopic(k)] = rig.rotor.modes[0][pair[0]].gyroscopic
+        internal = rig.rotor.modes[0][pair[0]].internal_damping_ratio
+        theta[layout.gyroscopic(k) + 1] = internal * np.mean(w)
+        for p in range(2):
+            sigma = layout.own[p].start + layout.planes[p].mode(pair[p]).start + 1
+            theta[sigma] += internal * w[p]
+    return model.at(theta)
 
 
 def block_samples(hz: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from service.identification.arrays import Complex, Real
 from service.identification.loop.closed_loop import block_diagonal, slowest_decay
 from service.identification.loop.loop_margins import margins_of_loops
 from service.identification.loop.margins import axis_loops, beyond_lines, loop_grid, zone
-from service.identification.plane.zoh import aliases, discrete_response
+from service.identification.plane.zoh import discrete_response
 from service.identification.result.saved import SavedRotor
 from service.identification.rotating.model import RotatingModel
 from service.identification.rotating.whirl import loop_matrix
@@ -186,8 +186,6 @@ def sensitivity_at_speed(model: RotatingModel, law: Law, omega: Real, speed_rad_
     """S = (I + G C)^-1 of the four axes at a speed, u = S r, (P, 4, 4)."""
     period = model.known[0].sample_time_s
     g = model.response(omega, speed_rad_s)
-    for at, there in aliases(omega, period):
-        g[at] += model.response(there, speed_rad_s)
     mixed = block_diagonal([k.chain.crosstalk for k in model.known])
     loop = g @ mixed * discrete_response(*law, omega, period)[:, None, None]
     return np.asarray(np.linalg.inv(np.eye(4) + loop), dtype=np.complex128)

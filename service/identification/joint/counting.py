@@ -35,6 +35,8 @@ SAME = 1e-4
 """Relative difference of cost and frequencies up to which two starts led to one fit."""
 MUCH_LESS = 0.5
 """Residual over noise, in units of what it was, below which a search that found no model may find one."""
+EXPLAINED = 0.1
+"""Of the misfit: no more than this is left where a mode without a peak that the lines show explains what is wrong."""
 APART = 0.01
 """Relative difference of frequencies beyond which a pole of the data is none of a model's modes."""
 
@@ -81,6 +83,23 @@ class Counting:
         if self.fits.length(other.best) < self.fits.length(found.best):
             return replace(other, rejected=before)
         return replace(found, rejected=(*found.rejected, first))
+
+    def or_sharp(self, found: Counted, start: PlaneModel | None) -> Counted:
+        """What was found, or what a start leads to that has peaks which no lines show, if there is one.
+
+        Only where every such mode of the outcome is told without the line that gains most by it: a peak beside one line
+        could take up anything that is wrong with that line.
+        """
+        if start is None:
+            return found
+        other = self.or_from(found, [start])
+        best, omega = other.best, self.fits.data.plant.omega
+        if best is found.best:
+            return other
+        lone = [k for k, m in enumerate(best.model.modes) if is_lone(m, omega)]
+        if all(self._is_told_elsewhere(best, k) for k in lone):
+            return other
+        return replace(found, rejected=(*found.rejected, other.first))
 
     def from_starts(self, starts: list[PlaneModel], beside: float = 0.0) -> Counted:
         """Count from the first of the starts that leads anywhere; ``beside``: see `JointFits.begun`."""
@@ -188,7 +207,10 @@ class Counting:
 
     def _without_one(self, refined: Refined, weights: Weights) -> Refined:
         """The joint fit without the mode that the measured lines see least of."""
-        keep = np.delete(refined.model.modes, self._least_seen(refined.model), axis=0)
+        return self._without(refined, self._least_seen(refined.model), weights)
+
+    def _without(self, refined: Refined, k: int, weights: Weights) -> Refined:
+        keep = np.delete(refined.model.modes, k, axis=0)
         return self.fits.again(with_modes(refined.model, keep), weights)
 
     def _least_seen(self, model: PlaneModel) -> int:
@@ -238,15 +260,30 @@ class Counting:
 
     def _has_feet(self, more: Refined, fewer: Refined) -> bool:
         """Whether a mode explains what is wrong on many lines, though none lies within its peak."""
-        if self.fits.cost(more) > 0.1 * self.fits.cost(fewer):
+        if self.fits.cost(more) > EXPLAINED * self.fits.cost(fewer):
             return False
+        gain = self._gain(more, fewer)
+        return bool(gain.max() < LONE_LINE * gain.sum())
+
+    def _gain(self, more: Refined, fewer: Refined) -> Real:
+        """What each line of the plant gains, in squares of its noise, (F,)."""
         plant = self.plant
         off = [
             np.sum(np.abs((plant.value - t.model.plant_response(plant.omega)) / plant.std) ** 2, axis=(1, 2))
             for t in (fewer, more)
         ]
-        gain = off[0] - off[1]
-        return bool(gain.max() < LONE_LINE * gain.sum())
+        return np.asarray(off[0] - off[1])
+
+    def _is_told_elsewhere(self, refined: Refined, k: int) -> bool:
+        """Whether a mode is needed to explain the lines without the one that gains most by it."""
+        loudest = self.plant.omega[np.argmax(self._gain(refined, self._without(refined, k, refined.weights)))]
+        data = self.fits.data
+        rest = replace(data, plant=data.plant.select(~np.isclose(data.plant.omega, loudest, rtol=1e-6, atol=0.0)))
+        there = replace(self, fits=JointFits(rest, self.fits.knowledge))
+        more = there.fits.once_more(refined.model)
+        fewer = there._without(more, k, more.weights)
+        explained = there.fits.cost(more) < EXPLAINED * there.fits.cost(fewer)
+        return there._needed(fewer, more) and (explained or there.fits.rms(more) < ADEQUATE)
 
     def _needed(self, fewer: Refined, more: Refined) -> bool:
         """Whether a fit with one mode more is better beyond doubt.

@@ -15,7 +15,7 @@ from service.identification.measured.etfe import FrequencyResponse
 from service.identification.plane.model import PlaneModel
 from service.identification.priors.split import Knowledge, Posterior
 from service.identification.statistics.evidence import Evidence
-from service.identification.steps.start import searched_starts
+from service.identification.steps.start import searched_starts, sharp_start
 
 COARSE = 60
 """Lines fewer than which leave it to chance what the poles and residues of a plant stand for: it then begins with modes
@@ -54,7 +54,8 @@ def choose_modes(
     start
         Plane to begin with, amplifiers fitted, modes where the measured plant has its poles.
     rigid_model
-        The staged fit's; modes are looked for in what it leaves on few lines, or where ``start`` led nowhere.
+        The staged fit's; modes are looked for in what it leaves on few lines, or where ``start`` led nowhere; then also
+        such as lie between lines that are too far apart to show their peaks.
     plant
         Measured plant from coil current to y, for the search of further modes.
     lowest_rad_s
@@ -79,6 +80,8 @@ def choose_modes(
     found = counting.from_starts(searched or [start])
     if fits.rms(found.best) > ADEQUATE:
         found = counting.or_from(found, [start] if searched else searched_starts(rigid_model, plant, lowest_rad_s))
+    if fits.rms(found.best) > ADEQUATE:
+        found = counting.or_sharp(found, sharp_start(rigid_model, data.plant, plant, lowest_rad_s))
     if fits.rms(found.best) > ADEQUATE and found.from_start and _work(found.start) > WORK:
         found = counting.or_from(found, [found.start], SOFT)
     inside = fits.inside(found.start)

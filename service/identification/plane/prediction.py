@@ -20,11 +20,11 @@ class Points:
     omega: Real
     """(P,) rad/s."""
     u: Complex
-    """(P, 2) A."""
+    """(P, n) A of n axes: 2 of a plane, 4 of a rotor."""
 
     @cached_property
     def u_rows(self) -> Complex:
-        """(2, P) A: the points along memory."""
+        """(n, P) A: the points along memory."""
         return np.ascontiguousarray(self.u.T)
 
     def folding(self, sample_time_s: float) -> Folding:
@@ -48,7 +48,7 @@ class Folding:
     omega: Real
     """(P + 2 K,) rad/s; of the aliases |omega| is beyond half the sample rate."""
     u_rows: Complex
-    """(2, P + 2 K) A."""
+    """(n, P + 2 K) A."""
     at: NDArray[np.int64]
     """(K,) places of the lines."""
     n: int

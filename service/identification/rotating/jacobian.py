@@ -20,10 +20,10 @@ def gradients(rotor: RotatingParameters, points: TurningPoints, motion: Motion) 
     push = motion.sensor[:, :, None] * (m.sensors @ motion.closed)  # y per generalised force
     per_force = push @ m.bearings.T
     d_i = np.zeros((*points.u.shape, layout.size), dtype=complex)
-    d_y = np.zeros((*points.u.shape, layout.size), dtype=complex)
+    d_y = np.zeros((*motion.seen.shape, layout.size), dtype=complex)  # not folded yet
     for k in range(2):
         _stiffness_columns(rotor, k, motion, push, per_force, d_y)
-        _amplifier_columns(rotor, k, points, per_force, d_i, d_y)
+        _amplifier_columns(rotor, k, points, motion, per_force, d_i, d_y)
         _mode_columns(rotor, k, motion, push, per_force, d_y)
         _rigid_columns(rotor, k, motion, push, per_force, d_y)
     tilts = (1, rotor.coordinate(1, 0) - 1)
@@ -32,7 +32,7 @@ def gradients(rotor: RotatingParameters, points: TurningPoints, motion: Motion) 
         at, places = layout.gyroscopic(pair), (rotor.coordinate(0, a), rotor.coordinate(1, b))
         d_y[:, :, at] = _turned(motion, push, *places, motion.s * motion.speed)
         d_y[:, :, at + 1] = _turned(motion, push, *places, 2 * motion.speed)
-    return d_i, d_y
+    return d_i, motion.folded(d_y)
 
 
 def _turned(motion: Motion, push: Complex, x: int, y: int, gain: Complex | Real) -> Complex:
@@ -48,7 +48,7 @@ def _stiffness_columns(
     start, modes = rotor.layout.own[k].start, rotor.plane(k).modes
     for j in range(2):
         axis = 2 * k + j
-        by_ki, by_ks = motion.coil[:, axis], motion.x[:, axis]
+        by_ki, by_ks = motion.coils[:, axis], motion.moved[:, axis]
         if motion.excess is not None:
             by_ki, by_ks = by_ki + motion.excess[1][:, axis], by_ks + motion.excess[2][:, axis]
         d_y[:, :, start + j] = per_force[:, :, axis] * by_ki[:, None]
@@ -59,7 +59,13 @@ def _stiffness_columns(
 
 
 def _amplifier_columns(
-    rotor: RotatingParameters, k: int, points: TurningPoints, per_force: Complex, d_i: Complex, d_y: Complex
+    rotor: RotatingParameters,
+    k: int,
+    points: TurningPoints,
+    motion: Motion,
+    per_force: Complex,
+    d_i: Complex,
+    d_y: Complex,
 ) -> None:
     """Columns of the amplifiers and of the delay of one plane."""
     plane, start = rotor.plane(k), rotor.layout.own[k].start
@@ -68,9 +74,8 @@ def _amplifier_columns(
     for j, place in enumerate(plane.layout.amplifiers):
         axis = 2 * k + j
         own = slice(start + place.start, start + place.stop)
-        u = points.u[:, axis, None]
-        d_now = amplifier.sampled(points.omega, plane.theta[place], delay, period)[1] * u
-        d_base = plane.base_band(j, points.omega)[1] * u
+        d_now = amplifier.sampled(points.omega, plane.theta[place], delay, period)[1] * points.u[:, axis, None]
+        d_base = plane.base_band(j, motion.folding.omega)[1] * motion.folding.u_rows[axis][:, None]
         to_y = per_force[:, :, axis] * plane.ki[j]
         d_i[:, axis, own], d_i[:, axis, late] = d_now[:, :-1], d_now[:, -1]
         d_y[:, :, own] = to_y[:, :, None] * d_base[:, None, :-1]
@@ -113,4 +118,4 @@ def _rigid_columns(
     gains = layout.gains.start
     for j in range(2):
         axis = 2 * k + j
-        d_y[:, axis, gains + axis] = motion.y[:, axis] / plane.sensor_gain[j]
+        d_y[:, axis, gains + axis] = motion.seen[:, axis] / plane.sensor_gain[j]

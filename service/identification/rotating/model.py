@@ -12,6 +12,7 @@ import numpy as np
 from service.identification.arrays import Complex, Real
 from service.identification.plane.model import PlaneModel
 from service.identification.plane.prediction import Amplitude, Prediction
+from service.identification.plane.zoh import aliases
 from service.identification.rotating.jacobian import gradients
 from service.identification.rotating.layout import RotatingLayout
 from service.identification.rotating.motion import Matrices, Motion, TurningPoints, inverse_dynamics
@@ -40,9 +41,16 @@ class RotatingModel(RotatingParameters):
 
     def response(self, omega: Real, speed: Real | float) -> Complex:
         """Small-signal response G(s, W) from held u to sampled y, (P, 4, 4)."""
+        speeds = np.broadcast_to(np.asarray(speed, dtype=float), omega.shape)
+        out = self._base_band_response(omega, speeds)
+        for at, there in aliases(omega, self.known[0].sample_time_s):
+            out[at] += self._base_band_response(there, speeds[at])
+        return out
+
+    def _base_band_response(self, omega: Real, speed: Real) -> Complex:
         s: Complex = np.asarray(1j * omega, dtype=np.complex128)
         m = Matrices.of(self)
-        closed = inverse_dynamics(m, self.ks, s, np.broadcast_to(np.asarray(speed, dtype=float), omega.shape))
+        closed = inverse_dynamics(m, self.ks, s, speed)
         plant = m.sensors @ closed @ (m.bearings.T * self.ki)
         drive = self.amplifier_response(omega)
         return np.asarray(self.sensor_response(omega)[:, :, None] * plant * drive[:, None, :])

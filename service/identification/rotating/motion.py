@@ -4,6 +4,8 @@ Coordinates are, per plane, the translation of the centre of gravity, the tilt, 
 mass; M q'' + (D + W G) q' + (K + W C - Phi_b^T Ks Phi_b) q = Phi_b^T Ki i (Genta, Dynamics of Rotating Systems, 2005,
 eq. 2.14 for the tilts and chapter 3 for modes). G holds the polar inertia between the tilts, and for a mode that both
 planes have, g between its two copies; C holds what damping that turns with the shaft does to them.
+
+As of a plane, y is what the sampler makes of the motion at the lines and at their aliases.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from service.identification.arrays import Complex, Real
 from service.identification.plane import amplifier
 from service.identification.plane.force_law import excess_force
-from service.identification.plane.prediction import Amplitude
+from service.identification.plane.prediction import Amplitude, Folding, Points
 from service.identification.rotating.parameters import RotatingParameters
 
 
@@ -29,6 +31,10 @@ class TurningPoints:
     """(P,) rad/s."""
     u: Complex
     """(P, 4) A."""
+
+    def folding(self, sample_time_s: float) -> Folding:
+        """The points with the aliases that the sampler folds onto them; the speed at them is that of their line."""
+        return Folding.of(Points(self.omega, self.u), sample_time_s)
 
 
 @dataclass(frozen=True)
@@ -89,59 +95,83 @@ def inverse_dynamics(m: Matrices, ks: Real, s: Complex, speed: Real) -> Complex:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the rotor moves at the points."""
+    """How the rotor moves at the points, and behind them at their aliases, P + 2 K rows; there magnets are linear."""
 
+    folding: Folding
     s: Complex
-    """(P,)"""
+    """(P + 2 K,)"""
     speed: Real
-    """(P,)"""
+    """(P + 2 K,)"""
     matrices: Matrices
     closed: Complex
-    """(P, n, n) coordinates per generalised force, the magnets' stiffness closed."""
+    """(P + 2 K, n, n) coordinates per generalised force, the magnets' stiffness closed."""
     q: Complex
-    """(P, n)"""
+    """(P + 2 K, n)"""
     force: Complex
-    """(P, 4) all of the magnets' force."""
-    x: Complex
-    """(P, 4)"""
-    y: Complex
-    """(P, 4)"""
+    """(P + 2 K, 4) all of the magnets' force."""
+    moved: Complex
+    """(P + 2 K, 4) displacement at the bearings."""
+    seen: Complex
+    """(P + 2 K, 4) displacement at the sensors, not folded yet."""
     sensor: Complex
-    """(P, 4)"""
+    """(P + 2 K, 4)"""
     i: Complex
-    """(P, 4)"""
-    coil: Complex
-    """(P, 4)"""
+    """(P, 4) sampled current."""
+    coils: Complex
+    """(P + 2 K, 4) base-band current."""
     excess: tuple[Complex, Complex, Complex] | None
-    """Of the force law, and its derivatives to ki and ks, (P, 4) each."""
+    """Of the force law, and its derivatives to ki and ks, (P + 2 K, 4) each, nil at the aliases."""
 
     @staticmethod
     def of(rotor: RotatingParameters, points: TurningPoints, amplitude: Amplitude | None) -> Motion:
         """At the points; ``amplitude``: see `RotatingModel.predict`."""
-        s: Complex = np.asarray(1j * points.omega, dtype=np.complex128)
+        folding = points.folding(rotor.known[0].sample_time_s)
+        s: Complex = np.asarray(1j * folding.omega, dtype=np.complex128)
+        speed = np.concatenate([points.speed, points.speed[folding.at], points.speed[folding.at]])
         m = Matrices.of(rotor)
-        now, base = _currents(rotor, points)
+        now, base = _currents(rotor, points, folding)
         ki, ks = rotor.ki, rotor.ks
         force = ki * base
         excess = None
         if amplitude is not None:
-            excess = excess_force(ki, ks, rotor.bias_current_a, amplitude.current, amplitude.displacement)
+            here = excess_force(ki, ks, rotor.bias_current_a, amplitude.current, amplitude.displacement)
+            more = [np.concatenate([e, np.zeros((len(s) - folding.n, e.shape[1]), dtype=e.dtype)]) for e in here]
+            excess = more[0], more[1], more[2]
             force = force + excess[0]
-        closed = inverse_dynamics(m, ks, s, points.speed)
+        closed = inverse_dynamics(m, ks, s, speed)
         q = np.einsum("pab,pb->pa", closed, force @ m.bearings)
         x = q @ m.bearings.T
-        sensor = rotor.sensor_response(points.omega)
-        y = sensor * (q @ m.sensors.T)
-        return Motion(s, points.speed, m, closed, q, force + ks * x, x, y, sensor, now, base, excess)
+        sensor = rotor.sensor_response(folding.omega)
+        seen = sensor * (q @ m.sensors.T)
+        return Motion(folding, s, speed, m, closed, q, force + ks * x, x, seen, sensor, now, base, excess)
+
+    @property
+    def coil(self) -> Complex:
+        """Base-band current, (P, 4)."""
+        return self.coils[: self.folding.n]
+
+    @property
+    def x(self) -> Complex:
+        """Displacement at the bearings, (P, 4)."""
+        return self.moved[: self.folding.n]
+
+    @property
+    def y(self) -> Complex:
+        """Sampled displacement at the sensors, (P, 4)."""
+        return self.folded(self.seen.copy())
+
+    def folded(self, values: Complex) -> Complex:
+        """What the sampler makes of (P + 2 K, ...), (P, ...): the same memory, see `Folding.folded`."""
+        return np.moveaxis(self.folding.folded(np.moveaxis(values, 0, -1)), -1, 0)
 
 
-def _currents(rotor: RotatingParameters, points: TurningPoints) -> tuple[Complex, Complex]:
-    """Sampled and base-band currents, (P, 4) each."""
-    now, base = np.empty_like(points.u), np.empty_like(points.u)
+def _currents(rotor: RotatingParameters, points: TurningPoints, folding: Folding) -> tuple[Complex, Complex]:
+    """Sampled currents, (P, 4), and base-band ones, (P + 2 K, 4)."""
+    now, base = np.empty_like(points.u), np.empty((len(folding.omega), points.u.shape[1]), dtype=np.complex128)
     for k, plane in enumerate(rotor.planes):
         delay, period = plane.delay_s + plane.known.computing_delay_s, plane.known.sample_time_s
         for j, place in enumerate(plane.layout.amplifiers):
             axis = 2 * k + j
             now[:, axis] = amplifier.sampled(points.omega, plane.theta[place], delay, period)[0] * points.u[:, axis]
-            base[:, axis] = plane.base_band(j, points.omega)[0] * points.u[:, axis]
+            base[:, axis] = plane.base_band(j, folding.omega)[0] * folding.u_rows[axis]
     return now, base

@@ -185,8 +185,12 @@ def _polished(omega: Real, target: Complex, weight: Real, nu: Real, sigma: Real)
 
 def is_visible(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:
     """Whether a pole is a peak within the band, wide enough for the lines around it to tell."""
-    in_band = nu_rad_s <= omega.max()
-    return bool(in_band and sigma_rad_s < 0.2 * nu_rad_s and tells(nu_rad_s, sigma_rad_s, omega))
+    return has_peak(nu_rad_s, sigma_rad_s, omega) and tells(nu_rad_s, sigma_rad_s, omega)
+
+
+def has_peak(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:
+    """Whether a pole is a peak within the band, however sharp."""
+    return bool(nu_rad_s <= omega.max() and sigma_rad_s < 0.2 * nu_rad_s)
 
 
 def tells(nu_rad_s: float, sigma_rad_s: float, omega: Real) -> bool:

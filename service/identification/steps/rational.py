@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from service.identification.arrays import Complex, Real
 from service.identification.measured.etfe import FrequencyResponse
-from service.identification.steps.flexible import DAMPING_GRID, PoleResidue, candidate_poles, is_visible
+from service.identification.steps.flexible import DAMPING_GRID, PoleResidue, candidate_poles, has_peak, is_visible
 
 LEVEL = 0.003
 """Relative model error that counts beside the noise: what lags and neighbours leave is no mode."""
@@ -148,7 +148,7 @@ class _Problem:
         return poles.moved(z)
 
 
-def rational_fit(plant: FrequencyResponse, rigid_rad_s: Real, lowest_rad_s: float) -> Rational:
+def rational_fit(plant: FrequencyResponse, rigid_rad_s: Real, lowest_rad_s: float, sharp: bool = False) -> Rational:
     """Poles and residues of a measured plant.
 
     Parameters
@@ -159,6 +159,9 @@ def rational_fit(plant: FrequencyResponse, rigid_rad_s: Real, lowest_rad_s: floa
         (2,) where the rigid poles are looked for.
     lowest_rad_s
         No peak is looked for below.
+    sharp
+        Whether peaks count, too, that are sharper than the lines around them can tell. What such a one does to the
+        lines on either side tells its frequency; its damping is a guess.
     """
     omega = plant.omega
     size = np.linalg.norm(plant.value, axis=(1, 2)) / 2
@@ -172,7 +175,7 @@ def rational_fit(plant: FrequencyResponse, rigid_rad_s: Real, lowest_rad_s: floa
     lone_lines = 0
     while len(now.nu) < MAX_PEAKS:
         tried = [problem.polished(p) for p in _candidates(problem, now, rest, grids)]
-        tried = [p for p in tried if all(_shows(p, k, omega) for k in range(len(p.nu)))]
+        tried = [p for p in tried if all(_shows(p, k, omega, sharp) for k in range(len(p.nu)))]
         if not tried:
             break
         costs = [float(np.sum(problem.solved(p)[1] ** 2)) for p in tried]
@@ -222,9 +225,10 @@ def _candidates(problem: _Problem, now: _Poles, rest: Real, grids: list[tuple[Re
     return out
 
 
-def _shows(poles: _Poles, k: int, omega: Real) -> bool:
-    """Whether a pole lies beyond the band, or has a peak that the lines around it can show."""
-    return bool(poles.nu[k] > omega.max() or is_visible(poles.nu[k], poles.sigma[k], omega))
+def _shows(poles: _Poles, k: int, omega: Real, sharp: bool) -> bool:
+    """Whether a pole lies beyond the band, or has a peak: one that the lines around it can show, or any."""
+    nu, sigma = float(poles.nu[k]), float(poles.sigma[k])
+    return bool(nu > omega.max() or (has_peak(nu, sigma, omega) if sharp else is_visible(nu, sigma, omega)))
 
 
 def _problem(plant: FrequencyResponse, weight: Real, rigid_rad_s: Real) -> _Problem:

@@ -21,6 +21,12 @@ def bearing_from_sensor(model: PlaneModel) -> Real:
     return np.asarray(bearings @ np.linalg.inv(sensors))
 
 
+def levitated(model: PlaneModel, ks: Real) -> Real:
+    """Poles of the rigid rotor on its position stiffness, rad/s, (2,)."""
+    bearings, _ = model.rigid_shapes
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(bearings.T @ (ks[:, None] * bearings)), 1.0)))
+
+
 def rigid_response(model: PlaneModel, ki: Real, ks: Real, omega: Real) -> Complex:
     """Rigid plant from coil current to sensed displacement, (P, 2, 2)."""
     bearings, sensors = model.rigid_shapes

@@ -14,7 +14,7 @@ from service.identification.statistics.evidence import Evidence
 from service.identification.statistics.validation import nrmse_matrix
 from service.identification.steps.flexible import PoleResidue, residues_at, split_frequency
 from service.identification.steps.rational import LEVEL, Rational, rational_fit
-from service.identification.steps.rigid import rigid_refined, rigid_response, rigid_start
+from service.identification.steps.rigid import levitated, rigid_refined, rigid_response, rigid_start
 
 RIGID_GOOD_PERCENT = 90.0
 SPLITS, FEWEST = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4), 4
@@ -89,7 +89,7 @@ def staged_fit(model: PlaneModel, points: PlanePoints, plant: FrequencyResponse)
     rigid = [(limit, *_rigid(model, points, limit)) for limit in limits]
     # the highest split at which the rigid rotor still describes the octave below it: where the poles are looked for
     good = [k for k, r in enumerate(rigid) if _local_misfit(model, *r[1:], plant, r[0]) < 100.0 - RIGID_GOOD_PERCENT]
-    rational = rational_fit(plant, _levitated(model, rigid[good[-1] if good else 0][2]), 0.6 * first)
+    rational = rational_fit(plant, levitated(model, rigid[good[-1] if good else 0][2]), 0.6 * first)
     stacks = [_stacked(model, plant, rational.peaks, *r) for r in rigid]
     scores = [_score(model, plant, s) for s in stacks]
     pick = int(np.argmin([e.mdl for e in scores]))
@@ -117,12 +117,6 @@ def staged_fit(model: PlaneModel, points: PlanePoints, plant: FrequencyResponse)
         flexible_fit,
         complete_fit,
     )
-
-
-def _levitated(model: PlaneModel, ks: Real) -> Real:
-    """Poles of the rigid rotor on its position stiffness, rad/s, (2,)."""
-    bearings, _ = model.rigid_shapes
-    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(bearings.T @ (ks[:, None] * bearings)), 1.0)))
 
 
 def _stacked(

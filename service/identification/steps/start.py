@@ -12,9 +12,9 @@ from service.identification.measured.points import PlanePoints
 from service.identification.plane.layout import MODE_NAMES, N_MODE, Layout
 from service.identification.plane.model import PlaneModel
 from service.identification.priors.split import log_ratios
-from service.identification.steps.flexible import PoleResidue, is_visible, search, shapes_of
-from service.identification.steps.rational import LEVEL, Rational
-from service.identification.steps.rigid import rigid_refined, rigid_response
+from service.identification.steps.flexible import PoleResidue, has_peak, is_visible, search, shapes_of
+from service.identification.steps.rational import LEVEL, Rational, rational_fit
+from service.identification.steps.rigid import levitated, rigid_refined, rigid_response
 
 NEAREST, FURTHEST, USUAL = 1.5, 4.0, 2.0
 """Where modes beyond the band are started, in units of its end; the last where the remainder does not tell."""
@@ -71,6 +71,20 @@ def joint_start(
     theta[0:2], theta[2:4] = ki, ks
     modes = np.vstack([modes_from(rational.peaks, ki), _beyond(rational, plant, ki)])
     return with_modes(rigid_model.at(theta), modes)
+
+
+def sharp_start(
+    rigid_model: PlaneModel, points: PlanePoints, plant: FrequencyResponse, lowest_rad_s: float
+) -> PlaneModel | None:
+    """A plane as `joint_start` makes it, also with peaks that the lines around them are too far apart to show.
+
+    None where there is no such peak: `joint_start` has all of them.
+    """
+    rational = rational_fit(plant, levitated(rigid_model, rigid_model.ks), lowest_rad_s, sharp=True)
+    poles = zip(rational.peaks.nu_rad_s, rational.peaks.sigma_rad_s, strict=True)
+    if all(is_visible(nu, sigma, plant.omega) or not has_peak(nu, sigma, plant.omega) for nu, sigma in poles):
+        return None
+    return joint_start(rigid_model, rational, points, plant)
 
 
 def searched_starts(rigid_model: PlaneModel, plant: FrequencyResponse, lowest_rad_s: float) -> list[PlaneModel]:

@@ -1,10 +1,12 @@
 """How many modes: what the search for their starts gets wrong is put right by the joint fits."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from service.identification.joint.counting import ADEQUATE
 from service.identification.joint.fits import JointFits
 from service.identification.joint.residuals import noise_of
 from service.identification.joint.selection import Selected, choose_modes
@@ -46,9 +48,10 @@ def _measured(
     controller: tuple[np.ndarray, np.ndarray],
     hz: np.ndarray,
     seed: int,
+    changed: Callable[[Data], Data] = lambda data: data,
 ):
     axes = datasheet.axes
-    data = Data(plane_points(synthetic_sweep(truth, axes, controller, hz, 0.15, seed=seed), axes, "x"), None)
+    data = changed(Data(plane_points(synthetic_sweep(truth, axes, controller, hz, 0.15, seed=seed), axes, "x"), None))
     start, _ = start_model(datasheet, "x", axes, data)
     seen = etfe(data.plant, "u->y")
     gain = start.amplifier_response(seen.omega)[:, None]
@@ -84,6 +87,59 @@ def test_modes_are_found_on_a_dozen_lines_none_of_which_lies_on_a_peak(
     knowledge = split_knowledge(datasheet, Options())
     found = choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
     assert_the_truth(found, truth["x"], rtol=3e-3)
+
+
+@pytest.mark.parametrize("lines", [25, 30])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_modes_are_found_between_lines_too_far_apart_to_show_their_peaks(
+    datasheet: Datasheet, truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray], lines: int, seed: int
+) -> None:
+    """What they do to the lines on either side tells where they are."""
+    data, plant, staged = _measured(datasheet, truth, controller, np.geomspace(10, 1000, lines), seed)
+    start = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
+    knowledge = split_knowledge(datasheet, Options())
+    found = choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
+    assert_the_truth(found, truth["x"], rtol=4e-3)
+    assert next(e.rms for e in found.evidence if e.chosen) < 1.3
+
+
+def test_a_sharp_mode_right_beside_a_line_is_found(
+    datasheet: Datasheet, truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """One line shows most of it, and the others tell of it, too."""
+    modes = truth["x"].modes.copy()
+    modes[:, 1] /= 4
+    sharp = {plane: with_modes(truth["x"], modes) for plane in truth}
+    data, plant, staged = _measured(datasheet, sharp, controller, np.geomspace(10, 1000, 40), 1)
+    start = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
+    knowledge = split_knowledge(datasheet, Options())
+    found = choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
+    assert_the_truth(found, sharp["x"])
+
+
+def _wrong(data: Data, how: str) -> Data:
+    """Points with what no mode explains: a sensor that lags, or is off at one line."""
+    points = data.plant
+    factor = np.exp(-20e-6j * points.omega)
+    if how == "a line off":
+        factor = np.where(points.omega == np.unique(points.omega)[-2], 1.5, 1.0)
+    return replace(data, plant=replace(points, Y=points.Y * factor[:, None, None]))
+
+
+@pytest.mark.parametrize("how", ["a lag", "a line off"])
+def test_no_mode_is_put_between_lines_for_what_is_no_mode(
+    datasheet: Datasheet, truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray], how: str
+) -> None:
+    """On lines that are far apart, of a rotor that has no mode between them: a peak there could take up anything."""
+    stiff = {plane: with_modes(model, np.empty((0, 6))) for plane, model in truth.items()}
+    data, plant, staged = _measured(
+        datasheet, stiff, controller, np.geomspace(10, 1000, 25), 1, lambda d: _wrong(d, how)
+    )
+    start = joint_start(staged.rigid_model, staged.rational, data.plant, plant)
+    knowledge = split_knowledge(datasheet, Options())
+    found = choose_modes(start, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge)
+    assert next(e.rms for e in found.evidence if e.chosen) > ADEQUATE
+    assert not np.any(found.refined.model.modes[:, 0] < data.plant.omega.max())
 
 
 def test_modes_are_found_although_the_search_took_one_peak_for_three(

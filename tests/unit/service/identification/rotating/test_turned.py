@@ -17,7 +17,7 @@ from service.identification.result.commissioning import CommissioningResult
 from service.identification.result.saved import saved_planes, saved_rotor
 from service.identification.rotating.campbell import campbell
 from service.identification.rotating.fit import fit_rotating, held_rows
-from service.identification.rotating.model import RotatingModel, joined, paired
+from service.identification.rotating.model import joined, paired
 from service.identification.rotating.motion import TurningPoints
 from service.identification.rotating.points import speed_points
 from service.identification.rotating.turned import Turned
@@ -25,28 +25,22 @@ from service.identification.rotating.whirl import loop_matrix, whirl
 from service.identification.statistics.drawn import drawn
 from sim.datasheet import Datasheet
 from sim.loop import Loop
-from sim.rig import Rig
 from sim.twin import linear_model
 from tests.support import turning
-from tests.support.planes import plane_model_of
-from tests.support.turning import COUPLING, HZ, INTERNAL, PERIOD_S, POLAR, SPEEDS, rig_at, sweep_at, told_the_noise
+from tests.support.turning import (
+    COUPLING,
+    HZ,
+    INTERNAL,
+    PERIOD_S,
+    POLAR,
+    SPEEDS,
+    rig_at,
+    sweep_at,
+    told_the_noise,
+    true_model,
+)
 
 pytestmark = pytest.mark.slow
-
-
-def true_model(rig: Rig) -> RotatingModel:
-    x, y = (plane_model_of(rig, p) for p in "xy")
-    model = joined(x, y, paired(x, y), rig.rotor.polar_inertia_kgm2)
-    theta, layout = model.theta.copy(), model.layout
-    for k, pair in enumerate(layout.pairs):
-        w = [rig.rotor.modes[p][pair[p]].natural_frequency_rad_s for p in range(2)]
-        theta[layout.gyroscopic(k)] = rig.rotor.modes[0][pair[0]].gyroscopic
-        internal = rig.rotor.modes[0][pair[0]].internal_damping_ratio
-        theta[layout.gyroscopic(k) + 1] = internal * np.mean(w)
-        for p in range(2):
-            sigma = layout.own[p].start + layout.planes[p].mode(pair[p]).start + 1
-            theta[sigma] += internal * w[p]
-    return model.at(theta)
 
 
 @pytest.fixture(scope="module")
