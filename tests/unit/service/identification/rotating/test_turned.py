@@ -576,6 +576,19 @@ def test_a_turning_rotor_that_is_described_is_judged_where_its_planes_alone_are_
     assert 0.0 in found.at_speed.speeds_rad_s
 
 
+def test_margins_at_speed_are_not_known_of_a_loop_beyond_what_was_measured(
+    turning_result: CommissioningResult, datasheet: Datasheet
+) -> None:
+    document = json.loads(json.dumps(turning_result.document()))
+    for plane in document["planes"].values():
+        plane["measured_hz"][1] = 400.0  # below the first flexible mode
+    found = judged(document, datasheet)
+    assert found.verdict == "not known"
+    assert any(why.startswith("at speed: a sensitivity peak") and "(400 Hz)" in why for why in found.not_known)
+    assert found.at_speed is not None
+    assert {a.zone for a in found.at_speed.axes} == {"not known"}
+
+
 def test_a_turning_rotor_that_cannot_be_read_is_told(turning_result: CommissioningResult, datasheet: Datasheet) -> None:
     document = json.loads(json.dumps(turning_result.document()))
     del document["rotating"]["parameters"]["values"]["polar_inertia_kgm2"]
