@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from service.gap.fitting.candidates import Candidate, Task, fit_task
 from service.gap.fitting.stage import EXACT
@@ -31,8 +32,10 @@ CURVED = 0.05
 """Relative gap of the plant up to which the force law beyond its linear part may be all of it."""
 TRIED = 0.3
 """Share of the plant's excess that one step of the bias must take off for its value to be looked for."""
-REFINED = 3
-"""Parabolas through the best three values of the bias that lead to its value."""
+CLOSE = 0.01
+"""Change of its ln to which it is found: the air gap is hardly known better."""
+NO_RIG = 10.0
+"""Times the plain twin's cost that a bias counts as with which there is no rig."""
 
 
 def misstated(e: Explained, verdict: Verdict) -> str | None:
@@ -46,28 +49,21 @@ def misstated(e: Explained, verdict: Verdict) -> str | None:
 
 def _another_bias(e: Explained) -> str | None:
     """The bias current that explains the plant better than its best effects do, in words; or None."""
-    tried = {0.0: e.null.candidate.fit.cost}
+    null = e.null.candidate.fit.cost
 
     def cost(by: float) -> float:
-        """The plain twin's cost with another bias, infinite where there is no such rig."""
-        if by not in tried:
-            c = _fitted(e, _with_bias(e.ground.nuisance.rig, math.exp(by)))
-            tried[by] = math.inf if c is None else c.fit.cost
-        return tried[by]
+        """The plain twin's cost with another bias; high where there is no such rig."""
+        c = _fitted(e, _with_bias(e.ground.nuisance.rig, math.exp(by)))
+        return NO_RIG * null if c is None else c.fit.cost
 
-    excess = tried[0.0] - _noise(e)
-    if min(cost(STEP), cost(-STEP)) > tried[0.0] - TRIED * excess:
+    steps = {by: cost(by) for by in (STEP, -STEP)}
+    better = min(steps, key=steps.__getitem__)
+    if steps[better] > null - TRIED * (null - _noise(e)):
         return None
-    while abs(best := min(tried, key=cost)) < FARTHEST and abs(best) == max(abs(by) for by in tried if by * best > 0):
-        cost(best + math.copysign(STEP, best))
-    for _ in range(REFINED):
-        a, b, c = sorted(sorted(tried, key=cost)[:3])
-        bend, slope, _ = np.polyfit([a, b, c], [cost(a), cost(b), cost(c)], 2)
-        if not (np.isfinite(bend) and bend > 0):
-            break
-        cost(float(np.clip(-slope / (2 * bend), a, c)))
-    by = min(tried, key=cost)
-    if not _explains(e, tried[by], 0.0):
+    bounds = (0.0, FARTHEST) if better > 0 else (-FARTHEST, 0.0)
+    found = scipy.optimize.minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": CLOSE})
+    by, least = min((float(found.x), float(found.fun)), (better, steps[better]), key=lambda one: one[1])
+    if not _explains(e, least, 0.0):
         return None
     stated = e.ground.nuisance.rig.magnets.bias_current_a
     return (
