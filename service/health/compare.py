@@ -157,7 +157,7 @@ def _plane(
         changes = tuple(c for c in changes if c.monitored.kind != "margin")
         beyond = ""
     else:
-        beyond = saved.beyond_measured(now.model, controller)
+        beyond = saved.beyond_measured(now.model, controller).peak
     return PlaneHealth(
         plane=saved.plane,
         axes=saved.axes,

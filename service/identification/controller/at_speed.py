@@ -157,7 +157,7 @@ def at_speed(
     beyond = ""
     if highest_hz is not None:
         told = (beyond_lines(g, sensitivity_at_speed(model, law, g, w), AXES, highest_hz) for w, g in grids.items())
-        beyond = next(filter(None, told), "")
+        beyond = next(filter(None, (b.either for b in told)), "")
     others = drawn(model, rotor.free, rotor.covariance, draws, seed)
     lost_at = [next((w for w in speeds if slowest_decay(_poles(m, law, w), period) <= 0), None) for m in others]
     held = [m for m, w in zip(others, lost_at, strict=True) if w is None]

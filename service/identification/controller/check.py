@@ -268,7 +268,7 @@ def _check_plane(
             "unstable with it",
         )
     share, axes = len(held) / max(len(others), 1), tuple(_axes(s, law, loop_grid(s.model, poles), held, limits))
-    return _PlaneCheck(s.plane, decay, share, reasons, axes, s.beyond_measured(s.model, law), _later(s, law))
+    return _PlaneCheck(s.plane, decay, share, reasons, axes, s.beyond_measured(s.model, law).either, _later(s, law))
 
 
 def _inadequate(s: SavedPlane) -> str:

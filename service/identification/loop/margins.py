@@ -243,32 +243,47 @@ def _refined(model: PlaneModel, controller: tuple[Real, Real], omega: Real, size
     return Peak(float(size[k]), float(omega[k]))
 
 
-def beyond_measured(model: PlaneModel, controller: tuple[Real, Real], axes: Sequence[str], highest_hz: float) -> str:
-    """Why a plane's margins hang on what lies above the highest measured line, in words; "" where they do not.
+@dataclass(frozen=True)
+class Beyond:
+    """What of a loop lies above the highest measured line, in words; "" where nothing does.
 
-    See `beyond_lines`.
+    There a model is a guess: it has one mode for all that lie beyond the band, known by what they leave within it.
     """
+
+    peak: str = ""
+    """That a sensitivity peak does, so that it is not known, nor its zone."""
+    gain: str = ""
+    """That the loop's gain is not small there. Of a loop that was measured the peaks within the band are known all the
+    same; one that has never run may be unstable there."""
+
+    @property
+    def either(self) -> str:
+        """Why nothing is known of a controller that has never run."""
+        return self.peak or self.gain
+
+
+def beyond_measured(model: PlaneModel, controller: tuple[Real, Real], axes: Sequence[str], highest_hz: float) -> Beyond:
+    """What of a plane's loop lies above the highest measured line: `beyond_lines` of the model."""
     omega = loop_grid(model, closed_loop_poles(model, controller))
     return beyond_lines(omega, sensitivity(model, controller, omega), axes, highest_hz)
 
 
-def beyond_lines(omega: Real, s: Complex, axes: Sequence[str], highest_hz: float) -> str:
-    """The same from the sensitivity at frequencies that show every peak of it, (P, n, n) of n axes.
-
-    There a model is a guess: it has one mode for all that lie beyond the band, known by what they leave within it.
-    """
+def beyond_lines(omega: Real, s: Complex, axes: Sequence[str], highest_hz: float) -> Beyond:
+    """The same from the sensitivity at frequencies that show every peak of it, (P, n, n) of n axes."""
     peaks = omega[np.abs(np.diagonal(s, axis1=1, axis2=2)).argmax(axis=0)] / (2 * np.pi)
     beyond = omega > 2 * np.pi * highest_hz
     if not np.any(beyond):
-        return ""
+        return Beyond()
     where = f"above the highest measured line ({highest_hz:.4g} Hz), where the model is a guess; measure farther up"
-    if high := [f"that of {axis} at {hz:.4g} Hz" for axis, hz in zip(axes, peaks, strict=True) if hz > highest_hz]:
-        return f"a sensitivity peak, {' and '.join(high)}, lies {where}"
+    high = [f"that of {axis} at {hz:.4g} Hz" for axis, hz in zip(axes, peaks, strict=True) if hz > highest_hz]
     gain = np.linalg.norm(np.linalg.inv(s[beyond]) - np.eye(len(axes)), ord=2, axis=(1, 2))
     k = int(np.argmax(gain))
-    if gain[k] <= GAIN_LEFT:
-        return ""
-    return f"the loop's gain is {gain[k]:.2g} at {omega[beyond][k] / (2 * np.pi):.4g} Hz, {where}"
+    return Beyond(
+        f"a sensitivity peak, {' and '.join(high)}, lies {where}" if high else "",
+        f"the loop's gain is {gain[k]:.2g} at {omega[beyond][k] / (2 * np.pi):.4g} Hz, {where}"
+        if gain[k] > GAIN_LEFT
+        else "",
+    )
 
 
 def measured_sensitivity(points: PlanePoints) -> FrequencyResponse | None:

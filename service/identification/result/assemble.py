@@ -126,10 +126,11 @@ def assemble(
         status=u.status(refined.fit),
         warnings=(
             *_warnings(points, refined, u, total),
-            *([f"margins and zone of the loop are not known: {beyond}"] if beyond else []),
+            *([f"margins and zone of the loop are not known: {beyond.peak}"] if beyond.peak else []),
+            *([f"margins are those of the measured band: {beyond.gain}"] if beyond.gain and not beyond.peak else []),
             *told_supports(found_modes, datasheet),
         ),
-        beyond_measured=beyond,
+        beyond_measured=beyond.peak,
         covariance_from_data=u.from_data,
         closed_loop=predicted_closed_loop(model, controller, points if held_out is None else held_out),
     )

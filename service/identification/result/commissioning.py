@@ -86,7 +86,7 @@ class PlaneResult:
     covariance_from_data: Real | None = None
     """The part of ``covariance`` that noise brings, the shapes' splits held."""
     beyond_measured: str = ""
-    """Why its margins hang on what lies above the measured band, in words; "" where they do not."""
+    """Why its sensitivity peak is not known, as it lies above the measured band, in words; "" where it is."""
     closed_loop: Predicted | None = None
     """Predicted against measured closed loop, on the unseen sweep where there is one."""
 
@@ -102,7 +102,7 @@ class PlaneResult:
         return float(lines.min()), float(lines.max())
 
     def zone(self, peak: float) -> str:
-        """Zone of a peak sensitivity, not in dB; not known where the loop above the measured band matters."""
+        """Zone of a peak sensitivity, not in dB; not known where that lies above the measured band."""
         return NOT_KNOWN if self.beyond_measured else zone(peak, self.zones_db)
 
     def document(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.arrays import Real
-from service.identification.loop.margins import beyond_measured
+from service.identification.loop.margins import Beyond, beyond_measured
 from service.identification.measured.known import as_identified
 from service.identification.measured.points import planes_of
 from service.identification.plane.layout import N_MODE, Layout
@@ -71,15 +71,17 @@ class SavedPlane:
     notes: tuple[str, ...] = ()
     """What to know of the effects that the twin names, in sentences: above all what the model lacks of them."""
 
-    def beyond_measured(self, model: PlaneModel, controller: tuple[Real, Real]) -> str:
-        """Why margins of its loop with a controller hang on what was not measured, in words; "" where they do not.
+    def beyond_measured(self, model: PlaneModel, controller: tuple[Real, Real]) -> Beyond:
+        """What of its loop with a controller lies above what was measured.
 
         Parameters
         ----------
         model
             Its own, or that of the same plane at another time.
         """
-        return BANDLESS if self.highest_hz is None else beyond_measured(model, controller, self.axes, self.highest_hz)
+        if self.highest_hz is None:
+            return Beyond(gain=BANDLESS)
+        return beyond_measured(model, controller, self.axes, self.highest_hz)
 
 
 def saved_planes(document: Mapping[str, Any], datasheet: Datasheet) -> dict[str, SavedPlane]:
