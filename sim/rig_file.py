@@ -65,14 +65,16 @@ DEEPEST = 8
 """Parts of a dotted key, and brackets within brackets: a datasheet has three, and a parser's work grows with them."""
 BYTE_ORDER_MARK = "\ufeff"
 """What some editors begin a file of UTF-8 with; TOML has none."""
+# What is repeated begins otherwise each time, and an end always matches: no backtracking. Possessive groups would say
+# so, but go wrong in Python 3.11.2, which Debian 12 has.
 _QUOTED = re.compile(
-    r'''"""(?:[^"\\]++|\\.?|"(?!""))*+(?:"{3,5}|\Z)'''  # texts of several lines
-    r"""|'{3}(?:[^']++|'(?!''))*+(?:'{3,5}|\Z)"""
-    r"""|"(?:[^"\\\n]++|\\.?)*+"?|'[^'\n]*+'?"""  # texts of one line
+    r'''"""(?:[^"\\]++|\\.?|"(?!""))*(?:"{3,5}|\Z)'''  # texts of several lines
+    r"""|'{3}(?:[^']++|'(?!''))*(?:'{3,5}|\Z)"""
+    r"""|"(?:[^"\\\n]++|\\.?)*"?|'[^'\n]*+'?"""  # texts of one line
     r"|#[^\n]*+",
     re.DOTALL,
 )
-_DOTTED = re.compile(r"[\w+-]++(?:[ \t]*+\.[ \t]*+[\w+-]++)*+")
+_DOTTED = re.compile(r"[\w+-]++(?:[ \t]*+\.[ \t]*+[\w+-]++)*")
 
 
 class _Section(BaseModel):

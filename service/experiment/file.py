@@ -79,6 +79,10 @@ def _hdf5_tree(path: Path, file: Any) -> dict[str, Any]:
             raise ExperimentFileError(f"{path}: /sweeps/{name} is a dataset; it must be a group, one for each sweep")
         datasets = {}
         for key, node in group.items():
+            if node is None:  # a name that is damaged, or a link to what is gone
+                raise ExperimentFileError(
+                    f"{path}: /sweeps/{name} lists {key!r}, which is not there, the file is damaged; copy it again"
+                )
             if not isinstance(node, h5py.Dataset):
                 continue
             try:
