@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -40,7 +40,8 @@ def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     # what explains most may be half of a mixture, and no likelier alone than what explains nothing
     near += [c for c in sorted((r.candidate for r in order), key=cost)[:1] if c not in near]
     refitted = [*fitter.run(exact_tasks(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
-    likened = sorted(fitter.run(_from_aliases(ground, refitted[: len(near)], refitted)), key=cost, reverse=True)
+    likened = [c for c in fitter.run(_from_aliases(ground, refitted[: len(near)], refitted)) if not _at_an_end(c)]
+    likened.sort(key=cost, reverse=True)
     from_aliases = {frozenset(c.effects): c for c in likened}  # of each the cheapest
     best = []
     for c in refitted:
@@ -68,8 +69,11 @@ def refitted_from_best(fitter: Fitter, ground: Ground, found: Sequence[Candidate
 def _from_aliases(ground: Ground, solved: Sequence[Candidate], known: Sequence[Candidate]) -> Iterable[Task]:
     """Tasks to fit explanations from the solution of one with an alias in the place of an effect, if that is better.
 
-    A resonance has many local minima, and its aliases (`Effect.likened`) may have found a better one.
+    A resonance has many local minima, and its aliases (`Effect.likened`) may have found a better one. Where the rig
+    still rang at some lines nothing is begun that an alias leaves open, as a housing's translation, which would be put
+    there.
     """
+    rang = any(o.drifting.any() for o in ground.observations)
     costs = {frozenset(c.effects): cost(c) for c in known}
     tried: set[frozenset[str]] = set()
     for c in sorted(solved, key=cost):
@@ -82,10 +86,23 @@ def _from_aliases(ground: Ground, solved: Sequence[Candidate], known: Sequence[C
                     continue
                 if costs.get(these, np.inf) <= cost(c):
                     continue
-                for own in likened(c.fit.values[k]):  # apart, as a parameter may sleep in one of them
+                own_starts = likened(c.fit.values[k])
+                if rang and len(own_starts) > 1:
+                    own_starts = [own for own in own_starts if not _wakes(alias, own)]
+                for own in own_starts:  # apart, as a parameter may sleep in one of them
                     tried.add(these)
                     start = (*c.fit.values[:k], own, *c.fit.values[k + 1 :])
                     yield Task(ground, effects, (start,), c.fit.theta, (EXACT,))
+
+
+def _wakes(name: str, values: Mapping[str, float]) -> bool:
+    """Whether some values of an effect wake dormant parameters of its law."""
+    return any(p.dormant and values.get(p.name, p.null) != p.null for p in CATALOGUE[name].parameters)
+
+
+def _at_an_end(c: Candidate) -> bool:
+    """Whether a parameter of a wider law went to an end of its range: as of a housing that hardly does but rock."""
+    return any(p.dormant and (name, p.name) in c.fit.ends for name in c.effects for p in CATALOGUE[name].parameters)
 
 
 def better_without_one_effect(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
