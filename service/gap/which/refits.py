@@ -11,6 +11,7 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.weighing.ranking import ranked
+from sim import imbalance
 from sim.effects import CATALOGUE, aliases
 
 REFINED = 6
@@ -101,8 +102,12 @@ def _wakes(name: str, values: Mapping[str, float]) -> bool:
 
 
 def _at_an_end(c: Candidate) -> bool:
-    """Whether a parameter of a wider law went to an end of its range: as of a housing that hardly does but rock."""
-    return any(p.dormant and (name, p.name) in c.fit.ends for name in c.effects for p in CATALOGUE[name].parameters)
+    """Whether a parameter of a wider law went to an end of its range: as of a housing that hardly does but rock.
+
+    An effect in one end or plane alone is there, too, and is one.
+    """
+    at_ends = (p for name, p in c.fit.ends if any(own.name == p and own.dormant for own in CATALOGUE[name].parameters))
+    return any(p not in (*imbalance.NAMES, imbalance.DIAGONAL) for p in at_ends)
 
 
 def better_without_one_effect(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
