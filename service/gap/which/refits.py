@@ -11,7 +11,6 @@ from service.gap.fitting.part import Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import slow_to_compute
 from service.gap.weighing.ranking import ranked
-from sim import imbalance
 from sim.effects import CATALOGUE, aliases
 
 REFINED = 6
@@ -41,8 +40,7 @@ def refitted(fitter: Fitter, ground: Ground, null: Candidate, probed: Sequence[C
     # what explains most may be half of a mixture, and no likelier alone than what explains nothing
     near += [c for c in sorted((r.candidate for r in order), key=cost)[:1] if c not in near]
     refitted = [*fitter.run(exact_tasks(ground, near)), *(r.candidate for r in order if r.candidate not in near)]
-    likened = [c for c in fitter.run(_from_aliases(ground, refitted[: len(near)], refitted)) if not _at_an_end(c)]
-    likened.sort(key=cost, reverse=True)
+    likened = sorted(fitter.run(_from_aliases(ground, refitted[: len(near)], refitted)), key=cost, reverse=True)
     from_aliases = {frozenset(c.effects): c for c in likened}  # of each the cheapest
     best = []
     for c in refitted:
@@ -99,15 +97,6 @@ def _from_aliases(ground: Ground, solved: Sequence[Candidate], known: Sequence[C
 def _wakes(name: str, values: Mapping[str, float]) -> bool:
     """Whether some values of an effect wake dormant parameters of its law."""
     return any(p.dormant and values.get(p.name, p.null) != p.null for p in CATALOGUE[name].parameters)
-
-
-def _at_an_end(c: Candidate) -> bool:
-    """Whether a parameter of a wider law went to an end of its range: as of a housing that hardly does but rock.
-
-    An effect in one end or plane alone is there, too, and is one.
-    """
-    at_ends = (p for name, p in c.fit.ends if any(own.name == p and own.dormant for own in CATALOGUE[name].parameters))
-    return any(p not in (*imbalance.NAMES, imbalance.DIAGONAL) for p in at_ends)
 
 
 def better_without_one_effect(fitter: Fitter, ground: Ground, *found: Candidate) -> list[Candidate]:
